@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +16,12 @@ from pathlib import Path
 from edged.config import chosencameras
 from edged.config.configuration import Config
 from edged.config.reading import config_and_choice, read
+from edged.config.tomltext import toml_of
 from edged.domain.cell import SetupSource
-from edged.errors import ConfigError, UserError
-from edged.files.atomic import read_bytes
+from edged.errors import ConfigError, FileFormatError, UserError
 from edged.files.jobs import job_folders, job_of, read_job
-from edged.files.private import closing, is_exposed
-from edged.files.rig import rig_of
+from edged.files.private import closing, is_exposed, read_shared_key
+from edged.files.rig import read_rig, rig_of
 from edged.files.secrettext import without_secrets
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
@@ -79,7 +78,7 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
         config, chosen = config_and_choice(text, path)
     except ConfigError as error:
         raise ConfigError(str(path), [*error.problems, *_problems_of_named_files(text, path)]) from error
-    problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config)]
+    problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config), *_unshared(config)]
     others, files = len(problems), dict[str, bytes]()
     rig, rectification = _load_rig(config.cell.rig, files, problems)
     lacks_rig, of_rig = _is_missing(config.cell.rig), len(problems)
@@ -157,10 +156,22 @@ def _unguarded(config: Config) -> list[str]:
     return []
 
 
+def _unshared(config: Config) -> list[str]:
+    """What is wrong with the key that messages over Zenoh are signed with."""
+    file = config.zenoh.shared_key
+    if not config.zenoh.enabled or file is None or not file.is_file():
+        return []
+    try:
+        read_shared_key(file)
+    except FileFormatError as error:
+        return [f"zenoh.shared_key: {error}"]
+    return []
+
+
 def _problems_of_named_files(text: bytes, path: Path) -> list[str]:
     """Of the rig and the jobs of a configuration that has mistakes itself, as far as it names them."""
     try:
-        cell = tomllib.loads(text.decode("utf-8-sig")).get("cell")
+        cell = toml_of(text).get("cell")
     except (ValueError, RecursionError):
         return []
     problems: list[str] = []
@@ -177,7 +188,7 @@ def _load_rig(
     path: Path, files: dict[str, bytes], problems: list[str]
 ) -> tuple[StereoRig | None, Rectification | None]:
     try:
-        files["rig.json"] = read_bytes(path, "a rig")
+        files["rig.json"] = read_rig(path)
         rig = rig_of(files["rig.json"], path)
         return rig, make_rectification(rig)
     except UserError as error:

@@ -21,6 +21,7 @@ from edged.domain.arrays import Side
 from edged.domain.cell import CellPhase, CellState, DriftState, SetupSource
 from edged.domain.events import (
     REGISTERING,
+    Basis,
     Command,
     CommandFailed,
     CommandKind,
@@ -28,7 +29,6 @@ from edged.domain.events import (
     Idle,
     JobChanged,
     Registered,
-    Reloaded,
     Snapshot,
 )
 from edged.domain.exposure import CameraLimits, CameraValues
@@ -86,7 +86,7 @@ class Cycle:
         self._setup = setup
         self._active = setup.jobs.get(setup.active_job, NO_JOB)
         self._utc_ns = utc_ns
-        self._told = Announcements()
+        self._told = Announcements(Basis(0, setup.calibration_id, setup.fingerprint))
         self._commands = CommandQueue()
         self._wake = asyncio.Event()
         self.stopping = asyncio.Event()
@@ -153,20 +153,22 @@ class Cycle:
     async def _apply(self, setup: Setup, head: Head | None) -> None:
         """Exchange setup and cameras; a job that is gone falls back to the default.
 
-        Commands that wait were accepted for the setup before: what this one cannot carry out fails, and so
-        does what is to measure "the active job", when that is another part now.
+        Commands that wait were accepted for the setup before, and fail: whoever asks anew asks this one. A
+        reload of files that are all as they were (renewed certificates, a second SIGHUP) disturbs nobody.
         """
         self._pending = None
         self._registering.end("the configuration was reloaded")
         if (setup.calibration_id, setup.drift) != (self._setup.calibration_id, self._setup.drift):
             self._drift = DriftMonitor(setup.drift)
-        self._setup = setup
-        self._told.announce(Reloaded())
-        gone = self._active if self._active.number not in setup.jobs else None
-        number = setup.active_job if gone is not None else self._active.number
+        was, self._setup = self._setup, setup
+        number = self._active.number if self._active.number in setup.jobs else setup.active_job
         self._active = setup.jobs.get(number, NO_JOB)
-        for command, problem in self._commands.sort_out(setup, gone):
-            self._told.announce(CommandFailed(command, problem))
+        if head is not None or (setup.calibration_id, setup.fingerprint) != (
+            was.calibration_id,
+            was.fingerprint,
+        ):
+            self._told.tell_exchange(setup.calibration_id, setup.fingerprint)
+            self._fail_waiting("the configuration was reloaded while it waited: ask again")
         if head is not None:
             if self._in_setup:
                 await self._cameras.put_down(self._head)  # what was tried was tried of the cameras before
@@ -271,7 +273,7 @@ class Cycle:
             return self._registering.refused(command, Obstacle.FAILED, f"it cannot be saved: {error}")
         self._setup = setup
         self._active = setup.jobs[self._active.number]
-        self._told.announce(Reloaded())
+        self._told.tell_exchange(setup.calibration_id, setup.fingerprint)
         return told
 
     def _fail_waiting(self, why: str) -> None:
@@ -319,7 +321,14 @@ class Cycle:
     async def _measure(self, command: Command | None, heard: asyncio.Future[FramePair] | None) -> Snapshot:
         """One cycle. A miss or a fault is a status; a bug propagates."""
         measurement = Measurement(
-            self._number, self._setup, self._active, command, self._drift, self._vision, self._utc_ns
+            self._number,
+            self._told.basis.number,
+            self._setup,
+            self._active,
+            command,
+            self._drift,
+            self._vision,
+            self._utc_ns,
         )
         try:
             pair = await (heard if heard is not None else self._head.capture())

@@ -15,6 +15,7 @@ import errno
 import socket
 import ssl
 import time
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
@@ -34,6 +35,7 @@ class Guest:
 
     name : its address as the operating system gives it. peer : the host of that.
     active_s : when it last did what counts, as `touch` was told. busy : something is being done for it.
+    has_flooded : it has sent more than it may, and was ended for it.
     """
 
     def __init__(self, door: Door, connection: socket.socket, name: tuple[Any, ...]) -> None:
@@ -41,6 +43,8 @@ class Guest:
         self.peer = str(name[0]) if name else "?"
         self.active_s = time.monotonic()
         self.busy = False
+        self.has_flooded = False
+        self._inflow: Rate | None = None
         self._door = door
         self._connection = connection
         self._transport: asyncio.Transport | None = None
@@ -50,10 +54,24 @@ class Guest:
         """Whether it is through the TLS handshake, if there is one."""
         return self._transport is not None
 
+    def is_silent(self, since_s: float) -> bool:
+        """Whether it has done nothing since then, and nothing is being done for it."""
+        return not self.busy and self.active_s <= since_s
+
     def touch(self, *, busy: bool = False) -> None:
         """It has just done what counts."""
         self.active_s = time.monotonic()
         self.busy = busy
+
+    def limit(self, bytes_per_s: float, burst_bytes: float) -> None:
+        """From now on it may send so much, and so much at once; with more it is ended."""
+        self._inflow = Rate(bytes_per_s, burst=burst_bytes)
+
+    def may_send(self, size: int) -> bool:
+        """Whether what has come from it is within its limit."""
+        if self._inflow is not None and not self._inflow.take(size):
+            self.has_flooded = True
+        return not self.has_flooded
 
     def entered(self, transport: asyncio.Transport) -> None:
         """It is through the handshake."""
@@ -225,6 +243,11 @@ class Door:
         loop.remove_reader(listening)
         self._timers[listening] = loop.call_later(REST_S, loop.add_reader, listening, self._accept, listening)
 
+    def flooded(self, guest: Guest) -> None:
+        """A guest has sent more than it may."""
+        self._log.warning("%s: %s sends too much, closed", self._name, guest.peer)
+        guest.abort()
+
     def _sweep(self) -> None:
         now_s = time.monotonic()
         for guest in self.guests:
@@ -261,8 +284,12 @@ class _Counted(asyncio.Protocol):
             self._inner.connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        if self._is_in:
+        if not self._is_in:
+            return
+        if self._guest.may_send(len(data)):
             self._inner.data_received(data)
+        else:
+            self._door.flooded(self._guest)
 
     def eof_received(self) -> bool | None:
         return self._inner.eof_received() if self._is_in else None
@@ -287,12 +314,35 @@ class Rate:
         self._clock_s = clock_s
         self._left, self._seen_s = self._most, clock_s()
 
-    def take(self) -> bool:
-        """Whether one more is within the rate."""
+    def take(self, count: float = 1) -> bool:
+        """Whether so many more are within the rate."""
         now_s = self._clock_s()
         self._left = min(self._most, self._left + (now_s - self._seen_s) * self._per_s)
         self._seen_s = now_s
-        if self._left < 1:
+        if self._left < count:
             return False
-        self._left -= 1
+        self._left -= count
         return True
+
+    def forfeit(self, seconds: float) -> None:
+        """None is within the rate for so long."""
+        self.take(0)
+        self._left = min(self._left, 0.0) - seconds * self._per_s
+
+
+class Rates:
+    """One rate for each of those who ask. Of more than `most` of them, who asked least lately begins anew."""
+
+    def __init__(self, per_s: float, burst: float, most: int = 1024) -> None:
+        self._per_s = per_s
+        self._burst = burst
+        self._most = most
+        self._rates: OrderedDict[str, Rate] = OrderedDict()
+
+    def of(self, name: str) -> Rate:
+        """Of somebody, by any name."""
+        rate = self._rates.setdefault(name, Rate(self._per_s, burst=self._burst))
+        self._rates.move_to_end(name)
+        while len(self._rates) > self._most:
+            self._rates.popitem(last=False)
+        return rate

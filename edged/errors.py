@@ -24,9 +24,11 @@
     ├── CommandRefused            a command that cannot be carried out (queue full, unknown job, ...)
     │   └── BeingSetUp            the cell is in SETUP: nobody is served
     ├── TaskFailed                long work that ended without a result: its process was killed, or a bug
+    │   └── TaskTooLarge          it took more memory or time than it may: asked again, it would again
     ├── RegressionNeeded          a job or rig that makes recorded cycles worse, or was not tried on them
     ├── SetupRefused              SETUP cannot be entered, or is not (any more) whose token it was
     └── ListenError               a port or socket that cannot be opened
+        └── TookTooLong           not within the time that a server has to start or to end
 
 An expected miss (no target, low quality) is a `domain.Status`, never an exception.
 """
@@ -182,6 +184,10 @@ class TaskFailed(EdgedError):
     """Long work that ended without a result: its process was killed, or it has a bug."""
 
 
+class TaskTooLarge(TaskFailed):
+    """Long work that took more memory or processor time than a task may: of which, and how much it may."""
+
+
 class RegressionNeeded(EdgedError):
     """A job or rig that makes recorded cycles worse, or was not tried on them: somebody must sign for it.
 
@@ -206,3 +212,7 @@ class SetupRefused(EdgedError):
 
 class ListenError(EdgedError):
     """A server socket that cannot be opened (port in use, no permission)."""
+
+
+class TookTooLong(ListenError):
+    """A server that has not started, or ended, within its time. It may do so later."""

@@ -1,4 +1,7 @@
-"""DRL's functions of sockets, as the "Doosan Robotics Programming Manual" tells them; DRL is Python."""
+"""DRL's functions of sockets and of the flange, as the "Doosan Robotics Programming Manual" tells them.
+
+DRL is Python.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from robotlink import Link
+from robotwords import Declared
+
+from edged.robot.orientations import Brand, pose_of
 
 
 class Controller:
@@ -40,9 +46,27 @@ class Controller:
             return -3, None
         return (len(data), data) if data else (-1, None)
 
+    def get_current_tool_flange_posx(self, ref: str) -> list[float]:
+        """The flange, whatever tool is active."""
+        assert ref == "base"
+        return list(pose_of(Brand.DOOSAN, self.link.arm.flange))
+
     def close(self) -> None:
         """Power off."""
         self.link.close()
+
+
+def declared(tree: ast.AST, language: str) -> Declared:
+    """Functions, their parameters, and whatever is assigned to; URScript, too, is read as Python."""
+    names = Declared(language)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            names(node.name)
+        elif isinstance(node, ast.arg):
+            names(node.arg)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names(node.id)
+    return names
 
 
 def load(source: str, controller: Controller) -> dict[str, Any]:
@@ -50,9 +74,15 @@ def load(source: str, controller: Controller) -> dict[str, Any]:
     tree = ast.parse(source, feature_version=(3, 7))
     banned = (ast.Import, ast.ImportFrom, ast.JoinedStr, ast.NamedExpr, ast.AnnAssign)
     assert not any(isinstance(node, banned) for node in ast.walk(tree))
+    declared(tree, "drl")
     names: dict[str, Any] = {
         "time": SimpleNamespace(time=controller.link.now_s),
-        **{name: getattr(controller, name) for name in dir(controller) if name.startswith("client_")},
+        **{
+            name: getattr(controller, name)
+            for name in dir(controller)
+            if name.startswith(("client_", "get_"))
+        },
+        "DR_BASE": "base",
     }
     exec(compile(tree, "edged.drl", "exec"), names)
     return names

@@ -15,9 +15,12 @@ from pathlib import Path
 
 import numpy as np
 from robotlink import Link
+from robotwords import Declared
+
+from edged.robot.orientations import Brand, pose_of
 
 HERE = Path(__file__).parent / "motoplus"
-WAITS, SENT, FAILS, READS, NUMBERS = 200, 201, 202, 203, 256
+WAITS, SENT, FAILS, READS, PLACE, NUMBERS = 200, 201, 202, 203, 210, 256
 STRICT = (
     "-std=gnu89",
     "-Wall",
@@ -50,6 +53,7 @@ class Controller:
         self.positions: dict[int, np.ndarray] = {}
         self.moves: list[np.ndarray] = []
         self.here = np.arange(6)
+        self.declared = Declared("inform")
         self.lines = self._read(job)
         self._waited: int | None = None
         self._sent = 0
@@ -60,7 +64,9 @@ class Controller:
         expected = "/JOB //NAME EDGED //POS ///NPOS 0,0,0,0,0,0 //INST ///DATE ///ATTR SC,RW ///GROUP1 RB1"
         assert expected.split() == re.sub(r"(///DATE) \d{4}/\d\d/\d\d \d\d:\d\d", r"\1", head).split()
         lines = text.splitlines()
-        assert "END" == lines[-1] and all(len(line) <= 9 for line in lines if line.startswith("*"))
+        assert "END" == lines[-1]
+        for name in ("EDGED", *(line[1:] for line in lines if line.startswith("*"))):
+            self.declared(name)
         return lines
 
     def _switch_on(self) -> subprocess.Popen[bytes]:
@@ -89,6 +95,8 @@ class Controller:
     def call(self) -> None:
         """CALL JOB:EDGED."""
         self.task = self.task or self._switch_on()
+        numbers = np.array(pose_of(Brand.YASKAWA, self.link.arm.flange))
+        self.memory[PLACE : PLACE + 6] = np.rint(numbers * ([1e3] * 3 + [1e4] * 3))
         self._sent, self._waited = int(self.memory[SENT]), None
         self.run(self.lines)
 

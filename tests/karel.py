@@ -1,9 +1,8 @@
 """KAREL as FANUC's controllers run it, as far as `edged registers --format karel` uses it.
 
 After the "KAREL Reference Manual" (MARRC75KR07091E): statements (appendix A), data types (INTEGER of 32
-bits, REAL of 24, STRING up to 254), names of at most 12 characters, uninitialised variables that
-may not be read, built-in routines by their parameters, socket messaging. A routine is declared before it is
-used.
+bits, REAL of 24, STRING up to 254), uninitialised variables that may not be read, built-in routines by their
+parameters, socket messaging. A routine is declared before it is used.
 """
 
 from __future__ import annotations
@@ -16,7 +15,9 @@ from robotlanguage import Assign, Call, Parameter, Program, Return, Routine, Syn
 from robotlink import Link
 from robotvalues import Record, Types, single
 
-NAME = r"[A-Za-z]\w{0,11}"
+from edged.robot.orientations import Brand, pose_of
+
+NAME = r"[A-Za-z]\w*"
 
 
 class Uninitialised:
@@ -105,13 +106,15 @@ class _Syntax(Syntax):
 
 def load(source: str, controller: Controller) -> Program:
     """The program, with its routines; `RUN` is its body."""
-    assert source.isascii() and max(map(len, source.splitlines())) <= 252
-    lines = [line.partition("--")[0].strip() for line in source.splitlines()]
+    assert source.isascii()
+    program = _Karel("karel", TYPES, "=", "[]")
+    lines = [line.partition("--")[0].strip() for line in program.declared.lines(source)]
     lines = [line for line in lines if line and not line.startswith("%")]
     found = re.match(rf"PROGRAM ({NAME})$", lines[0])
     assert found is not None and lines[-1] == f"END {found[1]}"
-    program = _Karel(TYPES, "=", "[]")
+    program.declared(found[1])
     program.builtins = {name: getattr(controller, name.lower()) for name in BUILTINS}
+    program.globals |= controller.numbers
     for name in ("ATR_IA",):
         program.globals[name] = TYPES.variable("STRING", name)
     at = 1
@@ -121,14 +124,15 @@ def load(source: str, controller: Controller) -> Program:
             value = program.evaluate(constant[2]).get()
             made = TYPES.variable("STRING" if isinstance(value, str) else "INTEGER", value)
             made.is_constant = True
-            program.globals[constant[1].upper()] = made
+            program.globals[program.declared(constant[1]).upper()] = made
             at += 1
     assert lines[at] == "VAR"
     at += 1
     while declared := DECLARATION.match(lines[at]):
         size = int(declared["size"] or 0)
         kind = declared["type"]
-        program.globals[declared["name"].upper()] = TYPES.array(kind, size) if size else TYPES.variable(kind)
+        name = program.declared(declared["name"]).upper()
+        program.globals[name] = TYPES.array(kind, size) if size else TYPES.variable(kind)
         at += 1
     while lines[at] != "BEGIN":
         at = _routine(program, lines, at)
@@ -159,15 +163,15 @@ def _routine(program: Program, lines: list[str], at: int) -> int:
     for text in filter(None, (head["parameters"] or "").split("; ")):
         declared = DECLARATION.match(text)
         assert declared is not None, text
-        parameters.append(Parameter(declared["name"].upper(), declared["type"], by_reference=False))
-    routine = Routine(head["name"], parameters, head["returns"] or "")
+        name = program.declared(declared["name"]).upper()
+        parameters.append(Parameter(name, declared["type"], by_reference=False))
+    routine = Routine(program.declared(head["name"]), parameters, head["returns"] or "")
     at += 1
     if lines[at] == "VAR":
         at += 1
         while declared := DECLARATION.match(lines[at]):
-            routine.locals.append(
-                (declared["name"].upper(), declared["type"], int(declared["size"] or 0), "")
-            )
+            name = program.declared(declared["name"]).upper()
+            routine.locals.append((name, declared["type"], int(declared["size"] or 0), ""))
             at += 1
     assert lines[at] == "BEGIN", lines[at]
     start = at
@@ -189,18 +193,31 @@ BUILTINS = (
 class Controller:
     """Registers, one client tag, and the arguments of the TP program.
 
-    keeps_ends : whether `READ` leaves an end of line in its string. position : of the arm, X Y Z W P R.
+    keeps_ends : whether `READ` leaves an end of line in its string. position : of the arm, X Y Z W P R, in
+    the frames of `numbers`: those of the active tool and of the user frame.
     """
 
     def __init__(self, link: Link, *, keeps_ends: bool = False) -> None:
         self.link = link
-        self.position: Callable[[], tuple[float, ...]] = lambda: (1.0,) * 6
+        self.numbers = {name: TYPES.array("INTEGER", 8) for name in ("$MNUTOOLNUM", "$MNUFRAMENUM")}
+        self.activate(0)
+        self.position: Callable[[], tuple[float, ...]] = self._where
         self.keeps_ends = keeps_ends
         self.is_open = False
         self.status = 0
         self.arguments: tuple[int, ...] = ()
         self.registers: dict[int, float] = {}
         self.positions: dict[int, Record] = {}
+
+    def activate(self, tool: int, frame: int = 0) -> None:
+        """UTOOL_NUM and UFRAME_NUM of the TP program."""
+        for array, number in zip(self.numbers.values(), (tool, frame), strict=True):
+            array.element(1).set(number)
+
+    def _where(self) -> tuple[float, ...]:
+        """In user frame 0."""
+        tool = self.numbers["$MNUTOOLNUM"].element(1).get()
+        return pose_of(Brand.FANUC, self.link.arm.tip if tool else self.link.arm.flange)
 
     def cnv_int_str(self, number: Any, width: Any, base: Any, target: Any) -> None:
         """With a blank before it."""

@@ -1,7 +1,7 @@
 """AS as Kawasaki's controllers run it, as far as `edged registers --format as` uses it.
 
-After the "AS Language Reference Manual" (90209-1014): statements, names of at most 15 characters, strings of
-at most 255, REAL of 24 bits, variables that are undefined until they are written, `UTIMER`, `$ENCODE`, `ASC`;
+After the "AS Language Reference Manual" (90209-1014): statements, strings of at most 255 characters, REAL of
+24 bits, variables that are undefined until they are written, `UTIMER`, `$ENCODE`, `ASC`;
 and the manual "TCP/IP Communication" (90210-1190): `TCP_CONNECT`, `TCP_SEND`, `TCP_RECV`, `TCP_CLOSE`.
 """
 
@@ -14,7 +14,11 @@ from robotlanguage import Assign, Call, Parameter, Program, Routine, Syntax, blo
 from robotlink import Link
 from robotvalues import Record, Types, single
 
-NAME = r"[A-Za-z]\w{0,14}"
+from edged.domain.arrays import FloatArray
+from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.vision.geometry.rigid import invert
+
+NAME = r"[A-Za-z]\w*"
 TIMED_OUT = -34024
 GONE = -34025
 
@@ -68,6 +72,10 @@ class _Syntax(Syntax):
             return Call(found[1], found[2] or "")
         if found := re.match(r"UTIMER (\"\w+\") = (.+)$", line):
             return Call("SET_UTIMER", f"{found[1]}, {found[2]}")
+        if found := re.match(r"POINT (\w+) = (\w+)-(\w+)$", line):
+            return Call("SUBTRACT", ", ".join(found.groups()))
+        if found := re.match(r"DECOMPOSE (\w+)\[1\] = (\w+)$", line):
+            return Call("DECOMPOSE", ", ".join(found.groups()))
         found = re.match(r"(?:POINT )?(\$?\w+(?:\[\w+\])?) = (.+)$", line)
         assert found is not None, f"no statement: {line}"
         return Assign(found[1], found[2])
@@ -97,7 +105,8 @@ def _clean(source: str) -> list[str]:
             continue
         if not line.startswith("."):
             line = re.sub(r"(?<![\w.])\.(\$?)([a-z]\w*)", r"\1local_\2", line)
-        line = re.sub(r"@(\w+)", r'"\1"', line).replace("$ENCODE(/I6,", '$ENCODE("/I6",')
+        line = re.sub(r"@(\w+)", r'"\1"', line)
+        line = re.sub(r"\$ENCODE\((/\w+(?:\.\d)?),", r'$ENCODE("\1",', line)
         if line.startswith(("IF ", "WHILE ")):
             opened.append(line.partition(" ")[0])
         lines.append("END" + opened.pop() if line == "END" else line)
@@ -107,8 +116,9 @@ def _clean(source: str) -> list[str]:
 
 def load(source: str, controller: Controller) -> Program:
     """The file, its programs ready to be called."""
-    assert source.isascii() and max(map(len, source.splitlines())) < 128
-    program = _As(TYPES, "==", "[]")
+    assert source.isascii()
+    program = _As("as", TYPES, "==", "[]")
+    program.declared.lines(source)
     program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
     lines = _clean(source)
     text = "\n".join(lines)
@@ -122,7 +132,9 @@ def load(source: str, controller: Controller) -> Program:
     for name in re.findall(r"TCP_\w+ (\w+),(\w+)", text):
         for one in name:
             program.globals.setdefault(one.upper(), TYPES.variable("real"))
-    assert all(len(name.removeprefix("$")) <= 15 for name in program.globals), program.globals
+    for name in program.globals:
+        program.declared(name.removeprefix("$").lower())
+    program.globals |= controller.places
     at = 0
     while lines[at] != ".REALS":
         head = re.match(rf"\.PROGRAM ({NAME})\((.*)\)$", lines[at])
@@ -132,10 +144,11 @@ def load(source: str, controller: Controller) -> Program:
             found = re.match(r"\.(\$?)(\w+)$", given)
             assert found is not None, given
             kind = "string" if found[1] else "real"
-            parameters.append(Parameter(f"{found[1]}LOCAL_{found[2].upper()}", kind, by_reference=False))
+            local = f"{found[1]}LOCAL_{program.declared(found[2]).upper()}"
+            parameters.append(Parameter(local, kind, by_reference=False))
         body, at = block(lines, at + 1, _Syntax(), {".END"})
         assert head[1].upper() not in program.routines, f"{head[1]} twice"
-        program.routines[head[1].upper()] = Routine(head[1], parameters, "", [], body)
+        program.routines[program.declared(head[1]).upper()] = Routine(head[1], parameters, "", [], body)
         at += 1
     program.execute(block(lines, at + 1, _Syntax(), {".END"})[0])
     called = {name.upper() for name in re.findall(r"CALL (\w+)", text)}
@@ -149,6 +162,8 @@ BUILTINS = {
     "ASC": "asc",
     "LEN": "len",
     "TRANS": "trans",
+    "SUBTRACT": "subtract",
+    "DECOMPOSE": "decompose",
     "TWAIT": "twait",
     "UTIMER": "utimer",
     "SET_UTIMER": "set_utimer",
@@ -159,6 +174,11 @@ BUILTINS = {
 }
 
 
+def _write(place: Any, pose: FloatArray) -> None:
+    for one, number in zip(place.get().fields.values(), pose_of(Brand.KAWASAKI, pose), strict=True):
+        one.set(number)
+
+
 class Controller:
     """One socket. gone : what TCP_RECV says of a lost link."""
 
@@ -166,11 +186,28 @@ class Controller:
         self.link = link
         self.gone = gone
         self.set_s = 0.0
+        self.places = {name: TYPES.variable("trans") for name in ("HERE", "TOOL")}
 
     def encode(self, form: Any, value: Any) -> str:
-        """In six characters."""
+        """In so many characters."""
+        if form.get() == "/F12.4":
+            return f"{value.get():12.4f}"
         assert "/I6" == form.get() and float(value.get()).is_integer()
         return f"{int(value.get()):6d}"
+
+    def subtract(self, target: Any, one: Any, other: Any) -> None:
+        """One with the inverse of the other behind it; HERE is the tip of TOOL."""
+        for place, pose in zip(
+            self.places.values(), (self.link.arm.tip, self.link.arm.flange_from_tip), strict=True
+        ):
+            _write(place, pose)
+        matrices = (transform_of(Brand.KAWASAKI, tuple(of.get().plain().values())) for of in (one, other))
+        _write(target, next(matrices) @ invert(next(matrices)))
+
+    def decompose(self, array: Any, pose: Any) -> None:
+        """Its six numbers, into the elements from 1 on."""
+        for index, number in enumerate(pose.get().plain().values(), 1):
+            array.element(index).set(number)
 
     def chr(self, code: Any) -> str:
         """A character."""

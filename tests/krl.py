@@ -1,8 +1,8 @@
 """KRL as KUKA's controllers run it, as far as `edged registers --format krl` uses it, with EthernetKRL.
 
 After "KUKA System Software 8.x: Operating and Programming Instructions for System Integrators" (declarations
-before statements, names of at most 24 characters, arrays handed over as OUT, quotients of INT are whole, REAL
-rounded to INT where it is assigned) and "KUKA.EthernetKRL 2.2" (6.1 the configuration, 6.2 the functions).
+before statements, arrays handed over as OUT, quotients of INT are whole, REAL rounded to INT where it is
+assigned) and "KUKA.EthernetKRL 2.2" (6.1 the configuration, 6.2 the functions).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.vision.geometry.rigid import invert
 
-NAME = r"[A-Za-z$_][\w$]{0,23}"
+NAME = r"[A-Za-z$_][\w$]*"
 
 
 def _int(value: Any) -> int:
@@ -87,7 +87,7 @@ class _Syntax(Syntax):
         if found := re.match(rf"({NAME})=({NAME}):INV_POS\(({NAME})\)$", line):
             return Call("GEOMETRIC_INVERSE", ", ".join(found.groups()))
         if found := re.match(
-            rf"({NAME})=({NAME}):\{{X (\S+),Y (\S+),Z (\S+),A (\S+),B (\S+),C (\S+)\}}$", line
+            rf"({NAME})=({NAME}(?:\[\d+\])?):\{{X (\S+),Y (\S+),Z (\S+),A (\S+),B (\S+),C (\S+)\}}$", line
         ):
             return Call("GEOMETRIC", ", ".join(found.groups()))
         if found := re.match(rf"((?:{NAME})(?:\.\w+|\[[^\]]*\])*)=(.+)$", line):
@@ -113,7 +113,7 @@ class _Krl(Program):
 
 def load(files: dict[str, str], controller: Controller) -> Program:
     """The module of `edged.src` and `edged.dat`."""
-    program = _Krl(TYPES, "==", "[]")
+    program = _Krl("krl", TYPES, "==", "[]")
     program.builtins = {name: getattr(controller, name.lower()) for name in BUILTINS}
     lines = [line.partition(";")[0].strip() for line in files["edged.dat"].splitlines()]
     lines = [line for line in lines if line and not line.startswith("&")]
@@ -123,7 +123,7 @@ def load(files: dict[str, str], controller: Controller) -> Program:
         assert found is not None, line
         size = int(found["size"] or 0)
         made = TYPES.array(found["type"], size) if size else TYPES.variable(found["type"])
-        program.globals[found["name"]] = made
+        program.globals[program.declared(found["name"])] = made
         if found["initial"]:
             made.set(program.evaluate(found["initial"]).get())
     program.globals["$FLAG"] = controller.flags
@@ -150,12 +150,16 @@ def _routine(program: Program, lines: list[str], at: int) -> int:
     at += 1
     declared: dict[str, tuple[str, int, bool]] = {}
     while found := LOCAL.match(lines[at]):
-        declared[found["name"]] = (found["type"], int(found["size"] or 0), bool(found["array"]))
+        declared[program.declared(found["name"])] = (
+            found["type"],
+            int(found["size"] or 0),
+            bool(found["array"]),
+        )
         at += 1
     parameters = [
         Parameter(name, declared[name][0], way == "OUT", declared[name][2]) for name, way in ways.items()
     ]
-    routine = Routine(head["name"], parameters, head["returns"] or "")
+    routine = Routine(program.declared(head["name"]), parameters, head["returns"] or "")
     routine.locals = [
         (name, kind, size, "") for name, (kind, size, _) in declared.items() if name not in ways
     ]
@@ -184,11 +188,10 @@ class Controller:
     """One channel of EthernetKRL, as the configuration file says, and the flags."""
 
     def __init__(self, configuration: str, link: Link, arm: RobotArm | None = None) -> None:
-        self.arm = arm
+        self.arm = arm or link.arm
         self.position, self.tool = TYPES.variable("FRAME"), TYPES.variable("FRAME")
-        if arm is not None:
-            _write(self.tool, arm.flange_from_tip)
-            _write(self.position, arm.tip)
+        _write(self.tool, self.arm.flange_from_tip)
+        _write(self.position, self.arm.tip)
         root = ElementTree.fromstring(configuration)
         assert root.tag == "ETHERNETKRL" and root.findtext("CONFIGURATION/EXTERNAL/TYPE") == "Server"
         assert "1503" == root.findtext("CONFIGURATION/EXTERNAL/PORT")
@@ -279,13 +282,11 @@ class Controller:
     def wait_sec(self, seconds: Any) -> None:
         """Wait; what is read then is where the robot stands (advance run)."""
         self.link.pause(seconds.get())
-        if self.arm is not None:
-            self.arm.rests()
-            _write(self.position, self.arm.tip)
+        self.arm.rests()
+        _write(self.position, self.arm.tip)
 
     def lin(self, place: Any) -> None:
         """Along a line, with what $TOOL and $BASE are."""
-        assert self.arm is not None
         self.arm.move(_matrix(place))
 
     def geometric(self, target: Any, place: Any, *numbers: Any) -> None:

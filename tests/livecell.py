@@ -103,6 +103,14 @@ class LiveCell:
 
         return asyncio.run_coroutine_threadsafe(run(), self.loop).result(10)
 
+    def reload(self, **changes: object) -> None:
+        """As a reload that changed these fields of the setup; returns when it is in force."""
+        self.setup = replace(self.setup, **changes)
+        self.call(lambda: self.cycle.exchange(self.setup))
+        in_force = vars(self.cycle)
+        while in_force["_setup"] is not self.setup:
+            time.sleep(0.001)
+
     def _locate(self, _pair: FramePair, lap: Callable[[str], None]) -> Outcome:
         time.sleep(self.slow_s)
         assert self.may_end.wait(20)

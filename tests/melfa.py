@@ -12,11 +12,17 @@ import math
 import re
 from typing import Any
 
+import numpy as np
 from robotexpressions import Compiler
 from robotlink import Link
 from robotvalues import Record, Types, Variable, single
+from robotwords import Declared
 
-NAME = r"[MCP][A-Za-z0-9_]{0,15}[%$]?"
+from edged.domain.arrays import FloatArray
+from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.vision.geometry.rigid import invert
+
+NAME = r"[MCP][A-Za-z0-9_]*[%$]?"
 
 
 class Stopped(Exception):
@@ -52,6 +58,17 @@ TYPES = Types(
 )
 
 
+def _matrix(position: Record) -> FloatArray:
+    *lengths_mm, a, b, c = list(position.plain().values())[:6]
+    return transform_of(Brand.MITSUBISHI, (*lengths_mm, *np.degrees((a, b, c)).tolist()))
+
+
+def _write(position: Record, pose: FloatArray) -> None:
+    numbers = pose_of(Brand.MITSUBISHI, pose)
+    for name, number in zip("xyzabc", (*numbers[:3], *np.radians(numbers[3:]).tolist()), strict=True):
+        position.fields[name].set(number)
+
+
 class Slot:
     """A task slot: what it runs, its own variables, and why it waits."""
 
@@ -61,13 +78,16 @@ class Slot:
 
     def __init__(self, controller: Controller, source: str) -> None:
         self.controller = controller
-        assert source.isascii() and max(map(len, source.splitlines())) <= 240
-        lines = [line.partition(" ") for line in source.splitlines()]
+        assert source.isascii()
+        self.declared = Declared("melfa")
+        lines = [line.partition(" ") for line in self.declared.lines(source)]
         assert [str(number) for number in range(1, len(lines) + 1)] == [number for number, _, _ in lines]
         texts = [text.partition("'")[0].strip() for _, _, text in lines]
         self.lines = [re.sub(r"(P_10\d)\((\w+)\)", r"\1[\2]", text) for text in texts]
         self.labels = {text: i for i, text in enumerate(self.lines) if text.startswith("*")}
         assert len(self.labels) == sum(text.startswith("*") for text in self.lines), "a label twice"
+        for label in self.labels:
+            self.declared(label[1:])
         self.variables: dict[str, Variable] = {}
         self.at = 0
         self.returns: list[int] = []
@@ -76,14 +96,17 @@ class Slot:
 
     def named(self, name: str) -> Any:
         """A variable, by its first letter and its last; those with _ are the controller's."""
-        name = name.upper()
+        name, written = name.upper(), name
         if name in self.controller.shared:
             return self.controller.shared[name]
         assert re.fullmatch(NAME, name) and not name.startswith(("M_", "C_", "P_")), name
         kind = {"M": "number", "C": "text", "P": "position"}[name[0]]
         assert name.endswith("$") == (kind == "text")
         kind = "whole" if name.endswith("%") else kind
-        return self.variables.setdefault(name, TYPES.variable(kind))
+        if name not in self.variables:
+            self.declared(written)
+            self.variables[name] = TYPES.variable(kind)
+        return self.variables[name]
 
     def invoke(self, name: str, arguments: list[Any]) -> Any:
         """A function."""
@@ -147,6 +170,9 @@ class Slot:
             self.controller.close()
         elif found := re.match(r"M_Timer\((\d)\)=0$", line):
             self.controller.timers[int(found[1])] = self.controller.link.now_s()
+        elif found := re.match(r"(\w+)=(\w+)\*Inv\((\w+)\)$", line):
+            place, behind = (_matrix(self.named(name).get()) for name in found.groups()[1:])
+            _write(self.named(found[1]).get(), place @ invert(behind))
         elif not line.startswith("Wait "):
             found = re.match(r"([\w%$]+(?:\[\w+\])?)(?:\.([XYZABC]))?=(.+)$", line)
             assert found is not None, f"no statement: {line}"
@@ -170,7 +196,7 @@ class Controller:
     """Two task slots, the link, timers, and variables known to all.
 
     short_waits : whether `Input` waits for more of a line that has too few numbers; otherwise the variables
-    stay as they are. end : what `Print #` sends at the end of a line.
+    stay as they are. end : what `Print #` sends at the end of a line, and `Input #` waits for.
     """
 
     def __init__(
@@ -183,9 +209,9 @@ class Controller:
         self.shared: dict[str, Any] = {f"M_{i:02}": TYPES.variable("number") for i in range(20)}
         for name in ("P_100", "P_101", "P_102"):
             self.shared[name] = TYPES.array("position", 10)
-        here = TYPES.variable("position")
-        here.get().fields["fl1"].set(7)
-        self.shared["P_CURR"] = here
+        for name in ("P_CURR", "P_TOOL"):
+            self.shared[name] = TYPES.variable("position")
+        self.shared["P_CURR"].get().fields["fl1"].set(7)
         self.arguments: tuple[float, ...] = ()
         self.slots: dict[int, Slot] = {}
         self.moves: list[tuple[Record, float]] = []
@@ -198,7 +224,8 @@ class Controller:
             "M_Open": lambda _: 1 if self.link.is_open else 0,
             "M_Wai": lambda _: 1 if self.stopped else 0,
             "M_Psa": lambda _: 0 if 2 in self.slots and self.slots[2].runs else 1,
-            "Str$": lambda value: str(int(value)),
+            "Str$": lambda value: f"{value:.7g}",
+            "Deg": math.degrees,
             "Chr$": lambda value: chr(int(value)),
             "Rad": math.radians,
         }
@@ -212,6 +239,8 @@ class Controller:
     def call(self, *arguments: float) -> None:
         """CallP "EDGED"."""
         self.arguments = arguments
+        for name, pose in (("P_CURR", self.link.arm.tip), ("P_TOOL", self.link.arm.flange_from_tip)):
+            _write(self.shared[name].get(), pose)
         main = self.slots[1] = Slot(self, self.files["EDGED.prg"])
         while main.runs:
             moved = main.step()
@@ -259,14 +288,14 @@ class Controller:
     def has_line(self) -> bool:
         """Whether a whole line has come."""
         assert self.is_open
-        while self.link.is_open and b"\n" not in self.heard and (data := self.link.receive(0.0)):
+        while self.link.is_open and self.end not in self.heard and (data := self.link.receive(0.0)):
             self.heard += data
-        if self.short_waits and b"\n" in self.heard:
-            line = self.heard.partition(b"\n")[0]
+        if self.short_waits and self.end in self.heard:
+            line = self.heard.partition(self.end)[0]
             return line.count(b",") >= 13 or not re.fullmatch(rb"[-\d.,]*", line)
-        return b"\n" in self.heard
+        return self.end in self.heard
 
     def take_line(self) -> str:
         """The oldest."""
-        line, _, self.heard = self.heard.partition(b"\n")
+        line, _, self.heard = self.heard.partition(self.end)
         return line.decode("latin-1")

@@ -77,7 +77,8 @@ class _Judge:
         """Compare one poll with everything that was seen before."""
         result = decode(RESULT, words)
         data = struct.pack(">46H", *words[:46])
-        if result["SEQ_HEAD"] != result["SEQ_TAIL"]:
+        withdrawn = result["SEQ_TAIL"] == 0 and not sight.valid
+        if result["SEQ_HEAD"] != result["SEQ_TAIL"] and not withdrawn:
             self._wrong("mixed", f"SEQ_HEAD {result['SEQ_HEAD']}, SEQ_TAIL {result['SEQ_TAIL']}")
         if crc16(data) != result["CRC16"]:
             self._wrong("checksum", f"{result}")

@@ -276,12 +276,15 @@ class Record:
         if (place := self.place(path, dir_fd)) is not None:
             self.made(place, (self.root / place).stat().st_mode & 0o777, is_file=False)
 
-    def _on_rename(self, source: Any, target: Any, **_: Any) -> None:
-        if (place := self.place(source)) is not None and (to := self.place(target)) is not None:
+    def _on_rename(
+        self, source: Any, target: Any, *, src_dir_fd: int | None = None, dst_dir_fd: int | None = None
+    ) -> None:
+        place, to = self.place(source, src_dir_fd), self.place(target, dst_dir_fd)
+        if place is not None and to is not None:
             self.moved(place, to)
 
-    def _on_link(self, source: Any, target: Any, **_: Any) -> None:
-        if (place := self.place(source)) is not None and (to := self.place(target)) is not None:
+    def _on_link(self, source: Any, target: Any, *, src_dir_fd: int | None = None, **_: Any) -> None:
+        if (place := self.place(source, src_dir_fd)) is not None and (to := self.place(target)) is not None:
             self.linked(place, to)
 
     def _on_remove(self, path: Any, *, dir_fd: int | None = None) -> None:

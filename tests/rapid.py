@@ -3,7 +3,7 @@ r"""RAPID as ABB's controllers run it, as far as `edged registers --format rapid
 After the "Technical reference manual: RAPID kernel" (declarations, statements, error recovery: an error runs
 the ERROR clause of the routine that called the instruction) and "RAPID Instructions, Functions and Data
 types" (`SocketCreate` to `SocketClose`, `ClkRead`, `StrToVal`, `NOrient`; `string` of at most 80 characters,
-`num` in 32 bits, names of at most 32).
+`num` in 32 bits).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from edged.robot.orientations import Brand, matrix_moving_xyz, pose_of, transfor
 from edged.vision.geometry.rigid import transform
 
 MAX_TEXT = 80
-NAME = r"[A-Za-z_]\w{0,31}"
+NAME = r"[A-Za-z_]\w*"
 
 
 class RapidError(Exception):
@@ -117,9 +117,11 @@ def lines_of(source: str) -> list[str]:
 
 def load(source: str, sockets: Sockets) -> Program:
     """The module, ready to be called."""
-    program = Program(TYPES, "=", "{}")
+    program = Program("rapid", TYPES, "=", "{}")
     lines = lines_of(source)
-    assert re.match(rf"MODULE {NAME}$", lines[0]) and lines[-1] == "ENDMODULE"
+    head = re.match(rf"MODULE ({NAME})$", lines[0])
+    assert head is not None and lines[-1] == "ENDMODULE"
+    program.declared(head[1])
     program.builtins = {name.upper(): getattr(sockets, method) for name, method in BUILTINS.items()}
     program.on_error = RapidError
     sockets.program = program
@@ -129,7 +131,7 @@ def load(source: str, sockets: Sockets) -> Program:
             size = int(found["size"] or 0)
             assert found["kind"] != "PERS" or (not found["local"] and found["initial"]), lines[at]
             made = TYPES.array(found["type"], size) if size else TYPES.variable(found["type"])
-            program.globals[found["name"].upper()] = made
+            program.globals[program.declared(found["name"]).upper()] = made
             if found["initial"]:
                 made.set(program.evaluate(found["initial"]).get())
             at += 1
@@ -156,16 +158,19 @@ def _routine(program: Program, lines: list[str], at: int) -> int:
     for text in filter(None, head["parameters"].split(",")):
         found = PARAMETER.match(text)
         assert found is not None, text
-        parameters.append(Parameter(found["name"].upper(), found["type"], bool(found["inout"])))
-    routine = Routine(head["name"], parameters, head["returns"] or "")
+        name = program.declared(found["name"]).upper()
+        parameters.append(Parameter(name, found["type"], bool(found["inout"])))
+    routine = Routine(program.declared(head["name"]), parameters, head["returns"] or "")
     at += 1
     while found := DECLARATION.match(lines[at]):
         assert found["kind"] == "VAR" and not found["local"]
-        routine.locals.append(
-            (found["name"].upper(), found["type"], int(found["size"] or 0), found["initial"] or "")
-        )
+        name = program.declared(found["name"]).upper()
+        routine.locals.append((name, found["type"], int(found["size"] or 0), found["initial"] or ""))
         at += 1
     end = "END" + head["keyword"]
+    for line in lines[at : lines.index(end, at)]:
+        if counted := _Syntax().opens_for(line):
+            program.declared(counted[0])
     routine.body, at = block(lines, at, _Syntax(), {"ERROR", end})
     if lines[at] == "ERROR":
         routine.handler, at = block(lines, at + 1, _Syntax(), {end})
@@ -200,7 +205,7 @@ def _options(arguments: tuple[Any, ...]) -> dict[str, Any]:
     return dict(one for one in arguments if isinstance(one, tuple))
 
 
-def _target(robot_from_tip: FloatArray) -> Record:
+def robtarget(robot_from_tip: FloatArray) -> Record:
     """A robtarget."""
     record: Record = TYPES.initial("robtarget")
     numbers = pose_of(Brand.ABB, robot_from_tip)
@@ -220,7 +225,7 @@ class Sockets:
 
     def __init__(self, link: Link, arm: RobotArm | None = None) -> None:
         self.link = link
-        self._arm = arm
+        self.arm = arm or link.arm
         self.errno = TYPES.variable("errnum", "")
         self.started_s: float | None = None
         self.passed_s = 0.0
@@ -312,23 +317,19 @@ class Sockets:
         assert ("char", None) in options
         return chr(_byte(byte.get()))
 
-    @property
-    def arm(self) -> RobotArm:
-        """The robot."""
-        assert self._arm is not None
-        return self._arm
-
     def c_rob_t(self, *options: Any) -> Record:
         """\\Tool, \\WObj."""
         given = {name: value.get() for name, value in _options(options).items()}
         assert "wobj0" == given["wobj"]
-        return _target(self.arm.flange if given["tool"] == "tool0" else self.arm.tip)
+        return robtarget(self.arm.flange if given["tool"] == "tool0" else self.arm.tip)
 
     def rel_tool(self, target: Any, x: Any, y: Any, z: Any, *options: Any) -> Record:
-        """\\Rx, \\Ry, \\Rz: about x, the new y, the new z."""
-        given = {name: value.get() for name, value in _options(options).items()}
+        """\\Rx, \\Ry, \\Rz: about x, the new y, the new z; without them 0. Of a robtarget, not of a pose."""
+        assert "robtarget" == target.get().type
+        given = dict.fromkeys(("rx", "ry", "rz"), 0.0)
+        given |= {name: value.get() for name, value in _options(options).items()}
         turn = matrix_moving_xyz(*(math.radians(given[name]) for name in ("rx", "ry", "rz")))
-        return _target(_pose(target) @ transform(turn, np.array([x.get(), y.get(), z.get()], float)))
+        return robtarget(_pose(target) @ transform(turn, np.array([x.get(), y.get(), z.get()], float)))
 
     def move_l(self, target: Any, speed: Any, zone: Any, tool: Any, *options: Any) -> None:
         """To the point itself (fine)."""

@@ -1,10 +1,11 @@
 """The examples of the page of robots, each run as it stands there beside the program that it calls.
 
-A robot's moves are poses as its maker writes them, and how far before the pose along the tool's Z it stops.
+What a robot is told to move to is worked out as its maker's manual says it: robot_from_tip, in mm.
 """
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from collections.abc import Callable
@@ -15,6 +16,7 @@ import drl
 import karel
 import kawasaki
 import krl
+import numpy as np
 import rapid
 import robotsides as sides
 import spel
@@ -22,22 +24,24 @@ import val3
 from robotlink import Link
 from robotvalues import Record
 
+from edged.domain.arrays import FloatArray
 from edged.plc.clients.karel import karel_files
 from edged.plc.clients.krl import krl_files
 from edged.plc.clients.val3 import val3_files
 from edged.plc.texts import render
-from edged.robot.orientations import Brand
+from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.vision.geometry.rigid import transform
 
-PAGE = Path(__file__).parents[1] / "docs/how-to/robots.md"
-Move = tuple[tuple[float, ...], float]
+DOCS = Path(__file__).parents[1] / "docs/how-to"
+PAGE = DOCS / "robots.md"
 
 
 class Example(NamedTuple):
-    """Of a brand: the title of its section, and what runs it."""
+    """Of a brand: the title of its section, and what runs it; it gives the poses that the tip is moved to."""
 
     brand: Brand
     section: str
-    run: Callable[[str, Link], list[Move]]
+    run: Callable[[str, Link], list[FloatArray]]
 
 
 def text_of(section: str) -> str:
@@ -52,23 +56,24 @@ def _numbers(record: Any) -> tuple[float, ...]:
     return tuple(record.plain().values())
 
 
-def _abb(text: str, link: Link) -> list[Move]:
-    rapid.TYPES.records["robtarget"] = {"trans": "pos", "rot": "orient"}
+def _shift(x_mm: float = 0.0, y_mm: float = 0.0, z_mm: float = 0.0) -> FloatArray:
+    return transform(np.eye(3), np.array([x_mm, y_mm, z_mm]))
+
+
+def _abb(text: str, link: Link) -> list[FloatArray]:
     sockets = rapid.Sockets(link)
     source = render("rapid").replace("ENDMODULE", f"{text}ENDMODULE")
     program = rapid.load(source, sockets)
-    moves: list[Move] = []
+    moves: list[FloatArray] = []
 
     def move(where: Any, *_: Any) -> None:
-        pose, ahead = where.get()
-        plain = pose.plain()
-        moves.append(((*plain["trans"].values(), *plain["rot"].values()), -ahead))
+        plain = where.get().plain()
+        moves.append(transform_of(Brand.ABB, (*plain["trans"].values(), *plain["rot"].values())))
 
     for name in ("TOOL1", "WOBJ0", "V200", "FINE"):
         program.globals[name] = rapid.TYPES.variable("num")
     program.builtins |= {
-        "CROBT": lambda *_: rapid.TYPES.initial("robtarget"),
-        "RELTOOL": lambda pose, x, y, z: (pose.get(), x.get() + y.get() + z.get()),
+        "CROBT": lambda *_: rapid.robtarget(link.arm.flange),
         "MOVEL": move,
         "TPWRITE": lambda *_: None,
     }
@@ -77,69 +82,78 @@ def _abb(text: str, link: Link) -> list[Move]:
     return moves
 
 
-def _fanuc(_text: str, link: Link) -> list[Move]:
-    """The teach pendant's program that comes with the KAREL program."""
+def _fanuc(_text: str, link: Link) -> list[FloatArray]:
+    """The teach pendant's program that comes with the KAREL program; PR[80] is what its remark says."""
     files = karel_files()
     controller = karel.Controller(link)
     program = karel.load(files["edged.kl"], controller)
-    code = files["edgedpick.ls"].partition("/MN\n")[2].partition("/POS")[0]
+    code = files["edgepick.ls"].partition("/MN\n")[2].partition("/POS")[0]
     lines = [re.sub(r"^ *\d+:", "", line).rstrip(" ;").strip() for line in code.splitlines()]
-    moves: list[Move] = []
+    (remark,) = re.findall(r"!PR\[80\]: (.*?) ;", code)
+    offset = transform_of(Brand.FANUC, tuple(float(one.strip("()")) for one in remark.split(",")))
+    moves: list[FloatArray] = []
     at = 0
     while at < len(lines) and (line := lines[at]) != "END":
         at += 1
         if found := re.match(r"CALL EDGED\(([\d,]+)\)$", line):
             controller.arguments = tuple(map(int, found[1].split(",")))
             program.call("RUN")
+        elif found := re.match(r"UTOOL_NUM=(\d)$", line):
+            controller.activate(int(found[1]))
         elif found := re.match(r"IF R\[(\d+)\]<>0,JMP LBL\[(\d+)\]$", line):
             if controller.registers[int(found[1])] != 0:
                 at = lines.index(f"LBL[{found[2]}]")
         elif found := re.match(r"L PR\[(\d+)\] 100mm/sec FINE Tool_Offset,PR\[80\]$", line):
-            moves.append((_numbers(controller.positions[int(found[1])])[:6], 100.0))
+            place = _numbers(controller.positions[int(found[1])])[:6]
+            moves.append(transform_of(Brand.FANUC, place) @ offset)
         else:
-            assert re.match(r"!|UFRAME_NUM=0|UTOOL_NUM=1|LBL\[9\]|UALM\[1\]", line), line
+            assert re.match(r"!|UFRAME_NUM=0|LBL\[9\]|UALM\[1\]", line), line
     return moves
 
 
-def _kuka(text: str, link: Link) -> list[Move]:
+def _kuka(text: str, link: Link) -> list[FloatArray]:
     files = krl_files()
-    shifted = re.sub(r"(\w+\[\d+\]):\{X 0,Y 0,Z (-\d+),A 0,B 0,C 0\}", r"SHIFTED(\1,\2)", text)
-    files["edged.src"] += f"DEF EXAMPLE()\n{shifted}END\n"
+    files["edged.src"] += f"DEF EXAMPLE()\n{text}END\n"
     program = krl.load(files, krl.Controller(files["edged.xml"], link))
-    moves: list[Move] = []
-    ahead: list[float] = []
-
-    def shift(frame: Any, z: Any) -> Any:
-        ahead.append(-z.get())
-        return frame.get()
-
-    program.builtins |= {
-        "SHIFTED": shift,
-        "LIN": lambda frame: moves.append((_numbers(frame.get()), ahead[-1])),
-    }
+    moves: list[FloatArray] = []
+    program.builtins["LIN"] = lambda frame: moves.append(transform_of(Brand.KUKA, _numbers(frame.get())))
     program.call("EXAMPLE")
     return moves
 
 
-def _doosan(text: str, link: Link) -> list[Move]:
+def _doosan(text: str, link: Link) -> list[FloatArray]:
     controller = drl.Controller(link)
     names = drl.load(render("drl"), controller)
-    moves: list[Move] = []
+    moves: list[FloatArray] = []
+
+    def trans(
+        pos: tuple[float, ...], delta: tuple[float, ...], ref: str = "base", ref_out: str = "base"
+    ) -> tuple[float, ...]:
+        """In the frame of the tool the result is in that of pos, whatever ref_out (manual 3.5, "trans")."""
+        pose, moved = transform_of(Brand.DOOSAN, pos), transform_of(Brand.DOOSAN, delta)
+        assert "base" == ref_out and ref in ("base", "tool")
+        if ref == "tool":
+            return pose_of(Brand.DOOSAN, pose @ moved)
+        return pose_of(Brand.DOOSAN, transform(moved[:3, :3] @ pose[:3, :3], pose[:3, 3] + moved[:3, 3]))
+
     names |= {
         "DR_BASE": "base",
+        "DR_TOOL": "tool",
         "posx": lambda *numbers: numbers,
-        "trans": lambda pose, shift, ref, ref_out: (pose, shift) if ref == ref_out == "base" else None,
-        "movel": lambda where, vel, acc: moves.append((where[0], vel * acc and -where[1][2])),
+        "trans": trans,
+        "movel": lambda pos, **_: moves.append(transform_of(Brand.DOOSAN, pos)),
     }
+    drl.declared(ast.parse(text), "drl")
     exec(compile(text, "example", "exec"), names)
     return moves
 
 
-def _staubli(text: str, link: Link) -> list[Move]:
+def _staubli(text: str, link: Link) -> list[FloatArray]:
+    """A transformation is written as its six numbers in braces."""
     val3.TYPES.records["pointRx"] = {"trsf": "trsf", "config": "num"}
     files = val3_files()
-    lines = text.replace("edged:", "").replace('"edged: "', '"edged"').replace("{0,0,-100,0,0,0}", "-100")
-    code = lines.replace('" "+', '"edged"+')
+    lines = text.replace("edged:", "").replace('"edged: "', '"edged"')
+    code = re.sub(r"\{([-\d,]+)\}", r"braces(\1)", lines).replace('" "+', '"edged"+')
     files["example.pgx"] = re.sub(
         r"begin.*?end\]",
         lambda _: f"begin\n{code}end]",
@@ -149,12 +163,19 @@ def _staubli(text: str, link: Link) -> list[Move]:
     listed = '<Program file="stop.pgx" />'
     files["edged.pjx"] = files["edged.pjx"].replace(listed, listed + listed.replace("stop", "example"))
     program = val3.load(files, val3.Controller(link))
-    moves: list[Move] = []
+    moves: list[FloatArray] = []
     program.globals |= {"PPICK": val3.TYPES.variable("pointRx")}
     program.globals |= {name: val3.TYPES.variable("num") for name in ("TTOOL", "MSLOW")}
+
+    def appro(point: Any, trsf: Any) -> FloatArray:
+        """The point, and the transformation in its frame ("appro")."""
+        pose = transform_of(Brand.STAUBLI, _numbers(point.get().fields["trsf"].get()))
+        return np.asarray(pose @ transform_of(Brand.STAUBLI, trsf.get()))
+
     program.builtins |= {
-        "APPRO": lambda point, z: (point.get().fields["trsf"].get(), -z.get()),
-        "MOVEL": lambda where, *_: moves.append((_numbers(where.get()[0]), where.get()[1])),
+        "BRACES": lambda *numbers: tuple(number.get() for number in numbers),
+        "APPRO": appro,
+        "MOVEL": lambda where, *_: moves.append(where.get()),
         "HEREJ": lambda: 0,
         "CONFIG": lambda _: 0,
         "WAITENDMOVE": lambda: None,
@@ -164,25 +185,26 @@ def _staubli(text: str, link: Link) -> list[Move]:
     return moves
 
 
-def _kawasaki(text: str, link: Link) -> list[Move]:
+def _kawasaki(text: str, link: Link) -> list[FloatArray]:
+    """LAPPRO: so far away along the tool's Z, backwards ("LAPPRO")."""
     source = render("as").replace(".REALS\n", f"{text}.REALS\n")
     program = kawasaki.load(source, kawasaki.Controller(link))
-    moves: list[Move] = []
-    program.builtins |= {
-        "BREAK": lambda: None,
-        "PRINT": lambda *_: None,
-        "LAPPRO": lambda pose, ahead: moves.append((_numbers(pose.get()), ahead.get())),
-    }
+    moves: list[FloatArray] = []
+
+    def lappro(pose: Any, distance_mm: Any) -> None:
+        moves.append(transform_of(Brand.KAWASAKI, _numbers(pose.get())) @ _shift(z_mm=-distance_mm.get()))
+
+    program.builtins |= {"BREAK": lambda: None, "PRINT": lambda *_: None, "LAPPRO": lappro}
     program.call("pick_one")
     return moves
 
 
-def _epson(text: str, link: Link) -> list[Move]:
-    """The Z of Go is that of the frame."""
+def _epson(text: str, link: Link) -> list[FloatArray]:
+    """+Z shifts along the frame's axis, +TLZ along the tool's."""
     names = ("x", "y", "z", "u", "v", "w")
     spel.TYPES.records["point"] = dict.fromkeys(names, "Double")
     program = spel.load(f"{render('spel')}\n{text}", spel.Controller(link))
-    moves: list[Move] = []
+    moves: list[FloatArray] = []
 
     def point(*numbers: Any) -> Record:
         made: Record = spel.TYPES.initial("point")
@@ -190,28 +212,34 @@ def _epson(text: str, link: Link) -> list[Move]:
             one.set(number.get())
         return made
 
+    def go(pose: Any, axis: Any, distance_mm: Any) -> None:
+        place, shift = transform_of(Brand.EPSON, _numbers(pose.get())), _shift(z_mm=distance_mm.get())
+        moves.append(np.asarray(place @ shift if axis.get() == "TLZ" else shift @ place))
+
     program.globals["P10"] = spel.TYPES.variable("point")
-    program.builtins |= {
-        "XY": point,
-        "SHOW": lambda *_: None,
-        "GO": lambda pose, up: moves.append((_numbers(pose.get()), up.get())),
-    }
+    program.builtins |= {"XY": point, "SHOW": lambda *_: None, "GO": go}
     program.call("PickOne")
     return moves
 
 
-def _mitsubishi(text: str, link: Link) -> list[Move]:
+def _mitsubishi(text: str, link: Link) -> list[FloatArray]:
+    """The number behind a position is a way along the hand's Z ("Mov")."""
     side = sides.Mitsubishi(link)
     side.controller.run(text)
-    moves = [(_numbers(pose)[:6], -ahead) for pose, ahead in side.controller.moves]
-    return [((*pose[:3], *map(math.degrees, pose[3:])), ahead) for pose, ahead in moves]
+    moves = []
+    for pose, ahead_mm in side.controller.moves:
+        x, y, z, *angles_rad = _numbers(pose)[:6]
+        place = transform_of(Brand.MITSUBISHI, (x, y, z, *map(math.degrees, angles_rad)))
+        moves.append(np.asarray(place @ _shift(z_mm=ahead_mm)))
+    return moves
 
 
-def _yaskawa(text: str, link: Link) -> list[Move]:
+def _yaskawa(text: str, link: Link) -> list[FloatArray]:
     side = sides.Yaskawa(link)
     side.controller.run(text.splitlines())
     side.close()
-    return [((*(one[:3] / 1e3).tolist(), *(one[3:] / 1e4).tolist()), 0.0) for one in side.controller.moves]
+    places = ((*(one[:3] / 1e3).tolist(), *(one[3:] / 1e4).tolist()) for one in side.controller.moves)
+    return [transform_of(Brand.YASKAWA, place) for place in places]
 
 
 EXAMPLES = (

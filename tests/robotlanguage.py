@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from robotexpressions import Code, Compiler
 from robotvalues import Array, Types, Value, Variable
+from robotwords import Declared
 
 
 class Assign(NamedTuple):
@@ -155,9 +156,13 @@ def block(lines: Sequence[str], start: int, syntax: Syntax, ends: set[str]) -> t
 
 
 class Program:
-    """A program that can be called. equals : how the language writes equality; index : its brackets."""
+    """A program that can be called.
 
-    def __init__(self, types: Types, equals: str, index: str) -> None:
+    language : whose words no name may be. equals : how it writes equality; index : its brackets.
+    """
+
+    def __init__(self, language: str, types: Types, equals: str, index: str) -> None:
+        self.declared = Declared(language)
         self.types = types
         self.equals = equals
         self.index = index

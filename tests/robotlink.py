@@ -12,15 +12,28 @@ import socket
 import time
 from collections.abc import Callable
 
+import numpy as np
+from robotarm import RobotArm
+
+from edged.robot.orientations import matrix_zyx
+from edged.vision.geometry.rigid import transform
+
 SETTLED_S = 0.02
 """What was sent on this machine has come by then."""
+
+
+def standing() -> RobotArm:
+    """An arm that stands somewhere, and has a tool."""
+    flange = transform(matrix_zyx(0.2, 0.1, 3.0), np.array([600.0, -150.0, 700.0]))
+    tool = transform(matrix_zyx(0.4, -0.7, 1.1), np.array([15.0, -40.0, 180.0]))
+    return RobotArm(flange, tool, lambda _: None)
 
 
 class Link:
     """One connection at a time.
 
     port : of the cell. piece : bytes that the network brings at a time. is_done : whether the other end,
-    which was sent so many messages, has nothing more to say.
+    which was sent so many messages, has nothing more to say. arm : the robot's.
     """
 
     def __init__(self, port: int, piece: int = 1024) -> None:
@@ -28,6 +41,7 @@ class Link:
         self.piece = piece
         self.is_done: Callable[[int], bool] = lambda _sent: False
         self.sent = 0
+        self.arm = standing()
         self._socket: socket.socket | None = None
         self._ahead_s = 0.0
         self._settled = -1

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import itertools
+import re
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -359,7 +360,7 @@ class Staubli(Shared):
         return self.program.named(prefix + name.replace("_", "")).get()
 
     def run(self, name: str, *arguments: Any) -> None:
-        self.program.call(name, *arguments)
+        self.program.call({"next": "nextPart"}.get(name, name), *arguments)
 
 
 class StaubliThatStays(Staubli):
@@ -486,24 +487,29 @@ class MitsubishiThatGoesOn(Mitsubishi):
 
 
 @cache
-def _translated() -> Path:
-    """The MotoPlus task, once for all tests."""
+def _translated(changed: str = "") -> Path:
+    """The MotoPlus task, once for all tests; changed : a line of it as who installs it writes that."""
     if shutil.which("gcc") is None:
         pytest.skip("no C compiler")
     folder = Path(tempfile.mkdtemp(prefix="edged-motoplus-"))
     atexit.register(shutil.rmtree, folder)
-    return inform.translate(motoplus_files()["edged.c"], folder)
+    source = motoplus_files()["edged.c"]
+    if changed:
+        source, count = re.subn(rf"^{changed.rpartition(' ')[0]} .*$", changed, source, flags=re.MULTILINE)
+        assert 1 == count
+    return inform.translate(source, folder)
 
 
 class Yaskawa:
     """A Yaskawa controller: the task runs beside the job."""
 
     brand = Brand.YASKAWA
+    changed = ""
     excuses: ClassVar[dict[str, Lie]] = {}
 
     def __init__(self, link: Link) -> None:
         self.link = link
-        program = _translated()
+        program = _translated(self.changed)
         memory = program.with_name(f"memory{next(NUMBERS)}")
         self.controller = inform.Controller(program, memory, motoplus_files()["EDGED.JBI"], link)
 
@@ -543,7 +549,21 @@ class Yaskawa:
         self.controller.close()
 
 
+class YaskawaThatCarries(Yaskawa):
+    """One whose program knows which tool file is empty."""
+
+    changed = "#define ED_FLANGE_TOOL 5"
+
+
 NUMBERS = itertools.count(1)
 """Of controllers."""
 SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Doosan, Staubli, StaubliThatStays]
-SIDES += [Kawasaki, KawasakiThatHearsNothing, Epson, Mitsubishi, MitsubishiThatGoesOn, Yaskawa]
+SIDES += [
+    Kawasaki,
+    KawasakiThatHearsNothing,
+    Epson,
+    Mitsubishi,
+    MitsubishiThatGoesOn,
+    Yaskawa,
+    YaskawaThatCarries,
+]

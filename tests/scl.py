@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import re
 
+from robotwords import Declared
+
 SYSTEM_TYPES = """\
 TYPE IP_V4 :
 STRUCT
@@ -55,6 +57,7 @@ def structured_text_of(source: str) -> tuple[str, dict[str, str]]:
     left = text
     parts = [SYSTEM_TYPES]
     shared = {}
+    declared_in(source)
     blocks = {found["name"] for found in BLOCK.finditer(text)} | {
         name for name, _ in DATA_BLOCK.findall(text)
     }
@@ -72,6 +75,22 @@ def structured_text_of(source: str) -> tuple[str, dict[str, str]]:
         left = pattern.sub("", left)
     assert not left.strip(), f"not understood: {left.strip()[:200]}"
     return "\n".join(parts), shared
+
+
+def declared_in(source: str) -> Declared:
+    """Each name where it is declared."""
+    text = re.sub(r"\(\*.*?\*\)|//[^\n]*", "", source, flags=re.S)
+    declared = Declared("scl")
+    for pattern in (TYPE, DATA_BLOCK):
+        for name, fields in pattern.findall(text):
+            declared(name)
+            for field, _ in DECLARED.findall(fields):
+                declared(field)
+    for found in BLOCK.finditer(text):
+        declared(found["name"])
+        for variable, _ in DECLARED.findall(found["sections"]):
+            declared(variable)
+    return declared
 
 
 def declarations(text: str) -> str:

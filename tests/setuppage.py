@@ -95,3 +95,36 @@ async def press(page: Browser, text: str) -> None:
 def said(text: str) -> str:
     """Whether the page says something."""
     return f"document.body?.innerText.includes({text!r})"
+
+
+async def discard(page: Browser) -> None:
+    """The first draft that can be, and its question answered."""
+    await press(page, "Discard")
+    await page.until(DIALOG)
+    await page.click("dialog[open] .primary")
+    await page.until(f"!{DIALOG}")
+
+
+async def leave(page: Browser) -> None:
+    """The document, which the browser keeps for the way back.
+
+    Only its event: Chromium keeps no page that is not to be stored, other browsers do.
+    """
+    await page.value("""dispatchEvent(new PageTransitionEvent("pagehide", { persisted: true })), 0""")
+
+
+async def come_back(page: Browser) -> None:
+    """To a document that was left."""
+    await page.value("""dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })), 0""")
+
+
+async def freeze(page: Browser) -> None:
+    """A tab that nobody looks at."""
+    await page.ask("Emulation.setFocusEmulationEnabled", enabled=False)
+    await page.ask("Page.setWebLifecycleState", state="frozen")
+
+
+async def thaw(page: Browser) -> None:
+    """A frozen tab that is looked at again."""
+    await page.ask("Page.setWebLifecycleState", state="active")
+    await page.ask("Emulation.setFocusEmulationEnabled", enabled=True)

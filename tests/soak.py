@@ -9,7 +9,8 @@ Zenoh use the cell at once, while it is stopped, killed, and reloaded section by
 
 Checked at every look of an independent observer, on words as they travel:
 - VALID is up only with the sequence of the newest command, head and tail and CRC agree, the coordinates are
-  those of one exposure that was made after that command was written and is not older than validity_s;
+  those of one exposure that was made after that command was written and is not older than validity_s, and was
+  measured by the rig, jobs, limits and cameras that the cell has at the moment of the look;
 - whatever is not VALID has no coordinates, in any block;
 - never ACK and NACK at once, never more than 8 open commands.
 Checked for every command: it runs only if its client means it now; accepted ones end in exactly one ACK or
@@ -26,6 +27,7 @@ import functools
 import itertools
 import math
 import random
+import re
 import selectors
 import struct
 from collections import Counter
@@ -84,6 +86,8 @@ WORK_S, REST_S = 200.0, 100.0
 """For so long somebody works on the configuration and reloads it more than anything else happens."""
 WORKED_ON = (("cell",), ("cameras", "cell"), ("modbus",), ("zenoh",))
 """What is worked on, each once in twenty minutes: a defect of two quick reloads shows within an hour."""
+STOOD_ON = ("cell", "limits", "cameras", "rig")
+"""What results stand on."""
 OPCUA = 1_000_000
 OPCUA_COMMAND, OPCUA_PICTURE, OPCUA_FORGET = (
     vars(OpcUaPublisher)[name] for name in ("_command", "_picture", "_forget")
@@ -93,6 +97,7 @@ LUCK = ("camera", "clock", "restart", "reload", "reload", "reloads")
 SECTIONS = (
     "cell",
     "cell",
+    "limits",
     "cameras",
     "rig",
     "modbus",
@@ -182,7 +187,7 @@ class WatchedRegisters(CellRegisters):
 
 @dataclass
 class Book:
-    """What happened. until : the violation that is looked for, "" for all of them."""
+    """What happened. until : pattern of the violation that is looked for, "" for all of them."""
 
     until: str = ""
     is_found: bool = False
@@ -224,7 +229,7 @@ class Book:
         """Note a violation."""
         if not truth:
             self.violations.append(otherwise)
-            self.is_found |= bool(self.until) and self.until in otherwise
+            self.is_found |= bool(self.until) and re.search(self.until, otherwise) is not None
 
 
 class Head:
@@ -287,6 +292,7 @@ class Registrar:
         """Where the rig is now."""
         await asyncio.sleep(self._world.dice.choice((0.0, 0.01)))
         self._world.book.counts["registrations"] += 1
+        self._world.versions += 1
         return self._world.setup()
 
     def _told(self, command: Command, obstacle: Obstacle | None = None) -> Registered:
@@ -348,7 +354,8 @@ class World:
         self.exposures: dict[int, tuple[float, int]] = {}
         self.lines: dict[int, Line] = {}
         self.kept: list[object] = []  # what is over keeps its id from being used again
-        self.heads = 0
+        self.heads = self.versions = 0
+        self.measured_by: dict[int, int] = {}  # version of the files by which an exposure was measured last
         self.numbers = (1, 2)
         self.settings = ModbusSettings(port=0, validity_s=VALIDITY_S, heartbeat_s=2.0)
         self.boot()
@@ -361,20 +368,32 @@ class World:
 
     def setup(self) -> Setup:
         """Jobs as they are now, with the calibration of the cameras that are wanted now."""
-        head = self.head.number
+        head, version = self.head.number, self.versions
         jobs = {
             number: LoadedJob(
-                f"job{number}", number, functools.partial(self._locate, number, head), picking=PICKING
+                f"job{number}",
+                number,
+                functools.partial(self._locate, number, head, version),
+                picking=PICKING,
             )
             for number in self.numbers
         }
+        fingerprint, frame = f"{version:08x}", np.eye(4)
         return Setup(
-            jobs, self.numbers[0], None, f"cal{head}", "f00d", simulated=False, robot_from_rig=np.eye(4)
+            jobs, self.numbers[0], None, f"cal{head}", fingerprint, simulated=False, robot_from_rig=frame
         )
 
-    def _locate(self, job: int, head: int, pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
+    @property
+    def in_force(self) -> int:
+        """Version of the files by which the cell measures now."""
+        return int(vars(self.cycle)["_setup"].fingerprint, 16)
+
+    def _locate(
+        self, job: int, head: int, version: int, pair: FramePair, _lap: Callable[[str], None]
+    ) -> Outcome:
         """Mostly a good part, whose X says which exposure it is, and Y which job."""
         _, of_head = self.exposures[pair.left.frame_id]
+        self.measured_by[pair.left.frame_id] = version
         self.book.expect(of_head == head, f"cameras {of_head} under the calibration of {head}")
         chance = self.dice.random()
         if chance < 0.05:
@@ -447,6 +466,7 @@ class World:
         self.book.counts["sections reloaded"] += 1
         self.book.counts[f"reload {section}"] += 1
         head = None
+        self.versions += section in STOOD_ON
         if section == "modbus":
             self.kept.append(self.cell)
             self.book.forget(self.cell)
@@ -544,7 +564,7 @@ class Link:
     def __init__(self, line: Line, world: World) -> None:
         self.line, self._world = line, world
         view = ClientView(line.server, line.number)
-        self._robot = Robot(view, world.settings, LineSettings(0, Brand.KUKA))
+        self._robot = Robot(view, world.settings, LineSettings(0, Brand.KUKA), may_write=True)
 
     async def ask(self, request: str) -> Answer:
         """The answer. Raises `LinkDown` when the server is another one before it comes."""
@@ -554,14 +574,15 @@ class Link:
             if self._world.is_down or self._world.cell is not self.line.server:
                 asked.cancel()
                 raise LinkDown
-        return asked.result()
+        answer, _ = asked.result()
+        return answer
 
 
 class Soak:
     """One run: careful, cyclic and careless clients, a trigger, an observer, and bad luck.
 
     block_s : for how long the generated function block takes part (a scan takes a millisecond of real time).
-    until : the violation that ends the run.
+    until : pattern of the violation that ends the run.
     """
 
     def __init__(self, seed: int, block_s: float = 0.0, until: str = "") -> None:
@@ -984,20 +1005,30 @@ class Soak:
         raw = line.ask(struct.pack(">BHH", 3, reg.RESULT.address, reg.RESULT.words))[2:]
         result = reg.decode(reg.RESULT, struct.unpack(f">{reg.RESULT.words}H", raw))
         status, ur, mirror = (line.read(b) for b in (reg.STATUS, reg.UR, reg.FLOAT))
+        constants, table = line.read(reg.CONSTANTS), line.read(reg.TABLE_END)
         grasp, tool = line.read(reg.GRASP), line.read(reg.UR_GRASP)
         index = int(result["INDEX"])
         rows = [line.read(reg.TABLE[i]) for i in range(index + 1)]
         row = {name.removeprefix(f"T{index}_"): value for name, value in rows[index].items()}
         bits = reg.StatusBit(int(status["STATUS_BITS"]))
         sequence = int(result["SEQ_HEAD"])
-        heads = {sequence, result["SEQ_TAIL"], ur["UR_SEQ_HEAD"], ur["UR_SEQ_TAIL"]}
-        heads |= {grasp["G_SEQ_HEAD"], grasp["G_SEQ_TAIL"], tool["UG_SEQ_HEAD"], tool["UG_SEQ_TAIL"]}
-        heads |= {mirror["F_SEQ_HEAD"], mirror["F_SEQ_TAIL"], row["SEQ"] or sequence}
+        blocks = [(result, ""), (ur, "UR_"), (mirror, "F_"), (grasp, "G_"), (tool, "UG_"), (table, "TABLE_")]
+        heads = {values[f"{prefix}SEQ_HEAD"] for values, prefix in blocks} | {row["SEQ"] or sequence}
         expect(len(heads) == 1, f"sequences {heads} in one picture")
+        tails = {values[f"{prefix}SEQ_TAIL"] for values, prefix in blocks}
+        epochs = {values[f"{prefix}START_EPOCH"] for values, prefix in blocks}
+        expect(epochs == {status["START_EPOCH"]}, f"START_EPOCH {epochs} in one picture")
+        expect(
+            constants["CONFIG_CRC"] == self.world.in_force, "CONFIG_CRC is not of what the cell measures by"
+        )
         expect(reg.crc16(raw[:92]) == result["CRC16"], "CRC")
         expect(not (reg.StatusBit.ACK in bits and reg.StatusBit.NACK in bits), "ACK and NACK")
         expect(int(status["OPEN_COMMANDS"]) <= 8, "more than 8 open commands")
         valid = reg.StatusBit.RESULT_VALID in bits
+        withdrawn = int(result["RESULT"]) in (reg.ResultCode.OK, reg.ResultCode.RELOADED) and not valid
+        expect(
+            tails == {0 if withdrawn else sequence}, f"tails {tails} of {sequence}, withdrawn: {withdrawn}"
+        )
         expect(not (valid and status["STATE"] == 5), "VALID in SETUP")
         self.book.counts["looks at a registration under way"] += status["STATE"] == 5
         flags = (result["FLAGS"], ur["UR_FLAGS"], mirror["F_FLAGS"], grasp["G_FLAGS"], tool["UG_FLAGS"])
@@ -1014,7 +1045,8 @@ class Soak:
         expect(len(set(places)) == 1 and round(mirror["F_X"] * 1000) == places[0], f"X differs: {places}")
         exposed_s, _ = self.world.exposures.get(int(places[0]), (-math.inf, 0))
         written_s = self.world.cell.written.get(sequence, math.inf)
-        expect(result["START_EPOCH"] == status["START_EPOCH"] != 0, "another start's result")
+        measured_by = self.world.measured_by.get(int(places[0]))
+        expect(measured_by == self.world.in_force, f"VALID, measured by {measured_by}: exchanged since")
         expect(
             exposed_s >= written_s, f"the exposure is {written_s - exposed_s:.3f} s older than its command"
         )

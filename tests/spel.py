@@ -1,12 +1,13 @@
 """SPEL+ as Epson's controllers run it, as far as `edged registers --format spel` uses it.
 
-After the "EPSON RC+ SPEL+ Language Reference" (7.0 and 8.0): functions, globals, names of at most 32
-characters, strings of at most 255, `OnErr GoTo` with labels and `EResume`, arrays from 0, timers 0 to 15, and
+After the "EPSON RC+ SPEL+ Language Reference" (7.0 and 8.0): functions, globals, strings of at most 255
+characters, `OnErr GoTo` with labels and `EResume`, arrays from 0, timers 0 to 15, and
 the instructions of TCP/IP: `SetNet`, `OpenNet`, `WaitNet`, `ChkNet`, `Print #`, `Read #`, `CloseNet`.
 """
 
 from __future__ import annotations
 
+import functools
 import re
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -15,7 +16,9 @@ from robotlanguage import Assign, Call, Parameter, Program, Returned, Routine, S
 from robotlink import Link
 from robotvalues import Array, Types
 
-NAME = r"[A-Za-z]\w{0,31}\$?"
+from edged.robot.orientations import Brand, pose_of
+
+NAME = r"[A-Za-z]\w*\$?"
 
 
 class SpelError(Exception):
@@ -94,10 +97,12 @@ class _Syntax(Syntax):
             return Call(found[1].split()[0], "")
         if found := re.match(r"(WaitNet|Print|Read) #201, (.+)$", line):
             return Call(found[1], found[2])
-        if found := re.match(r"(TmReset|Wait|Print) (.+)$", line):
+        if line == "edgedTool = Tool":
+            return Call("KeepTool", "edgedTool")
+        if found := re.match(r"(TmReset|Wait|Print|Tool) (.+)$", line):
             return Call({"Print": "Show"}.get(found[1], found[1]), found[2])
-        if found := re.match(r"Go (P\d+) \+Z\((\d+)\)$", line):
-            return Call("Go", f"{found[1]}, {found[2]}")
+        if found := re.match(r"Go (P\d+) \+(Z|TLZ)\((-?\d+)\)$", line):
+            return Call("Go", f'{found[1]}, "{found[2]}", {found[3]}')
         if found := re.match(r"(Edged[A-Z]\w*)(?: (\w.*))?$", line):
             return Call(found[1], found[2] or "")
         found = re.match(r"(\w+\$?(?:\[\w+\])?) = (.+)$", line)
@@ -109,7 +114,7 @@ class _Spel(Program):
     """SPEL+: a function may be left early, and has a place for its errors."""
 
     def __init__(self) -> None:
-        super().__init__(TYPES, "=", "[]")
+        super().__init__("spel", TYPES, "=", "[]")
         self.places: list[str] = []
 
     def run(self, routine: Routine, arguments: list[Any]) -> Any:
@@ -150,7 +155,8 @@ def load(source: str, controller: Controller) -> Program:
     assert source.isascii()
     program = _Spel()
     program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
-    lines = [line.partition("'")[0].strip() for line in source.splitlines()]
+    program.globals["HERE"] = controller.here
+    lines = [line.partition("'")[0].strip() for line in program.declared.lines(source)]
     lines = [line for line in lines if line]
     at = 0
     while found := re.match(rf"Global (\w+) ({NAME})(?:\((\d+)\))?$", lines[at]):
@@ -159,7 +165,7 @@ def load(source: str, controller: Controller) -> Program:
             made.first = 0
         assert found[2].upper() not in program.globals, f"{found[2]} twice"
         assert (found[1] == "String") == found[2].endswith("$")
-        program.globals[found[2].upper()] = made
+        program.globals[program.declared(found[2]).upper()] = made
         at += 1
     arrays = "|".join(name for name, one in program.globals.items() if isinstance(one, Array))
     lines = [re.sub(rf"\b({arrays})\((\w+)\)", r"\1[\2]", line, flags=re.IGNORECASE) for line in lines]
@@ -179,7 +185,7 @@ def _function(program: Program, lines: list[str], at: int) -> int:
     for text in filter(None, (head[2] or "").split(", ")):
         given = re.match(rf"({NAME}) As (\w+)$", text)
         assert given is not None, text
-        parameters.append(Parameter(given[1].upper(), given[2], by_reference=False))
+        parameters.append(Parameter(program.declared(given[1]).upper(), given[2], by_reference=False))
     end = lines.index("Fend", at)
     inner = [line for line in lines[at + 1 : end] if not line.endswith(":")] + ["Fend"]
     body, _ = block(inner, 0, _Syntax(), {"FEND"})
@@ -188,9 +194,11 @@ def _function(program: Program, lines: list[str], at: int) -> int:
         after = [line for line in lines[start + 1 : end] if not line.endswith(":")]
         cut = next((i for i, line in enumerate(after) if line.startswith("EResume")), None)
         after = after if cut is None else after[: cut + 1]
-        labels[lines[start][:-1]] = block([*after, "Fend"], 0, _Syntax(), {"FEND"})[0]
+        labels[program.declared(lines[start][:-1])] = block([*after, "Fend"], 0, _Syntax(), {"FEND"})[0]
     assert head[1].upper() not in program.routines
-    program.routines[head[1].upper()] = Function(head[1], parameters, "", [], body, labels=labels)
+    program.routines[program.declared(head[1]).upper()] = Function(
+        head[1], parameters, "", [], body, labels=labels
+    )
     return end + 1
 
 
@@ -205,6 +213,9 @@ BUILTINS = {
     "CloseNet": "close_net",
     "Print": "print",
     "Read": "read",
+    "KeepTool": "keep_tool",
+    "Tool": "activate",
+    **{f"C{axis}": f"c{axis.lower()}" for axis in "XYZUVW"},
     "TmReset": "tm_reset",
     "Tmr": "tmr",
     "Wait": "wait",
@@ -219,11 +230,28 @@ class Controller:
         self.is_open = False
         self.heard = b""
         self.set_s = 0.0
+        self.tool = 3
+        places = (functools.partial(self._coordinate, index) for index in range(6))
+        self.cx, self.cy, self.cz, self.cu, self.cv, self.cw = places
+        self.here = TYPES.variable("String", "here")
 
     def str(self, value: Any) -> str:
-        """A whole number's digits."""
-        assert float(value.get()).is_integer()
-        return f"{int(value.get())}"
+        """A number's digits, as few as say it."""
+        return f"{value.get():.10g}"
+
+    def keep_tool(self, place: Any) -> None:
+        """The number of the active tool."""
+        place.set(self.tool)
+
+    def activate(self, number: Any) -> None:
+        """Another tool; 0 is the flange."""
+        self.tool = int(number.get())
+
+    def _coordinate(self, index: int, point: Any) -> float:
+        """Of Here, in Local 0."""
+        assert "here" == point.get()
+        arm = self.link.arm
+        return pose_of(Brand.EPSON, arm.tip if self.tool else arm.flange)[index]
 
     def mid(self, text: Any, start: Any, count: Any) -> str:
         """From 1."""

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from blark import transform as ast
 from blark.parse import parse_source_code
+from robotwords import Declared
 
 WAIT_S = 20.0
 LITERALS = {
@@ -93,14 +94,16 @@ class Program:
         shared: Mapping[str, str] | None = None,
     ) -> None:
         self.clock_ms = clock_ms
+        self.declared = Declared("iec")
         self.library = {"TON": lambda: Timer(clock_ms), **(library or {})}
         self.types: dict[str, list[tuple[str, Kind]]] = {}
         self.functions: dict[str, ast.Function] = {}
         self.blocks: dict[str, ast.FunctionBlock] = {}
         for item in parse(source):
+            self.declared(str(getattr(item, "declaration", item).name))
             if isinstance(item, ast.DataTypeDeclaration):
                 self.types[str(item.declaration.name)] = [
-                    (str(declared.variable.name), kind_of(element.init))
+                    (self.declared(str(declared.variable.name)), kind_of(element.init))
                     for element in item.declaration.declarations
                     for declared in element.variables
                 ]
@@ -151,7 +154,7 @@ class Instance:
 
     def _declare(self, name: str, init: Any) -> None:
         assert name not in self.kinds, f"{name} is declared twice"
-        self.kinds[name] = kind_of(init)
+        self.kinds[self.program.declared(name)] = kind_of(init)
         self.values[name] = self.program.initial(self.kinds[name])
         if init.value is not None:
             value, kind = self.evaluate(init.value)

@@ -2,7 +2,7 @@
 
 After the "R-30iA Operator's Manual" (B-82594EN): frame numbers, position registers and their elements (X, Y,
 Z, W, P, R), Tool_Offset in the frame of the active tool, CALL with arguments, IF with a jump, registers.
-Tool 0 is the flange.
+Tool 0 is the flange. A negative constant stands in parentheses of its own, as the pendant lists it.
 """
 
 from __future__ import annotations
@@ -12,13 +12,20 @@ from collections.abc import Callable
 
 import numpy as np
 from robotarm import RobotArm
+from robotwords import Declared
 
 from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, pose_of, transform_of
 
+NUMBER = r"(?:\d+|\(-\d+\))"
+
 
 class Alarm(Exception):
     """UALM."""
+
+
+def _number(text: str) -> int:
+    return int(text.strip("()"))
 
 
 class TeachPendant:
@@ -40,7 +47,9 @@ class TeachPendant:
         """To its END. Raises `Alarm`."""
         assert source.isascii()
         head, _, rest = source.partition("/MN\n")
-        assert head.startswith("/PROG  EDGEDREG\n") and rest.endswith("/POS\n/END\n")
+        named = re.match(r"/PROG  (\w+)\n/ATTR\n", head)
+        assert named is not None and rest.endswith("/POS\n/END\n")
+        Declared("tp")(named[1])
         lines = rest.partition("/POS")[0].splitlines()
         for number, line in enumerate(lines, 1):
             assert line.startswith(f"{number:4}:") and line.endswith(" ;"), line
@@ -57,8 +66,8 @@ class TeachPendant:
         elif found := re.match(r"PR\[(\d+)\]=(?:LPOS|PR\[(\d+)\])$", text):
             source = self._positions[int(found[2])] if found[2] else pose_of(Brand.FANUC, self.position)
             self._positions[int(found[1])] = list(source)
-        elif found := re.match(r"PR\[(\d+),([1-6])\]=(-?\d+)$", text):
-            self._positions[int(found[1])][int(found[2]) - 1] = float(found[3])
+        elif found := re.match(rf"PR\[(\d+),([1-6])\]=({NUMBER})$", text):
+            self._positions[int(found[1])][int(found[2]) - 1] = float(_number(found[3]))
         elif found := re.match(r"L PR\[(\d+)\] \d+mm/sec FINE(?: Tool_Offset,PR\[(\d+)\])?$", text):
             assert self.tool == 1
             place = transform_of(Brand.FANUC, tuple(self._positions[int(found[1])]))
@@ -68,8 +77,8 @@ class TeachPendant:
             self._arm.move(place @ offset)
         elif re.match(r"WAIT \d+\.\d+\(sec\)$", text):
             self._arm.rests()
-        elif found := re.match(r"CALL EDGED\((.+)\)$", text):
-            self._call(tuple(int(one) for one in found[1].split(",")))
+        elif found := re.match(rf"CALL EDGED\(({NUMBER}(?:,{NUMBER})*)\)$", text):
+            self._call(tuple(map(_number, found[1].split(","))))
         elif found := re.match(r"IF (R\[81\]<>.+),JMP LBL\[(\d)\]$", text):
             clauses = [re.match(r"R\[81\]<>(\d+)$", one) for one in found[1].split(" AND ")]
             assert all(clauses) and len(clauses) <= 5

@@ -18,13 +18,13 @@ from edged.cycle import FAULT_REST_S, Cycle
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import (
     PLC_SOURCE,
+    Basis,
     Command,
     CommandFailed,
     CommandKind,
     ExposureDone,
     Idle,
     JobChanged,
-    Reloaded,
     Snapshot,
 )
 from edged.domain.frames import FramePair
@@ -205,17 +205,46 @@ def test_trying_all_jobs_ends_in_time(
     assert "1 of 3 jobs were tried" in caplog.text
 
 
-def test_a_reload_is_announced_and_a_list_of_parts_is_no_business_of_the_loop() -> None:
-    """Whoever keeps a list hears of each exchange; NEXT_PART is refused where nobody keeps one."""
+def test_what_results_stand_on_is_told_at_once_and_has_another_number_after_each_exchange() -> None:
+    """To who begins to listen, and after a reload; a result says by which of them it was measured."""
+
+    async def script(cycle, ear, head):
+        for sequence, fingerprint in enumerate(("f00d", "beef", "cafe"), 1):
+            cycle.submit(locate_command(sequence))
+            await until(lambda count=sequence: len(ear.snapshots()) == count)
+            cycle.exchange(dataclasses.replace(make_setup(), fingerprint=fingerprint))
+            await asyncio.sleep(0.01)
+
+    ear, _ = drive(make_setup(), script)
+    bases = [event for event in ear.events if isinstance(event, Basis)]
+    assert [(0, "f00d"), (1, "beef"), (2, "cafe")] == [(basis.number, basis.fingerprint) for basis in bases]
+    assert [0, 0, 1] == [snapshot.basis for snapshot in ear.snapshots()]
+
+
+def test_a_reload_of_files_that_are_as_they_were_disturbs_nobody() -> None:
+    """A second SIGHUP: nothing is exchanged, and the command that waits is measured."""
+    release, slow = held()
+
+    async def script(cycle, ear, head):
+        cycle.submit(locate_command(1))
+        await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
+        cycle.submit(locate_command(2))
+        cycle.exchange(make_setup(locate=slow))
+        release.set()
+        await until(lambda: len(ear.snapshots()) == 2)
+
+    ear, _ = drive(make_setup(locate=slow), script)
+    assert 1 == sum(isinstance(event, Basis) for event in ear.events)
+
+
+def test_a_list_of_parts_is_no_business_of_the_loop() -> None:
+    """NEXT_PART is refused where nobody keeps one."""
 
     async def script(cycle, ear, head):
         with pytest.raises(CommandRefused, match="NEXT_PART"):
             cycle.submit(Command(CommandKind.NEXT_PART, "zenoh", 1))
-        cycle.exchange(make_setup())
-        await until(lambda: any(isinstance(event, Reloaded) for event in ear.events))
 
     ear, _ = drive(make_setup(), script)
-    assert 1 == sum(isinstance(event, Reloaded) for event in ear.events)
     assert [] == ear.snapshots()
 
 
@@ -461,57 +490,37 @@ def test_two_reloads_before_the_next_cycle_leave_the_cameras_of_the_first() -> N
     assert second_head.captures
 
 
-def waiting_at_a_reload(commands: list[Command], new: Setup) -> Ear:
-    """Accepted while a cycle runs; the setup is exchanged before their turn comes."""
+@pytest.mark.parametrize("kind", [CommandKind.LOCATE, CommandKind.VERIFY, CommandKind.CHANGE_JOB])
+@pytest.mark.parametrize("numbers", [(1,), (1, 2)], ids=["its job is gone", "its job is there"])
+def test_a_command_that_waits_while_the_configuration_is_reloaded_fails(
+    kind: CommandKind, numbers: tuple[int, ...]
+) -> None:
+    """It was asked of what is gone, and would be measured by what is there now; asked again, it is done."""
     release, slow = held()
+    waiting = [Command(kind, "test", 1, 2), locate_command(2)]
+    again = locate_command(3, job=1)
+    new = dataclasses.replace(make_setup(numbers=numbers), fingerprint="beef")
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         cycle.submit(locate_command(0))
         await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
-        for command in commands:
+        for command in waiting:
             cycle.submit(command)
         cycle.exchange(new)
         release.set()
-        await until(lambda: all(ear.answers(command) for command in commands))
+        await until(lambda: all(ear.answers(command) for command in waiting))
+        cycle.submit(again)
+        await until(lambda: ear.answers(again))
 
     ear, _ = drive(make_setup(locate=slow), script)
-    return ear
 
-
-@pytest.mark.parametrize("kind", [CommandKind.LOCATE, CommandKind.VERIFY, CommandKind.CHANGE_JOB])
-def test_a_command_for_a_job_that_a_reload_took_away_fails(kind: CommandKind) -> None:
-    """It does not measure, or prepare, the job that happens to be active."""
-    lost, kept = Command(kind, "test", 1, 2), locate_command(2, job=1)
-
-    ear = waiting_at_a_reload([lost, kept], make_setup(numbers=(1,)))
-
-    (answer,) = ear.answers(lost)
-    assert isinstance(answer, CommandFailed)
-    assert "unknown job 2" in answer.reason
-    assert [Snapshot] == [type(answer) for answer in ear.answers(kept)]
-
-
-def test_a_command_for_the_active_job_fails_when_a_reload_took_that_away() -> None:
-    """Who asked for the active part gets no other one; who changes the job first gets what it asked for."""
-    blind, change, meant = locate_command(1), Command(CommandKind.CHANGE_JOB, "test", 2, 2), locate_command(3)
-
-    ear = waiting_at_a_reload([blind, change, meant], make_setup(numbers=(2,)))
-
-    (answer,) = ear.answers(blind)
-    assert isinstance(answer, CommandFailed)
-    assert "job 1 (job1), which was active" in answer.reason
-    assert [JobChanged, Snapshot] == [type(ear.answers(command)[0]) for command in (change, meant)]
-
-
-def test_a_command_without_what_a_reload_made_necessary_fails() -> None:
-    """The robot carries the cameras now: LOCATE without the pose of the flange is not carried out."""
-    command = locate_command(1)
-
-    ear = waiting_at_a_reload([command], dataclasses.replace(make_setup(), flange_from_rig=np.eye(4)))
-
-    (answer,) = ear.answers(command)
-    assert isinstance(answer, CommandFailed)
-    assert "pose of the flange" in answer.reason
+    for command in waiting:
+        (answer,) = ear.answers(command)
+        assert isinstance(answer, CommandFailed)
+        assert "reloaded" in answer.reason
+    (answer,) = ear.answers(again)
+    assert isinstance(answer, Snapshot)
+    assert ("beef", 1) == (answer.fingerprint, answer.basis)
 
 
 def test_faults_that_nobody_asked_for_come_at_a_bounded_rate() -> None:

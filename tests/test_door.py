@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
 import subprocess
 import sys
 
 from scriptedhead import until
 
-from edged.door import Door, Guest, Rate
+from edged.door import Door, Guest, Rate, Rates
 
 WAIT_S = 10.0
 
@@ -138,3 +139,61 @@ def test_a_rate_is_so_many_a_second() -> None:
     assert [True, True, False] == [rate.take() for _ in range(3)]
     now_s = 1000.0
     assert [True] * 4 + [False] == [rate.take() for _ in range(5)]
+
+
+def test_a_guest_that_sends_more_than_it_may_is_ended() -> None:
+    """And only it; who has no limit may send what they like, and all of it arrives."""
+    heard: dict[str, int] = {"limited": 0, "free": 0}
+
+    class Ear(asyncio.Protocol):
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def data_received(self, data: bytes) -> None:
+            heard[self.name] += len(data)
+
+    async def test() -> None:
+        names = iter(heard)
+        door = Door("test", lambda _: Ear(next(names)), lambda _: True, idle_s=600)
+        await door.open("127.0.0.1", 0)
+        reader, limited = await connect(door)
+        await until(lambda: len(door.guests) == 1 and door.guests[0].is_in)
+        (guest,) = door.guests
+        guest.limit(1.0, 1000.0)
+        _, free = await connect(door)
+        limited.write(bytes(900))
+        await until(lambda: heard["limited"] == 900)
+        assert not guest.has_flooded
+        limited.write(bytes(200))
+        with contextlib.suppress(ConnectionError):
+            assert b"" == await reader.read()
+        assert guest.has_flooded
+        free.write(bytes(1_000_000))
+        await until(lambda: heard["free"] == 1_000_000)
+        assert 900 == heard["limited"]
+        for writer in (limited, free):
+            writer.close()
+        await door.close()
+
+    run(test)
+
+
+def test_a_rate_is_of_each_and_can_be_forfeited() -> None:
+    """One that took all takes nothing from another; what is forfeited comes back with time, and no sooner."""
+    now_s = [0.0]
+    rate = Rate(10.0, lambda: now_s[0], burst=20.0)
+    assert rate.take(20)
+    assert not rate.take()
+    now_s[0] = 1.0
+    rate.forfeit(5.0)
+    now_s[0] = 6.0
+    assert not rate.take()
+    now_s[0] = 6.2
+    assert rate.take()
+
+    rates = Rates(1.0, 2.0, most=2)
+    assert [True, True, False] == [rates.of("one").take() for _ in range(3)]
+    assert rates.of("other").take()
+    assert not rates.of("one").take()
+    assert rates.of("third").take()  # and "other" is forgotten
+    assert not rates.of("one").take()

@@ -12,7 +12,7 @@ from scriptedhead import Ear, Head, make_setup, until
 
 from edged.cycle import Cycle
 from edged.domain.cell import CellPhase, CellState, SetupSource
-from edged.domain.events import Command, CommandKind, ExposureDone, Registered, Reloaded, Snapshot
+from edged.domain.events import Basis, Command, CommandKind, ExposureDone, Registered, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.registration import Method, Obstacle, Registration
 from edged.errors import BeingSetUp, CommandRefused, UserError
@@ -137,7 +137,7 @@ def test_from_its_begin_to_its_end_nothing_is_measured(period_s: float | None) -
     between = ear.events[begun:solved]
     assert not any(isinstance(one, Snapshot) for one in between)
     assert 3 == sum(isinstance(one, ExposureDone) for one in between)
-    assert Reloaded in [type(one) for one in between], "a list of before is of the registration before"
+    assert Basis in [type(one) for one in between], "a list of before is of the registration before"
     assert all(one.robot_from_rig is None for one in ear.snapshots() if one.fingerprint == "f00d")
     assert all(one.robot_from_rig is not None for one in ear.snapshots() if one.fingerprint == "beef")
 

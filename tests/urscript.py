@@ -7,12 +7,17 @@ integers of the controller.
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 import time
 from typing import Any
 
+from drl import declared
 from pymodbus.client import ModbusTcpClient
+from robotlink import standing
+
+from edged.robot.orientations import Brand, pose_of
 
 OPENS = re.compile(r"(def|if|while) .+:$")
 ELSE = re.compile(r"(elif .+|else):$")
@@ -55,10 +60,16 @@ class _Pose:
         return values
 
 
+POSE = _Pose()
+"""What a translated program calls p."""
+
+
 def load(source: str, builtins: dict[str, Any]) -> dict[str, Any]:
     """Names that the script defines, with the controller's functions given."""
-    names: dict[str, Any] = {"pose": _Pose(), **builtins}
-    exec(compile(translate(source), "edged.script", "exec"), names)
+    names: dict[str, Any] = {"pose": POSE, **builtins}
+    tree = ast.parse(translate(source))
+    declared(tree, "urscript")
+    exec(compile(tree, "edged.script", "exec"), names)
     return names
 
 
@@ -71,6 +82,7 @@ class Controller:
 
     def __init__(self, port: int) -> None:
         self._port = port
+        self.arm = standing()
         self._inputs: dict[str, tuple[int, int, list[int]]] = {}
         self._outputs: dict[str, tuple[int, int, list[int]]] = {}
         self._frequencies: dict[str, int] = {}
@@ -85,6 +97,7 @@ class Controller:
     def builtins(self) -> dict[str, Any]:
         """What URScript calls."""
         return {
+            "get_actual_tool_flange_pose": lambda: pose_of(Brand.UR, self.arm.flange),
             "floor": math.floor,
             "sleep": self._sleep,
             "sync": lambda: None,

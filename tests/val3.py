@@ -13,11 +13,12 @@ from typing import Any
 
 from robotlanguage import Assign, Call, Parameter, Program, Routine, Syntax, block
 from robotlink import Link
-from robotvalues import Array, Types
+from robotvalues import Array, Record, Types
 
-NAME = r"[a-z]\w{0,14}"
+from edged.robot.orientations import Brand, pose_of
+
+NAME = r"[a-z]\w*"
 SPACE = "{http://www.staubli.com/robotics/VAL3/"
-KEYWORDS = ("begin", "end", "if", "else", "while", "for", "to", "do", "until", "switch", "case", "call")
 
 
 def _num(value: Any) -> float:
@@ -43,9 +44,9 @@ TYPES = Types(
         "string": ("", _string),
         "text": ("", _string),
         "literal": ("", _literal),
-        "sio": (None, lambda value: value),
+        **dict.fromkeys(("sio", "tool", "frame"), (None, lambda value: value)),
     },
-    {"trsf": dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), "num")},
+    {"trsf": dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), "num"), "pointRx": {"trsf": "trsf"}},
 )
 
 
@@ -67,26 +68,32 @@ class _Syntax(Syntax):
 
 def load(files: dict[str, str], controller: Controller) -> Program:
     """The library, its programs ready to be called."""
-    program = Program(TYPES, "==", "[]")
+    program = Program("val3", TYPES, "==", "[]")
     program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
     project = ET.fromstring(files["edged.pjx"])
     listed = {one.attrib["file"] for one in project.iter(f"{SPACE}Project/3}}Program")}
     assert listed == {name for name in files if name.endswith(".pgx")} >= {"start.pgx", "stop.pgx"}
     for data in ET.fromstring(files["edged.dtx"]).iter(f"{SPACE}Data/2}}Data"):
         name, kind, size = data.attrib["name"], data.attrib["type"], int(data.attrib["size"])
+        program.declared(name)
         assert name.upper() not in program.globals and kind in (*TYPES.scalars, *TYPES.records), name
         if kind == "sio":
             assert [one.attrib["link"] for one in data] == ["Socket\\Edged"]
+        if kind == "pointRx":
+            assert [one.attrib["fatherId"] for one in data] == ["world[0]"]
         made = TYPES.array(kind, size) if size > 1 else TYPES.variable(kind)
         if isinstance(made, Array):
             made.first = 0
         program.globals[name.upper()] = made
+    program.globals |= {"FLANGE": TYPES.variable("tool", "flange"), "WORLD": TYPES.variable("frame", "world")}
     for file in sorted(listed):
         (one,) = ET.fromstring(files[file]).iter(f"{SPACE}Program/2}}Program")
-        name = one.attrib["name"]
-        assert file == f"{name}.pgx" and re.fullmatch(NAME, name) and name not in KEYWORDS, name
+        name = program.declared(one.attrib["name"])
+        assert file == f"{name}.pgx", name
         given = [found.attrib for found in one.iter(f"{SPACE}Param/1}}Parameter")]
-        parameters = [Parameter(it["name"].upper(), it["type"], by_reference=False) for it in given]
+        parameters = [
+            Parameter(program.declared(it["name"]).upper(), it["type"], by_reference=False) for it in given
+        ]
         code = one.findtext(f"{SPACE}Program/2}}Code") or ""
         assert code.isascii(), file
         lines = [line.partition("//")[0].strip() for line in code.splitlines()]
@@ -101,6 +108,7 @@ def load(files: dict[str, str], controller: Controller) -> Program:
 
 
 BUILTINS = {
+    "here": "here",
     "toString": "to_string",
     "len": "len",
     "asc": "asc",
@@ -123,9 +131,20 @@ class Controller:
         self.heard = b""
 
     def to_string(self, form: Any, value: Any) -> str:
-        """As many digits as it needs."""
+        """As many digits as it needs, or so many behind the point."""
+        if form.get() == ".4":
+            return f"{value.get():.4f}"
         assert "" == form.get() and float(value.get()).is_integer()
         return str(int(value.get()))
+
+    def here(self, tool: Any, frame: Any) -> Record:
+        """Where a tool is in a frame; `flange` is a tool, `world` a frame."""
+        assert ("flange", "world") == (tool.get(), frame.get())
+        point: Record = TYPES.initial("pointRx")
+        places = point.fields["trsf"].value.fields.values()
+        for place, number in zip(places, pose_of(Brand.STAUBLI, self.link.arm.flange), strict=True):
+            place.set(number)
+        return point
 
     def len(self, text: Any) -> int:
         """Characters."""

@@ -5,7 +5,11 @@ from __future__ import annotations
 import os
 import threading
 import time
+import zlib
 from pathlib import Path
+
+import cv2
+import numpy as np
 
 from edged.commissioning.pairs import Progress
 from edged.errors import CalibrationError
@@ -37,6 +41,26 @@ def refuse(_progress: Progress, message: str) -> None:
 def fail(_progress: Progress) -> None:
     """A bug."""
     raise ZeroDivisionError("that was a bug")
+
+
+def fill(_progress: Progress, mebibytes: int) -> int:
+    """Memory, as much as that."""
+    return len(bytearray(mebibytes << 20))
+
+
+def fill_picture(_progress: Progress, side_px: int) -> int:
+    """As much as OpenCV takes for a picture."""
+    return cv2.resize(np.zeros((8, 8), np.uint8), (side_px, side_px)).nbytes
+
+
+def burn(progress: Progress, seconds: float) -> float:
+    """Processor time, in one call of C after the other."""
+    progress("burning", 0, 0)
+    end_s = time.process_time() + seconds
+    block = bytes(10 << 20)
+    while time.process_time() < end_s:
+        zlib.compress(block)
+    return time.process_time()
 
 
 def hang(progress: Progress) -> None:

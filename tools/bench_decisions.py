@@ -1,14 +1,17 @@
 #!/usr/bin/env python3
 """Which decisions about a part's rotation are wrong, and how steady they are: rendered parts of known pose.
 
-    tools/bench decisions [--draws N] [--parts NAME,...] [--seed K] [--degrade KIND] [--json FILE] [--list]
+    tools/bench decisions [--draws N] [--parts NAME,...] [--looks "NAME;..."] [--seed K] [--degrade KIND]
+                          [--json FILE] [--list]
 
 Each part has one distinguishing detail (see `distinguished`) and a plain, brushed or turned face, or is dark
-on a bright table. It is taught by `teach` and found by the whole pipeline in stereo pairs of the demo's rig
-at half its resolution. Teaching and finding use another calibration than the one that the pictures are made
-with: the right camera is moved by 0.02 px. A scene is a pose (any rotation, tilted up to 5 degrees), bars and
-neighbours that hide up to 40 % of the part, light, gain and blur. It is rendered once, exactly, and seen in
-DRAWS_PER_SCENE draws of shot and read noise. A decision is counted for the part that is partly hidden:
+on a bright table, or the taught piece was machined in another way (ground, faced or milled) than those in the
+scenes: what was taught of its texture is found nowhere, and another texture lies everywhere. It is taught by
+`teach` and found by the whole pipeline in stereo pairs of the demo's rig at half its resolution. Teaching and
+finding use another calibration than the one that the pictures are made with: the right camera is moved by
+0.02 px. A scene is a pose (any rotation, tilted up to 5 degrees), bars and neighbours that hide up to 40 % of
+the part, light, gain and blur. It is rendered once, exactly, and seen in DRAWS_PER_SCENE draws of shot and
+read noise. A decision is counted for the part that is partly hidden:
 
 silent, turned    status OK without a reason against it, and the rotation off by more than 1 degree
 silent, off       ... and the position off by more than 10 sigma (and 2 µm)
@@ -40,7 +43,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from cells import PLACE_MM, frame_pair, pose, region_around, small_rig
-from distinguished import DESIGNS, Design, without_holes
+from distinguished import DESIGNS, HELD_OUT, Design, without_holes
 from imperfections import KINDS
 
 from edged.domain.arrays import FloatArray, Image
@@ -67,7 +70,14 @@ SAME_PART_MM = 4.0
 TABLE_BELOW_MM = 4.0
 REFERENCE_WITHIN_MM = 0.25
 DARK = "dark on bright"
-LOOKS = ("plain", "brushed", "turned", DARK)
+MACHINED = {
+    "faced, seen ground": ("faced", "ground"),
+    "ground, seen faced": ("ground", "faced"),
+    "milled, seen ground": ("milled", "ground"),
+    "ground, seen milled": ("ground", "milled"),
+}
+"""Finish of the taught piece, and of those in the scenes."""
+LOOKS = ("plain", "brushed", "turned", DARK, *MACHINED)
 NOISE = 1.5
 FULL_WELL = 40.0
 """Grey values squared of noise grow by one for each of these: 10,000 electrons at 255."""
@@ -205,11 +215,13 @@ def teach_design(design: Design, look: str, seed: int, kind: str | None = None) 
     return Taught(design, look, rig, job, measured)
 
 
-def made(design: Design, look: str, *, whole: bool = True) -> Part:
-    """The part, or what it would be without its detail."""
+def made(design: Design, look: str, *, whole: bool = True, piece: int | None = None) -> Part:
+    """The part, or what it would be without its detail; piece : which of a scene's, None: the taught one."""
     finish = "plain" if look == DARK else look
+    if look in MACHINED:
+        finish = MACHINED[look][piece is not None]
     make = design.part if whole else design.plain
-    return make(albedo_of(look), finish)
+    return make(albedo_of(look), finish, 0 if piece is None else piece)
 
 
 def exposed(radiance: FloatArray, gain: float, rng: np.random.Generator) -> Image:
@@ -223,7 +235,8 @@ def exposed(radiance: FloatArray, gain: float, rng: np.random.Generator) -> Imag
 def draw_scene(taught: Taught, rng: np.random.Generator) -> Drawn:
     """A pose, and things in front of the part that hide no more than MAX_HIDDEN of it."""
     design, look = taught.design, taught.look
-    part, plain = made(design, look), made(design, look, whole=False)
+    piece = int(rng.integers(1, 1000)) if look in MACHINED else 1
+    part, plain = made(design, look, piece=piece), made(design, look, whole=False, piece=piece)
     place = np.array(PLACE_MM) + rng.uniform(-1, 1, 3) * (6.0, 4.0, 2.0)
     where = tilted(place, rng.uniform(-180, 180), 5.0 * math.sqrt(rng.random()), rng)
     silhouette = without_holes(part)
@@ -239,7 +252,7 @@ def draw_scene(taught: Taught, rng: np.random.Generator) -> Drawn:
     black = Scene(Table(Surface(0.0), world(look, rng).table.rig_from_table), (Placed(silhouette, where),))
     covered = left.radiance(black).astype(np.float64)
     for _ in range(50):
-        front, poses = things_in_front(taught, where, rng)
+        front, poses = things_in_front(taught, where, rng, piece + 1000)
         if front:
             shadow = tuple(Placed(replace(without_holes(one), surface=Surface(0.0)), at) for one, at in front)
             left_over = left.radiance(replace(black, parts=(*black.parts, *shadow)))
@@ -292,9 +305,12 @@ def tilted(place: FloatArray, turn_deg: float, tilt_deg: float, rng: np.random.G
 
 
 def things_in_front(
-    taught: Taught, where: FloatArray, rng: np.random.Generator
+    taught: Taught, where: FloatArray, rng: np.random.Generator, piece: int
 ) -> tuple[tuple[tuple[Part, FloatArray], ...], tuple[FloatArray, ...]]:
-    """Nothing, a bar or two, or another such part beside or upon the first; poses of such parts."""
+    """Nothing, a bar or two, or another such part beside or upon the first; poses of such parts.
+
+    piece : which of all such parts that is.
+    """
     kind, radius = rng.choice(["nothing", "bar", "bar", "bars", "part"]), taught.design.radius_mm
     if kind == "nothing":
         return (), ()
@@ -304,7 +320,7 @@ def things_in_front(
         distance = radius * rng.uniform(1.1, 2.1)
         at = where[:3, 3] + distance * away - (0.0, 0.0, 2.5)
         there = tilted(at, rng.uniform(-180, 180), 3.0 * rng.random(), rng)
-        return ((made(taught.design, taught.look), there),), (there,)
+        return ((made(taught.design, taught.look, piece=piece), there),), (there,)
     bars: list[tuple[Part, FloatArray]] = []
     for k in range(2 if kind == "bars" else 1):
         surface = Surface(rng.uniform(0.05, 0.9), contrast=rng.choice([0.0, 0.15]), feature_mm=0.6, seed=3)
@@ -448,6 +464,7 @@ def main() -> int:
     )
     parser.add_argument("--draws", type=int, default=20_000, help="in all; rounded up to whole scenes")
     parser.add_argument("--parts", help="names, separated by commas; default: all")
+    parser.add_argument("--looks", help="names, separated by semicolons; default: all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, help="write the figures here, too")
     parser.add_argument("--list", action="store_true", help="print every silent error and refusal")
@@ -458,7 +475,10 @@ def main() -> int:
     unknown = set(wanted) - {design.name for design in DESIGNS}
     if unknown:
         parser.error(f"unknown parts {sorted(unknown)}; there are {[design.name for design in DESIGNS]}")
-    tasks = [(i, look) for i, design in enumerate(DESIGNS) if design.name in wanted for look in LOOKS]
+    looks = options.looks.split(";") if options.looks else list(LOOKS)
+    if set(looks) - set(LOOKS):
+        parser.error(f"unknown looks {sorted(set(looks) - set(LOOKS))}; there are {LOOKS}")
+    tasks = [(i, look) for i, design in enumerate(DESIGNS) if design.name in wanted for look in looks]
     scenes = max(1, math.ceil(options.draws / (DRAWS_PER_SCENE * len(tasks))))
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
         running = [
@@ -469,7 +489,8 @@ def main() -> int:
             rows.append(one.result())
             print(f"{rows[-1].name}, {rows[-1].look}: {rows[-1].turned} turned", file=sys.stderr, flush=True)
     show(rows, "part, surface")
-    show([summed([row for row in rows if row.look == look], look) for look in LOOKS], "surface")
+    show([summed([row for row in rows if row.look == look], look) for look in looks], "surface")
+    show([summed([row for row in rows if row.name in HELD_OUT], "held out")], "designs")
     total = summed(rows, "all")
     show([total], f"{total.scenes} scenes")
     print("\nrefused because of:", total.reasons)

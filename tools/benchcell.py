@@ -16,7 +16,7 @@ import cv2
 
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
-from edged.app.process import SWITCH_INTERVAL_S
+from edged.app.process import SWITCH_INTERVAL_S, keep_what_is_loaded
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.events import Event, Snapshot
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
@@ -81,6 +81,7 @@ class BenchCell:
                 if task.done():
                     task.result()
             await asyncio.sleep(0.5)
+            keep_what_is_loaded()  # likewise
             yield
         finally:
             daemon.stop()

@@ -18,6 +18,14 @@ HOLE = 0.05
 """Share of the table's light that comes back out of a hole: what is seen in it is mostly shadow."""
 GROOVE_MM, GROOVE = 0.9, 0.07
 """Pitch of the grooves of a turned face, and by how much every second one is darker."""
+LAY = Surface(1.0, contrast=0.2, feature_mm=0.35, stretch=12.0)
+"""The coarse texture of a machined face, by the light that falls along it."""
+LAYS = {
+    "ground": replace(LAY, lay_rad=math.radians(10.0)),
+    "faced": replace(LAY, around_mm=(0.0, 0.0)),
+    "milled": replace(LAY, around_mm=(45.0, 20.0)),
+}
+"""Straight, in rings about the middle, and in arcs about a point beside the part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +46,18 @@ class Design:
     cuts: tuple[Shape, ...] = ()
     kind: Literal["opening", "mark", "cut"] = "opening"
 
-    def part(self, albedo: float, finish: str) -> Part:
-        """With its detail."""
-        return self._made(self.detail, self.kind, albedo, finish)
+    def part(self, albedo: float, finish: str, piece: int = 0) -> Part:
+        """With its detail; piece : no two have the same scratches."""
+        return self._made(self.detail, self.kind, albedo, finish, piece)
 
-    def plain(self, albedo: float, finish: str) -> Part:
+    def plain(self, albedo: float, finish: str, piece: int = 0) -> Part:
         """Without it."""
-        return self._made(self.replaced, "opening", albedo, finish)
+        return self._made(self.replaced, "opening", albedo, finish, piece)
 
-    def _made(self, own: tuple[Shape, ...], kind: str, albedo: float, finish: str) -> Part:
+    def _made(self, own: tuple[Shape, ...], kind: str, albedo: float, finish: str, piece: int) -> Part:
         surface = Surface(albedo)
+        if finish in LAYS:
+            surface = replace(LAYS[finish], albedo=albedo, seed=100 + piece)
         if finish == "brushed":
             surface = Surface(albedo, contrast=0.1, feature_mm=0.35, stretch=6.0, seed=1)
         marks = self._grooves(albedo) if finish == "turned" else ()
@@ -173,7 +183,14 @@ DESIGNS = (
     Design("square slots", Box(0, 0, 19, 19, 1.5), 4, (
         Slot(-6, 0, 7, 2, math.pi / 2), Slot(0, 6, 7, 2), Slot(0, -6, 7, 2),
     ), (Slot(6, 0, 4.5, 2, math.pi / 2),), (Slot(6, 0, 7, 2, math.pi / 2),)),
+    Design("notched flange", Disc(0, 0, 13), 6, (_BORE, *_SIX), (Disc(7.8, 4.5, 0.7),), (),
+           (Box(13, 0, 2.4, 2.0),)),
+    Design("pinned cover", Disc(0, 0, 13), 5, (*_ring(5, 9.6, 1.2), Disc(0, 0, 2.5)), (Disc(0, 5.6, 0.8),)),
+    Design("keyed plate", Box(0, 0, 19, 19, 2.0), 4, (*_ring(4, 9.0, 1.2, math.pi / 4), Disc(0, 0, 3.5)),
+           (Box(0, 3.8, 1.8, 2.2),)),
 )  # fmt: skip
+HELD_OUT = ("pinned cover", "keyed plate")
+"""Looked at last: nothing was chosen by what became of them."""
 
 
 def without_holes(part: Part) -> Part:

@@ -33,6 +33,16 @@ apt_install() { # apt_install PACKAGE... ; what is missing, if we may
     rm -f "$EDGED_ROOT/.apt.log"
 }
 
+versions() { # versions PACKAGE... ; what moves under us, in one line: Python packages are pinned, these are not
+    local package found line
+    line="Python $("$EDGED_PYTHON" -c 'import platform; print(platform.python_version())'), Linux $(uname -r)"
+    for package in "$@"; do
+        found=$(dpkg-query -W -f '${Version}' "$package" 2>/dev/null) || true
+        line+=", $package ${found:-is not here}"
+    done
+    say "versions: $line"
+}
+
 is_recent() { "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; }
 
 # The distribution's own Python, because python3-gi (and with it Aravis) belongs to it.
@@ -47,9 +57,9 @@ find_python() {
     return 1
 }
 
+packages=(python3-venv gir1.2-aravis-0.8 python3-gi)
+[ "$EDGED_FOR" != test ] || packages+=(mbpoll systemd-container aravis-tools-cli aravis-tools nftables iproute2 openssl libfaketime)
 if command -v apt-get >/dev/null; then
-    packages=(python3-venv gir1.2-aravis-0.8 python3-gi)
-    [ "$EDGED_FOR" != test ] || packages+=(mbpoll systemd-container aravis-tools-cli aravis-tools nftables iproute2 openssl libfaketime)
     apt_install "${packages[@]}" || true
     # on its own: where a distribution has it as a snap only, the tests in a browser are skipped, and nothing else is
     [ "$EDGED_FOR" != test ] || apt_install chromium || true
@@ -98,5 +108,6 @@ grep -qxF "$cache" .venv/bin/activate || printf '%s\n' "$cache" >>.venv/bin/acti
 # shellcheck disable=SC1091
 . .venv/bin/activate
 mkdir -p "$NUMBA_CACHE_DIR"
+[ "$EDGED_FOR" != test ] || versions "${packages[@]:1}" chromium systemd
 tools/manual --if-needed || say "the manual could not be built: the status page will say so"
 edged warm --if-needed

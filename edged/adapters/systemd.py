@@ -76,14 +76,17 @@ class SystemdNotifier:
             self._tell("WATCHDOG=1", *extension, *self._changed_status())
 
     def reloading(self) -> None:
-        """The configuration is being read again; `reloaded` must follow."""
+        """The configuration is being read again; `reloaded` must follow. A cell that starts still starts."""
+        if not self._is_ready:
+            return
         # systemd tells this reload from an earlier one by the time stamp (CLOCK_MONOTONIC)
         self._tell("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def reloaded(self, refused: str = "") -> None:
         """The reload is over; refused : why the old configuration stays, "" if it does not."""
         self._status = f"reload refused: {refused}" if refused else "reloaded"
-        self._tell("READY=1", f"STATUS={_one_line(self._status)}")
+        ready = ("READY=1",) if self._is_ready else ()
+        self._tell(*ready, f"STATUS={_one_line(self._status)}")
 
     async def close(self) -> None:
         """Tell that we stop; close the socket."""

@@ -13,8 +13,7 @@ from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Outcome
 from edged.drift import DriftLimits
 from edged.errors import UserError
-from edged.files.atomic import read_bytes
-from edged.files.rig import rig_of
+from edged.files.rig import read_rig, rig_of
 from edged.loop.loaded import LoadedJob, Setup
 from edged.pipeline import PreparedRig, locate
 from edged.vision.kernels.jit import load_called
@@ -89,7 +88,7 @@ def with_registration(loaded: LoadedCell) -> LoadedCell:
     if not isinstance(cell, CellFiles) or prepared is None:
         raise UserError("a cell without a rig cannot be registered")
     path = cell.config.cell.rig
-    data = read_bytes(path, "a rig")
+    data = read_rig(path)
     rig = rig_of(data, path)
     contents = {**cell.contents, "rig.json": data}
     files = {name: content for name, content in contents.items() if name != "cell.toml"}

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,12 +16,12 @@ from edged.app.cameras import head_of
 from edged.app.camerasroom import CamerasRoom
 from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_registration
 from edged.app.registrar import CellRegistrar, check_unchanged
-from edged.app.servers import Room, Servers
+from edged.app.servers import START_S, Room, Servers, close_within, start_within
 from edged.app.status import Running, figures
 from edged.capture.stereohead import StereoHead
 from edged.cellfiles import exposed_secrets
 from edged.cycle import Cycle
-from edged.errors import EdgedError, UserError
+from edged.errors import EdgedError, TookTooLong, UserError
 from edged.files.setupnote import SetupNote
 from edged.files.statefolder import state_folder
 from edged.logs import fields
@@ -75,7 +75,8 @@ class Daemon:
 
     observers : more publishers, for example the demo's view; they outlive a reload.
     world : the virtual cell that a configuration with virtual cameras needs; its owner starts and stops it.
-    rooms : more routes of the page, for example the stage's.
+    rooms : more routes of the page, for example the stage's. on_started : called when all of it is up, before
+    the first cycle.
     """
 
     def __init__(
@@ -87,6 +88,7 @@ class Daemon:
         world: VirtualWorld | None = None,
         rooms: Sequence[Room] = (),
     ) -> None:
+        self.on_started: Callable[[], None] = lambda: None
         self._path = path
         self._more_rooms = tuple(rooms)
         self._loaded = loaded
@@ -126,13 +128,18 @@ class Daemon:
         """Publish and measure until `stop`. Raises `ListenError` when a port cannot be opened."""
         started: list[Publisher] = []
         try:
-            async with self._reloading:
-                await self._servers.start(self._loaded.cell.config)
-            self._warn_of_exposed_secrets()
-            for observer in self._observers:
-                started.append(observer)
-                await observer.start()
-            self._tell_cycle()
+            async with self._reloading:  # one that is asked for meanwhile comes after the start
+                if not await self._start_servers():
+                    return
+                self._warn_of_exposed_secrets()
+                for observer in self._observers:
+                    started.append(observer)
+                    try:
+                        await start_within(START_S, observer, type(observer).__name__)
+                    except TookTooLong as error:
+                        log.error("%s; the cell runs without it", error)  # noqa: TRY400  (it names all)
+                self._tell_cycle()
+            self.on_started()
             await self._run_cycle()
         finally:
             await self._servers.close()
@@ -141,7 +148,21 @@ class Daemon:
             if self._workshop is not None:
                 await self._workshop.close()
             for observer in started:
-                await observer.close()
+                await close_within(observer, type(observer).__name__)
+
+    async def _start_servers(self) -> bool:
+        """False when the cell was stopped before they had started. Raises `ListenError`."""
+        starting = asyncio.create_task(self._servers.start(self._loaded.cell.config), name="start")
+        stopped = asyncio.create_task(self._cycle.stopping.wait(), name="stop")
+        try:
+            await asyncio.wait({starting, stopped}, return_when=asyncio.FIRST_COMPLETED)
+            if starting.done():
+                starting.result()
+            return starting.done()
+        finally:
+            for task in (starting, stopped):
+                task.cancel()
+            await asyncio.wait({starting, stopped})
 
     def stop(self) -> None:
         """End after the running cycle."""
@@ -167,10 +188,11 @@ class Daemon:
                 head = head_for(loaded, self._world) if _other_cameras(loaded, self._loaded) else None
                 await self._servers.exchange(loaded.cell.config)
             except (EdgedError, OSError, RuntimeError) as error:
+                why = str(error) or type(error).__name__
                 # the message names file, section and option: a traceback says no more
-                log.error("reload refused, the running configuration stays: %s", error)  # noqa: TRY400
-                self._notifier.reloaded(refused=str(error))
-                return str(error) or type(error).__name__
+                log.error("reload refused, the running configuration stays: %s", why)  # noqa: TRY400
+                self._notifier.reloaded(refused=why)
+                return why
             except Exception:
                 self._notifier.reloaded(refused="a bug, see the log")
                 raise
@@ -242,7 +264,8 @@ class Daemon:
     @property
     def _running(self) -> Running:
         staged = self._world is not None and self._world.stage is not None
-        return Running(self._loaded, self._cycle, self._head, self._servers.started, staged)
+        servers = self._servers
+        return Running(self._loaded, self._cycle, self._head, servers.started, staged, servers.problems)
 
     def _tell_cycle(self) -> None:
         self._cycle.set_publishers((*self._servers.started.values(), *self._observers))

@@ -30,10 +30,14 @@ class News:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """What is heard. inbox : fills with what the cells say. links : connections to routers and cells, now."""
+    """What is heard. inbox : fills with what the cells say. links : connections to routers and cells, now.
+
+    doubts : a sentence on each cell whose messages may not all be its own.
+    """
 
     inbox: queue.Queue[News]
     links: Callable[[], int]
+    doubts: Callable[[], list[str]]
 
 
 def is_cell_name(text: str) -> bool:
@@ -47,8 +51,13 @@ def is_name_pattern(text: str) -> bool:
 
 
 @contextmanager
-def news_of_cells(connect: Sequence[str], cell: str | None, tls: ClientTls | None = None) -> Iterator[Fleet]:
-    """What cells say while this is open; cell : only the one with this name.
+def news_of_cells(
+    connect: Sequence[str],
+    cell: str | None,
+    tls: ClientTls | None = None,
+    shared_key: bytes | None = None,
+) -> Iterator[Fleet]:
+    """What cells say while this is open; cell : only the one with this name; shared_key : only what it signs.
 
     Raises `ConfigError` for endpoints that cannot be, `UserError` for certificates.
     """
@@ -58,5 +67,5 @@ def news_of_cells(connect: Sequence[str], cell: str | None, tls: ClientTls | Non
         if not inbox.full():
             inbox.put_nowait(News(name, kind, document))
 
-    with listening(connect, cell or "*", heard, tls) as links:
-        yield Fleet(inbox, links)
+    with listening(connect, cell or "*", heard, tls, shared_key) as listened:
+        yield Fleet(inbox, listened.links, listened.doubts)

@@ -38,7 +38,8 @@ from edged.config.cell import RecorderSection
 from edged.config.configuration import Config
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection
-from edged.errors import EdgedError, ListenError
+from edged.errors import EdgedError, ListenError, TookTooLong
+from edged.files.private import read_shared_key
 from edged.ports import Commander, Commissioner, Publisher
 from edged.robot.orientations import Brand, Convention
 from edged.session.live import LivePictures
@@ -50,6 +51,15 @@ if TYPE_CHECKING:
     from edged.adapters.zenoh import ZenohSettings
 
 log = logging.getLogger(__name__)
+
+START_S = 10.0
+"""For one server, while the cell waits for it. The slowest is OPC UA, which builds its address space first:
+`python -m pytest tests/wire/test_opcua.py --durations 3`."""
+LATE_START_S = 60.0
+"""For one while the cell measures: longer than any server allows itself, OPC UA 30 s."""
+CLOSE_S = 5.0
+"""OPC UA allows itself 3 s."""
+RETRY_S = 5.0
 
 
 class Wanted(NamedTuple):
@@ -73,6 +83,24 @@ class Wanted(NamedTuple):
             return section.port if section.serial is None and section.socket is None else None
         return section.port if isinstance(section, WebSection | OpcUaSection) else None
 
+    @property
+    def place(self) -> str:
+        """Addresses, devices or folder, for messages."""
+        match self.section:
+            case ModbusSection() as modbus:
+                places = [f"{modbus.host}:{modbus.port}"]
+                if modbus.serial is not None:
+                    places.append(modbus.serial.device)
+                if modbus.socket is not None:
+                    places.append(f"{modbus.host}:{modbus.socket.port}")
+                return ", ".join(places)
+            case ZenohSection() as zenoh:
+                return ", ".join([*zenoh.listen, *zenoh.connect]) or "no address"
+            case RecorderSection() as recorder:
+                return str(recorder.folder)
+            case section:
+                return f"{section.host}:{section.port}"
+
 
 def wanted_servers(config: Config) -> dict[str, Wanted]:
     """By the name of their section, the PLC's last; two that are equal need no exchange.
@@ -90,7 +118,8 @@ def wanted_servers(config: Config) -> dict[str, Wanted]:
 
         own = config.zenoh.config_file
         named = {} if own is None else {str(file): file for file in (own, *named_files(own))}
-        wanted["zenoh"] = Wanted(config.zenoh, config.cell.name, _digests(named))
+        digests = (*_digests(named), *_digests(files, "zenoh."))
+        wanted["zenoh"] = Wanted(config.zenoh, config.cell.name, digests)
     if config.modbus.enabled:
         wanted["modbus"] = Wanted(config.modbus, files=_digests(files, "modbus."))
     if config.opcua is not None:
@@ -130,6 +159,36 @@ Build = Callable[[], Publisher]
 """Makes a server anew of what was read before: it needs no file any more."""
 
 
+async def start_within(limit_s: float, publisher: Publisher, what: str) -> None:
+    """Start a publisher, or close it again. Raises `TookTooLong` that names it."""
+    try:
+        async with asyncio.timeout(limit_s):
+            await publisher.start()
+    except BaseException as error:
+        await close_within(publisher, what)
+        if isinstance(error, TimeoutError):
+            why = str(error) or f"it has not started within {limit_s:g} s"
+            raise TookTooLong(f"{what}: {why}") from error
+        raise
+
+
+async def close_within(publisher: Publisher, what: str) -> None:
+    """Close it; one that hangs is left behind, and that is said."""
+    try:
+        async with asyncio.timeout(CLOSE_S):
+            await publisher.close()
+    except TimeoutError:
+        log.warning("%s: it has not closed within %g s, and is left behind", what, CLOSE_S)
+
+
+class Failing(NamedTuple):
+    """A server that is wanted and could not start. why : names it, its address and the reason."""
+
+    wanted: Wanted
+    build: Build
+    why: str
+
+
 class Servers:
     """The publishers that a configuration asks for.
 
@@ -163,26 +222,51 @@ class Servers:
         self._changed = changed
         self._started: dict[str, Publisher] = {}
         self._wanted: dict[str, tuple[Wanted, Build]] = {}  # of those that run
+        self._failing: dict[str, Failing] = {}
+        self._trying: asyncio.Task[None] | None = None
 
     @property
     def started(self) -> Mapping[str, Publisher]:
         """Those that run, by the name of their section."""
         return self._started
 
+    @property
+    def problems(self) -> Mapping[str, str]:
+        """Why those do not run that could not start, by the name of their section; they are tried again."""
+        return {name: failing.why for name, failing in self._failing.items()}
+
     async def start(self, config: Config) -> None:
-        """Start all that are wanted. Raises `ListenError`; those that were started before it run on."""
+        """Start all that are wanted; one that takes too long is tried again while the cell measures.
+
+        Raises `ListenError` for one that cannot be: who started the cell is to see it, and systemd starts it
+        again. Those that were started before it run on.
+        """
         for name, wanted in wanted_servers(config).items():
-            await self._start(name, wanted, self._builder(wanted))
+            build = self._builder(wanted)
+            try:
+                await self._start(name, wanted, build)
+            except TookTooLong as error:
+                self._note_failing(name, Failing(wanted, build, str(error)))
+        self._try_again_later()
 
     async def exchange(self, config: Config) -> None:
         """Exchange those that are wanted otherwise, or whose files have changed; or all stay, and it raises.
 
         Files are read, and judged, before any server is touched. One that listens elsewhere is started beside
         the running one. When one cannot start all the same, those that were exchanged before it are again as
-        they were, of the files as they were.
+        they were, of the files as they were. One that could not start before, and is wanted as before, is
+        tried again later.
         """
         wanted = await asyncio.to_thread(wanted_servers, config)
-        before = {name: running for name, (running, _) in self._wanted.items()}
+        await self._try_no_more()
+        try:
+            await self._exchange(wanted)
+        finally:
+            self._try_again_later()
+
+    async def _exchange(self, wanted: dict[str, Wanted]) -> None:
+        before = {name: failing.wanted for name, failing in self._failing.items()}
+        before |= {name: running for name, (running, _) in self._wanted.items()}
         changed = [name for name in {**before, **wanted} if before.get(name) != wanted.get(name)]
         new = {name: (wanted[name], self._builder(wanted[name])) for name in changed if name in wanted}
         old, exchanged = dict(self._wanted), list[str]()
@@ -194,11 +278,14 @@ class Servers:
             for name in reversed(exchanged):
                 await self._put_back(name, old.get(name))
             raise
+        for name in changed:
+            self._failing.pop(name, None)
 
     async def close(self) -> None:
         """Close all."""
-        for publisher in self._started.values():
-            await publisher.close()
+        await self._try_no_more()
+        for name, publisher in self._started.items():
+            await close_within(publisher, name)
 
     async def _restart(self, name: str, new: tuple[Wanted, Build] | None) -> None:
         try:
@@ -206,11 +293,11 @@ class Servers:
             if new is not None and running is not None and _lie_apart(running[0], new[0]):
                 before = self._started[name]
                 await self._start(name, *new)
-                await before.close()
+                await close_within(before, f"{name} on {running[0].place}")
                 return
             if running is not None:
                 del self._wanted[name]
-                await self._started.pop(name).close()
+                await close_within(self._started.pop(name), f"{name} on {running[0].place}")
             if new is not None:
                 await self._start(name, *new)
         finally:
@@ -221,18 +308,48 @@ class Servers:
             return
         try:
             await self._restart(name, old)
-        except (EdgedError, OSError):
+        except (EdgedError, OSError) as error:
             # somebody took its port meanwhile; the others must be put back all the same
-            log.exception("%s is off until the next reload", name)
+            if old is not None:
+                self._note_failing(name, Failing(*old, str(error)))
 
-    async def _start(self, name: str, wanted: Wanted, build: Build) -> None:
+    async def _start(self, name: str, wanted: Wanted, build: Build, limit_s: float = 0.0) -> None:
         publisher = build()
-        try:
-            await publisher.start()
-        except BaseException:
-            await publisher.close()
-            raise
+        await start_within(limit_s or START_S, publisher, f"{name} on {wanted.place}")
         self._started[name], self._wanted[name] = publisher, (wanted, build)
+
+    # --- those that cannot start now ---------------------------------------------------------------
+
+    def _note_failing(self, name: str, failing: Failing) -> None:
+        self._failing[name] = failing
+        log.error("%s; the cell runs without it, and tries again every %g s", failing.why, RETRY_S)
+
+    def _try_again_later(self) -> None:
+        if self._failing and self._trying is None:
+            self._trying = asyncio.create_task(self._try_again(), name="servers")
+            self._trying.add_done_callback(_show_bug)
+
+    async def _try_no_more(self) -> None:
+        task, self._trying = self._trying, None
+        if task is not None:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    async def _try_again(self) -> None:
+        while self._failing:
+            await asyncio.sleep(RETRY_S)
+            for name, (wanted, build, before) in list(self._failing.items()):
+                try:
+                    await self._start(name, wanted, build, LATE_START_S)
+                except (EdgedError, OSError) as error:
+                    if str(error) != before:
+                        self._note_failing(name, Failing(wanted, build, str(error)))
+                    continue
+                del self._failing[name]
+                log.info("%s on %s: started after all", name, wanted.place)
+                self._changed()
+        self._trying = None
 
     def _builder(self, wanted: Wanted) -> Build:
         """Read what a server needs. Raises `EdgedError` or `OSError` for what it cannot use."""
@@ -323,6 +440,12 @@ class Servers:
         return served if isinstance(served, ModbusPublisher) else None
 
 
+def _show_bug(trying: asyncio.Task[None]) -> None:
+    """A bug of a server that was tried again is told at once, not when the daemon ends."""
+    if not trying.cancelled() and (bug := trying.exception()) is not None:
+        log.error("a server cannot be started by a bug, and is tried no more", exc_info=bug)
+
+
 def _rectification(loaded: LoadedCell) -> Rectification:
     """Of the pictures on the page, which are of cycles: a cell without a rig has measured none."""
     if loaded.rig is None:
@@ -378,4 +501,5 @@ def _zenoh_settings(section: ZenohSection, cell: str) -> ZenohSettings:
         encoding=section.encoding,
         trigger_timeout_s=section.trigger_timeout_s,
         ros2_domain_id=section.ros2_domain_id,
+        shared_key=None if section.shared_key is None else read_shared_key(section.shared_key),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,15 +26,23 @@ if TYPE_CHECKING:  # a cell without the page does not load it
     from edged.adapters.web import Overview
 
 
+GROUPS = {"modbus": "Modbus", "opcua": "OPC UA", "zenoh": "Zenoh", "recorder": "Recorder"}
+"""Where the status page says what is wrong with a server."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Running:
-    """The parts of a running cell; servers by the name of their section. staged : its world is a stage."""
+    """The parts of a running cell; servers by the name of their section. staged : its world is a stage.
+
+    problems : why servers do not run that are wanted, by the name of their section.
+    """
 
     loaded: LoadedCell
     cycle: Cycle
     head: StereoHead
     servers: Mapping[str, Publisher]
     staged: bool = False
+    problems: Mapping[str, str] = field(default_factory=dict)
 
 
 def register_rows(modbus: Publisher | None) -> list[tuple[Register, Number]]:
@@ -91,6 +99,9 @@ def facts(running: Running) -> dict[str, dict[str, Any]]:
         }
         if kept.problem:
             groups["Recorder"]["problem"] = said("own-words", kept.problem)
+    for name, problem in running.problems.items():
+        if name in GROUPS:
+            groups.setdefault(GROUPS[name], {})["problem"] = said("own-words", problem)
     return groups
 
 
@@ -122,6 +133,7 @@ def figures(running: Running) -> dict[str, tuple[str, float]]:
         "rows_mean_pixels": ("mean row difference of corresponding points", drift.rows_px),
         "known_length_error_ratio": ("mean deviation of the known length", drift.length_percent / 100),
         **camera_figures(running.head),
+        "servers_failing": ("servers that are configured and could not start", len(running.problems)),
     }
     modbus, recorder = running.servers.get("modbus"), running.servers.get("recorder")
     if isinstance(modbus, ModbusPublisher):

@@ -161,6 +161,9 @@ def watch(
     certificate: Annotated[Path | None, typer.Option(help="PEM: what a router with mTLS asks for")] = None,
     key: Annotated[Path | None, typer.Option(help="PEM: private key of the certificate")] = None,
     authority: Annotated[Path | None, typer.Option(help="PEM: who signed the router's certificate")] = None,
+    shared_key: Annotated[
+        Path | None, typer.Option(help="file with the cells' zenoh.shared_key: only what it signs is shown")
+    ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="stop after so many results")] = None,
     timeout_s: Annotated[
         float | None, typer.Option("--timeout", min=0.1, help="s: stop then, even without --count results")
@@ -185,5 +188,6 @@ def watch(
         timeout_s=timeout_s,
         as_json=as_json,
         tls=None if files == ClientTls() else files,
+        shared_key=shared_key,
     )
     raise typer.Exit(command(options, Console()))

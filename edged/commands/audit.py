@@ -7,7 +7,9 @@ from pathlib import Path
 
 from rich.console import Console
 
+from edged.errors import FileFormatError
 from edged.files.audit import LINES, AuditFile, shown
+from edged.files.owners import as_owner
 from edged.files.statefolder import state_folder
 
 
@@ -17,7 +19,11 @@ def audit(config: Path, console: Console, *, as_json: bool, last: int) -> int:
     Raises `FileFormatError` when it cannot be read.
     """
     folder = state_folder(config)
-    verdict = AuditFile(folder).verify(last=last)
+    try:
+        with as_owner(folder) as place:
+            verdict = AuditFile(place, called=folder).verify(last=last)
+    except OSError as error:
+        raise FileFormatError(f"{folder}: cannot read the audit: {error.strerror or error}") from error
     records = verdict.records
     if as_json:
         document = {

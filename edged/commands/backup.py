@@ -9,8 +9,8 @@ from rich.console import Console
 from edged.cellfiles import read_cell
 from edged.commissioning.releases.archive import REGISTERS, Backup, fits_map, make, read
 from edged.commissioning.releases.archive import restore as put_back
-from edged.errors import ConfigError, FileFormatError, UserError
-from edged.files.atomic import write_atomically
+from edged.errors import ConfigError, UserError
+from edged.files.atomic import write_file
 from edged.files.outputs import check_outputs
 
 
@@ -21,10 +21,7 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
     check_outputs({"--output": output}, {"CONFIG": config})
     made = make(config)
     taken, data = made.backup, made.archive
-    try:
-        write_atomically(output, data, mode=0o600)
-    except OSError as error:
-        raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
+    write_file(output, data, mode=0o600)
     console.print(
         f"{output}: cell {taken.cell}, fingerprint {taken.fingerprint}, {len(taken.files)} files, "
         f"{len(data) / 1024:.0f} KiB",

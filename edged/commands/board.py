@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from edged.errors import UserError
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_file
 from edged.files.pdf import Shapes, Text, one_page
 from edged.vision.boards.artwork import Artwork, artwork
 from edged.vision.boards.board import NominalBoard, parse_board
@@ -37,7 +37,7 @@ def board(spec: str, paper: str | None, output: Path, console: Console) -> int:
     wanted = parse_board(spec)
     drawn = artwork(wanted)
     name, size = _paper(drawn, paper, wanted)
-    write_atomically(output, one_page(size, *_page(drawn, size, wanted), f"edged {wanted}"))
+    write_file(output, one_page(size, *_page(drawn, size, wanted), f"edged {wanted}"))
     console.print(
         f"{escape(str(output))}: {escape(str(wanted))} on {name}, {size[0]:g} x {size[1]:g} mm. "
         "Print it at 100 %, without fitting; then measure both rulers",

@@ -21,6 +21,7 @@ from edged.app.process import serve, set_up_process
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.jobs import save_job
+from edged.files.outputs import make_folder
 from edged.files.rig import save_rig
 from edged.pipeline import prepare
 from edged.sim.cell import Truth, VirtualCell
@@ -105,7 +106,7 @@ def region_of_part(rig: StereoRig, truth: Truth) -> Region:
 
 def prepare_cell(folder: Path, cell: VirtualCell, options: DemoOptions, *, gige: bool) -> Path:
     """Write rig, taught job and configuration of the virtual cell; returns the configuration file."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     save_rig(folder / "rig.json", cell.rig)
     left, right, truth = cell.teach_pair()
     region = region_of_part(cell.rig, truth)

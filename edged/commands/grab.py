@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -20,7 +20,8 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.errors import CaptureError, FileFormatError
 from edged.files.atomic import write_atomically
-from edged.files.outputs import check_folder
+from edged.files.outputs import check_folder, make_folder
+from edged.files.owners import as_owner
 from edged.files.pairs import next_number
 from edged.sim.world import VirtualWorld
 
@@ -96,10 +97,7 @@ def grab(config: Path, output: Path, count: int, name: str, console: Console) ->
     """
     section = load(config).cameras
     check_folder(output)
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
+    make_folder(output)
     session = Grab(output, name, count, console)
     when = session.at_once if count == 1 else session.asked if sys.stdin.isatty() else session.resting
     try:
@@ -186,21 +184,13 @@ class Grab:
     def _keep(self, pair: FramePair) -> None:
         """Write a pair under the next free number. Raises `FileFormatError`, and then has written nothing."""
         stem = f"{self.name}_{next_number(self.output, self.name):02d}"
-        written: list[Path] = []
+        pictures = {"left": pair.left.image, "right": pair.right.image}
+        encoded = {side: cv2.imencode(".png", image)[1].tobytes() for side, image in pictures.items()}
         try:
-            for side, frame in (("left", pair.left), ("right", pair.right)):
-                _, png = cv2.imencode(".png", frame.image)
-                path = self.output / f"{stem}_{side}.png"
-                write_atomically(path, png.tobytes())
-                written.append(path)
-        except BaseException as error:
-            for path in written:
-                path.unlink(missing_ok=True)
-            if isinstance(error, OSError):
-                raise FileFormatError(
-                    f"{self.output}: cannot be written: {error.strerror or error}"
-                ) from error
-            raise
+            with as_owner(self.output) as folder:
+                _write_all(folder, {f"{stem}_{side}.png": png for side, png in encoded.items()})
+        except OSError as error:
+            raise FileFormatError(f"{self.output}: cannot be written: {error.strerror or error}") from error
         self.movement.take(pair)
         self.taken += 1
         skew_ms = abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-6
@@ -210,6 +200,19 @@ class Grab:
 
     def _say(self, text: str) -> None:
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def _write_all(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Each by its name, or none. Raises `OSError`."""
+    written: list[Path] = []
+    try:
+        for name, data in files.items():
+            write_atomically(folder / name, data)
+            written.append(folder / name)
+    except BaseException:
+        for path in written:
+            path.unlink(missing_ok=True)
+        raise
 
 
 async def _line(descriptor: int) -> str:

@@ -25,7 +25,7 @@ from edged.commissioning.registration.registering import (
 )
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.errors import CalibrationError, FileFormatError, UserError
-from edged.files.atomic import read_bytes
+from edged.files.atomic import MAX_DOCUMENT_BYTES, read_bytes
 from edged.files.images import load_image
 from edged.files.outputs import check_outputs
 from edged.files.pairs import half_of
@@ -222,7 +222,7 @@ def _floats(cells: Sequence[str], place: str) -> list[float]:
 def _located(path: Path, place: str) -> list[float]:
     """Position of the one good target in what `edged locate --json` printed."""
     try:
-        document = json.loads(read_bytes(path, "a result of edged locate --json"))
+        document = json.loads(read_bytes(path, "a result of edged locate --json", MAX_DOCUMENT_BYTES))
         good = [target for target in document["targets"] if not target["reject"]]
         position = [float(value) for value in good[0]["position_mm"]]
     except (ValueError, TypeError, KeyError, IndexError) as error:

@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 
 from edged.errors import UserError
+from edged.files.atomic import write_file
+from edged.files.outputs import make_folder
 from edged.plc.texts import SEVERAL, render
 
 
@@ -23,11 +25,8 @@ def registers(fmt: str, folder: Path | None) -> int:
     if writer is None or folder is None:
         sys.stdout.write(render(fmt))
         return 0
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in writer().items():
-            (folder / name).write_text(text, encoding="utf-8")
-            print(folder / name)
-    except OSError as error:
-        raise UserError(f"--output {folder}: {error.strerror or error}") from error
+    make_folder(folder)
+    for name, text in writer().items():
+        write_file(folder / name, text.encode())
+        print(folder / name)
     return 0

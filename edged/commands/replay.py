@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,8 +15,8 @@ from edged.commissioning.cycles.regression import COMPARED, compare, decided, dr
 from edged.commissioning.cycles.setups import Setups
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
-from edged.files.atomic import write_atomically, write_file
-from edged.files.outputs import check_folder
+from edged.files.atomic import read_bytes, write_file
+from edged.files.outputs import check_folder, make_folder
 from edged.files.secrettext import without_secrets
 from edged.payload import Json
 
@@ -54,7 +53,7 @@ def replay(
     files = _files(path)
     if overlays is not None:
         check_folder(overlays)
-        overlays.mkdir(parents=True, exist_ok=True)
+        make_folder(overlays)
     report, setups = Report(recording.versions()), Setups()
     for file in track(files, "replaying", console=Console(stderr=True), transient=True):
         try:
@@ -103,22 +102,23 @@ def _files(path: Path) -> list[Path]:
 
 def _export(files: list[Path], target: Path, report: Report) -> None:
     """Everything needed to see the same elsewhere."""
-    try:
-        (target / "cycles").mkdir(parents=True, exist_ok=True)
-        for file in files:
-            shutil.copy2(file, target / "cycles" / file.name)
-            if (parts := recording.NAME.fullmatch(file.name)) is None:
-                continue
-            setup = recording.setup_folder(file.parent.parent, parts["fingerprint"])
-            if setup.is_dir():
-                copy = recording.setup_folder(target, parts["fingerprint"])
-                shutil.copytree(setup, copy, dirs_exist_ok=True)
-                text = copy / "cell.toml"  # earlier versions recorded the password's hash in it
-                if text.is_file():
-                    write_atomically(text, without_secrets(text.read_bytes()))
-        write_atomically(target / "report.json", json.dumps(report.to_json(), indent=1).encode())
-    except OSError as error:
-        raise FileFormatError(f"{target}: cannot be written: {error.strerror or error}") from error
+    make_folder(target / "cycles")
+    for file in files:
+        write_file(target / "cycles" / file.name, read_bytes(file, "a recording"))
+        if (parts := recording.NAME.fullmatch(file.name)) is not None:
+            _export_setup(recording.setup_folder(file.parent.parent, parts["fingerprint"]), target)
+    write_file(target / "report.json", json.dumps(report.to_json(), indent=1).encode())
+
+
+def _export_setup(setup: Path, target: Path) -> None:
+    copy = recording.setup_folder(target, setup.name)
+    for file in sorted(setup.rglob("*")):
+        if file.is_file():
+            data = read_bytes(file, "a recording's setup")
+            place = copy / file.relative_to(setup)
+            make_folder(place.parent)
+            # earlier versions recorded the password's hash in it
+            write_file(place, without_secrets(data) if place == copy / "cell.toml" else data)
 
 
 def _print(report: Report, console: Console) -> None:

@@ -12,6 +12,8 @@ from edged.app.cell import load_any_cell, warm_up
 from edged.app.daemon import Daemon
 from edged.app.process import serve
 from edged.app.stage import StageRoutes
+from edged.files.outputs import make_folder
+from edged.files.owners import as_owner
 from edged.files.private import write_private
 from edged.files.statefolder import state_folder
 from edged.files.users import User, UserFile
@@ -55,7 +57,7 @@ def write_cell(
     folder: Path, password: str, *, ports: tuple[int, int, int], period_s: float, gige: bool
 ) -> Path:
     """Write the configuration and its user, and nothing else; what was taught there before stays."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     web, modbus, zenoh = ports
     hashed = hash_password(password)
     source = "virtual" if gige else "virtual-inprocess"
@@ -91,7 +93,8 @@ commissioning = true
 password_hash = "{hashed}"
 """
     path = folder / "cell.toml"
-    write_private(path, text.encode())
-    users = UserFile(state_folder(path) / "users.json")
-    users.put(User(name=USER, role="engineer", password_hash=hashed))
+    engineer = User(name=USER, role="engineer", password_hash=hashed)
+    with as_owner(folder) as place:
+        write_private(place / path.name, text.encode())
+        UserFile(state_folder(path) / "users.json").put(engineer)
     return path

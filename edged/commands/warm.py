@@ -12,7 +12,7 @@ import cv2
 import numba
 
 import edged
-from edged.files.atomic import write_atomically
+from edged.files.atomic import write_file
 
 
 def warm(*, only_if_needed: bool) -> int:
@@ -34,7 +34,7 @@ def warm(*, only_if_needed: bool) -> int:
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             load_all(importlib.import_module(module.name))
     if stamp is not None:
-        write_atomically(stamp, key.encode())
+        write_file(stamp, key.encode())
     return 0
 
 

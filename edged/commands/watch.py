@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import TextIO
 
 from rich import box
@@ -30,12 +31,15 @@ from edged.app.fleet import (
 )
 from edged.config.zenoh import check_endpoint
 from edged.errors import UserError
+from edged.files.private import read_shared_key
 
 REFRESH_S = 0.25
 SILENCE_HINT_S = 3.0
 LOOK_S = 1.0
 TABLE_LINES = 6
 """Of the screen, beside rows and troubles: the table's head, what is left out, and the cursor's line."""
+MOST_DOUBTS = 3
+"""On the screen; of many false cells the first tell enough."""
 MAX_TEXT = 200
 STYLES = {
     "OK": "green",
@@ -96,7 +100,7 @@ class WatchOptions:
     """Options of the command line.
 
     cell : a name, or with * and ?; None: all. states : only cells in one of them, in the table; () : all.
-    count : ends after so many results. timeout_s : ends then.
+    count : ends after so many results. timeout_s : ends then. shared_key : file; only what it signs is shown.
     """
 
     connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
@@ -106,6 +110,7 @@ class WatchOptions:
     timeout_s: float | None = None
     as_json: bool = False
     tls: ClientTls | None = None
+    shared_key: Path | None = None
 
 
 def watch(options: WatchOptions, console: Console) -> int:
@@ -117,19 +122,24 @@ def watch(options: WatchOptions, console: Console) -> int:
     """
     _check(options)
     name = options.cell if options.cell is not None and is_cell_name(options.cell) else None
-    with news_of_cells(options.connect, name, options.tls) as fleet:
+    key = None if options.shared_key is None else read_shared_key(options.shared_key)
+    with news_of_cells(options.connect, name, options.tls, key) as fleet:
         table = console.is_terminal and not options.as_json
         link = Link(", ".join(options.connect), None if table else sys.stderr)
-        results = Results(_stream(fleet, link, options.cell or "*"), options.count, options.timeout_s)
+        doubts = Doubts(fleet.doubts, None if table else sys.stderr)
+        stream = _stream(fleet, link, doubts, options.cell or "*")
+        results = Results(stream, options.count, options.timeout_s)
         try:
             if options.as_json:
                 _print_json(results)
             elif table:
-                _show_table(results, link, options.states, console)
+                _show_table(results, link, doubts, options.states, console)
             else:
                 _print_lines(results, console)
         except KeyboardInterrupt:  # the usual way to leave
             return 0
+        finally:
+            doubts.look(at_once=True)
     return 1 if results.missing else 0
 
 
@@ -186,6 +196,28 @@ class Link:
         self.problem = problem
 
 
+class Doubts:
+    """Cells whose messages may not all be their own. stream : where changes are said; None: nowhere."""
+
+    def __init__(self, doubts: Callable[[], list[str]], stream: TextIO | None) -> None:
+        self._doubts = doubts
+        self._stream = stream
+        self._looked_s = 0.0
+        self.sentences: list[str] = []
+
+    def look(self, *, at_once: bool = False) -> None:
+        """Once a second: say what is new."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s < LOOK_S and not at_once:
+            return
+        self._looked_s = now_s
+        before, self.sentences = self.sentences, [_clean(text) for text in self._doubts()]
+        if self._stream is not None:
+            for text in self.sentences:
+                if text not in before:
+                    self._stream.write(f"edged: {text}\n")
+
+
 class Results:
     """The stream, ended after `count` results or `timeout_s`. missing : what did not come of `count`."""
 
@@ -205,10 +237,11 @@ class Results:
                     return
 
 
-def _stream(fleet: Fleet, link: Link, pattern: str) -> Iterator[News | None]:
+def _stream(fleet: Fleet, link: Link, doubts: Doubts, pattern: str) -> Iterator[News | None]:
     """News of the cells that are meant, as it comes; None when there was none for a while."""
     while True:
         link.look(fleet.links)
+        doubts.look()
         try:
             news = fleet.inbox.get(timeout=REFRESH_S)
         except queue.Empty:
@@ -230,13 +263,16 @@ def _print_lines(results: Results, console: Console) -> None:
             console.print(_line(news), markup=False, highlight=False, soft_wrap=True)
 
 
-def _show_table(results: Results, link: Link, states: Sequence[str], console: Console) -> None:
+def _show_table(
+    results: Results, link: Link, doubts: Doubts, states: Sequence[str], console: Console
+) -> None:
     cells: dict[str, CellView] = {}
     drawn_s = 0.0
 
     def shown(now_s: float) -> RenderableType:
         wanted = {name: cell for name, cell in cells.items() if not states or cell.state in states}
-        return fleet_view(wanted, len(cells), link.problem, now_s, console.size)
+        problems = [*([link.problem] if link.problem else []), *doubts.sentences[:MOST_DOUBTS]]
+        return fleet_view(wanted, len(cells), "\n".join(problems), now_s, console.size)
 
     with Live(shown(0.0), console=console, auto_refresh=False) as live:
         for news in results:
@@ -278,7 +314,7 @@ def fleet_view(
     left_out = 0
     if crowded:
         parts.append(_summary(cells))
-        room = max(2, size.height - TABLE_LINES - len(parts))
+        room = max(2, size.height - TABLE_LINES - len(parts) - problem.count("\n"))
         told = min(len(troubles), max(1, room // 3))
         left_out = max(0, len(rows) - (room - told))
         rows = rows[: room - told]

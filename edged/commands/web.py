@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import getpass
+import sys
 from pathlib import Path
 
 from edged.config.reading import load
 from edged.errors import UserError
 from edged.files.audit import AuditFile, Deed
 from edged.files.invite import VALID_S, Invite
+from edged.files.owners import as_owner
 from edged.files.statefolder import state_folder
 
 
@@ -18,13 +19,21 @@ def invite(config: Path) -> int:
     web = load(config).web
     if web is None or not web.commissioning:
         raise UserError(f"{config}: web.commissioning is off: nobody sets this cell up on the page")
-    folder = state_folder(config)
+    folder, who = state_folder(config), getpass.getuser()
     try:
-        code = Invite(folder).make()
+        with as_owner(folder) as place:
+            code = Invite(place).make()
+            _note(AuditFile(place), Deed(who, "", "", "make", "invitation", "ok"), folder)
     except OSError as error:
         raise UserError(f"{folder}: the code cannot be kept: {error.strerror or error}") from error
-    with contextlib.suppress(OSError):  # the code is made: a disc without room must not keep it
-        AuditFile(folder).add(Deed(getpass.getuser(), "", "", "make", "invitation", "ok"))
     scheme, host = "https" if web.certificate else "http", f"[{web.host}]" if ":" in web.host else web.host
     print(f"{code}   for {scheme}://{host}:{web.port}/invite, once, within {VALID_S / 3600:.0f} hours")
     return 0
+
+
+def _note(audit: AuditFile, deed: Deed, folder: Path) -> None:
+    """Add it to the chain; the code is made by now, and a disc without room must not keep it."""
+    try:
+        audit.add(deed)
+    except OSError as error:
+        sys.stderr.write(f"edged: {folder}: this is not in the audit: {error.strerror or error}\n")

@@ -150,7 +150,7 @@ class DraftFolders(Generic[S]):
         draft = StateFile(self.place(state.id), state, self._error)
         draft.write(state)
         for old in self.names()[self._most :]:
-            self.remove(old)
+            self.clear(old)
         self._sweep()
         return draft
 
@@ -163,7 +163,13 @@ class DraftFolders(Generic[S]):
                     shutil.rmtree(entry, ignore_errors=True)
 
     def remove(self, identity: str) -> None:
-        """Forget one; it is none any more before the first of its other files goes."""
+        """Forget one. Raises `KeyError` when there is none."""
+        if identity not in self.names():
+            raise KeyError(identity)
+        self.clear(identity)
+
+    def clear(self, identity: str) -> None:
+        """Leave nothing of one, begun or not; it is none before the first of its other files goes."""
         (self._folder / identity / _STATE).unlink(missing_ok=True)
         shutil.rmtree(self._folder / identity, ignore_errors=True)
 

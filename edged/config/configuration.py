@@ -71,8 +71,8 @@ class Config(Section):
         return self
 
     def secret_files(self) -> dict[str, Path]:
-        """Private keys by their dotted path. This file is one more where there is a `password_hashes`."""
-        return {place: file for place, file in self.machine_files().items() if place.endswith(".key")}
+        """Private and shared keys by their dotted path. This file is one more with any `password_hashes`."""
+        return {place: file for place, file in self.machine_files().items() if place.endswith("key")}
 
     @property
     def password_hash(self) -> str:
@@ -99,6 +99,8 @@ class Config(Section):
             found |= {"web.certificate": web.certificate, "web.key": web.key}
         if (opcua := self.opcua) is not None and opcua.certificate is not None and opcua.key is not None:
             found |= {"opcua.certificate": opcua.certificate, "opcua.key": opcua.key}
+        if self.zenoh.enabled and self.zenoh.shared_key is not None:
+            found["zenoh.shared_key"] = self.zenoh.shared_key
         return found
 
     def missing_files(self) -> list[str]:

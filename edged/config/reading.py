@@ -14,9 +14,8 @@ from pydantic import BaseModel, ValidationError
 from edged.config.cell import LimitsSection
 from edged.config.chosencameras import chosen_file, chosen_of, read_chosen
 from edged.config.configuration import Config
+from edged.config.tomltext import MAX_TOML_BYTES, toml_of
 from edged.errors import ConfigError
-
-MAX_CONFIG_BYTES = 1024 * 1024
 
 EXPECTED = {
     "float_type": "expected a number",
@@ -67,9 +66,10 @@ def load(path: Path) -> Config:
 def read(path: Path) -> bytes:
     """What is in a configuration file. Raises `ConfigError`."""
     try:
-        if path.stat().st_size > MAX_CONFIG_BYTES:
+        if path.stat().st_size > MAX_TOML_BYTES:
             raise ConfigError(str(path), ["larger than 1 MiB: not a configuration"])
-        return path.read_bytes()
+        with path.open("rb") as file:
+            return file.read(MAX_TOML_BYTES + 1)  # a device has no size, and no end
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from error
 
@@ -83,7 +83,7 @@ def config_of(content: bytes, path: Path) -> Config:
 def config_and_choice(content: bytes, path: Path) -> tuple[Config, bytes | None]:
     """The same, with the cameras that were chosen for its rig: in force, and as they are written."""
     try:
-        data = tomllib.loads(content.decode("utf-8-sig"))
+        data = toml_of(content)
     except UnicodeDecodeError as error:
         raise ConfigError(str(path), [not_utf8(error)]) from error
     except tomllib.TOMLDecodeError as error:
@@ -111,7 +111,7 @@ def limits_of(content: bytes) -> LimitsSection:
 
     Raises `ValueError` for what is no configuration.
     """
-    data = tomllib.loads(content.decode("utf-8-sig"))
+    data = toml_of(content)
     return LimitsSection.model_validate(data.get("limits", {}))
 
 

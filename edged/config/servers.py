@@ -40,7 +40,7 @@ class SocketSection(Section):
         "epson",
         "denso",
         "techman",
-    ] = Field(description="how the robot's maker writes poses: convention and units")
+    ] = Field(description="whose convention and units poses are in, where a request names no brand")
     allow_simulated: bool = Field(False, description="give poses of a virtual cell, too")
 
 

@@ -70,6 +70,11 @@ class ZenohSection(Section):
     encoding: Literal["json", "cbor"] = Field(
         "json", description="of all messages: the same fields, in CBOR fewer bytes"
     )
+    shared_key: FilePath | None = Field(
+        None,
+        description="file with a secret of 32 bytes or more, by which messages are signed: who has it, too, "
+        "knows false ones",
+    )
     trigger_timeout_s: float = Field(
         5.0, gt=0, le=60, description="how long a trigger waits for its result that does not say so itself"
     )

@@ -123,6 +123,7 @@ class Snapshot:
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
     dismissed, nearest : see `Outcome`.
+    basis : the number of what it was measured by, see `Basis`.
     robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
     of it, or None where it is not known.  drift : of the calibration, this cycle included.
     """
@@ -147,6 +148,7 @@ class Snapshot:
     exposed_bound_ns: int | None = None
     dismissed: tuple[NotMeasured, ...] = ()
     nearest: Nearest | None = None
+    basis: int = 0
 
     def __post_init__(self) -> None:
         for part in (self.targets, self.robot_from_rig, self.registration_covariance):
@@ -166,8 +168,16 @@ def _seal(value: object) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Reloaded:
-    """Jobs, rig or cameras have been exchanged: what was measured before was measured by those before."""
+class Basis:
+    """What results stand on from now on: rig, registration, jobs, limits and cameras.
+
+    Told after each exchange of any of them, and to each publisher that begins to listen. number : another one
+    after each exchange in the life of a daemon; a result with another number is a result no more.
+    """
+
+    number: int
+    calibration_id: str
+    fingerprint: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,4 +185,4 @@ class Idle:
     """The loop has nothing to do, has looked after the cameras and goes on waiting: proof of life."""
 
 
-Event = Snapshot | ExposureDone | JobChanged | Registered | CommandFailed | CellState | Reloaded | Idle
+Event = Snapshot | ExposureDone | JobChanged | Registered | CommandFailed | CellState | Basis | Idle

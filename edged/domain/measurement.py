@@ -35,7 +35,7 @@ class Reject(enum.IntFlag):
     RESIDUAL = 1 << 1
     """The edges scatter about their curve more than `max_rms_px`: blur, a burr, another part."""
     SIGMA_LIMIT = 1 << 2
-    """A coordinate is less certain than `max_sigma_mm`."""
+    """A coordinate, or how high the far end of the face lies, is less certain than `max_sigma_mm`."""
     LEFT_RIGHT_MISMATCH = 1 << 3
     """The cameras contradict each other: rows do not meet; moved between exposures, or a knock."""
     OUT_OF_VOLUME = 1 << 4

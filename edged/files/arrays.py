@@ -6,7 +6,6 @@ import hashlib
 import io
 import json
 import math
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import numpy.typing as npt
 
 from edged.errors import FileFormatError
 from edged.files.atomic import MAX_FILE_BYTES
+from edged.files.zipmembers import open_zip, read_member
 
 
 def pack_arrays(kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
@@ -33,14 +33,18 @@ def unpack_arrays(data: bytes, path: Path, kind: str, version: int) -> dict[str,
     path : where it was read, for messages.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with open_zip(io.BytesIO(data)) as archive:
             unpacked = sum(member.file_size for member in archive.infolist())
             if unpacked > MAX_FILE_BYTES:
-                raise FileFormatError(f"{path}: unpacks to {unpacked} bytes, too many for a {kind}")
-            for member in archive.infolist():
-                _check_claim(archive, member)
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+                raise FileFormatError(
+                    f"{path}: unpacks to {unpacked} bytes, too many for a {kind}: at most {MAX_FILE_BYTES}"
+                )
+            arrays = {
+                member.filename.removesuffix(".npy"): _array(
+                    read_member(archive, member, MAX_FILE_BYTES), member.filename
+                )
+                for member in archive.infolist()
+            }
         header = json.loads(str(arrays.pop("__header__")[()]))
         found = (header["kind"], header["version"], header["sha256"])
     except FileFormatError:
@@ -57,17 +61,20 @@ def unpack_arrays(data: bytes, path: Path, kind: str, version: int) -> dict[str,
     return arrays
 
 
-def _check_claim(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
+def _array(data: bytes, name: str) -> npt.NDArray[Any]:
     """numpy makes room for what an array's header claims before it reads: that must be what is there."""
-    with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
-        if version not in ((1, 0), (2, 0)):
-            raise ValueError(f"{member.filename}: unknown version of the .npy format {version}")
-        read = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(file)
-        # python integers: no claim is too large to be counted
-        if math.prod(shape, start=dtype.itemsize) != member.file_size - file.tell():
-            raise ValueError(f"{member.filename}: claims {shape} {dtype}, which is not what the file holds")
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"{name}: unknown version of the .npy format {version}")
+    read = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file)
+    # python integers: no claim is too large to be counted
+    if math.prod(shape, start=dtype.itemsize) != len(data) - file.tell():
+        raise ValueError(f"{name}: claims {shape} {dtype}, which is not what the file holds")
+    file.seek(0)
+    array: npt.NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+    return array
 
 
 def _digest(arrays: Mapping[str, npt.NDArray[Any]]) -> str:

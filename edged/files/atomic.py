@@ -7,40 +7,82 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 
 from edged.errors import FileFormatError
+from edged.files.owners import open_to_read
 
-MAX_FILE_BYTES = 64 * 1024 * 1024  # a rig is kilobytes, a model is megabytes: more is a wrong file
+MAX_FILE_BYTES = 64 * 1024 * 1024  # a model is megabytes: more is a wrong file
+MAX_DOCUMENT_BYTES = 4 * 1024 * 1024
+"""Of JSON: in memory it takes up to 25 times as much (`[{},{},...`, CPython 3.11), and a rig with the figures
+of a hundred views is a tenth of it."""
+TEMPORARY_NAMES = 100
+"""Tried before it is said that all are taken: of 2^32 hardly two ever are, but for who guesses them."""
 
 
-def write_atomically(path: Path, data: bytes, *, mode: int = 0o644, group: int = -1) -> None:
+def write_atomically(
+    path: Path, data: bytes, *, mode: int = 0o644, group: int = -1, is_state: bool = False
+) -> None:
     """Write a file so that after a power cut either the old or the new content is there.
 
     mode : other users read rigs; for a secret see `private.write_private`.  group : -1 for one's own.
+    is_state : where root writes, it belongs to who the folder belongs to: the daemon.
     """
     path = Path(path)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    with open_folder(path.parent) as folder:
+        handle, temporary = _new_file(f".{path.name}.", folder)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                if is_state:
+                    give_like(handle, folder)
+                if group != -1:
+                    os.fchown(handle, -1, group)
+                os.fchmod(handle, mode)  # it was made private
+                file.write(data)
+                file.flush()
+                os.fsync(handle)
+            os.replace(temporary, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+        except BaseException:
+            with suppress(FileNotFoundError):
+                os.unlink(temporary, dir_fd=folder)
+            raise
+        os.fsync(folder)
+
+
+def _new_file(beginning: str, folder: int) -> tuple[int, str]:
+    """A file that was not there, nor a link of its name; and its name. Raises `OSError`."""
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    for _ in range(TEMPORARY_NAMES):
+        name = f"{beginning}{token_hex(4)}"
+        with suppress(FileExistsError):
+            return os.open(name, flags, 0o600, dir_fd=folder), name
+    raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), beginning)
+
+
+def give_like(handle: int, folder: int) -> None:
+    """Let a new file of root's belong to who the open folder that it is in belongs to. Raises `OSError`."""
+    if os.geteuid() == 0:
+        owner = os.fstat(folder)
+        os.fchown(handle, owner.st_uid, owner.st_gid)
+
+
+@contextmanager
+def open_folder(folder: Path) -> Iterator[int]:
+    """A folder by its descriptor: it stays the same one, whatever its name means next. Raises `OSError`."""
+    opened = open_to_read(folder, os.O_DIRECTORY)
     try:
-        with os.fdopen(handle, "wb") as file:
-            if group != -1:
-                os.fchown(file.fileno(), -1, group)
-            os.fchmod(file.fileno(), mode)  # mkstemp makes it private
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    sync(path.parent)
+        yield opened
+    finally:
+        os.close(opened)
 
 
-def write_file(path: Path, data: bytes) -> None:
+def write_file(path: Path, data: bytes, *, mode: int = 0o644) -> None:
     """`write_atomically` for what a person asked for. Raises `FileFormatError` where the disc refuses."""
     try:
-        write_atomically(path, data)
+        write_atomically(path, data, mode=mode)
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be written: {error.strerror or error}") from error
 
@@ -124,9 +166,9 @@ def sync_folders(folder: Path) -> None:
         sync(Path(place))
 
 
-def read_bytes(path: Path, what: str) -> bytes:
-    """Read a file of sane size, or raise `FileFormatError` that names it."""
-    return _read(path, what, None)
+def read_bytes(path: Path, what: str, most: int = MAX_FILE_BYTES) -> bytes:
+    """Read a file of sane size, or raise `FileFormatError` that names it. most : bytes of it."""
+    return _read(path, what, None, most)
 
 
 def read_folder(folder: Path, names: Sequence[str], what: str) -> dict[str, bytes]:
@@ -137,7 +179,7 @@ def read_folder(folder: Path, names: Sequence[str], what: str) -> dict[str, byte
     """
     while True:
         try:
-            opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            opened = open_to_read(folder, os.O_DIRECTORY)
         except OSError as error:
             raise FileFormatError(f"{folder}: cannot read {what}: {error.strerror or error}") from error
         try:
@@ -158,14 +200,17 @@ def _is_named(folder: Path, opened: int) -> bool:
         return True  # it is gone altogether
 
 
-def _read(path: Path, what: str, folder: int | None) -> bytes:
+def _read(path: Path, what: str, folder: int | None, most: int = MAX_FILE_BYTES) -> bytes:
     """A file; of an open folder the one of that name in it."""
     try:
-        handle = os.open(path if folder is None else path.name, os.O_RDONLY | os.O_CLOEXEC, dir_fd=folder)
+        handle = open_to_read(path if folder is None else Path(path.name), folder=folder)
         with os.fdopen(handle, "rb") as file:
             size = os.fstat(handle).st_size
-            if size > MAX_FILE_BYTES:
-                raise FileFormatError(f"{path}: {size} bytes are too many for {what}")
-            return file.read()
+            data = b"" if size > most else file.read(most + 1)  # a device has no size, and no end
+            if max(size, len(data)) > most:
+                raise FileFormatError(
+                    f"{path}: {max(size, len(data))} bytes are too many for {what}: expected at most {most}"
+                )
+            return data
     except OSError as error:
         raise FileFormatError(f"{path}: cannot read {what}: {error.strerror or error}") from error

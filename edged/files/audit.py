@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from edged.errors import FileFormatError
-from edged.files.atomic import make_folders, sync, write_atomically
+from edged.files.atomic import give_like, make_folders, open_folder, write_atomically
 from edged.files.auditchain import START, Chain, Head, end_of, head_in, line_of
-from edged.files.statefolder import hand_over
+from edged.files.owners import open_plain
 
 LINES, HEAD = "audit.jsonl", "audit.head"
 FULL = re.compile(r"audit\.([0-9]{9,})\.jsonl")
@@ -74,17 +74,23 @@ Wanted = Callable[[dict[str, Any]], bool]
 
 
 class AuditFile:
-    """The chain of a cell; processes may add to it at the same time."""
+    """The chain of a cell; processes may add to it at the same time.
 
-    def __init__(self, folder: Path, utc_s: Callable[[], float] = time.time) -> None:
+    called : how messages name the folder. None of its files is opened where a link is in its place.
+    """
+
+    def __init__(
+        self, folder: Path, utc_s: Callable[[], float] = time.time, *, called: Path | None = None
+    ) -> None:
         self._folder = folder
+        self._called = called or folder
         self._utc_s = utc_s
 
     def add(self, deed: Deed) -> dict[str, Any]:
         """Keep a deed, on the disc when this returns; its number and hash. Raises `OSError`."""
         make_folders(self._folder)
         while True:
-            with _locked(self._folder / LINES) as file:
+            with open_folder(self._folder) as folder, _locked(folder) as file:
                 number, digest, torn_bytes = self._end(file)
                 if torn_bytes:
                     end = file.seek(0, os.SEEK_END) - torn_bytes
@@ -94,11 +100,12 @@ class AuditFile:
                     )
                     number, digest = self._write(file, torn, number, digest)
                 if file.seek(0, os.SEEK_END) >= FULL_BYTES:
-                    self._turn_over(number, digest)
+                    self._note_end(number, digest)  # first: a crash leaves nothing else that knows the end
+                    turn_over(folder, number)
                     continue  # another process may have begun the next file by now
                 number, digest = self._write(file, deed, number, digest)
                 self._note_end(number, digest)
-                self._let_go(file, number, digest)
+                self._let_go(folder, file, number, digest)
                 return {"number": number, "hash": digest}
 
     def _write(self, file: BinaryIO, deed: Deed, number: int, digest: str) -> tuple[int, str]:
@@ -119,7 +126,6 @@ class AuditFile:
             with suppress(OSError):
                 file.truncate(start)
             raise
-        hand_over(self._folder / LINES)
         return number + 1, digest
 
     def _note_end(self, number: int, digest: str) -> None:
@@ -128,24 +134,18 @@ class AuditFile:
         self._put_head(Head(number, digest, before.first, before.previous))
 
     def _put_head(self, head: Head) -> None:
-        write_atomically(self._folder / HEAD, head.to_bytes(), mode=0o600)
-        hand_over(self._folder / HEAD)
+        write_atomically(self._folder / HEAD, head.to_bytes(), mode=0o600, is_state=True)
 
-    def _turn_over(self, number: int, digest: str) -> None:
-        """Make room for the next file."""
-        self._note_end(number, digest)  # first: a crash leaves nothing else that knows the end
-        (self._folder / LINES).rename(self._folder / f"audit.{number:09}.jsonl")
-        sync(self._folder)
-
-    def _let_go(self, file: BinaryIO, number: int, digest: str) -> None:
+    def _let_go(self, folder: int, file: BinaryIO, number: int, digest: str) -> None:
         """Of full files, those that are too many; and those of which a crash left the name."""
-        head, full = self._head(), self._full()
+        head, full = self._head(), _full(folder)
         if head is None:
             return
         old = full[: max(len(full) - KEPT, 0)]
         if old and old[-1][0] >= head.first:
-            last, path = old[-1]
-            found = _last_in(path)
+            last, name = old[-1]
+            with os.fdopen(open_plain(name, os.O_RDONLY, folder), "rb") as oldest:
+                found = _tail(oldest)[0]
             told = Deed(
                 "",
                 "",
@@ -158,19 +158,17 @@ class AuditFile:
             number, digest = self._write(file, told, number, digest)
             # first: a file whose records are before the first one counts no more
             self._put_head(Head(number, digest, last + 1, "" if found is None else found[1]))
-        for _, path in old:
-            path.unlink(missing_ok=True)
-
-    def _full(self) -> list[tuple[int, Path]]:
-        """The older files, by their last number."""
-        found = ((FULL.fullmatch(path.name), path) for path in self._folder.iterdir())
-        return sorted((int(name[1]), path) for name, path in found if name)
+        for _, name in old:
+            with suppress(FileNotFoundError):
+                os.unlink(name, dir_fd=folder)
 
     def _head(self) -> Head | None:
         try:
-            return head_in((self._folder / HEAD).read_bytes())
+            with open_folder(self._folder) as folder:
+                data = _read_head(folder)
         except OSError:
             return None
+        return None if data is None else head_in(data)
 
     def _end(self, file: BinaryIO) -> tuple[int, str, int]:
         """Number and hash that the next line follows, and bytes of a line that was torn.
@@ -205,7 +203,7 @@ class AuditFile:
                     if chain.problem:
                         break
             except OSError as error:
-                where = self._folder / LINES
+                where = self._called / LINES
                 raise FileFormatError(f"{where}: cannot read the audit: {error.strerror or error}") from error
         problem = chain.problem or _ends(chain, head, at_head, has_head=head_data is not None)
         if problem and data is None and not chain.problem and head is not None:
@@ -219,17 +217,18 @@ class AuditFile:
         """
         with ExitStack() as held:
             try:
-                file = held.enter_context(_locked(self._folder / LINES, make=False))
+                folder = held.enter_context(open_folder(self._folder))
+            except FileNotFoundError:
+                return None, [], None
+            try:
+                data = held.enter_context(_locked(folder, make=False)).read()
             except FileNotFoundError:
                 data = None
-            else:
-                data = file.read()
-            paths = self._full() if self._folder.is_dir() else []
             full: list[tuple[int, BinaryIO]] = []
-            for number, path in paths:
-                full.append((number, opened.enter_context(path.open("rb"))))
-            head = self._folder / HEAD
-            return data, full, head.read_bytes() if head.exists() else None
+            for number, name in _full(folder):
+                file = os.fdopen(open_plain(name, os.O_RDONLY, folder), "rb")
+                full.append((number, opened.enter_context(file)))
+            return data, full, _read_head(folder)
 
     def _lines(
         self, full: list[tuple[int, BinaryIO]], first: int, data: bytes | None
@@ -261,10 +260,25 @@ def _ends(chain: Chain, head: Head | None, at_head: str, *, has_head: bool) -> s
     return ""
 
 
-def _last_in(path: Path) -> tuple[int, str] | None:
-    """Number and hash of the last record of a file."""
-    with path.open("rb") as file:
-        return _tail(file)[0]
+def _full(folder: int) -> list[tuple[int, str]]:
+    """The older files of a folder, by their last number."""
+    found = (FULL.fullmatch(name) for name in os.listdir(folder))
+    return sorted((int(name[1]), name[0]) for name in found if name)
+
+
+def turn_over(folder: int, number: int) -> None:
+    """Make room for the next file."""
+    os.rename(LINES, f"audit.{number:09}.jsonl", src_dir_fd=folder, dst_dir_fd=folder)
+    os.fsync(folder)
+
+
+def _read_head(folder: int) -> bytes | None:
+    """None where there is none. Raises `OSError`."""
+    try:
+        with os.fdopen(open_plain(HEAD, os.O_RDONLY, folder), "rb") as file:
+            return file.read()
+    except FileNotFoundError:
+        return None
 
 
 def _tail(file: BinaryIO) -> tuple[tuple[int, str] | None, int]:
@@ -281,21 +295,34 @@ def _short(text: str | None) -> str | None:
 
 
 @contextmanager
-def _locked(path: Path, *, make: bool = True) -> Iterator[BinaryIO]:
-    """A file that no other process reads or writes meanwhile. Raises `OSError`."""
-    flags = os.O_RDWR | os.O_CREAT if make else os.O_RDONLY
+def _locked(folder: int, *, make: bool = True) -> Iterator[BinaryIO]:
+    """The newest file, that no other process reads or writes meanwhile. Raises `OSError`."""
     while True:
-        handle = os.open(path, flags | os.O_CLOEXEC, 0o600)
-        with os.fdopen(handle, "r+b" if make else "rb") as file:
+        with os.fdopen(_open_lines(folder, make=make), "r+b" if make else "rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX if make else fcntl.LOCK_SH)
-            if _is_at(file, path):
+            if _is_at(file, folder):
                 yield file
                 return
 
 
-def _is_at(file: BinaryIO, path: Path) -> bool:
+def _open_lines(folder: int, *, make: bool) -> int:
+    """The newest file; a new one belongs to who the folder belongs to. Raises `OSError`."""
+    while True:
+        try:
+            return open_plain(LINES, os.O_RDWR if make else os.O_RDONLY, folder)
+        except FileNotFoundError:
+            if not make:
+                raise
+        with suppress(FileExistsError):  # another process was quicker
+            handle = open_plain(LINES, os.O_RDWR | os.O_CREAT | os.O_EXCL, folder)
+            give_like(handle, folder)
+            return handle
+
+
+def _is_at(file: BinaryIO, folder: int) -> bool:
     """Whether an open file still has its name: another process may have turned it over meanwhile."""
     try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+        there = os.stat(LINES, dir_fd=folder, follow_symlinks=False)
+        return os.path.samestat(os.fstat(file.fileno()), there)
     except FileNotFoundError:
         return False

@@ -18,6 +18,7 @@ from ezdxf import path as dxfpath
 from ezdxf.document import Drawing as DxfDocument
 from ezdxf.edgeminer import Deposit, Edge, make_edge
 from ezdxf.entities.circle import Circle
+from ezdxf.entities.dxfentity import DXFEntity
 from ezdxf.entities.dxfgfx import DXFGraphic
 from ezdxf.entities.ellipse import Ellipse
 from ezdxf.entities.insert import Insert
@@ -33,14 +34,25 @@ from ezdxf.units import conversion_factor
 from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
+from edged.files.readingcost import reading_cost
 from edged.files.tables import number_of, read_table
 
 FLATTENING_MM = 0.002
 """Largest distance of a curve from its polygon: a hundredth of a pixel of a fine camera."""
 GAP_MM = 0.02
 """Ends closer than this meet; CAD rounds to less."""
+MAX_DRAWING_BYTES = 32 << 20
+"""ezdxf takes eleven times as much (a file of 100,000 lines); 50,000 lines are 6 MB, 500,000 points 20 MB."""
+MAX_MEMORY_BYTES, MAX_CPU_S = 1 << 30, 60.0
+"""To read and draw it: three times what the largest allowed file takes to be read, and six times as long."""
 MAX_POINTS = 500_000
 MAX_ENTITIES = 50_000
+"""With what blocks draw again and again: as many times as they are placed."""
+MAX_FIT_POINTS, MAX_ALL_FIT_POINTS = 1000, 20_000
+"""Of a spline that is drawn through its points, and of all: its equations are a matrix of their square, 0.1 s
+and 23 MiB for a thousand, 43 s and 3.4 GB for twelve thousand. CAD draws through some dozens."""
+MAX_DEPTH = 8
+"""Of blocks inside blocks."""
 MAX_MEETING = 200
 """Ends within the tolerance of one place: no outline has lines of a ten-thousandth of a millimetre."""
 SHAPES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
@@ -76,9 +88,10 @@ def read_dxf(
     Raises `FileFormatError` for what is no DXF, has no unit, is not flat, is not closed, or is empty.
     """
     path = Path(path)
-    read_bytes(path, "a drawing")  # exists, and has a sane size
+    read_bytes(path, "a drawing", MAX_DRAWING_BYTES)  # exists, and has a sane size
     try:
-        chains = _read_chains(path, layers, units, most_points)
+        with reading_cost(path, MAX_MEMORY_BYTES, MAX_CPU_S):
+            chains = _read_chains(path, layers, units, most_points)
     except _DAMAGE as error:
         raise FileFormatError(f"{path}: not a DXF drawing that can be read: {error}", "no_dxf") from error
     return _outlines(chains, str(path))
@@ -88,14 +101,14 @@ def _read_chains(path: Path, layers: Sequence[str], units: str | None, most_poin
     document = readfile(path)
     known = sorted(layer.dxf.name for layer in document.layers)
     if missing := [name for name in layers if name not in known]:
-        there = ", ".join(map(repr, known))
-        raise FileFormatError(
-            f"{path}: no layer {missing[0]!r}, there are {there}", "layer", there=there[:500]
-        )
+        there = ", ".join(map(repr, known))[:500]
+        raise FileFormatError(f"{path}: no layer {missing[0]!r}, there are {there}", "layer", there=there)
     scale = _scale(document, path, units)
+    _forget_undrawn(document, layers)
+    _check_content(_placed_content(document, path), path, most_points)
     chains: list[Chain] = []
     points = 0
-    for entity in _entities(document, layers, path):
+    for entity in _entities(document):
         more = _chains(entity, scale, path, most_points)
         chains += more
         points += sum(len(chain.points) for chain in more)
@@ -141,26 +154,89 @@ def _scale(document: DxfDocument, path: Path, units: str | None) -> float:
     return float(conversion_factor(InsertUnits(document.units), InsertUnits.Millimeters))
 
 
-def _entities(document: DxfDocument, layers: Sequence[str], path: Path) -> list[DXFGraphic]:
-    """Shapes of the model space with blocks resolved; text, dimensions and hatches draw no edge."""
+@dataclass(frozen=True, slots=True)
+class _Content:
+    """How much is drawn. points : of polylines and splines; fit_points : those that a spline goes through."""
+
+    shapes: int = 0
+    points: int = 0
+    fit_points: int = 0
+
+    def __add__(self, other: _Content) -> _Content:
+        return _Content(
+            self.shapes + other.shapes, self.points + other.points, self.fit_points + other.fit_points
+        )
+
+
+def _forget_undrawn(document: DxfDocument, layers: Sequence[str]) -> None:
+    """Leave nothing but shapes of the layers, and blocks: whatever is in one is copied wherever it is placed.
+
+    Text, dimensions and hatches draw no edge.
+    """
     hidden = {layer.dxf.name for layer in document.layers if layer.is_off() or layer.is_frozen()}
+    for layout in (document.modelspace(), *document.blocks):
+        for entity in layout:
+            layer = entity.dxf.layer
+            is_wanted = layer in layers if layers else layer not in hidden
+            if not isinstance(entity, Insert) and not (is_wanted and entity.dxftype() in SHAPES):
+                entity.destroy()
 
-    def wanted(entity: DXFGraphic) -> bool:
-        layer = entity.dxf.layer
-        return layer in layers if layers else layer not in hidden
 
+def _placed_content(document: DxfDocument, path: Path) -> _Content:
+    """What the model space draws with its blocks, each as often as it is placed: counted, not yet drawn."""
+    known: dict[str, _Content] = {}
+
+    def of(entities: Iterable[DXFEntity], depth: int) -> _Content:
+        if depth > MAX_DEPTH:
+            raise FileFormatError(f"{path}: blocks inside blocks, more than {MAX_DEPTH} deep", "large")
+        content = _Content()
+        for entity in entities:
+            content += placed(entity, depth) if isinstance(entity, Insert) else _own_content(entity, path)
+        return content
+
+    def placed(insert: Insert, depth: int) -> _Content:
+        name = insert.dxf.name
+        if name not in known:
+            known[name] = of(insert.block() or (), depth + 1)
+        return known[name] + _Content(shapes=1)
+
+    return of(document.modelspace(), 0)
+
+
+def _own_content(entity: DXFEntity, path: Path) -> _Content:
+    if isinstance(entity, Spline):
+        fit_points = 0 if entity.control_point_count() else entity.fit_point_count()
+        if fit_points > MAX_FIT_POINTS:
+            raise FileFormatError(
+                f"{path}: {entity}: a spline through {fit_points} points: expected at most {MAX_FIT_POINTS}",
+                "large",
+            )
+        return _Content(1, entity.control_point_count() + entity.fit_point_count(), fit_points)
+    if isinstance(entity, LWPolyline):
+        return _Content(1, len(entity))
+    return _Content(1, len(entity.vertices) if isinstance(entity, Polyline) else 0)
+
+
+def _check_content(content: _Content, path: Path, most_points: int) -> None:
+    for count, most, what in (
+        (content.shapes, MAX_ENTITIES, "shapes"),
+        (content.points, most_points, "points"),
+        (content.fit_points, MAX_ALL_FIT_POINTS, "points that splines are drawn through"),
+    ):
+        if count > most:
+            raise _too_many(path, most, what)
+
+
+def _entities(document: DxfDocument) -> list[DXFGraphic]:
+    """What is drawn in the model space, with blocks resolved."""
     found: list[DXFGraphic] = []
-    waiting: deque[tuple[DXFGraphic, int]] = deque((entity, 0) for entity in document.modelspace())
+    waiting = deque(document.modelspace())
     while waiting:
-        entity, depth = waiting.popleft()
+        entity = waiting.popleft()
         if isinstance(entity, Insert):
-            if depth > 8:
-                raise FileFormatError(f"{path}: blocks inside blocks, more than 8 deep", "large")
-            waiting += [(part, depth + 1) for part in entity.virtual_entities()]
-        elif entity.dxftype() in SHAPES and wanted(entity):
+            waiting += entity.virtual_entities()
+        else:
             found.append(entity)
-        if len(found) + len(waiting) > MAX_ENTITIES:
-            raise _too_many(path, MAX_ENTITIES, "shapes")
     return found
 
 

@@ -10,14 +10,17 @@ from cv2.typing import MatLike
 
 from edged.domain.arrays import Image
 from edged.errors import ImageError
+from edged.files.imagesizes import MAX_PIXELS, MAX_UNPACKED_BYTES, claimed_size
 
+MAX_IMAGE_BYTES = MAX_UNPACKED_BYTES + (1 << 20)
+"""Of a file: a picture that is not packed, and what stands before it."""
 SENSOR_BITS = (8, 10, 12, 14, 16)
 
 
 def load_image(path: Path) -> Image:
     """Read an image as 8-bit grey (H, W) uint8; colours and 16 bits are converted.
 
-    Raises `ImageError` for what cannot be read, is no image, or has floating-point pixels.
+    Raises `ImageError` for what cannot be read, is no image or too large a one, or has floating-point pixels.
     """
     path = Path(path)
     if path.is_dir():
@@ -25,6 +28,10 @@ def load_image(path: Path) -> Image:
     if not path.is_file():
         raise ImageError(f"{path}: no such file")
     try:
+        if path.stat().st_size > MAX_IMAGE_BYTES:
+            raise ImageError(
+                f"{path}: {path.stat().st_size} bytes: expected an image, at most {MAX_IMAGE_BYTES}"
+            )
         data = path.read_bytes()
     except OSError as error:
         raise ImageError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -35,9 +42,21 @@ def decode_image(data: bytes, place: str) -> Image:
     """`load_image` of bytes; place : what a message calls them."""
     if not data:
         raise ImageError(f"{place}: an empty file, expected an image")
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    claimed = claimed_size(data)
+    unreadable = f"{place}: not an image that can be read; save it as PNG, TIFF, BMP or JPEG"
+    if claimed is None:
+        raise ImageError(unreadable)
+    if claimed.width * claimed.height > MAX_PIXELS or claimed.unpacked_bytes > MAX_UNPACKED_BYTES:
+        raise ImageError(
+            f"{place}: {claimed.width}x{claimed.height} pixels, unpacked {claimed.unpacked_bytes} bytes: "
+            f"expected at most {MAX_PIXELS} pixels and {MAX_UNPACKED_BYTES} bytes"
+        )
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise ImageError(f"{unreadable} ({error.err})") from error
     if image is None:
-        raise ImageError(f"{place}: not an image that can be read; save it as PNG, TIFF, BMP or JPEG")
+        raise ImageError(unreadable)
     if image.dtype == np.uint16:
         image = _as_8_bits(image)
     if image.dtype != np.uint8:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
-from edged.files.statefolder import hand_over
 
 LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
 """None that is read as another."""
@@ -33,8 +32,7 @@ class Invite:
         code = "-".join("".join(secrets.choice(LETTERS) for _ in range(GROUP)) for _ in range(GROUPS))
         document = {"digest": _digest(code), "until_s": self._utc_s() + VALID_S}
         make_folders(self._path.parent)
-        write_atomically(self._path, json.dumps(document).encode(), mode=0o600)
-        hand_over(self._path)
+        write_atomically(self._path, json.dumps(document).encode(), mode=0o600, is_state=True)
         return code
 
     def is_valid(self, code: str) -> bool:

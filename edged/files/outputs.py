@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from edged.errors import FileFormatError, UserError
+from edged.files.owners import as_owner
 
 
 def check_outputs(
@@ -43,6 +44,18 @@ def check_folder(path: Path) -> None:
     if not above.is_dir():
         raise FileFormatError(f"{path}: {above} is a file, expected a folder")
     _check_takes(path, above)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder to write into, and those that it is in; root does as who they belong to.
+
+    Raises `FileFormatError`.
+    """
+    try:
+        with as_owner(folder) as place:
+            place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileFormatError(f"{folder}: cannot be written: {error.strerror or error}") from error
 
 
 def _check_file(path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +22,7 @@ class ImagePair:
 
 
 def find_pairs(folder: Path) -> list[ImagePair]:
-    """The pairs of a folder, sorted by name.
+    """The pairs of a folder, sorted by name as people count: v2 comes before v10.
 
     Raises `ImageError` that names every half without its other half, every doubled half, or the
     folder that holds no pair at all.
@@ -47,7 +48,14 @@ def find_pairs(folder: Path) -> list[ImagePair]:
     if not halves["left"]:
         formats = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise ImageError(f"{folder}: no pictures NAME_left.* and NAME_right.* ({formats})")
-    return [ImagePair(name, left, halves["right"][name]) for name, left in sorted(halves["left"].items())]
+    names = sorted(halves["left"], key=_as_counted)
+    return [ImagePair(name, halves["left"][name], halves["right"][name]) for name in names]
+
+
+def _as_counted(name: str) -> tuple[list[str | int], str]:
+    """A key to sort names by, their numbers by value; what is alike then, such as 1 and 01, by letter."""
+    parts = re.split(r"([0-9]+)", name)  # text and numbers by turns
+    return [int(part) if index % 2 else part for index, part in enumerate(parts)], name
 
 
 def half_of(folder: Path, name: str, side: Side) -> Path:

@@ -7,11 +7,14 @@ import os
 import shlex
 from pathlib import Path
 
-from edged.files.atomic import write_atomically
+from edged.errors import FileFormatError
+from edged.files.atomic import read_bytes, write_atomically
 
 CONFIG_GROUP = "edged-config"
 """The daemons' users are in it, and nobody else; tools/install makes it (systemd/edged-sysusers.conf)."""
 OTHERS = 0o007
+MIN_KEY_BYTES, MAX_KEY_BYTES = 32, 4096
+"""Of HMAC-SHA256: as long as what it gives (RFC 2104, section 3)."""
 
 
 def write_private(path: Path, data: bytes, like: Path | None = None) -> None:
@@ -29,6 +32,20 @@ def write_private(path: Path, data: bytes, like: Path | None = None) -> None:
     elif is_root and daemons is not None:
         mode, group = 0o640, daemons
     write_atomically(path, data, mode=mode, group=group)
+
+
+def read_shared_key(path: Path) -> bytes:
+    """The key that a cell and those who check what it says have in common: what stands in the file.
+
+    White space around it does not count. Raises `FileFormatError` where others may read it, or it is short.
+    """
+    key = read_bytes(path, "a shared key", MAX_KEY_BYTES).strip()
+    if len(key) < MIN_KEY_BYTES:
+        expected = f"expected a shared key of {MIN_KEY_BYTES} at least, as of openssl rand -hex 32"
+        raise FileFormatError(f"{path}: {len(key)} bytes: {expected}")
+    if is_exposed(path):
+        raise FileFormatError(f"{path}: every user of this machine may read it: {closing(path)}")
+    return key
 
 
 def is_exposed(path: Path) -> bool:

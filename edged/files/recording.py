@@ -32,6 +32,7 @@ from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.errors import FileFormatError, ImageError
 from edged.files.atomic import (
+    MAX_DOCUMENT_BYTES,
     MAX_FILE_BYTES,
     make_folders,
     read_bytes,
@@ -40,6 +41,7 @@ from edged.files.atomic import (
     write_atomically,
 )
 from edged.files.images import decode_image
+from edged.files.zipmembers import open_zip, read_member
 from edged.payload import Json, snapshot_to_json
 
 FORMAT = "edged-recording"
@@ -48,9 +50,7 @@ NAME = re.compile(
     r"(?P<index>\d{9})_(?P<utc>\d{8}T\d{6}\.\d{6}Z)_(?P<status>[A-Z_]+)_(?P<fingerprint>[0-9a-f]{8})\.zip"
 )
 DOCUMENT = "recording.json"
-MAX_DOCUMENT_BYTES = 8 * 1024 * 1024
-"""Eight parts of fifty features each are a twentieth of it."""
-MAX_PIXELS = 1 << 26
+PICTURES: dict[Side, str] = {side: f"{side}.png" for side in SIDES}
 _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -130,11 +130,9 @@ def encode(snapshot: Snapshot, pair: FramePair | None) -> bytes:
 def decode(data: bytes, place: str) -> Recording:
     """Read a file's content back. Raises `FileFormatError` that names place, member and expectation."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            sizes = {info.filename: info.file_size for info in archive.infolist()}
-            if sum(sizes.values()) > MAX_FILE_BYTES:
-                raise FileFormatError(f"{place}: {sum(sizes.values())} bytes are too many for a recording")
-            members = {name: archive.read(name) for name in sizes}
+        with open_zip(io.BytesIO(data)) as archive:
+            wanted = {DOCUMENT, *PICTURES.values()} & set(archive.namelist())
+            members = {name: _read(archive, name) for name in wanted}
         document = json.loads(members[DOCUMENT])
     except _DAMAGE as error:
         raise FileFormatError(f"{place}: not a recording: {error}") from error
@@ -164,40 +162,38 @@ def load_snapshot(path: Path) -> tuple[Json, bool]:
 
     Raises `FileFormatError`.
     """
-    members, names = _members_of(path, (DOCUMENT,), MAX_DOCUMENT_BYTES)
+    members, names = _members_of(path, (DOCUMENT,))
     try:
         document = json.loads(members[DOCUMENT])
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not a recording: {error}") from error
-    return _snapshot_of(document, str(path)), all(f"{side}.png" in names for side in SIDES)
+    return _snapshot_of(document, str(path)), names.issuperset(PICTURES.values())
 
 
 def load_picture(path: Path, side: Side) -> Image:
     """One picture of a recording. Raises `FileFormatError`."""
-    name = f"{side}.png"
-    data = _members_of(path, (name,), MAX_FILE_BYTES)[0][name]
-    width, height = (int.from_bytes(data[start : start + 4], "big") for start in (16, 20))
-    if width * height > MAX_PIXELS:  # a few bytes of PNG unpack to more than a PC holds
-        raise FileFormatError(f"{path}: {name}: {width}x{height} pixels are too many for a recording")
+    name = PICTURES[side]
+    data = _members_of(path, (name,))[0][name]
     try:
         return decode_image(data, f"{path}/{name}")
     except ImageError as error:
         raise FileFormatError(str(error)) from error
 
 
-def _members_of(path: Path, wanted: Iterable[str], limit_bytes: int) -> tuple[dict[str, bytes], set[str]]:
+def _members_of(path: Path, wanted: Iterable[str]) -> tuple[dict[str, bytes], set[str]]:
     """Some members of a file, each of sane size, and the names of all."""
     try:
         if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
             raise FileFormatError(f"{path}: no file of a recording")
-        with zipfile.ZipFile(path) as archive:
-            sizes = {info.filename: info.file_size for info in archive.infolist()}
-            for name in wanted:
-                if sizes[name] > limit_bytes:
-                    raise FileFormatError(f"{path}: {name}: {sizes[name]} bytes are too many")
-            return {name: archive.read(name) for name in wanted}, set(sizes)
+        with path.open("rb") as file, open_zip(file) as archive:
+            return {name: _read(archive, name) for name in wanted}, set(archive.namelist())
     except (*_DAMAGE, OSError) as error:
         raise FileFormatError(f"{path}: not a recording: {error}") from error
+
+
+def _read(archive: zipfile.ZipFile, name: str) -> bytes:
+    most_bytes = MAX_DOCUMENT_BYTES if name == DOCUMENT else MAX_FILE_BYTES
+    return read_member(archive, archive.getinfo(name), most_bytes)
 
 
 def load(path: Path) -> Recording:
@@ -299,15 +295,16 @@ def _table(document: Mapping[str, Any], key: str, place: str) -> dict[str, Any]:
     return value
 
 
-def _frame(side: str, frames: Mapping[str, Any], members: Mapping[str, bytes], place: str) -> Frame:
+def _frame(side: Side, frames: Mapping[str, Any], members: Mapping[str, bytes], place: str) -> Frame:
     facts = _table(frames, side, place)
     numbers = [facts.get(key) for key in ("frame_id", "device_ns", "exposed_ns")]
     if not all(isinstance(number, int) for number in numbers):
         raise FileFormatError(f"{place}: frames.{side}: expected integers frame_id, device_ns, exposed_ns")
-    if f"{side}.png" not in members:
-        raise FileFormatError(f"{place}: {side}.png is missing")
+    name = PICTURES[side]
+    if name not in members:
+        raise FileFormatError(f"{place}: {name} is missing")
     try:
-        image = decode_image(members[f"{side}.png"], f"{place}/{side}.png")
+        image = decode_image(members[name], f"{place}/{name}")
     except ImageError as error:
         raise FileFormatError(str(error)) from error
     frame_id, device_ns, exposed_ns = (int(number) for number in numbers if number is not None)

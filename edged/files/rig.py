@@ -12,7 +12,8 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
-from edged.files.atomic import read_bytes, write_file
+from edged.files.atomic import MAX_DOCUMENT_BYTES, read_bytes, write_file
+from edged.files.imagesizes import MAX_PIXELS
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRig
 
 RIG_FORMAT = "edged-rig"
@@ -59,7 +60,7 @@ def keep_old_rig(path: Path) -> Path | None:
     """
     if not path.exists():
         return None
-    data = read_bytes(path, "a rig")
+    data = read_rig(path)
     try:
         identity = str(json.loads(data)["calibration_id"])
     except (ValueError, TypeError, KeyError, RecursionError):
@@ -70,13 +71,20 @@ def keep_old_rig(path: Path) -> Path | None:
     return kept
 
 
+def read_rig(path: Path) -> bytes:
+    """What is in a rig's file. Raises `FileFormatError`."""
+    return read_bytes(path, "a rig", MAX_DOCUMENT_BYTES)
+
+
 def load_rig(path: Path) -> StereoRig:
     """Read a rig; every flaw is a `FileFormatError` that names the file, the field and the expectation."""
-    return rig_of(read_bytes(Path(path), "a rig"), Path(path))
+    return rig_of(read_rig(Path(path)), Path(path))
 
 
 def rig_of(data: bytes, path: Path) -> StereoRig:
     """The rig in a file that was read; raises as `load_rig`. path : where, for messages."""
+    if len(data) > MAX_DOCUMENT_BYTES:  # of a backup or a recording, which may be larger as a whole
+        raise FileFormatError(f"{path}: {len(data)} bytes: expected a rig, at most {MAX_DOCUMENT_BYTES}")
     try:
         document = json.loads(data)
     except (ValueError, RecursionError) as error:
@@ -116,8 +124,8 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
 def load_rig_quality(path: Path) -> dict[str, Any]:
     """The figures that `save_rig` kept for people; {} where there are none."""
     try:
-        quality = json.loads(read_bytes(Path(path), "a rig")).get("quality")
-    except (ValueError, AttributeError) as error:
+        quality = json.loads(read_rig(Path(path))).get("quality")
+    except (ValueError, AttributeError, RecursionError) as error:
         raise FileFormatError(f"{path}: not a rig file: {error}") from error
     return quality if isinstance(quality, dict) else {}
 
@@ -145,6 +153,9 @@ def _camera_from_json(reader: _Fields) -> CameraModel:
     model = reader.document.get("model")
     if model not in DISTORTION_NAMES:
         raise reader.error("model", f"expected one of {sorted(DISTORTION_NAMES)}, got {model!r}")
+    width, height = reader.integer("width"), reader.integer("height")
+    if width * height > MAX_PIXELS:  # tables of the rectification take 16 bytes for each
+        raise reader.error("width", f"{width}x{height}: expected at most {MAX_PIXELS} pixels")
     distortion = reader.sub("distortion")
     fx, fy = reader.number("fx"), reader.number("fy")
     if fx <= 0 or fy <= 0:
@@ -154,8 +165,8 @@ def _camera_from_json(reader: _Fields) -> CameraModel:
         raise reader.error("gamma", f"expected {MIN_GAMMA:g} to {MAX_GAMMA:g}, 1 for linear, got {gamma:g}")
     return CameraModel(
         model,
-        reader.integer("width"),
-        reader.integer("height"),
+        width,
+        height,
         fx,
         fy,
         reader.number("cx"),

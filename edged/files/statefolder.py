@@ -21,10 +21,3 @@ def state_folder(config: Path) -> Path:
     if config.parent == INSTALLED:
         return STATE / ("edged" if config.stem == "cell" else f"edged-{config.stem}")
     return config.parent / f".{config.stem}.state"
-
-
-def hand_over(path: Path) -> None:
-    """Let a file belong to who the folder that it is in belongs to: the daemon, where root wrote it."""
-    if os.geteuid() == 0:
-        owner = path.parent.stat()
-        os.chown(path, owner.st_uid, owner.st_gid)

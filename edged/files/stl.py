@@ -22,6 +22,8 @@ HEADER_BYTES, FACET_BYTES = 84, 50
 """80 bytes of anything, the count, and for each facet twelve float32 and two bytes (StereoLithography
 Interface Specification, 3D Systems 1988)."""
 _CORNER = re.compile(rb"vertex\s+(\S{1,40})\s+(\S{1,40})\s+(\S{1,40})")
+_OTHER_WORDS = 100
+"""That may contain "vertex" and are none: names of solids."""
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -85,9 +87,11 @@ def _text(data: bytes, path: Path) -> FloatArray:
         raise FileFormatError(f"{path}: cut off: expected endsolid at its end")
     count = data.count(b"endfacet")
     _check_count(count, path)
-    found = _CORNER.findall(data)
+    words = data.count(b"vertex")
+    found = _CORNER.findall(data) if words <= 3 * count + _OTHER_WORDS else []
     if len(found) != 3 * count:
-        raise FileFormatError(f"{path}: damaged: {len(found)} corners of {count} facets: expected three each")
+        corners = len(found) or words
+        raise FileFormatError(f"{path}: damaged: {corners} corners of {count} facets: expected three each")
     try:
         return np.array(found).astype(np.float64).reshape(-1, 3, 3)
     except ValueError as error:

@@ -7,15 +7,20 @@ the decimal sign. Lines without a number at the top are a header; what follows `
 from __future__ import annotations
 
 import codecs
-import math
+import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from edged.domain.numerals import decimal
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 
+MAX_TEXT_BYTES = 32 << 20
+"""Of a file: 600,000 lines of three numbers with all their digits."""
 MAX_LINES = 600_000
+MAX_LINE_LETTERS = 10_000
+"""Of a line, whose cells take sixty bytes each: a pose has seven numbers."""
 _DECIMAL_COMMA = re.compile(r"[-+−]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 
@@ -29,7 +34,7 @@ class Line:
 
 def read_text(path: Path, what: str) -> str:
     """A text file, with or without a byte order mark. Raises `FileFormatError`."""
-    data = read_bytes(path, what)
+    data = read_bytes(path, what, MAX_TEXT_BYTES)
     encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     try:
         return data.decode(encoding)
@@ -41,7 +46,13 @@ def read_table(path: Path, what: str = "a table") -> list[Line]:
     """The lines of a table, blank ones included, without header and comments. Raises `FileFormatError`."""
     found: list[Line] = []
     is_header = True
-    for number, line in enumerate(read_text(path, what).splitlines(), 1):
+    for number, line in enumerate(io.StringIO(read_text(path, what), newline=None), 1):
+        if number > MAX_LINES:
+            raise FileFormatError(f"{path}: more than {MAX_LINES} lines")
+        if len(line) > MAX_LINE_LETTERS:
+            raise FileFormatError(
+                f"{path}: line {number}: {len(line)} letters: expected at most {MAX_LINE_LETTERS}"
+            )
         content = line.split("#")[0].strip()
         if content:
             cells = split(content)
@@ -50,8 +61,6 @@ def read_table(path: Path, what: str = "a table") -> list[Line]:
                 found.append(Line(number, cells))
         elif not line.strip() and found:
             found.append(Line(number, ()))
-        if len(found) > MAX_LINES:
-            raise FileFormatError(f"{path}: more than {MAX_LINES} lines")
     if not any(line.cells for line in found):
         raise FileFormatError(f"{path}: empty: no line with numbers in it")
     return found
@@ -74,10 +83,7 @@ def split(content: str) -> tuple[str, ...]:
 
 def number_of(cell: str) -> float:
     """A finite number. Raises ValueError that says what is there instead."""
-    value = float(cell.replace("−", "-"))
-    if not math.isfinite(value):
-        raise ValueError(f"expected finite numbers, got {cell!r}")
-    return value
+    return decimal(cell.replace("−", "-"))
 
 
 def _plain(cell: str) -> str:
@@ -88,7 +94,7 @@ def _plain(cell: str) -> str:
 
 def _is_number(cell: str) -> bool:
     try:
-        float(cell.replace("−", "-"))
+        decimal(cell.replace("−", "-"))
     except ValueError:
         return False
     return True

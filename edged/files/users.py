@@ -16,7 +16,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 
 from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, write_atomically
-from edged.files.statefolder import hand_over
 
 MAX_USERS = 64
 MAX_BYTES = 64 * 1024
@@ -119,8 +118,7 @@ class UserFile:
             raise LastEngineer
         text = _File(users=list(users.values())).model_dump_json(indent=1)
         make_folders(self._path.parent)
-        write_atomically(self._path, text.encode(), mode=0o600)
-        hand_over(self._path)
+        write_atomically(self._path, text.encode(), mode=0o600, is_state=True)
         self._users = users
 
 

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterable
 
 from edged.domain.cell import CellState, DriftState
-from edged.domain.events import CommandKind, Event, Snapshot
+from edged.domain.events import Basis, CommandKind, Event, Snapshot
 from edged.domain.measurement import Status
 from edged.logs import FaultLog, fields
 from edged.ports import Publisher
@@ -18,8 +18,9 @@ log = logging.getLogger("edged.cycle")
 class Announcements:
     """The publishers of one cell, and the state that they know."""
 
-    def __init__(self) -> None:
+    def __init__(self, basis: Basis) -> None:
         self._publishers: tuple[Publisher, ...] = ()
+        self._basis = basis
         self._state: CellState | None = None
         self._faults = FaultLog(log)
         self._misses = FaultLog(log, level=logging.INFO, kind="result")
@@ -30,17 +31,28 @@ class Announcements:
         return self._state
 
     def set_publishers(self, publishers: Iterable[Publisher]) -> None:
-        """Who is told from now on; a newcomer hears the present state at once."""
-        newcomers = tuple(publishers)
-        for publisher in newcomers:
-            if publisher not in self._publishers and self._state is not None:
-                publisher.announce(self._state)
-        self._publishers = newcomers
+        """Who is told from now on; a newcomer hears at once what results stand on, and the present state."""
+        listening = tuple(publishers)
+        for newcomer in [publisher for publisher in listening if publisher not in self._publishers]:
+            newcomer.announce(self._basis)
+            if self._state is not None:
+                newcomer.announce(self._state)
+        self._publishers = listening
 
     def announce(self, event: Event) -> None:
         """Tell every publisher."""
         for publisher in self._publishers:
             publisher.announce(event)
+
+    @property
+    def basis(self) -> Basis:
+        """What results stand on."""
+        return self._basis
+
+    def tell_exchange(self, calibration_id: str, fingerprint: str) -> None:
+        """Announce that what results stand on is another one from now on."""
+        self._basis = Basis(self._basis.number + 1, calibration_id, fingerprint)
+        self.announce(self._basis)
 
     def tell_state(self, new: CellState, drift: DriftState, calibration_id: str) -> None:
         """Announce a state that is news. drift, calibration_id : what its `calibrated` comes from."""

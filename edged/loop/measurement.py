@@ -45,11 +45,13 @@ class _Stopwatch:
 class Measurement:
     """A cycle that runs; exactly one of `failed`, `grabbed` and `located` ends it.
 
-    command : None for a tick. drift : sees every part that is located. vision : where jobs are tried.
+    basis : the number of what `setup` is. command : None for a tick. drift : sees every part that is located.
+    vision : where jobs are tried.
     lap : called at the end of each stage.
     """
 
     number: int
+    basis: int
     setup: Setup
     active: LoadedJob
     command: Command | None
@@ -147,4 +149,5 @@ class Measurement:
             robot_from_rig=frame.robot_from_rig,
             registration_covariance=registration,
             drift=self.drift.state(),
+            basis=self.basis,
         )

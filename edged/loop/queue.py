@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
 
-from edged.domain.events import PLC_SOURCE, Command, CommandKind
+from edged.domain.events import PLC_SOURCE, Command
 from edged.errors import CommandRefused
-from edged.loop.loaded import LoadedJob, Setup
 
 QUEUE_LENGTH = 8
 """Commands of the PLC that wait, and as many of all others; one more is refused (the PLC sees OVERRUN)."""
@@ -33,20 +31,3 @@ class CommandQueue:
     def take(self) -> Command:
         """The next one; `IndexError` when none waits."""
         return (self._plc or self._others).popleft()
-
-    def sort_out(self, setup: Setup, gone: LoadedJob | None) -> Iterator[tuple[Command, str]]:
-        """Take out what a new setup cannot carry out: each such command, and why.
-
-        gone : the job that was active, when the setup has it no longer.
-        """
-        waiting = [self.take() for _ in range(len(self))]
-        for command in waiting:
-            problem = setup.problem(command)
-            if command.kind is CommandKind.CHANGE_JOB and not problem:
-                gone = None  # whoever comes after it means the job that it makes active
-            elif gone is not None and not command.job and command.kind is not CommandKind.GRAB:
-                problem = f"job {gone.number} ({gone.name}), which was active, is no longer there"
-            if problem:
-                yield command, problem
-            else:
-                self.add(command)

@@ -50,6 +50,8 @@ class Reason(enum.IntEnum):
     """REGISTER_SOLVE: they do not agree within the limit, or are mirrored: see block registration, log."""
     OTHER_READING = 16
     """REGISTER_SOLVE: the poses agree when read in another convention or unit: the log says which."""
+    RELOADED = 17
+    """What it would have been measured by was exchanged while it waited; nothing was measured, ask again."""
 
 
 class Verdict(enum.Enum):
@@ -60,3 +62,4 @@ class Verdict(enum.Enum):
     BAD = "bad"  # measured, but nothing that a robot may use
     DONE = "done"  # carried out, says nothing about a part (picture taken, job changed)
     FAULT = "fault"  # could not be measured
+    EXCHANGED = "exchanged"  # measured by what has been exchanged since: says nothing any more

@@ -14,7 +14,7 @@ import zlib
 from dataclasses import dataclass
 
 from edged.domain.events import CommandKind
-from edged.plc.lines import POSE_NAMES, Answer
+from edged.plc.lines import POSE_NAMES, Answer, LineStatus, NoRequest
 from edged.robot.orientations import Brand
 
 MAGIC = b"\xed\x46"
@@ -29,7 +29,8 @@ REQUEST_ROWS = (
     ("FLAGS", "B"),
     ("LENGTH", "H"),
     ("SEQUENCE", "H"),
-    ("COMMAND", "H"),
+    ("BRAND", "B"),
+    ("COMMAND", "B"),
     ("JOB", "H"),
     ("FLANGE", f"{POSE_SIZE}f"),
     ("CRC", "I"),
@@ -53,38 +54,51 @@ ANSWER = struct.Struct(">" + "".join(kind for _, kind in ANSWER_ROWS))
 COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, "GRASP": 100, "APPROACH": 101, "ACK": 102}
 """What COMMAND may be: a command of the registers, or what is asked of the part that was given last."""
 BRANDS = {brand: number for number, brand in enumerate(Brand, 1)}
+AS_CONFIGURED = 0
+"""BRAND of a request that names none; frames of before had this byte as the upper half of COMMAND."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameRequest:
-    """What a frame asks. flange : its numbers as the brand writes them, () when it was not given."""
+    """What a frame asks. flange : its numbers as the brand writes them, () when it was not given.
+
+    brand : whose robot it is; None: the one that is configured.
+    """
 
     sequence: int
     command: str
     job: int = 0
     flange: tuple[float, ...] = ()
     tries_all: bool = False
+    brand: Brand | None = None
 
     def frame(self) -> bytes:
         """As it is sent."""
         flags = (FLANGE if self.flange else 0) | (ALL_JOBS if self.tries_all else 0)
         flange = self.flange + (0.0,) * (POSE_SIZE - len(self.flange))
-        head = (MAGIC, VERSION, flags, REQUEST.size, self.sequence, COMMANDS[self.command], self.job)
+        brand = BRANDS[self.brand] if self.brand is not None else AS_CONFIGURED
+        head = (MAGIC, VERSION, flags, REQUEST.size, self.sequence, brand, COMMANDS[self.command], self.job)
         return _sealed(REQUEST.pack(*head, *flange, 0))
 
 
-def read_request(frame: bytes, brand: Brand) -> FrameRequest:
-    """Raises ValueError for what is no request.
+def read_request(frame: bytes, configured: Brand) -> FrameRequest:
+    """Raises `NoRequest`. configured : the brand of a request that names none.
 
     >>> read_request(FrameRequest(7, "LOCATE", 2).frame(), Brand.KUKA).job
     2
     """
-    flags, sequence, number, job, *flange = _opened(frame, REQUEST)
+    try:
+        flags, sequence, named, number, job, *flange = _opened(frame, REQUEST)
+    except ValueError as error:
+        raise NoRequest(str(error), configured) from error
     command = next((name for name, code in COMMANDS.items() if code == number), None)
     if command is None or flags & ~(FLANGE | ALL_JOBS):
-        raise ValueError(f"no such command or flag: {number}, {flags}")
-    size = len(POSE_NAMES[brand]) if flags & FLANGE else 0
-    return FrameRequest(sequence, command, job, tuple(flange[:size]), bool(flags & ALL_JOBS))
+        raise NoRequest(f"no such command or flag: {number}, {flags}", configured)
+    brand = next((brand for brand, code in BRANDS.items() if code == named), None)
+    if brand is None and named != AS_CONFIGURED:
+        raise NoRequest(f"no such brand: {named}", configured, LineStatus.NO_SUCH_BRAND, sequence)
+    size = len(POSE_NAMES[brand or configured]) if flags & FLANGE else 0
+    return FrameRequest(sequence, command, job, tuple(flange[:size]), bool(flags & ALL_JOBS), brand)
 
 
 def answer_frame(answer: Answer, brand: Brand) -> bytes:

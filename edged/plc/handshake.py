@@ -20,11 +20,16 @@ The rules:
 - While CMD_SEQ is not 0 only the result of the newest command is shown; with 0 the results of a
   free-running cell are, the newest replacing the one before.
 - A result stays valid until ACK_SEQ equals its sequence, until it is older than the validity
-  time-out (counted from the exposure), until the next command, or until the client is lost.
+  time-out (counted from the exposure), until the next command, until the client is lost, or until what it
+  stands on is exchanged. It never becomes valid again.
+- What a result stands on (rig, registration, jobs, limits, cameras) has a number, the *basis*. A result of
+  another basis than that of now is EXCHANGED: its sequence stays on display, and says nothing. A command that
+  is open when the basis changes ends in NACK, RELOADED: it was asked in one world and would be answered in
+  another one. A registration is not touched: it measures nothing, and ends by an exchange.
 - A measurement that finds several good parts leaves a list of the others. NEXT_PART shows the next one under
   its own sequence, without an exposure, and ends at once: a part is shown once, by one command. The list is
   as old as its exposure; it is gone with any other command (accepted or refused, 0 too), with its connection,
-  a client that is lost, the validity time-out, a reload and SETUP. Without one NEXT_PART is a NACK.
+  a client that is lost, the validity time-out, another basis and SETUP. Without one NEXT_PART is a NACK.
 - While the cell is set up (`Suspended` to `Resumed`) nothing is open, shown or valid: what was open ends in
   NACK, SETUP, and so does each command that is written. Where a robot's program registers the rig, that is so
   but for the commands of the registration, which run and never show a result.
@@ -51,12 +56,13 @@ from edged.plc.handshakeevents import (
     Declined,
     Effect,
     Event,
+    Exchanged,
     Exposed,
     Failed,
     Finished,
     HeartbeatWritten,
+    OtherJob,
     Released,
-    Reloaded,
     Resumed,
     SequenceWritten,
     Submit,
@@ -95,12 +101,16 @@ class Open:
 
 @dataclass(frozen=True, slots=True)
 class Result(Generic[Payload]):
-    """What is on display. exposed_s : time of the exposure on the clock of `now_s`."""
+    """What is on display. exposed_s : time of the exposure on the clock of `now_s`.
+
+    withdrawn : it was acknowledged, has grown too old, or its client was lost.
+    """
 
     sequence: int
     verdict: Verdict
     exposed_s: float
     payload: Payload
+    withdrawn: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +133,7 @@ class Handshake(Generic[Payload]):
     parts : None where there is no list; one at its end is none.
     synchronised : the client whose CMD_SEQ is known: a change of it is a command. None: nobody's.
     suspended : the cell is set up. registers : by a robot's program, whose commands run.
+    basis : the number of what results stand on now.
     """
 
     limits: Limits
@@ -143,6 +154,7 @@ class Handshake(Generic[Payload]):
     client_lost: bool = False
     suspended: bool = False
     registers: bool = False
+    basis: int = 0
     owner: int | None = None
     owner_until_s: float = 0.0
 
@@ -160,10 +172,18 @@ def is_fresh(state: Handshake[Payload], now_s: float) -> bool:
     result = state.result
     return (
         result is not None
+        and not result.withdrawn
         and not state.client_lost
         and state.acknowledged != result.sequence
         and _is_young(state, result.exposed_s, now_s)
     )
+
+
+def is_as_published(state: Handshake[Payload], now_s: float) -> bool:
+    """Whether the result on display still says what it said when it appeared."""
+    if state.result is None or state.result.verdict is Verdict.EXCHANGED:
+        return False
+    return state.result.verdict is not Verdict.GOOD or is_valid(state, now_s)
 
 
 def _is_young(state: Handshake[Payload], exposed_s: float, now_s: float) -> bool:
@@ -236,14 +256,36 @@ def _take(
         case Barred(client):
             # what it goes on writing when its turn comes may be a command that it has given up meanwhile
             return (replace(state, synchronised=None) if state.synchronised == client else state), ()
-        case Reloaded():
-            return replace(state, parts=None), ()
+        case Exchanged(basis):
+            return _exchange(state, basis)
+        case OtherJob():
+            return _without_result(state), ()
         case Suspended(registers):
             return _suspend(state, registers)
         case Resumed():
             return replace(state, suspended=False, registers=False), ()
         case Tick():
             return state, ()
+
+
+def _exchange(state: Handshake[Payload], basis: int) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    if basis == state.basis:
+        return state, ()
+    effects: tuple[Effect, ...] = ()
+    for command in state.open if not state.registers else ():
+        state, ended = _end(state, command.ticket, Answer.NACK, Reason.RELOADED)
+        effects += ended
+    return replace(_without_result(state), basis=basis), effects
+
+
+def _without_result(state: Handshake[Payload]) -> Handshake[Payload]:
+    """The result on display is EXCHANGED, and its list is gone."""
+    if state.registers:
+        return state  # nothing is shown, and EXPOSURE_DONE is of a command of the registration, which goes on
+    result = state.result
+    if result is not None and result.verdict is not Verdict.EXCHANGED:
+        result = replace(result, verdict=Verdict.EXCHANGED)
+    return replace(state, result=result, parts=None, exposure_done=False)
 
 
 def _suspend(state: Handshake[Payload], registers: bool) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
@@ -268,7 +310,16 @@ def _expire(state: Handshake[Payload], now_s: float) -> tuple[Handshake[Payload]
         state = replace(state, heartbeat_due_s=None, client_lost=True, owner=None, result=None, parts=None)
     if state.parts is not None and not _is_young(state, state.parts.exposed_s, now_s):
         state = replace(state, parts=None)
+    result = state.result
+    if result is not None and not result.withdrawn and _is_used_up(state, result, now_s):
+        # neither another ACK_SEQ nor a heartbeat must bring it back: somebody may have seen that it fell
+        state = replace(state, result=replace(result, withdrawn=True))
     return state, effects
+
+
+def _is_used_up(state: Handshake[Payload], result: Result[Payload], now_s: float) -> bool:
+    is_old = now_s - result.exposed_s > state.limits.validity_s
+    return is_old or state.client_lost or state.acknowledged == result.sequence
 
 
 def _command(
@@ -350,6 +401,10 @@ def _end(
 def _finish(
     state: Handshake[Payload], event: Finished[Payload]
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    if event.basis != state.basis:
+        if event.ticket is None:
+            return state, ()
+        return _end(state, event.ticket, Answer.NACK, Reason.RELOADED)
     if event.ticket is None:
         if state.command_sequence == 0 and event.payload is not None and not state.suspended:
             shown = Result(free_sequence(event.cycle), event.verdict, event.exposed_s, event.payload)

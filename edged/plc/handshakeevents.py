@@ -78,7 +78,7 @@ class Finished(Generic[Payload]):
 
     ticket : the command's, None when nobody here asked; cycle : its number (for free-running cells).
     payload : what to display, None for nothing. rest : what to display of each further good part, for
-    NEXT_PART; job : the number of the job that was measured.
+    NEXT_PART; job : the number of the job that was measured. basis : by what it was, see `Exchanged`.
     """
 
     ticket: int | None
@@ -88,6 +88,7 @@ class Finished(Generic[Payload]):
     payload: Payload | None
     rest: tuple[Payload, ...] = ()
     job: int = 0
+    basis: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +114,18 @@ class Barred:
 
 
 @dataclass(frozen=True, slots=True)
-class Reloaded:
-    """Jobs, rig or cameras have been exchanged: the parts of a list were measured with those before."""
+class Exchanged:
+    """What results stand on has been exchanged: rig, registration, jobs, limits or cameras.
+
+    basis : the number of what they stand on from now on; a result of another one is none any more.
+    """
+
+    basis: int
+
+
+@dataclass(frozen=True, slots=True)
+class OtherJob:
+    """Somebody else than the client has made another job the active one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +160,8 @@ Event = (
     | ClaimedBy
     | Released
     | Barred
-    | Reloaded
+    | Exchanged
+    | OtherJob
     | Suspended
     | Resumed
     | Tick

@@ -25,7 +25,8 @@ class Rung:
     """One thing that was said. after_s : since the command. what : a code. detail : of it, "" for none.
 
     what : by the PLC "command", "acknowledged", "taken_down"; by the cell "exposure", "result" (detail: its
-    code, valid or not), "ack", "nack" (detail: the reason), "barred": it was not its turn.
+    code, valid or not), "reloaded": the result falls, "ack", "nack" (detail: the reason), "barred": it was
+    not its turn.
     """
 
     after_s: float
@@ -105,6 +106,10 @@ class Ladder:
                     self._add(before.ticket, now_s, "acknowledged")
             case ev.Exposed() if after.exposure_done and not before.exposure_done:
                 self._add(after.ticket, now_s, "exposure")
+            case ev.Exchanged() | ev.OtherJob() if (
+                after.result is not before.result and before.command_sequence
+            ):
+                self._add(before.ticket, now_s, "reloaded")
             case ev.Finished() if after.result is not None and after.result is not before.result:
                 self._show(after, now_s)
         if isinstance(event, ev.SequenceWritten) and after.result is not None and effects:

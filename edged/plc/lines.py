@@ -2,6 +2,11 @@
 
 The schema of `[modbus.socket]`, as `edged.plc.registers` is that of the registers: the server answers by it,
 and the clients in the robots' languages are written from it.
+
+A request may name the brand of its robot before all else: `kuka,7,LOCATE,0`. What it says of the flange is
+read as that maker writes poses, and so the answer is written, whatever `brand` is configured. One that names
+none is read and answered as configured. Every generated program names its own: a pose of another maker's
+angles looks like any other. A cell that knows no brands in requests takes such a line for none.
 """
 
 from __future__ import annotations
@@ -44,7 +49,7 @@ def answer_fields(brand: Brand) -> tuple[str, ...]:
 
 
 class LineStatus(enum.IntEnum):
-    """Second field of an answer. 1 to 99: a NACK_REASON; 102 to 105: a RESULT and 100; the rest is here."""
+    """Second field of an answer. 1 to 99: a NACK_REASON; 102 to 108: a RESULT and 100; the rest is here."""
 
     OK = 0
     """Carried out; after LOCATE and NEXT: the pose may be used."""
@@ -68,6 +73,23 @@ class LineStatus(enum.IntEnum):
     """Found and good, but where the robot must not go (`[limits]`)."""
     NO_GRASP = 119
     """GRASP or APPROACH, and the part that was given last has no grasp."""
+    NO_SUCH_BRAND = 120
+    """The request names a brand that this cell does not know."""
+
+
+class NoRequest(ValueError):
+    """What came is none.
+
+    brand : whose convention that is answered in. sequence : the request's, 0 where it is not known.
+    """
+
+    def __init__(
+        self, why: str, brand: Brand, status: LineStatus = LineStatus.NOT_UNDERSTOOD, sequence: int = 0
+    ) -> None:
+        self.brand = brand
+        self.status = status
+        self.sequence = sequence
+        super().__init__(why)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +107,10 @@ class Answer:
     sigma: tuple[float, ...] = (UNKNOWN,) * 3
     age_s: float = UNKNOWN
 
-    def line(self, brand: Brand) -> bytes:
+    def line(self, brand: Brand, end: bytes = b"\n") -> bytes:
         """As it is sent: always the same number of fields."""
         pose = self.pose or (0.0,) * len(POSE_NAMES[brand])
         numbers = (f"{number:.6f}" for number in (*pose, *self.sigma, self.age_s))
         whole = (str(self.sequence), str(int(self.status)), str(self.remaining))
-        end = (whole[0],) if brand is Brand.MITSUBISHI else ()
-        return (",".join((*whole, *numbers, *end)) + "\n").encode()
+        again = (whole[0],) if brand is Brand.MITSUBISHI else ()
+        return ",".join((*whole, *numbers, *again)).encode() + end

@@ -25,6 +25,7 @@ from edged.plc.clients import (
     urscript_source,
     val3_files,
 )
+from edged.plc.clients.grammar import checked, grammar
 from edged.plc.registers import BLOCKS, JOBS, MAP_VERSION, ROWS, TABLE, Block, Register
 
 TITLES = {TABLE[0]: f"target table, {len(TABLE)} rows", JOBS[0]: f"jobs, {len(JOBS)} rows"}
@@ -108,25 +109,47 @@ def _json() -> str:
     return json.dumps({"map_version": MAP_VERSION, "registers": rows}, indent=1, ensure_ascii=False) + "\n"
 
 
+def _readable(fmt: str, writer: Callable[[], str]) -> Callable[[], str]:
+    """The writer of a program that its controller can read."""
+
+    def write() -> str:
+        text = writer()
+        grammar(LANGUAGES[fmt]).check(text)
+        return text
+
+    return write
+
+
+LANGUAGES = {
+    "st": "iec",
+    "plcopen": "iec",
+    "scl": "scl",
+    "urscript": "urscript",
+    "rapid": "rapid",
+    "drl": "drl",
+    "as": "as",
+    "spel": "spel",
+}
+"""Of programs that are one file, by format."""
 FORMATS: dict[str, Callable[[], str]] = {
     "md": _markdown,
     "csv": _csv,
     "json": _json,
-    "st": structured_text_source,
-    "plcopen": plcopen_source,
-    "scl": scl_source,
-    "urscript": urscript_source,
+    "st": _readable("st", structured_text_source),
+    "plcopen": _readable("plcopen", plcopen_source),
+    "scl": _readable("scl", scl_source),
+    "urscript": _readable("urscript", urscript_source),
     "python": python_source,
-    "rapid": rapid_source,
-    "drl": drl_source,
-    "as": as_source,
-    "spel": spel_source,
+    "rapid": _readable("rapid", rapid_source),
+    "drl": _readable("drl", drl_source),
+    "as": _readable("as", as_source),
+    "spel": _readable("spel", spel_source),
 }
 SEVERAL: dict[str, Callable[[], dict[str, str]]] = {
-    "twincat": twincat_files,
-    "karel": karel_files,
-    "krl": krl_files,
-    "val3": val3_files,
-    "melfa": melfa_files,
-    "motoplus": motoplus_files,
+    "twincat": lambda: checked(twincat_files()),
+    "karel": lambda: checked(karel_files()),
+    "krl": lambda: checked(krl_files()),
+    "val3": lambda: checked(val3_files()),
+    "melfa": lambda: checked(melfa_files()),
+    "motoplus": lambda: checked(motoplus_files()),
 }

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -19,8 +20,18 @@ from typing import Any
 
 from edged import errors
 from edged.commissioning.pairs import Progress, silent
-from edged.errors import TaskFailed, UserError
-from edged.workshop.workerprocess import Answer, Done, Failed, Order, Refused, Told
+from edged.errors import TaskFailed, TaskTooLarge, UserError
+from edged.workshop.workerprocess import (
+    Answer,
+    Done,
+    Failed,
+    Order,
+    OutOfMemory,
+    Refused,
+    TaskLimits,
+    Told,
+    limits_here,
+)
 
 log = logging.getLogger(__name__)
 
@@ -28,19 +39,30 @@ IDLE_S = 300.0
 """Without a task for so long, the process ends: it holds the memory of a second Python."""
 
 
+@dataclass(frozen=True, slots=True)
+class _OutOfTime:
+    """The kernel ended the process (SIGXCPU), as a task took too long."""
+
+
 class Worker:
     """A process for long work, so that the loop's and the PLC's turns never wait for it.
 
     functions : what it can do, by name: "module:function", called with a `Progress` and the arguments.
-    cpus : how many processors a task may use, asked when it begins.
+    cpus : how many processors a task may use, asked when it begins. limits : what else it may take.
 
     A plain process with a pipe of `multiprocessing`, whose own processes would import the daemon's main
     module again, and keep a third one to look after both.
     """
 
-    def __init__(self, functions: Mapping[str, str], cpus: Callable[[], int] = lambda: 1) -> None:
+    def __init__(
+        self,
+        functions: Mapping[str, str],
+        cpus: Callable[[], int] = lambda: 1,
+        limits: TaskLimits | None = None,
+    ) -> None:
         self._functions = functions
         self._cpus = cpus
+        self._limits = limits_here() if limits is None else limits
         self._turn = asyncio.Lock()
         self._pipe = ThreadPoolExecutor(1, thread_name_prefix="worker-pipe")
         self._process: subprocess.Popen[bytes] | None = None
@@ -61,7 +83,8 @@ class Worker:
         """The result of a function, after the tasks that were asked for before.
 
         progress : told on the event loop. When this is cancelled, the process is killed. Raises the
-        `UserError` that the function raised, and `TaskFailed` when it ended without a result.
+        `UserError` that the function raised, `TaskTooLarge` when it took more than it may, and `TaskFailed`
+        when it ended without a result otherwise.
         """
         loop = asyncio.get_running_loop()
 
@@ -71,7 +94,7 @@ class Worker:
 
         async with self._turn:
             self._keep(loop)
-            order = Order(self._functions[name], arguments, max(1, self._cpus()))
+            order = Order(self._functions[name], arguments, max(1, self._cpus()), self._limits)
             cancelled = threading.Event()
             try:
                 answer = await loop.run_in_executor(
@@ -89,6 +112,11 @@ class Worker:
                 return result
             case Refused():
                 raise _user_error(answer)
+            case OutOfMemory(trace):
+                log.error("the task %s ran out of memory:\n%s", name, trace)
+                raise _too_large(name, f"{self._limits.memory_bytes >> 20} MiB of memory")
+            case _OutOfTime():
+                raise _too_large(name, f"{self._limits.cpu_s} s of processor time")
             case Failed(trace):
                 log.error("the task %s failed:\n%s", name, trace)
                 raise TaskFailed(f"{name}: a bug, see the log: {trace.splitlines()[-1]}")
@@ -105,7 +133,7 @@ class Worker:
 
     def _exchange(
         self, order: Order, tell: Callable[[Told], None], cancelled: threading.Event
-    ) -> Done | Refused | Failed:
+    ) -> Done | Refused | Failed | OutOfMemory | _OutOfTime:
         """Send an order, and wait for what comes of it. Raises `TaskFailed` when the process ends."""
         connection = self._connection
         if connection is None or self._process is None or self._process.poll() is not None:
@@ -118,7 +146,12 @@ class Worker:
             while isinstance(answer := _received(connection), Told):
                 tell(answer)
         except (EOFError, OSError) as error:
-            raise TaskFailed(f"the worker process {self._clear()}; ask again") from error
+            ended = self._clear()
+            if signal.SIGXCPU.name in ended:
+                return _OutOfTime()
+            raise TaskFailed(f"the worker process {ended}; ask again") from error
+        if isinstance(answer, OutOfMemory):
+            self._clear()
         return answer
 
     def _start(self) -> Connection:
@@ -169,6 +202,11 @@ class Worker:
     def _retire(self) -> None:
         if not self.is_busy:
             self._pipe.submit(self._clear)
+
+
+def _too_large(name: str, most: str) -> TaskTooLarge:
+    expected = "expected fewer or smaller pictures, or a smaller drawing"
+    return TaskTooLarge(f"{name}: more than the {most} that it may take: {expected}")
 
 
 def _received(connection: Connection) -> Answer:

@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+import math
+import struct
+import zlib
 from dataclasses import replace
 
-from snapshots import make_snapshot
+import numpy as np
+import pytest
+from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.domain.cell import CellPhase, CellState, SetupSource
-from edged.domain.events import Command, CommandFailed, CommandKind, ExposureDone, JobChanged
+from edged.domain.events import (
+    Basis,
+    Command,
+    CommandFailed,
+    CommandKind,
+    ExposureDone,
+    JobChanged,
+    Registered,
+)
+from edged.domain.measurement import Target
+from edged.domain.picking import GraspPose
+from edged.domain.registration import Method, Registration
 from edged.errors import BeingSetUp
 from edged.plc import registers as reg
 from edged.plc.answers import Reason
@@ -144,3 +160,166 @@ def test_a_stop_in_setup_makes_nothing_ready() -> None:
     cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 1])
     assert [] == queue.commands
     assert (4, Reason.SETUP) == tuple(status(cell)[name] for name in ("STATE", "NACK_REASON"))
+
+
+# --- what a result stands on ----------------------------------------------------------------------
+
+RESULTS = {
+    "result": (reg.RESULT, ""),
+    "ur": (reg.UR, "UR_"),
+    "ur grasp": (reg.UR_GRASP, "UG_"),
+    "float": (reg.FLOAT, "F_"),
+    "grasp": (reg.GRASP, "G_"),
+    "targets": (reg.TABLE_END, "TABLE_"),
+}
+"""Blocks that carry a result, or its rows, and how the names of their registers begin."""
+
+
+def block(cell: CellRegisters, of: reg.Block) -> dict[str, reg.Number]:
+    """One block by name."""
+    return reg.decode(of, cell.read(of.address, of.words))
+
+
+def located(cell: CellRegisters, queue: Queue, sequence: int, cycle: int = 1) -> None:
+    """A command, and its good part with a grasp."""
+    cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, sequence])
+    cell.take(ExposureDone(cycle, queue.commands[-1]))
+    cell.take(replace(make_snapshot(cycle, command=queue.commands[-1]), targets=(with_grasp(),)))
+
+
+def with_grasp() -> Target:
+    """A part that a robot may take."""
+    place = make_target().rig_from_part
+    return replace(make_target(), grasp=GraspPose("face", 1, 0.0, place, np.eye(6), 50.0, 50.0))
+
+
+@pytest.mark.parametrize("change", ["reload", "job"])
+def test_a_valid_result_falls_at_once_when_what_it_stands_on_is_exchanged(change: str) -> None:
+    """RESULT is RELOADED, in every block no coordinates, tails 0; ACK stays, EXPOSURE_DONE does not."""
+    queue = Queue()
+    cell = registers(queue)
+    located(cell, queue, 7)
+    assert int(status(cell)["STATUS_BITS"]) & reg.StatusBit.RESULT_VALID
+    cell.take(Basis(1, "cal2", "beef") if change == "reload" else JobChanged(2, "other", None))
+    bits = reg.StatusBit(int(status(cell)["STATUS_BITS"]))
+    fallen = reg.StatusBit.RESULT_VALID | reg.StatusBit.OK | reg.StatusBit.NOK | reg.StatusBit.EXPOSURE_DONE
+    assert not bits & fallen
+    assert bits & reg.StatusBit.ACK
+    assert (7, 7) == (status(cell)["CMD_SEQ_ECHO"], status(cell)["DONE_SEQ"])
+    for of, prefix in RESULTS.values():
+        values = block(cell, of)
+        assert (7, 0) == (values[f"{prefix}SEQ_HEAD"], values[f"{prefix}SEQ_TAIL"])
+        places = [values[f"{prefix}{axis}"] for axis in "XYZ"] if f"{prefix}X" in values else []
+        assert all(place == reg.INT32_MIN or math.isnan(place) for place in places)
+    assert (reg.ResultCode.RELOADED, 0) == (
+        block(cell, reg.RESULT)["RESULT"],
+        block(cell, reg.RESULT)["COUNT"],
+    )
+    assert 0 == block(cell, reg.TABLE[0])["T0_SEQ"]
+
+
+def test_start_epoch_config_crc_and_calibration_change_with_what_results_stand_on() -> None:
+    """At once, not with the next cycle, in every block; and not when nothing was exchanged."""
+    queue = Queue()
+    cell = registers(queue)
+    cell.take(Basis(0, "cal1", "0000f00d"))
+    epochs = [status(cell)["START_EPOCH"]]
+    assert 0xF00D == block(cell, reg.CONSTANTS)["CONFIG_CRC"]
+    located(cell, queue, 7)
+    for basis in (Basis(0, "cal1", "0000f00d"), Basis(1, "cal2", "0000beef")):
+        cell.take(basis)
+        epochs.append(status(cell)["START_EPOCH"])
+        of_blocks = {block(cell, of)[f"{prefix}START_EPOCH"] for of, prefix in RESULTS.values()}
+        assert {epochs[-1]} == of_blocks | {block(cell, reg.REGISTRATION)["H_START_EPOCH"]}
+    assert epochs[0] == epochs[1] != epochs[2]
+    constants = block(cell, reg.CONSTANTS)
+    assert (0xBEEF, zlib.crc32(b"cal2")) == (constants["CONFIG_CRC"], constants["CALIBRATION"])
+
+
+def test_a_command_in_flight_over_a_reload_ends_in_a_reason_of_its_own() -> None:
+    """NACK, RELOADED; what is measured for it all the same is not shown, its failure is no second answer."""
+    queue = Queue()
+    cell = registers(queue)
+    cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 7])
+    cell.take(Basis(1, "cal2", "beef"))
+    assert (7, 0, Reason.RELOADED) == tuple(
+        status(cell)[name] for name in ("DONE_SEQ", "OPEN_COMMANDS", "NACK_REASON")
+    )
+    cell.take(CommandFailed(queue.commands[0], "the configuration was reloaded while it waited"))
+    cell.take(make_snapshot(1, command=queue.commands[0]))
+    assert (0, reg.INT32_MIN) == shown(cell)
+    assert Reason.RELOADED == status(cell)["NACK_REASON"]
+
+
+def test_the_robot_that_registers_the_rig_keeps_its_epoch() -> None:
+    """Its REGISTER_SOLVE is what exchanges the registration: ACK under the epoch that it began with."""
+    queue = Queue()
+    cell = registers(queue)
+    cell.take(CellState(CellPhase.SETUP, False, True, "flange", 1, 0, setup=SetupSource.ROBOT))
+    cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.REGISTER_SOLVE, 0, 7])
+    epoch = status(cell)["START_EPOCH"]
+    cell.take(Basis(1, "cal1", "beef"))
+    cell.take(Registered(queue.commands[0], Registration(Method.TOUCH, 4)))
+    assert (epoch, 7, 0) == tuple(status(cell)[name] for name in ("START_EPOCH", "DONE_SEQ", "NACK_REASON"))
+    assert (epoch, 7) == tuple(block(cell, reg.REGISTRATION)[name] for name in ("H_START_EPOCH", "H_SEQ"))
+
+
+def words_of_result(cell: CellRegisters, of: reg.Block) -> tuple[int, ...]:
+    """As they travel; of the table with all its rows."""
+    start = reg.TABLE[0].address if of is reg.TABLE_END else of.address
+    return tuple(
+        word
+        for first in range(start, of.address + of.words, 16)
+        for word in cell.read(first, min(16, of.address + of.words - first))
+    )
+
+
+@pytest.mark.parametrize("name", RESULTS)
+@pytest.mark.parametrize(
+    "change", ["acknowledged", "too old", "reload", "next command", "the number again on a new connection"]
+)
+def test_a_block_that_changes_between_two_requests_is_told_by_its_crc_and_mostly_by_its_tail(
+    name: str, change: str
+) -> None:
+    """Wherever the cut is: what is half of before and half of after has another CRC, and another tail.
+
+    Only where the number comes again the tail cannot tell: that takes the CRC.
+    """
+    of, prefix = RESULTS[name]
+    now_s = 1000.0
+    queue = Queue()
+    cell = CellRegisters(ModbusSettings(), queue, lambda: now_s)
+    cell.write(1, reg.ADDRESS["CMD_SEQ"], [0])
+    located(cell, queue, 7)
+    before = words_of_result(cell, of)
+    if change == "acknowledged":
+        cell.write(1, reg.ADDRESS["ACK_SEQ"], [7])
+    elif change == "too old":
+        now_s += 10.0
+    elif change == "reload":
+        cell.take(Basis(1, "cal2", "beef"))
+    else:
+        cell.gone(1)
+        cell.write(2, reg.ADDRESS["CMD_SEQ"], [0])
+        cell.write(2, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 8 if change == "next command" else 7])
+        moved = replace(with_grasp(), rig_from_part=make_transform((0.0, 0.0, 0.1), (1.0, 2.0, 3.0)))
+        cell.take(replace(make_snapshot(2, command=queue.commands[-1]), targets=(moved,)))
+    after = words_of_result(cell, of)
+    place = {
+        register.name: register.address - of.address + len(before) - of.words for register in of.registers
+    }
+    head, tail, crc = (place[f"{prefix}{register}"] for register in ("SEQ_HEAD", "SEQ_TAIL", "CRC16"))
+    assert (7, 7) == (before[head], before[tail])
+    for words in (before, after):
+        assert reg.crc16(bytes_of(words[:crc])) == words[crc]
+    for cut in range(1, tail + 1):
+        mixed = before[:cut] + after[cut:]
+        if mixed[: crc + 1] not in (before[: crc + 1], after[: crc + 1]):
+            assert reg.crc16(bytes_of(mixed[:crc])) != mixed[crc], f"cut before word {cut}"
+        if mixed[: tail + 1] != before[: tail + 1] and not change.startswith("the number"):
+            assert (7, 7) != (mixed[head], mixed[tail]), f"cut before word {cut}"
+
+
+def bytes_of(words: tuple[int, ...]) -> bytes:
+    """Each high byte first."""
+    return struct.pack(f">{len(words)}H", *words)

@@ -10,7 +10,7 @@ from snapshots import make_snapshot
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.settings import ModbusSettings
-from edged.domain.events import Command, CommandFailed, CommandKind, ExposureDone
+from edged.domain.events import Basis, Command, CommandFailed, CommandKind, ExposureDone
 from edged.plc import registers as reg
 from edged.plc.ladder import KEPT, MOST_RUNGS, Exchange
 
@@ -82,6 +82,19 @@ def test_a_good_exchange_is_one_ladder_from_the_command_to_its_acknowledgement()
     assert [*whats, ("taken_down", "")] == said(exchange)
     assert exchange.rungs[2].valid
     assert [0.0, 0.1, 0.15] == pytest.approx([rung.after_s for rung in exchange.rungs[:3]])
+
+
+def test_a_reload_shows_where_it_took_a_result_and_a_command() -> None:
+    """The result of the one falls, the other ends in a reason of its own; a second reload adds nothing."""
+    talk = Talk()
+    talk.command(7)
+    talk.cell.take(make_snapshot(1, command=talk.queue.commands[0]))
+    for number in (1, 2):
+        talk.cell.take(Basis(number, "cal", "beef"))
+    assert [("command", ""), ("result", "OK"), ("ack", ""), ("reloaded", "")] == said(talk.last)
+    talk.command(8)
+    talk.cell.take(Basis(3, "cal", "cafe"))
+    assert [("command", ""), ("nack", "RELOADED")] == said(talk.last)
 
 
 def test_what_is_refused_says_why_and_a_stranger_is_told_apart() -> None:

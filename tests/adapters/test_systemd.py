@@ -136,6 +136,19 @@ def test_status_is_one_line(manager):
     bench.close()
 
 
+def test_a_reload_during_the_start_is_not_the_end_of_the_start(manager):
+    """READY=1 comes with the cameras, whatever is read again before; the refusal is the status."""
+    bench = Bench(manager.address)
+    bench.announce(FAULT)
+    manager.messages()
+    bench.notifier.reloading()
+    bench.notifier.reloaded(refused="cell.toml: a mistake")
+    assert ["STATUS=reload refused: cell.toml: a mistake"] == manager.told()
+    bench.announce(READY)
+    assert 1 == manager.told().count("READY=1")
+    bench.close()
+
+
 def test_reload_begins_with_a_time_stamp_and_ends_with_ready(manager):
     """RELOADING=1 carries MONOTONIC_USEC; READY=1 ends it, and a refusal is told as the status."""
     bench = Bench(manager.address)

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+import re
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from scriptedhead import until
+from smallcell import SmallCell, SmallWorld, free_port, pictures
+from snapshots import make_transform
 
 from edged.app import daemon as module
 from edged.app.cell import LoadedCell, load_cell
 from edged.app.daemon import Daemon
+from edged.app.status import facts, figures
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.domain.events import Event, Snapshot
 from edged.errors import ConfigError
+from edged.files.rig import load_rig, save_rig
+from edged.plc.registers import Number, ResultCode, StatusBit
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.world import VirtualWorld
 
@@ -88,6 +100,15 @@ def test_a_bug_in_a_reload_shows_and_systemd_hears_that_it_is_over(
     assert ["a bug, see the log"] == told
 
 
+def test_an_error_without_words_is_named(
+    cell: tuple[Path, LoadedCell], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A bare TimeoutError of a library: systemd and the log hear that it is one."""
+    _, ended = reloaded(cell, TimeoutError(), monkeypatch)
+    assert "READY TimeoutError" == ended
+    assert "the running configuration stays: TimeoutError" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("file", "content", "problem"),
     [
@@ -103,3 +124,147 @@ def test_a_file_that_breaks_its_reader_is_a_mistake_in_it(
     (tmp_path / file).write_text(content)
     with pytest.raises(ConfigError, match=problem):
         load_cell(path)
+
+
+def _register(folder: Path) -> None:
+    """The robot stands elsewhere."""
+    path = folder / "rig.json"
+    moved = make_transform((0.0, 0.0, 0.0), (100.0, 0.0, 0.0))
+    save_rig(path, replace(load_rig(path), robot_from_rig=moved))
+
+
+def _edit(file: str, old: str, new: str) -> Callable[[Path], None]:
+    def edit(folder: Path) -> None:
+        text = (folder / file).read_text()
+        assert old in text
+        (folder / file).write_text(text.replace(old, new))
+
+    return edit
+
+
+EXCHANGES: dict[str, Callable[[Path], None]] = {
+    "registration": _register,
+    "a limit of the job": _edit("jobs/flange/job.toml", "min_support = 0.3", "min_support = 0.35"),
+    "the job's number": _edit("jobs/flange/job.toml", "number = 1", "number = 2"),
+    "a keep-out zone": _edit(
+        "cell.toml",
+        "[zenoh]",
+        '[[limits.keep_out]]\nname = "post"\nmin_mm = [900, 0, 0]\nmax_mm = [950, 9, 9]\n\n[zenoh]',
+    ),
+    "cameras": _edit("cell.toml", "timeout_s = 2.0", "timeout_s = 1.9"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", [*EXCHANGES, "nothing"])
+def test_a_valid_result_does_not_outlive_a_reload_that_exchanges_what_it_stands_on(
+    what: str, cell: tuple[Path, LoadedCell], tmp_path: Path
+) -> None:
+    """A PLC holds a good result while files change: with the reload it falls; without a change it stays."""
+    shutil.copytree(cell[0].parent, tmp_path, dirs_exist_ok=True)
+    path = tmp_path / "cell.toml"
+    text = path.read_text().replace('mode = "free"\nperiod_s = 0.25', 'mode = "command"')
+    path.write_text(
+        text.replace("port = 1502", f"port = {free_port()}\nvalidity_s = 3600.0").split("[zenoh]")[0]
+        + "[zenoh]\n"
+    )
+
+    async def main() -> None:
+        with VirtualWorld(gige=False) as world:
+            daemon = Daemon(path, load_cell(path), world=world)
+            running, servers = asyncio.create_task(daemon.run()), vars(daemon)["_servers"]
+            await until(lambda: "modbus" in servers.started)
+            modbus = servers.started["modbus"]
+
+            def values() -> dict[str, Number]:
+                return {register.name: value for register, value in modbus.values()}
+
+            await until(lambda: values()["STATE"] == 1)
+            modbus.write(
+                7, {"COMMAND": 1, "JOB": 0, "CMD_SEQ": 5, "ACK_SEQ": 0, "CLIENT_HEARTBEAT": 0, "OPTIONS": 2}
+            )
+            await until(lambda: values()["DONE_SEQ"] == 5)
+            before = values()
+            assert before["STATUS_BITS"] & StatusBit.RESULT_VALID
+            EXCHANGES.get(what, lambda _folder: None)(tmp_path)
+            assert await daemon.reload()
+            if what != "nothing":
+                await until(lambda: values()["START_EPOCH"] != before["START_EPOCH"])
+            after = values()
+            is_kept = what == "nothing"
+            assert is_kept == bool(after["STATUS_BITS"] & StatusBit.RESULT_VALID)
+            assert is_kept == (before["CONFIG_CRC"] == after["CONFIG_CRC"])
+            assert (ResultCode.OK if is_kept else ResultCode.RELOADED) == after["RESULT"]
+            daemon.stop()
+            await running
+
+    asyncio.run(main())
+
+
+# --- a start in which a server hangs -------------------------------------------------------------------
+
+
+class Seen:
+    """Notes the cycles."""
+
+    def __init__(self) -> None:
+        self.cycles = 0
+
+    async def start(self) -> None: ...
+
+    def announce(self, event: Event) -> None:
+        self.cycles += isinstance(event, Snapshot)
+
+    async def close(self) -> None: ...
+
+
+@pytest.fixture
+def hanging_opcua(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SmallCell:
+    """A cell whose OPC UA server never starts."""
+    small = SmallCell(tmp_path, source="virtual-inprocess")
+    small.config.write_text(f"{small.config.read_text()}\n[opcua]\nport = {free_port()}\nanonymous = true\n")
+
+    async def never(_self: object, _server: object) -> None:
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr("edged.adapters.opcua.server.ServerThread._prepare", never)
+    return small
+
+
+def test_a_cell_measures_whose_opcua_server_does_not_start(
+    hanging_opcua: SmallCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Page and metrics say that it does not run, where and why; a reload has a reason."""
+    monkeypatch.setattr("edged.app.servers.START_S", 0.5)
+    path, seen = hanging_opcua.config, Seen()
+
+    async def main() -> None:
+        with SmallWorld(pictures(hanging_opcua.virtual, 1)) as world:
+            daemon = Daemon(path, load_cell(path), world=world, observers=[seen])
+            running = asyncio.create_task(daemon.run())
+            await until(lambda: seen.cycles > 2, 30)
+            parts = daemon._running  # noqa: SLF001  (what page and metrics ask)
+            assert re.search("opcua on .*has not started within", str(facts(parts)["OPC UA"]["problem"]))
+            assert 1 == figures(parts)["servers_failing"][1]
+            assert await daemon.reload()
+            daemon.stop()
+            await running
+
+    asyncio.run(main())
+
+
+def test_a_stop_does_not_wait_for_a_server_that_hangs(hanging_opcua: SmallCell) -> None:
+    """It ends within the time that systemd gives it."""
+    path = hanging_opcua.config
+
+    async def main() -> float:
+        with SmallWorld(pictures(hanging_opcua.virtual, 1)) as world:
+            daemon = Daemon(path, load_cell(path), world=world)
+            running = asyncio.create_task(daemon.run())
+            await asyncio.sleep(1.0)
+            begun_s = time.monotonic()
+            daemon.stop()
+            await running
+            return time.monotonic() - begun_s
+
+    assert asyncio.run(main()) < 8.0

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
 import cv2
 import pytest
+from smallcell import DaemonProcess, SmallCell
 
 from edged.app.daemon import Daemon
 from edged.app.process import serve
@@ -22,11 +26,15 @@ class _Daemon:
     """Notes how it finds the collector."""
 
     def __init__(self) -> None:
-        self.frozen = 0
+        self.frozen = self.frozen_when_up = 0
         self.enabled = False
+        self.on_started: Callable[[], None] = lambda: None
 
     async def run(self) -> None:
         self.frozen, self.enabled = gc.get_freeze_count(), gc.isenabled()
+        self.loaded: list[list[int]] = [[] for _ in range(1000)]
+        self.on_started()
+        self.frozen_when_up = gc.get_freeze_count()
 
     def stop(self) -> None: ...
 
@@ -42,6 +50,7 @@ def test_what_is_loaded_is_not_searched_for_garbage_while_cycles_run() -> None:
         gc.enable()
 
     assert daemon.frozen > 50_000
+    assert daemon.frozen_when_up >= daemon.frozen + 1000, "what servers load as they start"
     assert daemon.enabled
 
 
@@ -134,3 +143,58 @@ def test_the_first_cycle_that_finds_a_part_compiles_nothing(tmp_path: Path) -> N
     assert ("OK", "0", "0", "False") == (status, compiled, loaded_late, algebra)
     assert 19 <= int(ready) <= 30  # of those 19 are called by the flange's cycle
     assert int(known) >= 80
+
+
+# --- signals that come early ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> SmallCell:
+    """A cell that costs little."""
+    return SmallCell(tmp_path_factory.mktemp("small"))
+
+
+def holds(process: int, number: signal.Signals) -> bool:
+    """Whether a process blocks, ignores or catches a signal: proc(5), status."""
+    text = Path(f"/proc/{process}/status").read_text()
+    masks = dict(
+        line.split(":\t") for line in text.splitlines() if line.startswith(("SigBlk", "SigIgn", "SigCgt"))
+    )
+    return any(int(mask, 16) & 1 << (number - 1) for mask in masks.values())
+
+
+def wait_held(daemon: DaemonProcess, *numbers: signal.Signals) -> None:
+    """Wait until the process does with them what it does; numpy is not loaded by then."""
+    deadline_s = time.monotonic() + 30
+    while not all(holds(daemon.process.pid, number) for number in numbers):
+        assert time.monotonic() < deadline_s
+    assert "numpy" not in Path(f"/proc/{daemon.process.pid}/maps").read_text()
+
+
+@pytest.mark.slow
+def test_a_hang_up_before_the_daemon_stands_is_a_reload_after_its_start(small: SmallCell) -> None:
+    """As soon as the interpreter runs, and again and again: it becomes READY, and has reloaded."""
+    daemon = DaemonProcess(small.config)
+    try:
+        wait_held(daemon, signal.SIGHUP)
+        while not any("fingerprint" in line for line in daemon.log):
+            daemon.process.send_signal(signal.SIGHUP)
+            assert daemon.process.poll() is None, daemon.process.returncode
+            time.sleep(0.02)
+        daemon.wait_ready()
+        deadline_s = time.monotonic() + 30
+        while not any("reloaded" in line for line in daemon.log):
+            assert time.monotonic() < deadline_s, daemon.log
+            time.sleep(0.05)
+    finally:
+        daemon.stop()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after_s", [0.0, 0.5])
+def test_a_stop_before_the_daemon_stands_is_an_end_in_order(small: SmallCell, after_s: float) -> None:
+    """Exit code 0, at once: whoever asks for a stop while it starts gets one."""
+    daemon = DaemonProcess(small.config)
+    wait_held(daemon, signal.SIGTERM)
+    time.sleep(after_s)
+    assert daemon.stop() < 2.0

@@ -173,6 +173,21 @@ def test_keys_and_passwords_of_zenohs_own_file_are_secrets_too(config: Path) -> 
     assert [["own.key"], ["own.key", "zenoh.json5"], [], []] == found
 
 
+def test_a_shared_key_that_everybody_may_read_is_named(config: Path) -> None:
+    """As a private key is; and the cell is refused with it."""
+    key = config.parent / "zenoh.key"
+    key.write_bytes(b"0" * 64)
+    config.write_text(config.read_text().replace("[zenoh]", '[zenoh]\nshared_key = "zenoh.key"'))
+    key.chmod(0o644)
+    (found,) = [one for one in exposed_secrets(config, load(config)) if one.place == "zenoh.shared_key"]
+    with pytest.raises(ConfigError, match=r"zenoh\.shared_key: .*every user of this machine may read it"):
+        read_cell(config)
+    key.chmod(0o600)
+
+    assert key == found.file
+    read_cell(config)
+
+
 def test_without_a_hash_everybody_may_read_the_configuration(taught: Path) -> None:
     """There is nothing to hide."""
     (taught / "cell.toml").chmod(0o644)

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
+import os
+import pty
+import re
 import socket
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -150,6 +157,18 @@ def test_what_a_server_depends_on(change: str, name: str, expected: set[str], tm
     after = wanted_servers(config(tmp_path, sections + change, name))
 
     assert expected == {one for one in {*before, *after} if before.get(one) != after.get(one)}
+
+
+def test_zenoh_depends_on_the_shared_key(tmp_path: Path) -> None:
+    """Another one in its file, and a reload signs with it."""
+    key = tmp_path / "zenoh.key"
+    key.write_bytes(b"a" * 32)
+    cell = config(tmp_path, "[zenoh]\nshared_key = 'zenoh.key'\n")
+    before = wanted_servers(cell)["zenoh"]
+    assert before == wanted_servers(cell)["zenoh"]
+    key.write_bytes(b"b" * 32)
+
+    assert before != wanted_servers(cell)["zenoh"]
 
 
 def test_opcua_depends_on_its_files_the_cells_name_and_who_triggers(tmp_path: Path) -> None:
@@ -320,3 +339,239 @@ def writes(file: Path, content: str) -> Callable[[], None]:
         file.write_text(content)
 
     return write
+
+
+# --- servers that take their time ----------------------------------------------------------------------
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait for it, 30 s at most."""
+    async with asyncio.timeout(30):
+        while not condition():  # noqa: ASYNC110  (threads change it, and servers that know no event)
+            await asyncio.sleep(0.02)
+
+
+def _no_jobs() -> Running:
+    """A cell of which OPC UA says that it has no jobs."""
+    return cast(Running, SimpleNamespace(loaded=SimpleNamespace(setup=SimpleNamespace(jobs={}))))
+
+
+class Hanging:
+    """A start that waits until `may_go`, in a task or in a thread; it is one for every kind of server."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, start_s: float = 0.4) -> None:
+        self.may_go = threading.Event()
+        self._patch = monkeypatch
+        for name, value in (("START_S", start_s), ("RETRY_S", 0.1), ("CLOSE_S", 1.0)):
+            monkeypatch.setattr(f"edged.app.servers.{name}", value, raising=False)
+
+    def hold_task(self, place: str) -> None:
+        """What an async function does comes later."""
+        real = cast(Callable[..., Awaitable[object]], derive(place))
+
+        async def late(*args: object) -> object:
+            await until(self.may_go.is_set)
+            return await real(*args)
+
+        self._patch.setattr(place, late)
+
+    def hold_thread(self, place: str) -> None:
+        """What a function does comes later, and its thread waits."""
+        real = cast(Callable[..., object], derive(place))
+
+        def late(*args: object, **options: object) -> object:
+            self.may_go.wait(30)
+            return real(*args, **options)
+
+        self._patch.setattr(place, late)
+
+
+def derive(place: str) -> object:
+    """What a dotted name means, of a class's method or of a module."""
+    parts = place.split(".")
+    for end in range(len(parts) - 1, 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:end]))
+        except ImportError:
+            continue
+        for part in parts[end:]:
+            found = getattr(found, part)
+        return found
+    raise ImportError(place)
+
+
+TASKS = {
+    "tcp": "edged.adapters.modbus.tcp.TcpServer.start",
+    "tls": "edged.adapters.modbus.tcp.TcpServer.start",
+    "socket": "edged.adapters.modbus.lines.LineServer.start",
+    "web": "edged.adapters.web.server.WebPublisher.start",
+    "opcua": "edged.adapters.opcua.server.ServerThread._prepare",
+    "recorder": "edged.adapters.recorder.Recorder.start",
+}
+THREADS = {
+    "rtu": "edged.adapters.modbus.rtu.serial.Serial",
+    "zenoh": "edged.adapters.zenoh.publisher.open_session",
+}
+KINDS = [*TASKS, *THREADS]
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """A configuration with one server that hangs and another that does not; before has the other only.
+
+    section, place : of the one that hangs, as messages name them. well : a port that is served meanwhile.
+    """
+
+    before: str
+    sections: str
+    section: str
+    place: str
+    well: int
+
+
+def slow_cell(kind: str, folder: Path, line: str) -> Slow:
+    """One of a kind, and the page or Modbus beside it."""
+    port, well, robots = free_port(), free_port(), free_port()
+    off, page = "[zenoh]\nenabled = false\n", f"[web]\nport = {well}\n"
+    no_plc, plc = "[modbus]\nenabled = false\n", f"[modbus]\nport = {well}\n"
+    tcp = f"[modbus]\nport = {port}\n"
+    if kind in ("tcp", "tls", "socket", "rtu"):
+        more = {
+            "tcp": "",
+            "tls": tls_sections(folder, port).partition(tcp)[2] if kind == "tls" else "",
+            "socket": f'[modbus.socket]\nport = {robots}\nbrand = "ur"\n',
+            "rtu": f'[modbus.serial]\ndevice = "{line}"\nparity = "none"\n',
+        }[kind]
+        place = {"socket": f":{robots}", "rtu": line}.get(kind, f":{port}")
+        return Slow(f"{off}{no_plc}{page}", f"{off}{tcp}{more}{page}", "modbus", place, well)
+    if kind == "zenoh":
+        own = f'[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\n'
+        return Slow(f"{off}{plc}", f"{plc}{own}", "zenoh", f":{port}", well)
+    own = {
+        "web": f"[web]\nport = {port}\n",
+        "opcua": f"[opcua]\nport = {port}\nanonymous = true\n",
+        "recorder": f"[recorder]\nfolder = '{folder / 'kept'}'\n",
+    }[kind]
+    place = str(folder / "kept") if kind == "recorder" else f":{port}"
+    return Slow(f"{off}{plc}", f"{off}{plc}{own}", kind, place, well)
+
+
+@pytest.fixture
+def line() -> Iterator[str]:
+    """A serial line: the name of its device."""
+    ours, theirs = pty.openpty()
+    yield os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+def held(kind: str, monkeypatch: pytest.MonkeyPatch) -> Hanging:
+    """A start of that kind that hangs."""
+    hanging = Hanging(monkeypatch)
+    if kind in TASKS:
+        hanging.hold_task(TASKS[kind])
+    else:
+        hanging.hold_thread(THREADS[kind])
+    return hanging
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_server_that_starts_slowly_is_named_and_started_later(
+    kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The others run meanwhile; what hangs is told with section, address and reason, until it has started."""
+    slow = slow_cell(kind, tmp_path, line)
+    hanging = held(kind, monkeypatch)
+    told: list[None] = []
+
+    async def main() -> None:
+        servers = Servers(_Commander(), _no_jobs, lambda: b"", lambda: told.append(None))
+        try:
+            async with asyncio.timeout(20):
+                await servers.start(config(tmp_path, slow.sections))
+            assert is_taken(slow.well)
+            ((section, why),) = servers.problems.items()
+            assert slow.section == section
+            assert slow.place in why
+            assert re.search(r"within|longer", why)
+            hanging.may_go.set()
+            await until(lambda: not servers.problems)
+            assert slow.section in servers.started
+            assert told
+        finally:
+            hanging.may_go.set()
+            await servers.close()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
+    kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Within its time, with address and reason; what ran runs on."""
+    slow = slow_cell(kind, tmp_path, line)
+    hanging = held(kind, monkeypatch)
+
+    async def main() -> None:
+        servers = Servers(_Commander(), _no_jobs, lambda: b"", lambda: None)
+        try:
+            await servers.start(config(tmp_path, slow.before))
+            running = dict(servers.started)
+            async with asyncio.timeout(20):
+                with pytest.raises(ListenError, match=re.escape(slow.place)) as refused:
+                    await servers.exchange(config(tmp_path, slow.sections))
+            assert re.search(r"within|longer", str(refused.value))
+            assert running == servers.started
+            assert {} == servers.problems
+            assert is_taken(slow.well)
+        finally:
+            hanging.may_go.set()
+            await servers.close()
+
+    asyncio.run(main())
+
+
+def test_a_reload_does_not_wait_for_what_could_not_start_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another page port is taken while OPC UA still hangs; without OPC UA in it, nobody tries it any more."""
+    slow, port = slow_cell("opcua", tmp_path, ""), free_port()
+    hanging = held("opcua", monkeypatch)
+
+    async def main() -> None:
+        servers = Servers(_Commander(), _no_jobs, lambda: b"", lambda: None)
+        try:
+            await servers.start(config(tmp_path, slow.sections))
+            await servers.exchange(config(tmp_path, f"{slow.sections}[web]\nport = {port}\n"))
+            assert (True, {"opcua"}) == (is_taken(port), set(servers.problems))
+            await servers.exchange(config(tmp_path, slow.before))
+            assert {} == servers.problems
+        finally:
+            hanging.may_go.set()
+            await servers.close()
+
+    asyncio.run(main())
+
+
+def test_a_server_that_does_not_close_is_left_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Within its time, and that is said; the others close."""
+    port, page = free_port(), free_port()
+    hanging = Hanging(monkeypatch)
+    real = derive("edged.adapters.web.server.WebPublisher.close")
+    hanging.hold_task("edged.adapters.web.server.WebPublisher.close")
+
+    async def main() -> None:
+        servers = Servers(_Commander(), _no_jobs, lambda: b"", lambda: None)
+        sections = f"[zenoh]\nenabled = false\n[modbus]\nport = {port}\n[web]\nport = {page}\n"
+        await servers.start(config(tmp_path, sections))
+        web = servers.started["web"]
+        async with asyncio.timeout(10):
+            await servers.close()
+        assert not is_taken(port)
+        await cast(Callable[..., Awaitable[object]], real)(web)
+
+    asyncio.run(main())
+    assert "web: it has not closed within 1 s" in caplog.text

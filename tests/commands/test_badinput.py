@@ -148,6 +148,15 @@ CASES: dict[str, Bad] = {
         'zenoh.commands = "refused" for readers only, or "anyone" where everybody there may',
         {"cell.toml": ("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7447")},
     ),
+    "shared key that can be guessed": Bad(
+        CHECK,
+        "edged: cell.toml: 1 problem\nzenoh.shared_key: ~/zenoh.key: 6 bytes: expected a shared key of 32 at "
+        "least, as of openssl rand -hex 32",
+        {
+            "cell.toml": ("[zenoh]", '[zenoh]\nshared_key = "zenoh.key"'),
+            "zenoh.key": b"secret\n",
+        },
+    ),
     "page without password": Bad(
         CHECK,
         "edged: cell.toml: 1 problem\n"
@@ -254,6 +263,12 @@ CASES: dict[str, Bad] = {
         LOCATE,
         "edged: left.png: not an image that can be read; save it as PNG, TIFF, BMP or JPEG",
         {"left.png": "no picture"},
+    ),
+    "image: more pixels than a PC holds": Bad(
+        LOCATE,
+        "edged: left.png: 50000x40000 pixels, unpacked 2000000000 bytes: "
+        "expected at most 67108864 pixels and 268435456 bytes",
+        {"left.png": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\xc3\x50\0\0\x9c\x40\x08\0\0\0\0"},
     ),
     "image: empty": Bad(LOCATE, "edged: left.png: an empty file, expected an image", {"left.png": b""}),
     "image: a folder": Bad(LOCATE.replace("left.png", "jobs"), "edged: jobs: is a folder, expected an image"),

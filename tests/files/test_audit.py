@@ -205,19 +205,21 @@ def test_a_crash_while_the_next_file_is_begun_loses_nothing(tmp_path: Path) -> N
     head = (tmp_path / HEAD).read_bytes()
     audit.add(DEED)
     (tmp_path / HEAD).write_bytes(head)
+    real = audit_module.turn_over
+
+    def broken(folder: int, number: int) -> None:
+        """A disc that is gone as soon as the file has its new name."""
+        real(folder, number)
+        raise OSError("power cut")
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(audit_module, "sync", broken)
+        patch.setattr(audit_module, "turn_over", broken)
         with pytest.raises(OSError, match="power cut"):
             audit.add(DEED)
     assert ["audit.000000002.jsonl"] == [file.name for file in files(tmp_path) if file.exists()]
     assert ("", 2) == ((verdict := audit.verify()).problem, verdict.count)
     audit.add(DEED)
     assert ("", 3) == ((verdict := audit.verify()).problem, verdict.count)
-
-
-def broken(_folder: Path) -> None:
-    """A disc that is gone."""
-    raise OSError("power cut")
 
 
 @pytest.mark.usefixtures("small")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -247,6 +249,33 @@ def test_a_drawing_that_would_fill_the_memory_is_refused(kind: str, tmp_path: Pa
     with pytest.raises(FileFormatError, match=r"more than \d+ (points|shapes)|8 deep") as caught:
         read_dxf(saved(bomb(kind), tmp_path), most_points=20_000)
     assert "large" == caught.value.code
+
+
+def test_a_drawing_that_costs_too_much_is_refused(tmp_path: Path) -> None:
+    """Whatever it is in it that costs so much: memory, or time. What is read afterwards is read as before."""
+    document = ezdxf.new(units=MM)
+    for number in range(30_000):
+        document.modelspace().add_line((number, 0), (number, 1))
+    costly, other = saved(document, tmp_path).rename(tmp_path / "costly.dxf"), saved(plate(), tmp_path)
+    script = (
+        "import sys\nfrom pathlib import Path\nfrom edged.errors import FileFormatError\n"
+        "from edged.files import dxf\n"
+        "for memory, seconds in ((4 << 20, 60.0), (1 << 30, 0.25)):\n"
+        "    dxf.MAX_MEMORY_BYTES, dxf.MAX_CPU_S = memory, seconds\n"
+        "    try:\n        dxf.read_dxf(Path(sys.argv[1]))\n"
+        "    except FileFormatError as error:\n        print(error.code, error)\n"
+        "dxf.MAX_CPU_S = 60.0\n"
+        "print(len(dxf.read_dxf(Path(sys.argv[2]))))\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script, costly, other], capture_output=True, text=True, timeout=60, check=True
+    )
+
+    assert [
+        f"large {costly}: takes more than 4 MiB to read: expected one part",
+        f"large {costly}: takes more than 0.25 s of processor time to read: expected one part",
+        "3",
+    ] == ended.stdout.splitlines()
 
 
 @pytest.mark.parametrize("flipped", [False, True])

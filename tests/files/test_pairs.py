@@ -29,6 +29,16 @@ def test_pairs_are_sorted_by_name_and_other_files_are_left_alone(tmp_path: Path)
     ] == pairs
 
 
+def test_numbers_in_names_are_counted(tmp_path: Path) -> None:
+    """v2 was taken before v10, whatever their letters say; what is alike but for zeros keeps one order."""
+    names = ["2", "2b", "10", "v1_9", "v1_10", "v2_1", "v02_1", "w"]
+    touch(tmp_path, *(f"{name}_{side}.png" for name in names for side in ("left", "right")))
+
+    assert ["2", "2b", "10", "v1_9", "v1_10", "v02_1", "v2_1", "w"] == [
+        pair.name for pair in find_pairs(tmp_path)
+    ]
+
+
 def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
     """Each half without its other half, and each half that is there twice: it is open which is meant."""
     touch(tmp_path, "a_left.png", "b_left.bmp", "b_left.png", "b_right.png", "c_right.png")

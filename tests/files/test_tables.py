@@ -44,6 +44,13 @@ def test_a_line_of_numbers_comes_back(values: list[float], separator: str) -> No
     assert values == [number_of(cell) for cell in split(text)]
 
 
+@pytest.mark.parametrize("cell", ["1_0", "\u0661", "nan", "inf", "1e400", "0x10", "1 0", ""])
+def test_what_only_python_takes_for_a_number_is_none(cell: str) -> None:
+    """A typing error must not become another pose."""
+    with pytest.raises(ValueError, match="expected a finite number"):
+        number_of(cell)
+
+
 @pytest.mark.parametrize(
     ("data", "expected"), [(b"", "empty"), (b"a;b\n", "no line with numbers"), (b"\xff\xfe\x00", "UTF")]
 )

@@ -1,7 +1,7 @@
 /* A controller for one MotoPlus program: its sockets are the machine's, its variables are in a file that the
  * test looks at: 32-bit numbers, I000 to I099, D000 to D099, then how often the program has found that nothing
  * has come, how often it has sent, how many of its first accesses to variables are to fail, and whether one has
- * not.
+ * not; then where the tip of tool 5 is in the base frame, whose numbers are all 0.
  *
  *   controller FILE PORT PIECE      PIECE: bytes that the network brings at a time
  */
@@ -17,7 +17,7 @@
 
 void mpUsrRoot(int, int, int, int, int, int, int, int, int, int);
 
-enum { WAITS = 200, SENT = 201, FAILS = 202, READS = 203, NUMBERS = 256 };
+enum { WAITS = 200, SENT = 201, FAILS = 202, READS = 203, PLACE = 210, NUMBERS = 256 };
 static volatile LONG *memory;
 static int cell_port, piece;
 
@@ -54,6 +54,16 @@ LONG mpPutVarData(MP_VAR_DATA *data, LONG count)
     assert(data->usType == MP_RESTYPE_VAR_D || (data->ulValue >= -32768 && data->ulValue < 32768));
     __sync_synchronize();
     *place(data->usType, data->usIndex) = data->ulValue;
+    return 0;
+}
+
+LONG mpGetCartPosEx(MP_CARTPOS_EX_SEND_DATA *asked, MP_CART_POS_RSP_DATA_EX *position)
+{
+    int i;
+
+    assert(asked->sRobotNo == 0 && asked->sFrame == 0 && asked->sToolNo == 5);
+    for (i = 0; i < 6; i++)
+        position->lPos[i] = memory[PLACE + i];
     return 0;
 }
 

@@ -10,11 +10,15 @@
 
 typedef int LONG;
 typedef unsigned short USHORT;
+typedef short SHORT;
 typedef int STATUS;
 typedef int (*FUNCPTR)(void);
 
 typedef struct { USHORT usType; USHORT usIndex; } MP_VAR_INFO;
 typedef struct { USHORT usType; USHORT usIndex; LONG ulValue; } MP_VAR_DATA;
+
+typedef struct { SHORT sRobotNo; SHORT sFrame; SHORT sToolNo; } MP_CARTPOS_EX_SEND_DATA;
+typedef struct { LONG lPos[8]; } MP_CART_POS_RSP_DATA_EX;
 
 enum { MP_RESTYPE_VAR_B, MP_RESTYPE_VAR_I, MP_RESTYPE_VAR_D };
 enum { MP_PRI_TIME_NORMAL = 1, MP_STACK_SIZE = 16384 };
@@ -22,6 +26,7 @@ enum { MP_PRI_TIME_NORMAL = 1, MP_STACK_SIZE = 16384 };
 
 LONG mpGetVarData(MP_VAR_INFO *info, LONG *values, LONG count);
 LONG mpPutVarData(MP_VAR_DATA *data, LONG count);
+LONG mpGetCartPosEx(MP_CARTPOS_EX_SEND_DATA *asked, MP_CART_POS_RSP_DATA_EX *position);
 STATUS mpTaskDelay(int ticks);
 int mpCreateTask(int priority, int stack, FUNCPTR task, int, int, int, int, int, int, int, int, int, int);
 int mpSocket(int domain, int type, int protocol);

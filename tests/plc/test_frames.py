@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import zlib
 from pathlib import Path
@@ -42,6 +43,9 @@ def test_a_request_is_read_as_it_was_written(
         asked = FrameRequest(sequence, command, job, flange, tries_all)
         assert 44 == len(asked.frame())
         assert asked == read_request(asked.frame(), brand)
+        named = dataclasses.replace(asked, brand=brand)
+        for configured in Brand:
+            assert named == read_request(named.frame(), configured)
 
 
 @given(WORD, st.sampled_from(LineStatus), WORD, st.data())

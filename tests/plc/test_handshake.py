@@ -33,7 +33,8 @@ class Run:
     def good(
         self, ticket: int | None, cycle: int = 1, payload: str = "part", *rest: str, job: int = 0
     ) -> None:
-        self.tell(ev.Finished(ticket, cycle, Verdict.GOOD, self.now_s, payload, rest, job))
+        basis = self.state.basis
+        self.tell(ev.Finished(ticket, cycle, Verdict.GOOD, self.now_s, payload, rest, job, basis))
 
     def next_part(self, sequence: int, client: int = 0, job: int = 0, once: bool = False) -> str:
         """What NEXT_PART shows; "" for a NACK with the reason of its own. It always ends at once."""
@@ -347,7 +348,8 @@ OTHERS = {
     "a refused one": ev.SequenceWritten(2, known=False),
     "no command": ev.SequenceWritten(0),
     "another client": ev.SequenceWritten(2, client=5, once=True),
-    "a reload": ev.Reloaded(),
+    "another basis": ev.Exchanged(1),
+    "another job by somebody else": ev.OtherJob(),
     "SETUP": ev.Suspended(),
     "the connection's end": ev.Released(0, gone=True),
 }
@@ -480,6 +482,88 @@ def test_a_robots_registration_runs_in_setup_and_nothing_else_does() -> None:
     assert (ev.Submit(6),) == run.tell(ev.SequenceWritten(6, registers=True))
 
 
+def test_a_result_is_none_any_more_when_what_it_stands_on_is_exchanged() -> None:
+    """Not VALID, no EXPOSURE_DONE; its number stays, its answer too, and the next command runs."""
+    run = Run()
+    run.tell(ev.SequenceWritten(7))
+    run.tell(ev.Exposed(7))
+    run.good(7)
+    assert run.valid
+    assert () == run.tell(ev.Exchanged(1))
+    assert not run.valid
+    assert not run.state.exposure_done
+    assert (7, Verdict.EXCHANGED) == (run.state.result.sequence, run.state.result.verdict)
+    assert (7, Answer.ACK) == (run.state.done_sequence, run.state.answer)
+    assert (ev.Submit(8),) == run.tell(ev.SequenceWritten(8))
+    run.good(8)
+    assert run.valid
+
+
+def test_what_is_said_to_be_exchanged_and_is_not_changes_nothing() -> None:
+    """A publisher that begins to listen is told by what the cell measures."""
+    run = Run()
+    run.tell(ev.SequenceWritten(7))
+    run.good(7)
+    run.tell(ev.SequenceWritten(8))
+    before = run.state
+    assert () == run.tell(ev.Exchanged(0))
+    assert before == run.state
+
+
+def test_a_command_that_waits_while_its_basis_is_exchanged_ends_so() -> None:
+    """NACK, RELOADED, for each; what is measured for one of them all the same is not shown."""
+    run = Run()
+    run.tell(ev.SequenceWritten(7))
+    run.tell(ev.SequenceWritten(8))
+    ended = run.tell(ev.Exchanged(1))
+    assert [(7, Reason.RELOADED), (8, Reason.RELOADED)] == [(one.ticket, one.reason) for one in ended]
+    assert (8, Answer.NACK, Reason.RELOADED) == (
+        run.state.done_sequence,
+        run.state.answer,
+        run.state.reason,
+    )
+    run.good(8)
+    assert run.state.result is None
+
+
+def test_what_was_measured_by_another_basis_is_never_shown() -> None:
+    """However late it comes: of a command it ends in NACK, RELOADED, of a free-running cell it is nothing."""
+    run = Run()
+    run.tell(ev.Exchanged(1))
+    run.tell(ev.Finished(None, 1, Verdict.GOOD, run.now_s, "old", basis=0))
+    assert run.state.result is None
+    run.tell(ev.SequenceWritten(7))
+    (ended,) = run.tell(ev.Finished(7, 1, Verdict.GOOD, run.now_s, "old", basis=0))
+    assert (Answer.NACK, Reason.RELOADED, None) == (ended.answer, ended.reason, run.state.result)
+
+
+def test_a_registration_ends_by_an_exchange_of_its_own() -> None:
+    """Its command is answered after the basis has changed, with ACK."""
+    run = Run()
+    run.tell(ev.Suspended(registers=True))
+    run.tell(ev.SequenceWritten(7, registers=True))
+    assert () == run.tell(ev.Exchanged(1))
+    run.tell(ev.Finished(7, 0, Verdict.DONE, run.now_s, None, basis=1))
+    assert (7, Answer.ACK) == (run.state.done_sequence, run.state.answer)
+
+
+@pytest.mark.parametrize("fell", ["acknowledged", "too old"])
+def test_a_result_that_fell_never_becomes_valid_again(fell: str) -> None:
+    """Not by another ACK_SEQ, as of a program that clears its registers, nor by a clock."""
+    run = Run()
+    run.tell(ev.SequenceWritten(7))
+    run.good(7)
+    if fell == "acknowledged":
+        run.tell(ev.AckWritten(7))
+        run.tell(ev.AckWritten(0))
+    else:
+        run.now_s += LIMITS.validity_s + 0.1
+        run.tell(ev.Tick())
+        run.now_s -= 0.2
+    assert not run.valid
+    assert not hs.is_as_published(run.state, run.now_s)
+
+
 class AnyClientAnyCell(RuleBasedStateMachine):
     """Random clients, cells, faults and times. The payload of a result is the ticket that asked for it.
 
@@ -501,6 +585,9 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         self.shown = ""  # the part that is on display, where NEXT_PART showed it
         self.is_set_up = False  # somebody has the cell for setting it up
         self.is_registering = False  # it is a robot's program
+        self.basis = 0  # what results stand on
+        self.bases: dict[str, int] = {}  # by payload: what it was measured by
+        self.fallen: set[tuple[int, int, str]] = set()  # good results that were seen as not valid any more
         self.registering: list[int] = []  # its commands
 
     @rule(
@@ -577,10 +664,26 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         """Whether there is a list now."""
         return bool(self.list) and self.run.now_s <= self.list_until_s
 
+    @rule(is_another=st.booleans())
+    def exchange(self, is_another: bool) -> None:
+        """All that is open ends at once, but what a registration asked; nothing is shown as before."""
+        still_open = {command.ticket for command in self.run.state.open}
+        if is_another:
+            self.basis += 1
+        effects = self.run.tell(ev.Exchanged(self.basis))
+        ended = {effect.ticket: effect.reason for effect in effects if isinstance(effect, ev.Answered)}
+        assert set(ended.values()) <= {Reason.RELOADED, Reason.TIMEOUT}
+        if is_another:
+            assert self.is_registering or still_open == set(ended)
+            assert not self.run.valid
+            assert self.is_registering or not self.run.state.exposure_done
+            self.list, self.shown = [], ""
+
     @rule()
-    def reload(self) -> None:
-        self.run.tell(ev.Reloaded())
-        self.list = []
+    def another_job_is_active(self) -> None:
+        self.run.tell(ev.OtherJob())
+        assert not self.run.valid
+        self.list, self.shown = [], ""
 
     @rule()
     def decline(self) -> None:
@@ -592,13 +695,16 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         age_s=st.sampled_from([0.0, 0.0, 1.0, 3.0]),
         position=st.integers(0, 7),
         parts=st.integers(1, 4),
+        before=st.sampled_from([0, 0, 1]),
     )
-    def finish(self, verdict: Verdict, age_s: float, position: int, parts: int) -> None:
+    def finish(self, verdict: Verdict, age_s: float, position: int, parts: int, before: int) -> None:
         if self.in_cell:
             ticket = self.in_cell.pop(position % len(self.in_cell))
             now_s = self.run.now_s
             rest = tuple(f"command {ticket}, part {number}" for number in range(1, parts))
-            self.run.tell(ev.Finished(ticket, 1, verdict, now_s - age_s, f"command {ticket}", rest, 7))
+            payload, basis = f"command {ticket}", self.basis - before
+            self.bases |= dict.fromkeys((payload, *rest), basis)
+            self.run.tell(ev.Finished(ticket, 1, verdict, now_s - age_s, payload, rest, 7, basis))
             ended = any(
                 isinstance(e, ev.Answered) and e == ev.Answered(ticket, Answer.ACK, Reason.NONE)
                 for e in self.run.effects
@@ -614,11 +720,13 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         if self.in_cell:
             self.run.tell(ev.Failed(self.in_cell.pop(0)))
 
-    @rule(good=st.booleans())
-    def free_cycle_ends(self, good: bool) -> None:
-        self.free_cycle += 1
+    @rule(good=st.booleans(), before=st.sampled_from([0, 0, 1]))
+    def free_cycle_ends(self, good: bool, before: int) -> None:
         verdict = Verdict.GOOD if good else Verdict.BAD
-        self.run.tell(ev.Finished(None, self.free_cycle, verdict, self.run.now_s, f"cycle {self.free_cycle}"))
+        payload, basis = f"cycle {self.free_cycle + 1}", self.basis - before
+        self.bases[payload] = basis
+        self.run.tell(ev.Finished(None, self.free_cycle + 1, verdict, self.run.now_s, payload, basis=basis))
+        self.free_cycle += before == 0
 
     @rule(ticket_back=st.integers(0, 3))
     def stray_event(self, ticket_back: int) -> None:
@@ -626,7 +734,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         stray = self.run.state.ticket - ticket_back
         if stray not in self.in_cell:
             before = len(self.run.effects)
-            self.run.tell(ev.Finished(stray, 1, Verdict.GOOD, self.run.now_s, "stray"))
+            self.run.tell(ev.Finished(stray, 1, Verdict.GOOD, self.run.now_s, "stray", basis=self.basis))
             assert all(effect.reason is Reason.TIMEOUT for effect in self.run.effects[before:])
 
     @rule(seconds=st.sampled_from([0.0, 0.1, 0.6, 1.1, 2.5, 10.0]))
@@ -703,6 +811,28 @@ class AnyClientAnyCell(RuleBasedStateMachine):
             assert {command.ticket for command in state.open} <= set(self.registering)
             assert 0 == hs.remaining(state)
             assert not self.run.valid
+
+    @invariant()
+    def what_is_valid_stands_on_what_is_there_now(self) -> None:
+        if hasattr(self, "run") and self.run.valid:
+            assert self.basis == self.bases[self.run.state.result.payload]
+
+    @invariant()
+    def what_fell_stays_down(self) -> None:
+        """A result that was good is as it was published for as long as it is valid, and then never again."""
+        if not hasattr(self, "run"):
+            return
+        self.run.tell(ev.Tick())
+        result = self.run.state.result
+        if result is None:
+            return
+        name = (self.run.state.ticket, result.sequence, result.payload)
+        if self.run.valid:
+            assert name not in self.fallen
+            assert hs.is_as_published(self.run.state, self.run.now_s)
+        elif result.verdict in (Verdict.GOOD, Verdict.EXCHANGED):
+            self.fallen.add(name)
+            assert not hs.is_as_published(self.run.state, self.run.now_s)
 
     @invariant()
     def never_valid_with_an_old_sequence(self) -> None:

@@ -25,9 +25,9 @@ from edged.plc.texts import render
 from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
 from edged.vision.geometry.rigid import quaternion
 
-STARTS = {"constants": (0, 15), "command": (100, 121), "status": (200, 218), "result": (300, 347)} | {
+STARTS = {"constants": (0, 15), "command": (100, 121), "status": (200, 219), "result": (300, 347)} | {
     "ur": (400, 426),
-    "float": (500, 531),
+    "float": (500, 534),
     "target 0": (600, 619),
 }
 

@@ -14,7 +14,6 @@ from edged.adapters.zenoh.triggers import Triggers
 from edged.cycle import Cycle
 from edged.domain.events import PLC_SOURCE
 from edged.loop.loaded import LoadedJob
-from edged.loop.queue import CommandQueue
 from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
 
@@ -39,6 +38,7 @@ def test_ten_minutes_of_handshakes_without_a_violation(seed: int) -> None:
         "NACK TIMEOUT",
         "NACK CAPTURE_FAULT",
         "NACK BASELINE",
+        "NACK RELOADED",
         "triggers answered",
         "registrations",
         "looks at a registration under way",
@@ -52,14 +52,12 @@ def test_ten_minutes_of_handshakes_without_a_violation(seed: int) -> None:
 @pytest.mark.slow
 def test_a_cell_that_forgets_the_age_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """The observer is not blind: a handshake whose results never grow old is found out."""
-    real = hs.is_fresh
+    real = hs.Limits
 
-    def ageless(state: hs.Handshake[Any], now_s: float) -> bool:
-        return real(
-            dataclasses.replace(state, limits=dataclasses.replace(state.limits, validity_s=9e9)), now_s
-        )
+    def ageless(validity_s: float, *others: Any, **named: Any) -> hs.Limits:
+        return real(9e9, *others, **named)
 
-    monkeypatch.setattr(hs, "is_fresh", ageless)
+    monkeypatch.setattr("edged.adapters.modbus.settings.Limits", ageless)
     assert found("VALID after")
 
 
@@ -179,9 +177,24 @@ def test_a_missing_job_that_is_measured_as_the_active_one_is_caught(monkeypatch:
         mine["_setup"] = dataclasses.replace(mine["_setup"], jobs=_AnyJob(self))
         return await real(self, command, heard)
 
-    monkeypatch.setattr(CommandQueue, "sort_out", lambda _self, _setup, _gone: ())
+    monkeypatch.setattr(Cycle, "_fail_waiting", lambda _self, _why: None)
     monkeypatch.setattr(Cycle, "_measure", anything)
     assert found("for a trigger of job")
+
+
+@pytest.mark.slow
+def test_a_result_that_outlives_what_it_stands_on_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """VALID over a reload of rig, jobs, limits or cameras: coordinates in a frame that is gone."""
+    real = hs.step
+
+    def lasting(state: Any, event: Any, now_s: float) -> Any:
+        new, effects = real(state, event, now_s)
+        if isinstance(event, ev.Exchanged):
+            new = dataclasses.replace(new, result=state.result)
+        return new, effects
+
+    monkeypatch.setattr(hs, "step", lasting)
+    assert found("exchanged since")
 
 
 def by_number(self: CellRegisters, command: Any) -> int | None:
@@ -205,7 +218,7 @@ def take_by_number(self: Triggers[Any], command: Any) -> Any:
 @pytest.mark.parametrize(
     ("owner", "name", "defect", "violation"),
     [
-        (CellRegisters, "_ticket", by_number, "too old"),
+        (CellRegisters, "_ticket", by_number, "too old|for job|coordinates for command"),
         (Triggers, "take", take_by_number, "an exposure answers a trigger"),
     ],
     ids=["modbus", "zenoh"],

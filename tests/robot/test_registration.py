@@ -517,7 +517,8 @@ def test_results_of_locate_are_points(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [("", "empty"), ("a,1,2,3\n", "line 1: expected NAME and six"), ("a,1,2,3,4,5,x\n", "line 1: could not"),
+    [("", "empty"), ("a,1,2,3\n", "line 1: expected NAME and six"),
+     ("a,1,2,3,4,5,x\n", "line 1: expected a finite number, got 'x'"),
      ("a,1,2,3,4,5,nan\n", "finite"), ("a,1,2,3,4,5,6\na,1,2,3,4,5,6\n", "line 2: a is there twice")],
 )  # fmt: skip
 def test_a_bad_line_of_poses_is_named(tmp_path: Path, text: str, expected: str) -> None:

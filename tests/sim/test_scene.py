@@ -287,6 +287,33 @@ def test_texture_is_attached_to_the_part() -> None:
     assert np.corrcoef(seen)[0, 1] > 0.98
 
 
+@pytest.mark.parametrize(
+    ("lay", "along", "across"),
+    [
+        ({"lay_rad": 0.0}, (0.5, 0.0), (0.0, 0.5)),
+        ({"lay_rad": 0.5 * math.pi}, (0.0, 0.5), (0.5, 0.0)),
+        ({"around_mm": (-6.0, 0.0)}, (0.0, 0.5), (0.5, 0.0)),
+        ({"around_mm": (0.0, 40.0)}, (0.5, 0.0), (0.0, 0.5)),
+    ],
+)
+def test_a_lay_runs_straight_or_in_arcs(lay: dict, along: tuple, across: tuple) -> None:
+    """Around the middle of the face grey values are alike along the lay, and not across it."""
+    part = Part("p", Disc(0, 0, 14), Surface(0.5, 0.2, 0.5, stretch=12.0, **lay))
+    place, view = pose(9, 1, 204, (0.0, 0.0, 0.0)), stereo_views(demo_rig())["left"]
+    picture = view.radiance(on_black(part, place)).copy()
+    grid = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 20), np.linspace(-1.5, 1.5, 20)), axis=-1).reshape(
+        -1, 2
+    )
+
+    def seen(offset: tuple) -> np.ndarray:
+        points = np.append(grid + offset, np.zeros((len(grid), 1)), axis=1)
+        pixels = view.project(points @ place[:3, :3].T + place[:3, 3]).astype(np.float32)[None]
+        return cv2.remap(picture, pixels, None, cv2.INTER_CUBIC).ravel()
+
+    assert np.corrcoef(seen((0.0, 0.0)), seen(along))[0, 1] > 0.7
+    assert abs(np.corrcoef(seen((0.0, 0.0)), seen(across))[0, 1]) < 0.4
+
+
 def test_the_sensor_does_as_its_twin() -> None:
     """Shot noise, read noise, gain, rounding and saturation equal the plain formula."""
     rng = np.random.default_rng(2)

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 from cells import frame_pair, pose
 
 from edged.domain.arrays import Image
@@ -63,3 +64,13 @@ def test_one_camera_decides_where_the_other_sees_nothing() -> None:
             covered[rows] = np.clip(noise, 0, 255).astype(np.uint8)[rows]
             doubts += Reject.AMBIGUOUS_ROTATION in rejects(left, covered)
     assert doubts <= 1
+
+
+@pytest.mark.slow
+def test_another_lay_than_the_taught_one_turns_nothing_silently() -> None:
+    """Taught ground, seen milled: the taught texture is found nowhere, and chance decides nothing."""
+    look, name = "ground, seen milled", "keyway"
+    index = next(k for k, design in enumerate(bench_decisions.DESIGNS) if design.name == name)
+    row = bench_decisions.run_part(index, look, scenes=1, seed=0)
+    assert bench_decisions.DRAWS_PER_SCENE == row.draws
+    assert [] == row.wrong

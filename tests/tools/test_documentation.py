@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import typer
 
+from edged.adapters.web import server, sockets, viewers
 from edged.cli.main import app
+from edged.plc.registers import BLOCKS, StatusBit
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -112,3 +115,48 @@ def test_the_search_finds_commands_and_mistakes() -> None:
     ((tool, options),) = _tools("`tools/bench modbus --second 5`")
     assert "--second" in options
     assert ROOT / "tools" / "bench_modbus.py" == tool
+
+
+REGISTERS = re.compile(
+    r"(?P<names>[A-Z][A-Z0-9_]*(?:, [A-Z][A-Z0-9_]*)*) \((?P<first>\d+)(?:-(?P<last>\d+))?(?=[,;)])"
+)
+"""A register, a block, or several, and in brackets where: "START_EPOCH (344", "SIGMA_X, SIGMA_Y (324-325"."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_each_register_that_the_documents_name_lies_where_they_say(page: Path) -> None:
+    """Its first word; of several, and of a block, the first and the last one."""
+    places = defaultdict[str, set[tuple[int, int]]](set)
+    for block in BLOCKS:
+        places[block.name.upper()].add((block.address, block.address + block.words - 1))
+        for register in block.registers:
+            places[register.name].add((register.address, register.address + register.kind.words - 1))
+    for found in REGISTERS.finditer(page.read_text()):
+        names = found["names"].split(", ")
+        if set(names) <= places.keys():
+            assert int(found["first"]) in {first for first, _ in places[names[0]]}, found[0]
+            assert not found["last"] or int(found["last"]) in {last for _, last in places[names[-1]]}, found[
+                0
+            ]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_each_bit_of_the_status_that_the_documents_name_is_the_one_they_say(page: Path) -> None:
+    """ "READY (201, bit 0)"; "ACK (bit 1)" is a bit of the same word."""
+    for name, number in re.findall(r"([A-Z_]{2,}) \((?:201, )?bit (\d+)\)", page.read_text()):
+        if name in StatusBit.__members__:
+            assert 1 << int(number) == StatusBit[name], name
+
+
+def test_what_strangers_can_take_of_the_page_is_what_is_said() -> None:
+    """Connections, viewers, tabs, requests and messages, by the numbers of the code."""
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in (DOCS / "explanation" / "limits.md").read_text().splitlines()
+        if line.startswith("| status page")
+    ]
+    assert [
+        [server.MAX_GUESTS, viewers.MAX_VIEWERS, sockets.MAX_SOCKETS],
+        [server.REQUESTS_PER_S, server.REQUESTS_AT_ONCE],
+        [sockets.MESSAGES_PER_S, sockets.MESSAGES_PER_S * sockets.MESSAGE_BYTES / 1024],
+    ] == [[float(number) for number in re.findall(r"[0-9]+", limit)] for _, limit, *_ in rows]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -54,3 +56,21 @@ def test_a_reason_on_the_list_passes_without_a_word(tmp_path: Path) -> None:
 
     assert 0 == run.returncode, run.stdout + run.stderr
     assert LIST not in run.stdout
+
+
+def test_the_versions_of_what_is_not_pinned_stand_in_one_line() -> None:
+    """A run that fails on another day is compared by them; what is not installed is named, too."""
+    script = (TESTS.parent / "tools" / "setup.sh").read_text()
+    functions = "\n".join(re.findall(r"^(?:say|versions)\(\) \{.*?\}$", script, re.MULTILINE | re.DOTALL))
+    run = subprocess.run(
+        ["bash", "-euc", f"{functions}\nversions chromium no-such-package"],
+        env=os.environ | {"EDGED_PYTHON": sys.executable},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+    (line,) = run.stderr.splitlines()
+    assert f"Python {platform.python_version()}, Linux {platform.release()}, chromium " in line
+    assert line.endswith(", no-such-package is not here")

@@ -17,7 +17,8 @@ from edged.domain.cell import CellPhase
 from edged.domain.measurement import Reject, Status
 from edged.errors import CaptureError
 from edged.pictures.captions import REASONS, REMEDIES
-from edged.plc.registers import BLOCKS
+from edged.plc.answers import Reason
+from edged.plc.registers import BLOCKS, ResultCode
 from edged.robot.orientations import Convention
 
 WEB = Path(__file__).resolve().parents[2] / "edged" / "adapters" / "web"
@@ -149,6 +150,13 @@ def test_the_run_page_has_a_text_for_each_fact() -> None:
     assert {"version", "Zenoh", "Recorder"} <= names
     assert coded(names) | {"left", "right"} == spoken("run-fact-")
     assert codes == spoken("run-told-")
+
+
+def test_the_plcs_page_has_words_for_each_reason_and_each_result() -> None:
+    """And for no others."""
+    for family, codes in (("plc-nack-", Reason), ("plc-result-", ResultCode)):
+        said = {name for name in ENGLISH["plc"] if name.startswith(family)}
+        assert {family + code.name.lower().replace("_", "-") for code in codes} == said
 
 
 def test_the_run_page_says_of_each_register_what_its_map_does() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from browser import Browser, browser
 from cells import flange, frame_pair
-from setuppage import TOO_WIDE, UNTRANSLATED
+from setuppage import TOO_WIDE, UNTRANSLATED, come_back, freeze, leave, thaw
 from snapshots import make_snapshot, make_target
 from wire.test_web import sources
 
@@ -303,6 +303,21 @@ def test_a_lost_cell_is_not_shown_as_present() -> None:
         await page.value(LANGUAGE % "en")
         await page.until('document.querySelector("#badge").textContent === "no connection"')
         page.complaints.clear()  # of the connection
+
+    on_the_page(test)
+
+
+@pytest.mark.parametrize("way", ["leave", "freeze"])
+def test_a_page_that_comes_back_from_the_browsers_memory_is_live_again(way: str) -> None:
+    """What stands on it is not shown as present until then; nothing is reloaded."""
+
+    async def test(page: Browser, web: WebPublisher) -> None:
+        await page.until('document.querySelector("#badge").textContent === "OK"')
+        await (leave if way == "leave" else freeze)(page)
+        assert "no connection" == await page.value('document.querySelector("#badge").textContent')
+        web.announce(make_snapshot(12, Status.NO_TARGET))
+        await (come_back if way == "leave" else thaw)(page)
+        await page.until('document.querySelector("#badge").textContent === "no target"')
 
     on_the_page(test)
 

@@ -23,14 +23,16 @@ import urscript
 from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
-from snapshots import make_target
+from snapshots import make_target, make_transform
 
 from edged.adapters.modbus import ModbusSettings
+from edged.config.servers import ModbusSection
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.picking import Bounds, Box
 from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
 from edged.plc.texts import render
+from edged.robot.orientations import Brand, Convention, transform_of
 from edged.vision.geometry.rigid import rotation_vector
 
 WAIT_S = 20.0
@@ -443,6 +445,32 @@ class Plc:
         self.scan()
 
 
+@pytest.mark.parametrize("convention", Convention)
+def test_structured_text_commands_no_cell_whose_angles_mean_something_else(convention: Convention) -> None:
+    """uiError 104 before anything is sent; with the convention of the cell the part is given."""
+    settings = ModbusSettings(port=0, validity_s=30.0, convention=convention)
+    with LiveCell(settings) as cell, Plc(cell.port) as plc:
+        for expected in Convention:
+            plc.until("xReady")
+            plc.values |= {"uiConvention": int(expected), "xExecute": True}
+            plc.until("xBusy", False)
+            is_right = expected is convention
+            assert (is_right, 0 if is_right else 104) == (
+                plc.values["stResult"]["xValid"],
+                plc.values["uiError"],
+            )
+            plc.release()
+        assert 1 == cell.head.captures
+
+
+def test_structured_text_expects_the_convention_that_a_cell_has_without_being_told() -> None:
+    """The two defaults are one: a PLC that says nothing is refused by a cell that says something else."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        assert plc.values["uiConvention"] == cell.settings.convention
+    default = ModbusSection.model_fields["convention"].default
+    assert cell.settings.convention is Convention[default.upper()]
+
+
 def test_structured_text_closes_every_statement() -> None:
     """END_IF and END_FOR are ends of statements, END_STRUCT of a declaration: each has its semicolon."""
     # IEC 61131-3, annex A: statement_list is a sequence of statement ';', and so are matiec's and TIA's
@@ -625,6 +653,34 @@ def test_structured_text_never_keeps_coordinates_over_a_restart(notices: bool) -
             plc.until("xReady")
             plc.run()
             assert (True, 28_000) == (plc.values["stResult"]["xValid"], plc.values["stResult"]["diX"])
+
+
+def test_structured_text_never_keeps_coordinates_over_a_reload() -> None:
+    """The registration changes while the result is in use: an error in the next scan, and nothing valid."""
+    with LiveCell() as cell, Plc(cell.port) as plc:
+        plc.until("xReady")
+        plc.run()
+        assert (True, True) == (plc.values["xDone"], plc.values["stResult"]["xValid"])
+        moved = make_transform((0.0, 0.0, 0.0), (100.0, 0.0, 0.0))
+        cell.reload(robot_from_rig=moved, fingerprint="beef")
+        plc.scan()
+        assert (False, False, True, 103) == (
+            plc.values["stResult"]["xValid"],
+            *(plc.values[name] for name in ("xDone", "xError", "uiError")),
+        )
+        plc.release()
+        plc.until("xReady")
+        plc.run()
+        assert (True, 110_000) == (plc.values["stResult"]["xValid"], plc.values["stResult"]["diX"])
+
+
+def test_structured_text_is_done_with_a_result_that_was_withdrawn_before_it_was_read() -> None:
+    """Vision was slower than validity_s: carried out, nothing to use, and no time-out."""
+    with LiveCell(ModbusSettings(port=0, validity_s=0.05)) as cell, Plc(cell.port) as plc:
+        cell.slow_s = 0.2
+        plc.until("xReady")
+        plc.run()
+        assert (True, False) == (plc.values["xDone"], plc.values["stResult"]["xValid"])
 
 
 def test_structured_text_runs_its_command_over_a_connection_that_was_made_anew_unnoticed() -> None:
@@ -854,6 +910,33 @@ def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:
         assert 0.010 == pytest.approx(pose[0])
 
 
+def test_urscript_sends_no_flange_to_a_cell_whose_angles_mean_something_else() -> None:
+    """A registration is not begun: 109; parts are given, in rotation vectors as ever."""
+    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
+        robot = started(controller)
+        robot["get_actual_tcp_pose"] = lambda: (0.0,) * 6
+        assert (False, 109) == (robot["edged_hand_eye"](5.0), robot["edged_error"])
+        robot["edged_locate"](0, 5.0)
+        assert (True, 0, 1) == (robot["edged_ok"], robot["edged_error"], cell.head.captures)
+
+
+def test_urscript_says_where_the_flange_is_that_carries_the_cameras() -> None:
+    """The part is where they saw it from there; no other command goes with that pose."""
+    settings = ModbusSettings(port=0, validity_s=30.0, convention=Convention.UR_ROTATION_VECTOR)
+    cell = LiveCell(settings)
+    flange_from_rig = transform_of(Brand.UR, (0.04, -0.03, 0.1, 0.5, -1.0, 0.2))
+    cell.setup = dataclasses.replace(cell.setup, robot_from_rig=None, flange_from_rig=flange_from_rig)
+    with cell, urscript.Controller(cell.port) as controller:
+        robot = started(controller)
+        for locate in (lambda: robot["edged_locate"](0, 5.0), lambda: robot["edged_locate_all_jobs"](5.0)):
+            pose = transform_of(Brand.UR, locate())
+            assert (True, 0) == (robot["edged_ok"], robot["edged_error"])
+            expected = controller.arm.flange @ flange_from_rig @ cell.targets[0].rig_from_part
+            np.testing.assert_allclose(pose[:3, 3], expected[:3, 3], atol=0.05)
+            np.testing.assert_allclose(pose[:3, :3], expected[:3, :3], atol=8e-5)
+            assert not any(robot["edged_out"][6:18])
+
+
 def test_urscript_never_uses_a_sequence_again() -> None:
     """Not in a program that was started anew, nor after a command that was taken back."""
     with LiveCell() as cell, urscript.Controller(cell.port) as controller:
@@ -904,6 +987,8 @@ def test_urscript_refuses_what_is_damaged_or_of_another_job() -> None:
         def changed(name: str, *, with_crc: bool) -> Callable[[str, bool], list[int]]:
             def read(signal: str, secondary: bool) -> list[int]:
                 words = controls(signal, secondary)
+                if signal != "edged_in":
+                    return words
                 words[place[name]] ^= 1
                 if with_crc:
                     data = struct.pack(f">{len(words)}H", *words)[: 2 * place["UR_CRC16"]]
@@ -932,7 +1017,7 @@ def test_urscript_gives_way_to_a_cell_that_was_started_anew() -> None:
         def read(signal: str, secondary: bool) -> list[int]:
             looks.append(signal)
             words = controls(signal, secondary)
-            if len(looks) > 1:
+            if signal == "edged_in" and looks.count(signal) > 1:
                 words[next(one.address for one in UR.registers if one.name == "UR_START_EPOCH") - 400] ^= 1
             return words
 

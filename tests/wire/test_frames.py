@@ -6,6 +6,7 @@ import dataclasses
 import random
 import socket
 import time
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
@@ -98,6 +99,28 @@ def test_a_flange_is_read_and_a_frame_that_came_twice_runs_once() -> None:
         first, again = robot.ask(asked), robot.ask(asked)
         assert (0, 0, first.pose) == (first.status, again.status, again.pose)
         assert 1 == cell.head.captures
+
+
+@pytest.mark.parametrize("configured", [Brand.FANUC, Brand.UR])
+def test_a_frame_that_names_its_brand_is_read_and_answered_in_that_brands_words(configured: Brand) -> None:
+    """Whatever is configured; one that names none is read as before; a brand that is none is 120."""
+    cell = LiveCell(dataclasses.replace(KUKA, line=LineSettings(0, configured)))
+    cell.setup = dataclasses.replace(cell.setup, robot_from_rig=None, flange_from_rig=np.eye(4))
+    flange = transform_of(Brand.KUKA, (600.0, -120.0, 450.0, 30.0, 70.0, -110.0))
+    with cell, connected(cell) as robot:
+        for number, brand in enumerate((*Brand, None), 1):
+            robot.brand = brand or configured
+            asked = FrameRequest(number, "LOCATE", 0, pose_of(robot.brand, flange), brand=brand)
+            answer = robot.ask(asked)
+            assert 0 == answer.status
+            given = transform_of(robot.brand, answer.pose)
+            np.testing.assert_allclose(given, flange @ cell.targets[0].rig_from_part, atol=3e-2)
+        captures = cell.head.captures
+        unknown = bytearray(asked.frame())
+        unknown[8] = 99
+        robot.socket.sendall(bytes(unknown[:-4]) + zlib.crc32(unknown[:-4]).to_bytes(4, "big"))
+        assert LineStatus.NO_SUCH_BRAND == robot.hear(asked.sequence).status
+        assert captures == cell.head.captures
 
 
 def test_two_frames_at_once_have_two_answers_in_their_order() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import dataclasses
+import itertools
 import socket
 import time
 from collections.abc import Iterator
@@ -19,15 +21,16 @@ from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from pymodbus.client import ModbusTcpClient
 from snapshots import make_target
 
-from edged.adapters.modbus import LineSettings, ModbusSettings
+from edged.adapters.modbus import LineSettings, ModbusSettings, lines
 from edged.adapters.modbus.lines import parse
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.picking import Bounds, Box, Picking
 from edged.plc import registers as reg
+from edged.plc.frames import FrameRequest
 from edged.plc.lines import LineStatus, answer_fields
 from edged.plc.registers import Option
-from edged.robot.orientations import Brand, transform_of
+from edged.robot.orientations import Brand, pose_of, transform_of
 
 KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
 
@@ -92,6 +95,50 @@ def test_a_pose_comes_as_the_maker_writes_it(brand: Brand) -> None:
         )
         assert 0 <= numbers[size + 3] < 15
         assert ([7] if brand is Brand.MITSUBISHI else []) == numbers[size + 4 :]
+
+
+@pytest.mark.parametrize("configured", Brand)
+def test_a_request_that_names_its_brand_is_answered_in_that_brands_words(configured: Brand) -> None:
+    """Whatever is configured: fields, angles and units are those of the maker, in either case."""
+    changed = dataclasses.replace(KUKA, line=LineSettings(0, configured))
+    with LiveCell(changed).pick(GRASPS) as cell, connected(cell) as robot:
+        ready(cell)
+        expected = cell.targets[0].rig_from_part
+        for number, brand in enumerate(Brand, 1):
+            for line, pose in (("LOCATE,0", expected), ("GRASP", expected @ PART_FROM_TCP)):
+                sequence, status, _, numbers = robot.ask(f"{brand.upper()} , {number},{line}")
+                assert (number, 0, len(answer_fields(brand)) - 3) == (sequence, status, len(numbers))
+                size = 7 if brand is Brand.ABB else 6
+                given = transform_of(brand, tuple(numbers[:size]))
+                np.testing.assert_allclose(given[:3, 3], pose[:3, 3], atol=1.1e-3)
+                np.testing.assert_allclose(given[:3, :3], pose[:3, :3], atol=5e-5)
+            for line, status in (("DANCE", LineStatus.NOT_UNDERSTOOD), ("LOCATE,99", 2)):
+                answer = robot.ask(f"{brand},{number + 100},{line}")
+                assert (status, len(answer_fields(brand)) - 3) == (answer[1], len(answer[3]))
+
+
+def test_a_flange_is_read_as_the_brand_that_was_named_writes_it() -> None:
+    """On a rig that the robot carries the part is where the cameras look, for every maker's flange."""
+    cell = LiveCell(KUKA)
+    cell.setup = dataclasses.replace(cell.setup, robot_from_rig=None, flange_from_rig=np.eye(4))
+    flange = transform_of(Brand.KUKA, (600.0, -120.0, 450.0, 30.0, 70.0, -110.0))
+    with cell, connected(cell) as robot:
+        ready(cell)
+        assert (99, 2) == robot.ask("99,LOCATE,0")[:2]
+        for number, brand in enumerate(Brand, 1):
+            shown = ",".join(f"{value:.9f}" for value in pose_of(brand, flange))
+            _, status, _, numbers = robot.ask(f"{brand},{number},LOCATE,0,{shown}")
+            assert 0 == status
+            given = transform_of(brand, tuple(numbers[: 7 if brand is Brand.ABB else 6]))
+            np.testing.assert_allclose(given, flange @ cell.targets[0].rig_from_part, atol=3e-2)
+
+
+def test_a_brand_that_does_not_exist_is_named_as_the_reason() -> None:
+    """Status 120 under the request's own sequence; nothing runs."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        assert (7, LineStatus.NO_SUCH_BRAND) == robot.ask("acme,7,LOCATE,0")[:2]
+        assert 0 == cell.head.captures
 
 
 def test_every_target_is_given_one_after_the_other() -> None:
@@ -274,6 +321,20 @@ def test_who_is_not_listed_may_not_command() -> None:
         "7,LOCATE,-1",
         "7,LOCATE,0,1,2,3",
         "7,LOCATE,0,a,2,3,4,5,6",
+        "kuka",
+        "kuka,7",
+        "kuka,abb,7,LOCATE,0",
+        "acme,LOCATE,0",
+        "1_0,LOCATE,0",
+        "+7,LOCATE,0",
+        "1 0,LOCATE,0",
+        "\u0667,LOCATE,0",
+        "7,LOCATE,0_1",
+        "7,LOCATE,+1",
+        "7,LOCATE,0,1_0,0,0,0,0,0",
+        "7,LOCATE,0,nan,0,0,0,0,0",
+        "7,LOCATE,0,1e400,0,0,0,0,0",
+        "acme,1_0,LOCATE,0",
     ],
 )
 def test_what_is_no_request_is_answered_so(line: str) -> None:
@@ -294,6 +355,54 @@ def test_an_end_of_line_may_be_any_of_three() -> None:
             assert sequence == asked[0]
             if end != "\r":
                 assert sequence + 1 == int(robot.file.readline().decode().partition(",")[0])
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 0.03], ids=["at once", "each byte for itself"])
+@pytest.mark.parametrize("end", [b"\r", b"\n", b"\r\n"], ids=["CR", "LF", "CR LF"])
+def test_an_answer_ends_as_its_request_did(end: bytes, gap_s: float) -> None:
+    """Also where the two bytes of an end come one by one, and where the answer is ready at once."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        robot.socket.settimeout(5)
+        for number, line in enumerate((b"ACK", b"LOCATE,0", b"NEXT", b"ACK"), 1):
+            robot.socket.sendall(b"%d,%s" % (number, line))
+            for byte in end:
+                robot.socket.sendall(bytes((byte,)))
+                time.sleep(gap_s)
+            heard = b""
+            while not heard.endswith(end):
+                heard += robot.socket.recv(1024)
+            assert (b"%d," % number, 1) == (heard[:2], heard.count(b"\r") + heard.count(b"\n") - len(end) + 1)
+        robot.socket.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            robot.socket.recv(1)
+
+
+ENDS = st.sampled_from([b"\r", b"\n", b"\r\n"])
+
+
+@given(st.lists(st.tuples(st.sampled_from([b"1,ACK", b"x", b"kuka,2,NEXT", b" "]), ENDS)), st.data())
+@settings(max_examples=100, deadline=None, derandomize=True)
+def test_lines_are_told_apart_however_the_network_cuts_them(
+    sent: list[tuple[bytes, bytes]], data: st.DataObject
+) -> None:
+    """Each once and in its order, no end of line is a request; a frame between two of them is whole."""
+    frame = FrameRequest(7, "LOCATE").frame()
+    whole = b"".join(line + end + frame for line, end in sent)
+    cuts = data.draw(st.lists(st.integers(0, len(whole)), max_size=6).map(sorted))
+    pieces = [whole[a:b] for a, b in itertools.pairwise([0, *cuts, len(whole)])]
+
+    async def heard() -> list[bytes]:
+        reader = asyncio.StreamReader()
+        messages, found = lines.Messages(reader), []
+        for piece in pieces:
+            reader.feed_data(piece)
+        reader.feed_eof()
+        while message := await messages.next():
+            found.append(message)
+        return found
+
+    assert [part for line, end in sent for part in (line + end[:1], frame)] == asyncio.run(heard())
 
 
 WORDS = st.sampled_from(
@@ -376,6 +485,73 @@ def test_a_robot_that_may_command_makes_a_stranger_go() -> None:
         assert LineStatus.NOT_UNDERSTOOD == known.ask("")[1]
         assert robots[0].ended()
         assert LineStatus.MAY_NOT_WRITE == robots[1].ask("")[1]
+
+
+def test_the_robot_that_is_silent_longest_makes_room_for_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight that lost their power lock nobody out: its own first, then anybody's; one that talks stays."""
+    monkeypatch.setattr(lines, "SILENT_S", 0.3)
+    with LiveCell(dataclasses.replace(KUKA, owner_s=0.3)) as cell, contextlib.ExitStack() as ends:
+
+        def connect(host: str) -> Robot:
+            robot = Robot(cell.server.line_port, host)
+            ends.callback(robot.socket.close)
+            ends.callback(robot.file.close)
+            return robot
+
+        ready(cell)
+        first = connect("127.0.0.2")
+        dead = [connect("127.0.0.3") for _ in range(6)]
+        for robot in (first, *dead):
+            assert LineStatus.NOT_UNDERSTOOD == robot.ask("")[1]
+        talking = connect("127.0.0.4")
+        time.sleep(0.4)
+        assert 0 == talking.ask("7,LOCATE,0")[1]
+        again = connect("127.0.0.3")
+        assert LineStatus.NOT_UNDERSTOOD == again.ask("")[1]
+        assert dead[0].ended()
+        another = connect("127.0.0.5")
+        assert LineStatus.NOT_UNDERSTOOD == another.ask("")[1]
+        assert first.ended()
+        assert 0 == talking.ask("8,LOCATE,0")[1]
+
+
+def test_no_stranger_makes_a_robot_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long the robots are silent; of strangers who is silent longest makes room for the next."""
+    monkeypatch.setattr(lines, "SILENT_S", 0.0)
+    changed = dataclasses.replace(KUKA, owner_s=0.0, writers=(ip_network("127.0.0.9/32"),))
+    with LiveCell(changed) as cell, contextlib.ExitStack() as ends:
+
+        def connect(host: str) -> Robot:
+            robot = Robot(cell.server.line_port, host)
+            ends.callback(robot.socket.close)
+            ends.callback(robot.file.close)
+            return robot
+
+        robots = [connect("127.0.0.9") for _ in range(7)]
+        strangers = [connect("127.0.0.2") for _ in range(3)]
+        assert strangers[0].ended() and strangers[1].ended()
+        assert LineStatus.MAY_NOT_WRITE == strangers[2].ask("")[1]
+        robots.append(connect("127.0.0.9"))
+        assert strangers[2].ended()
+        assert connect("127.0.0.2").ended()
+        assert [LineStatus.NOT_UNDERSTOOD] * 8 == [robot.ask("")[1] for robot in robots]
+
+
+def test_a_robot_that_waits_for_its_picture_is_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its command is under way: seven others make room before it does."""
+    monkeypatch.setattr(lines, "SILENT_S", 0.1)
+    with LiveCell(dataclasses.replace(KUKA, owner_s=0.1)) as cell, contextlib.ExitStack() as ends:
+        ready(cell)
+        robots = [Robot(cell.server.line_port) for _ in range(8)]
+        cell.slow_s = 1.0
+        robots[0].socket.sendall(b"7,LOCATE,0\n")
+        time.sleep(0.3)
+        robots.append(Robot(cell.server.line_port))
+        for robot in robots:
+            ends.callback(robot.socket.close)
+            ends.callback(robot.file.close)
+        assert robots[1].ended()
+        assert robots[0].file.readline().startswith(b"7,0,")
 
 
 def test_who_is_silent_floods_or_is_one_too_many_is_hung_up_on() -> None:

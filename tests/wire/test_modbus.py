@@ -1044,6 +1044,59 @@ def test_a_handshake_that_fails_leaves_no_memory(tls: TlsSettings, sent: bytes) 
         gc.enable()
 
 
+def test_the_longest_silent_of_many_writers_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each has one connection, and lost its power: the one that was heard of last stays, who polls too."""
+    monkeypatch.setattr(tcp, "SILENT_S", 0.3)
+
+    async def test(rig: Rig) -> None:
+        async def connect(last: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+            host = f"127.0.0.{last}"
+            return await asyncio.open_connection("127.0.0.1", rig.server.port, local_addr=(host, 0))
+
+        dead = [await connect(last) for last in (2, 3, 4)]
+        async with asyncio.timeout(WAIT_S):
+            while True:
+                assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+                plc = await connect(9)
+                plc[1].write(frame(struct.pack(">BHH", 3, 0, 1)))
+                with contextlib.suppress(ConnectionError):
+                    if await plc[0].read(100):
+                        break
+                plc[1].close()
+        assert await ended(dead[0][0])
+        assert not dead[1][0].at_eof()
+        assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+        for _, writer in (*dead, plc):
+            writer.close()
+
+    serve(test, ModbusSettings(port=0, max_clients=4, owner_s=0.3))
+
+
+def test_a_stranger_takes_the_place_of_silent_strangers_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of what they leave behind; never that of a PLC, which may be silent between two commands."""
+    monkeypatch.setattr(tcp, "SILENT_S", 0.0)
+
+    async def test(rig: Rig) -> None:
+        async def connect(last: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+            host = f"127.0.0.{last}"
+            return await asyncio.open_connection("127.0.0.1", rig.server.port, local_addr=(host, 0))
+
+        stranger, silent = await connect(5), await connect(6)
+        later = await connect(7)
+        assert await ended(stranger[0])
+        plcs = [await connect(2), await connect(2)]
+        assert await ended(silent[0]) and await ended(later[0])
+        refused = await connect(5)
+        assert await ended(refused[0])
+        assert not any(reader.at_eof() for reader, _ in plcs)
+        assert not (await rig.client.read_holding_registers(0, count=1)).isError()
+        for _, writer in (stranger, silent, later, refused, *plcs):
+            writer.close()
+
+    writers = (ip_network("127.0.0.1/32"), ip_network("127.0.0.2/32"))
+    serve(test, ModbusSettings(port=0, max_clients=3, owner_s=0.0, writers=writers))
+
+
 def test_one_that_takes_many_places_gives_one_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """A silent connection of whoever has more than the newcomer makes room, also where both may write."""
     monkeypatch.setattr(tcp, "SILENT_S", 0.3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import ssl
 import subprocess
@@ -197,7 +198,7 @@ def test_parity_and_speed_reach_the_line(
     settings = SerialSettings("/dev/ttyUSB0", 9600, parity)
     server = rtu.RtuServer(settings, 1, CellRegisters(ModbusSettings(), None, time.monotonic), 1)
     with pytest.raises(ListenError, match="is it plugged in"):
-        server.start()
+        asyncio.run(server.start())
     assert [(expected, stop_bits, True)] == [
         (options["parity"], options["stopbits"], options["exclusive"]) for options in opened
     ]

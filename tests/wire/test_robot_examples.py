@@ -1,19 +1,31 @@
-"""The examples of the page of robots, as a new user types them in: they move to the part, or not at all."""
+"""The examples of the manual, as a new user types them in: they come along the tool's axis, or not at all."""
 
 from __future__ import annotations
 
+import re
+import textwrap
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from livecell import GRASPS, PART_FROM_TCP, LiveCell
-from robotexamples import EXAMPLES, Example, text_of
+import urscript
+from livecell import LiveCell
+from robotexamples import DOCS, EXAMPLES, Example, text_of
 from robotlink import Link
-from snapshots import make_target
+from snapshots import make_target, make_transform
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Target
+from edged.domain.picking import Grasp, Picking
 from edged.plc.registers import StatusBit
-from edged.robot.orientations import Brand, transform_of
+from edged.plc.texts import FORMATS, SEVERAL, render
+from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.vision.geometry.rigid import transform
+
+PART_FROM_TOOL = make_transform((0.1, 0.05, -1.0), (30.0, -10.0, 5.0))
+TILTED = Picking(grasps=(Grasp("rim", PART_FROM_TOOL, PART_FROM_TOOL, 50.0, 80.0),))
 
 
 def bits(cell: LiveCell) -> int:
@@ -31,23 +43,38 @@ def ready(cell: LiveCell) -> None:
         time.sleep(0.005)
 
 
+def same_pose(expected: FloatArray, given: FloatArray) -> None:
+    """To 1 µm, 0.001° of an angle that is written out, and what a robot's 32 bits hold."""
+    np.testing.assert_allclose(given[:3, 3], expected[:3, 3], atol=6e-3)
+    np.testing.assert_allclose(given[:3, :3], expected[:3, :3], atol=5e-5)
+
+
+def before(tool: FloatArray, away_mm: float) -> FloatArray:
+    """Where the tool comes from: so far back along its own axis, on the robot's side of the part."""
+    place = np.asarray(tool @ transform(np.eye(3), np.array([0.0, 0.0, -away_mm])))
+    assert 0.8 * away_mm < place[2, 3] - tool[2, 3] < 0.99 * away_mm, "above, and not straight above"
+    return place
+
+
+def lying(x_mm: float, face_mm: tuple[float, float] = (20.0, 200.0)) -> Target:
+    """A part whose face looks up at robot and cameras, some 20° askew: its Z goes down into it."""
+    return replace(make_target(x_mm=x_mm), rig_from_part=make_transform((2.7, 0.3, 0.2), (x_mm, *face_mm)))
+
+
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda one: str(one.brand))
-def test_an_example_moves_to_the_part_and_says_that_it_was_used(example: Example) -> None:
-    """One picture; the pose that the tool stops before is the part's (Yaskawa: its grasp's)."""
+def test_an_example_comes_to_the_part_along_its_tool_and_says_that_it_was_used(example: Example) -> None:
+    """One picture; before the part (Yaskawa: its grasp), on the robot's side, and then, if at all, there."""
     settings = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, example.brand))
-    with LiveCell(settings).pick(GRASPS) as cell:
+    with LiveCell(settings).pick(TILTED) as cell:
         ready(cell)
-        cell.targets = (make_target(x_mm=312.5),)
+        cell.targets = (lying(312.5),)
         moves = example.run(text_of(example.section), Link(cell.server.line_port))
-        pose, ahead_mm = moves[-1]
         is_grasp = example.brand is Brand.YASKAWA
-        expected = cell.targets[0].rig_from_part @ (PART_FROM_TCP if is_grasp else np.eye(4))
-        given = transform_of(example.brand, pose)
-        np.testing.assert_allclose(given[:3, 3], expected[:3, 3], atol=1.2e-3)
-        np.testing.assert_allclose(given[:3, :3], expected[:3, :3], atol=5e-5)
-        first_mm = moves[0][1]
-        assert (100.0 if example.brand is not Brand.YASKAWA else 0.0) == first_mm
-        assert ahead_mm in (0.0, 100.0)
+        tool = cell.targets[0].rig_from_part @ (PART_FROM_TOOL if is_grasp else np.eye(4))
+        same_pose(before(tool, 50.0 if is_grasp else 100.0), moves[0])
+        assert len(moves) in (1, 2)
+        if moves[1:]:
+            same_pose(tool, moves[1])
         assert 1 == cell.head.captures
         assert not bits(cell) & StatusBit.RESULT_VALID
 
@@ -65,3 +92,77 @@ def test_an_example_does_not_move_without_a_pose(example: Example, is_there: boo
             assert [] == example.run(text_of(example.section), Link(port))
     if not is_there and example.brand is not Brand.DOOSAN:
         assert [] == example.run(text_of(example.section), Link(port))
+
+
+def test_a_part_whose_z_was_taught_upwards_is_turned_as_the_page_says() -> None:
+    """ABB: a half turn about the part's x before RelTool shifts along what is then the tool's z."""
+    settings = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.ABB))
+    (example,) = (one for one in EXAMPLES if one.brand is Brand.ABB)
+    (turn,) = re.findall(r"`(pick:=RelTool\(.*?;)`", (DOCS / "robots.md").read_text())
+    text = text_of("ABB").replace("    MoveL", f"    {turn}\n    MoveL")
+    with LiveCell(settings) as cell:
+        ready(cell)
+        over = make_transform((np.pi, 0.0, 0.0), (0.0, 0.0, 0.0))
+        tool = lying(312.5).rig_from_part
+        cell.targets = (replace(lying(312.5), rig_from_part=tool @ over),)
+        (move,) = example.run(text, Link(cell.server.line_port))
+        same_pose(before(tool, 100.0), move)
+
+
+UNIVERSAL = {
+    "plc-makers": lambda: (DOCS / "plc-makers.md").read_text().partition("## Universal Robots")[2],
+    "picking": lambda: textwrap.dedent(
+        (DOCS / "picking.md").read_text().partition('=== "URScript"\n')[2].partition("\n===")[0]
+    ),
+}
+
+
+@pytest.mark.parametrize("page", UNIVERSAL)
+def test_urscript_comes_to_the_part_along_its_tool(page: str) -> None:
+    """In m, from before the part, on the robot's side: on each page that shows it."""
+    found = re.search(r"^```\w*\n(.*?)^```", UNIVERSAL[page](), re.MULTILINE | re.DOTALL)
+    assert found is not None
+    tool = lying(312.5).rig_from_part
+    moves: list[FloatArray] = []
+
+    def joined(pose: tuple[float, ...], offset: tuple[float, ...]) -> tuple[float, ...]:
+        return pose_of(Brand.UR, transform_of(Brand.UR, pose) @ transform_of(Brand.UR, offset))
+
+    def move(pose: tuple[float, ...]) -> None:
+        moves.append(transform_of(Brand.UR, pose))
+        names["edged_ok"] = False
+
+    names = {
+        "edged_ok": True,
+        "edged_remaining": 0,
+        "edged_locate": lambda *_: pose_of(Brand.UR, tool),
+        "edged_acknowledge": lambda: None,
+        "pose_trans": joined,
+        "movel": move,
+        "pose": urscript.POSE,
+    }
+    exec(compile(urscript.translate(found[1]), page, "exec"), names)
+    (given,) = moves
+    same_pose(before(tool, 100.0), given)
+
+
+APPROACHES = {
+    "rapid": ("EDGED.mod", "RelTool(pick,0,0,-100)"),
+    "krl": ("edged.src", "PICK=EDGED_PART[1]:{X 0,Y 0,Z -100,A 0,B 0,C 0}"),
+    "drl": ("edged.drl", "movel(trans(target, posx(0, 0, -100, 0, 0, 0), ref=DR_TOOL), vel=100, acc=100)"),
+    "val3": ("start.pgx", "movel(appro(pPick,{0,0,-100,0,0,0}),tTool,mSlow)"),
+    "as": ("edged.as", "LAPPRO ed_part,100"),
+    "spel": ("Edged.prg", "Go P10 +TLZ(-100)"),
+    "motoplus": ("edged.c", "MOVL P082"),
+    "urscript": ("edged.script", "movel(pose_trans(target, p[0, 0, -0.1, 0, 0, 0]))"),
+}
+
+
+@pytest.mark.parametrize("fmt", APPROACHES)
+def test_the_note_at_a_programs_head_approaches_as_the_page_does(fmt: str) -> None:
+    """By the same words, which the tests above have run."""
+    file, approach = APPROACHES[fmt]
+    text = render(fmt) if fmt in FORMATS else SEVERAL[fmt]()[file]
+    pages = "".join((DOCS / f"{page}.md").read_text() for page in ("robots", "plc-makers"))
+    assert approach in text
+    assert approach in pages

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from robotlink import Link
-from robotsides import LIES, SIDES, Doosan, Fanuc, FanucWithEnds, Kuka, Mitsubishi, Side, honest
+from robotsides import LIES, SIDES, Doosan, Fanuc, FanucWithEnds, Kuka, Mitsubishi, Side, Yaskawa, honest
 from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
@@ -61,6 +61,7 @@ def running(
 @contextlib.contextmanager
 def beside(make: type[Any], liar: Liar) -> Iterator[Side]:
     """The robot of that brand, whose clock jumps when the liar has said all that it will."""
+    liar.end = getattr(make, "end", b"\n")
     link = Link(liar.port)
     link.is_done = liar.has_answered
     side = make(link)
@@ -93,11 +94,21 @@ def posed(generator: np.random.Generator) -> Target:
     return dataclasses.replace(make_target(), rig_from_part=rig_from_part)
 
 
+def asked_of(request: str) -> tuple[str, str, str]:
+    """The brand, the sequence and the rest of a request, without blanks and where the flange is."""
+    brand, sequence, *rest = "".join(request.split()).split(",")
+    return brand, sequence, ",".join(rest[:2])
+
+
 class Liar:
-    """A cell that answers what it is told: `answers` are bytes, made of the request; None hangs up."""
+    """A cell that answers what it is told: `answers` are bytes, made of the request; None hangs up.
+
+    end : what the robot ends its lines with; so end those of the answers, which are written with LF.
+    """
 
     def __init__(self, *answers: Callable[[str], bytes | None]) -> None:
         self.waiting = list(answers)
+        self.end = b"\n"
         self.requests: list[str] = []
         self.answered = 0
         self.listener = socket.create_server(("127.0.0.1", 0))
@@ -136,17 +147,16 @@ class Liar:
         """Answer one line. False: the link is gone."""
         line = said = b""
         with contextlib.suppress(OSError):
-            line = reader.readline()
-        if line == b"\r\n":
-            return True
-        line = line if line.endswith(b"\n") else b""
+            while not line.endswith(self.end) and (byte := reader.read(1)):
+                line += byte
+        line = line if line.endswith(self.end) else b""
         if line:
             self.requests.append(line.decode())
             if not self.waiting:
                 return True
             said = self.waiting[0](line.decode())
             with contextlib.suppress(OSError):
-                link.sendall(said or b"")
+                link.sendall((said or b"").replace(b"\n", self.end))
         if not line or said is None:
             reader.close()
             link.close()
@@ -175,6 +185,27 @@ def test_a_pose_arrives_as_the_cell_measured_it(make: type[Any]) -> None:
         assert 12 == cell.head.captures
 
 
+@pytest.mark.parametrize("configured", Brand)
+def test_a_program_moves_by_its_own_makers_pose_whatever_the_cell_is_set_to(configured: Brand) -> None:
+    """Where the configured brand is another robot's the tool's axis points where the part's does, too."""
+    cell = LiveCell(ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, configured)))
+    cell.targets = (posed(np.random.default_rng(11)),)
+    wrong = []
+    with cell:
+        until(lambda: bits(cell) & StatusBit.READY)
+        for make in SIDES:
+            side = make(Link(cell.server.line_port))
+            numbers = side.locate()
+            if numbers is None:
+                wrong.append((make.__name__, side.error()))
+            elif not np.allclose(
+                transform_of(side.brand, numbers)[:3, :3], cell.targets[0].rig_from_part[:3, :3], atol=5e-5
+            ):
+                wrong.append((make.__name__, "turned"))
+            side.close()
+    assert [] == wrong
+
+
 @talkers
 def test_every_target_is_given_and_then_withdrawn(make: type[Any]) -> None:
     """NEXT gives the others of the same picture; after the acknowledgement there is nothing to move by."""
@@ -194,6 +225,35 @@ def test_every_target_is_given_and_then_withdrawn(make: type[Any]) -> None:
 
 
 @talkers
+def test_parts_may_be_acknowledged_one_by_one(make: type[Any]) -> None:
+    """Each is withdrawn when it was used, the next comes of the same picture; the last one ends the link."""
+    with running(make) as (cell, side):
+        for _ in range(2):
+            cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
+            seen = [(side.locate() or (0,))[0]]
+            for more in (2, 1):
+                assert more == side.remaining()
+                side.acknowledge()
+                assert (0, 0) == (side.error(), bits(cell) & StatusBit.RESULT_VALID)
+                seen.append((side.next() or (0,))[0])
+            side.acknowledge()
+            assert ([10.0, 20.0, 30.0], 0) == (seen, side.error())
+            assert (None, Failure.NO_LINK) == (side.next(), side.error())
+        assert 2 == cell.head.captures
+
+
+@talkers
+def test_parts_without_a_grasp_may_be_left_for_the_next(make: type[Any]) -> None:
+    """119 says nothing of the others: they are still given, also after an acknowledgement."""
+    with running(make) as (cell, side):
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+        assert side.locate() is not None
+        assert (None, LineStatus.NO_GRASP, 1) == (side.grasp(), side.error(), side.remaining())
+        side.acknowledge()
+        assert (20.0, 0) == ((side.next() or (0,))[0], side.remaining())
+
+
+@talkers
 def test_the_tool_and_from_where_it_comes_are_given(make: type[Any]) -> None:
     """Of the part that was given last; without a grasp None and 119, and the part goes on being valid."""
     with running(make) as (cell, side):
@@ -209,6 +269,37 @@ def test_the_tool_and_from_where_it_comes_are_given(make: type[Any]) -> None:
             np.testing.assert_allclose(given[:3, 3], tool[:3, 3] - away_mm * tool[:3, 2], atol=1.2e-3)
             np.testing.assert_allclose(given[:3, :3], tool[:3, :3], atol=5e-5)
         side.acknowledge()
+
+
+@pytest.mark.parametrize("make", [one for one in SIDES if one is not Yaskawa], ids=lambda one: one.__name__)
+def test_a_robot_that_carries_the_cameras_says_where_its_flange_is(make: type[Any]) -> None:
+    """The part is where they saw it from there, however the flange stands and whatever tool is on it."""
+    generator = np.random.default_rng(3)
+    flange_from_rig = transform(rotation_matrix(np.array([0.3, -2.0, 0.5])), np.array([40.0, -25.0, 90.0]))
+    with running(make, robot_from_rig=None, flange_from_rig=flange_from_rig) as (cell, side):
+        for _ in range(4):
+            target, flange = posed(generator), posed(generator).rig_from_part
+            cell.targets, side.link.arm.flange = (target,), flange
+            numbers = side.locate()
+            assert numbers is not None, side.error()
+            pose, expected = (
+                transform_of(side.brand, numbers),
+                flange @ flange_from_rig @ target.rig_from_part,
+            )
+            # the registers say where the flange is to 1 µm and 0.001°
+            np.testing.assert_allclose(pose[:3, 3], expected[:3, 3], atol=0.05)
+            np.testing.assert_allclose(pose[:3, :3], expected[:3, :3], atol=8e-5)
+
+
+def test_karel_says_no_flange_where_a_tool_or_a_frame_is_active() -> None:
+    """CURPOS is another place then: LOCATE is refused where the robot carries the cameras, and only there."""
+    with running(Fanuc, robot_from_rig=None, flange_from_rig=np.eye(4)) as (_, side):
+        for tool, frame, error in ((1, 0, 2), (0, 1, 2), (0, 0, 0)):
+            side.controller.activate(tool, frame)
+            assert (error == 0, error) == (side.locate() is not None, side.error())
+    with running(Fanuc) as (_, side):
+        side.controller.activate(1)
+        assert side.locate() is not None
 
 
 @callers
@@ -254,15 +345,15 @@ def test_a_grasp_that_is_no_answer_gives_no_pose(make: type[Any], lie: str, hone
     brand: Brand = make.brand
 
     def right(request: str) -> bytes:
-        return f"{honest(brand, request.partition(',')[0].strip())}\n".encode()
+        return f"{honest(brand, asked_of(request)[1])}\n".encode()
 
     def wrong(request: str) -> bytes:
-        return said(brand, request.partition(",")[0].strip())
+        return said(brand, asked_of(request)[1])
 
     with Liar(*[right] * honest_ones, wrong, *[right] * 4) as liar, beside(make, liar) as side:
         assert (None, failure) == (side.locate_grasps(timeout_s=1.0), side.error())
         assert (1, 0) == (len(side.locate_grasps()), side.error())
-        asked = ["".join(one.split()).partition(",")[2] for one in liar.requests]
+        asked = [asked_of(request)[2] for request in liar.requests]
         whole = ["LOCATE,0", "GRASP", "APPROACH"]
         assert [*whole[: honest_ones + 1], *whole, "ACK"] == asked
 
@@ -335,13 +426,14 @@ def test_only_the_whole_answer_to_this_request_moves_the_robot(make: type[Any], 
     said, failure = make.excuses.get(lie, LIES[lie])
     brand: Brand = make.brand
     right = f"{honest(brand, '2')}\n".encode()
-    liar = Liar(lambda request: said(brand, request.partition(",")[0].strip()), lambda _: right)
+    liar = Liar(lambda request: said(brand, asked_of(request)[1]), lambda _: right)
     with liar, beside(make, liar) as side:
         assert None is side.locate(timeout_s=1.0)
         assert failure == side.error()
         numbers = side.locate(timeout_s=5.0)
         assert (400.0, 0) == (numbers and numbers[0], side.error())
-        assert ["1,LOCATE,0", "2,LOCATE,0"] == ["".join(one.split()) for one in liar.requests[:2]]
+        asked = [asked_of(request) for request in liar.requests[:2]]
+        assert [(brand, number, "LOCATE,0") for number in "12"] == asked
 
 
 @sides

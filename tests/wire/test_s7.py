@@ -20,6 +20,7 @@ from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
 from edged.plc.texts import render
+from edged.robot.orientations import Convention
 
 CYCLES_BUSY = 3
 DONE, BUSY, ERROR = "DONE", "BUSY", "ERROR"
@@ -169,7 +170,7 @@ def test_scl_locates_a_part() -> None:
         plc.until("xReady")
         plc.run(uiCommand=1, uiJob=99)
         assert (True, 2) == (plc.values["xError"], plc.values["uiError"])
-        assert [(103, 200, 19), (103, 300, 48), (103, 540, 35), (116, 100, 19)] == plc.client.requests[:4]
+        assert [(103, 200, 20), (103, 300, 48), (103, 540, 35), (116, 100, 19)] == plc.client.requests[:4]
         assert 2 == cell.head.captures
 
 
@@ -191,6 +192,20 @@ def test_scl_takes_a_command_back_when_the_link_is_down() -> None:
         plc.until("xReady")
         plc.run()
         assert (True, 1) == (plc.values["stResult"]["xValid"], cell.head.captures)
+
+
+def test_scl_commands_no_cell_whose_angles_mean_something_else() -> None:
+    """uiError 104, no picture; with the convention of the cell the part is given."""
+    settings = ModbusSettings(port=0, validity_s=30.0, convention=Convention.KUKA_ABC)
+    with LiveCell(settings) as cell, S7(cell.port) as plc:
+        for expected, outcome in ((1, (False, 104, 0)), (2, (True, 0, 1))):
+            plc.until("xReady")
+            plc.values |= {"uiConvention": expected, "xExecute": True}
+            plc.block.scan()
+            plc.until("xBusy", False)
+            values = plc.values
+            assert outcome == (values["stResult"]["xValid"], values["uiError"], cell.head.captures)
+            plc.release()
 
 
 def test_scl_does_not_move_a_robot_by_a_simulation() -> None:

@@ -17,11 +17,15 @@ from setuppage import (
     STATE,
     TOO_WIDE,
     UNTRANSLATED,
+    come_back,
+    freeze,
     go,
+    leave,
     log_in,
     press,
     said,
     take,
+    thaw,
 )
 from webcell import Cell, running
 
@@ -320,5 +324,23 @@ def test_a_page_without_its_cell_says_so() -> None:
         await cell.web.close()
         await page.until(said("No connection to the cell"))
         page.complaints.clear()  # of the connection
+
+    on_the_page(test)
+
+
+@pytest.mark.parametrize("way", ["leave", "freeze"])
+def test_a_page_that_comes_back_from_the_browsers_memory_listens_again(way: str) -> None:
+    """Its socket is closed when it is left; what happened meanwhile stands there, without a reload."""
+    connected = "live.isConnected.value"
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await page.value('import("/static/setup/live.js").then((live) => { globalThis.live = live; })')
+        await page.until(connected)
+        await (leave if way == "leave" else freeze)(page)
+        assert not await page.value(connected)
+        await cell.log_in()
+        assert 201 == (await cell.ask("POST", "/api/v1/setup", {"name": "Ben"}))[0]
+        await (come_back if way == "leave" else thaw)(page)
+        await page.until(f'{STATE} === "SETUP by Ben"')
 
     on_the_page(test)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from browser import browser
+from boardcell import BoardCell
+from boardpairs import SPEC
+from browser import Browser, browser
 from browsersession import PASSWORD
-from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
+from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, discard, go, log_in, press, said, take_over
 from stagecell import Newcomer, run
+from workshop.test_calibrations import with_views
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
@@ -68,6 +72,121 @@ def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path)
             assert [] == page.complaints
 
     run(tmp_path, test, gige=False)
+
+
+def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
+    """By another calibration, while live pairs are looked at: nothing opens the first one again by itself."""
+
+    async def test(newcomer: Newcomer) -> None:
+        await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
+        async with browser() as page:
+            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+            await take_over(page)
+            await go(page, "calibrate")
+            await page.until(said("Which board?"))
+            await page.click(".choice:nth-child(2)")
+            await page.type("[name=columns]", "9")
+            await page.type("[name=mm]", "4")
+            await press(page, "Begin")
+            await page.until(said("The pictures show another board than the stated one"))
+            await press(page, "Take views by itself")
+            await page.until(said("Stop taking views"))
+
+            await press(page, "Begin another calibration")
+            await page.until(said("Which board?"))
+            (wrong,) = (await newcomer.ask("GET", "calibrations"))["calibrations"]
+            assert not (await newcomer.ask("GET", f"calibrations/{wrong['id']}"))["auto"]
+            await overtaken(newcomer, page, wrong["id"])
+            assert await page.value(said("Which board?"))
+            await page.ask("Page.reload")
+            await page.until(said("Begun before"))
+            assert await page.value(said("Which board?"))
+            assert [] == await page.violations()
+            await page.type("[name=columns]", "11")
+            await press(page, "Begin")
+            await page.until(said("chessboard:11x8:4"))
+            await page.until(OUTLINE)
+            await page.until(GHOST)
+            assert [] == page.complaints
+
+    run(tmp_path, test, gige=False)
+
+
+def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
+    """On this screen and from another one; a calibration that is begun after that has nothing of it."""
+
+    async def test(newcomer: Newcomer) -> None:
+        await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
+        first = await newcomer.ask("POST", "calibrations", {"boards": ["chessboard:9x8:4"]}, 201)
+        second = await newcomer.ask("POST", "calibrations", {"boards": ["chessboard:11x8:4"]}, 201)
+        async with browser() as page:
+            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+            await take_over(page)
+            await go(page, "calibrate")
+            await page.until(OUTLINE)
+            await discard(page)
+            await page.until(said("Which board?"))
+            await newcomer.ask("GET", f"calibrations/{second['id']}", expected=404)
+            await press(page, "Go on")
+            await page.until(said("The pictures show another board than the stated one"))
+            await newcomer.ask("DELETE", f"calibrations/{first['id']}", {}, 204)
+            await page.until(said("Which board?"))
+            await page.until(f"!{said('Begun before')}")
+            await page.click(".choice:nth-child(2)")
+            await page.type("[name=mm]", "4")
+            await press(page, "Begin")
+            await page.until(said("chessboard:11x8:4"))
+            await press(page, "Take this view now")
+            await page.until(f"{VIEWS} === 1")
+            assert [] == page.complaints
+
+    run(tmp_path, test, gige=False)
+
+
+async def overtaken(newcomer: Newcomer, page: Browser, identity: str) -> None:
+    """What is told of a draft has come to a page."""
+    await page.value(
+        """import("/static/setup/live.js").then((live) => { live.told("mark"); globalThis.live = live; })"""
+    )
+    for goal_um in (2.0, 3.0):
+        await newcomer.ask("PUT", f"calibrations/{identity}", {"goal_um": goal_um})
+        newcomer.daemon._notices.publish("mark", {"id": goal_um})  # noqa: SLF001  (comes after it)
+        await page.until(f'live.told("mark").value?.id === {goal_um}')
+
+
+def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -> None:
+    """At once, on the page where it was activated, and on one that comes later."""
+    cell = BoardCell(tmp_path)
+
+    async def bounded() -> None:
+        async with asyncio.timeout(150), cell.running(), browser() as page:
+            place, token = await with_views(cell, 6)
+            _, begun = await cell.ask("POST", f"{place}/solve", {})
+            assert "done" == (await cell.done(begun["task"]))["state"]
+            origin = f"http://127.0.0.1:{cell.port}"
+            await log_in(page, origin, "Anna", PASSWORD, "/setup", (1280, 900))
+            await go(page, "calibrate")
+            await page.until(f"{VIEWS} === 6")
+            status, _ = await cell.ask("POST", f"{place}/activate", {"token": token, "note": "the first"})
+            assert 200 == status
+            await take_over(page)
+            await press(page, "Begin another calibration")
+            await page.until(said("Which board?"))
+            await go(page, "welcome")
+            await go(page, "calibrate")
+            await page.until(said("Which board?"))
+            await page.type("[name=mm]", "6")
+            await press(page, "Begin")
+            await page.until(said(SPEC))  # it is recognised in live pairs
+            await press(page, "Take this view now")
+            await page.until(f"{VIEWS} === 1")
+            await discard(page)
+            await page.until(said("Which board?"))
+            await page.ask("Page.reload")
+            await page.until(said("Which board?"))
+            assert [] == page.complaints
+
+    asyncio.run(bounded())
 
 
 def test_a_check_says_in_words_and_shapes_whether_the_calibration_holds(tmp_path: Path) -> None:

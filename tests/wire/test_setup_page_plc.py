@@ -19,7 +19,7 @@ from webcell import Cell, running
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.domain.cell import CellPhase
-from edged.plc.registers import WordOrder
+from edged.plc.registers import MAP_VERSION, WordOrder
 from edged.plc.texts import FORMATS, SEVERAL
 from edged.workshop.plcroutes import FILES
 
@@ -137,7 +137,7 @@ async def check_probes(page: Browser) -> None:
         str(swapped(u32, words=False, octets=True)): "The two bytes of each word are swapped",
         str(swapped(u32, words=True, octets=True)): "Bytes and words are both swapped",
         str(0x030442F6): "The address is one too high",
-        str(0x00030102): "The address is one too low",
+        str(MAP_VERSION << 16 | 0x0102): "The address is one too low",
         str(0x0102): "That is one word of two",
         "12": "That is something else",
         "abc": "A number, as",

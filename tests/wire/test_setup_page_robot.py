@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from browser import Browser, browser
 from browsersession import PASSWORD
-from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
+from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, discard, go, log_in, press, said
 from stagecell import Newcomer, run
 
 from edged.commands.stage import USER
@@ -130,6 +130,48 @@ def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
         await page.click("dialog[open] .primary")
         await page.until(said("In use, as release"))
         assert load_rig(tmp_path / "rig.json").robot_from_rig is not None
+
+        await press(page, "Begin another one")
+        await page.until(said("How shall it be done?"))
+        await press(page, "Begin")
+        await page.until(said("Point 1 of 6"))
+        assert [] == page.complaints
+
+    on_stage(tmp_path, test)
+
+
+def test_another_registration_is_begun_and_one_is_discarded(tmp_path: Path) -> None:
+    """Nothing opens the one before again but who says so: neither another step nor a reload."""
+
+    async def test(newcomer: Newcomer, page: Browser) -> None:
+        await press(page, "Begin")
+        await page.until(said("Point 1 of 6"))
+        await press(page, "Begin another one")
+        await page.until(said("How shall it be done?"))
+        await go(page, "welcome")
+        await go(page, "robot")
+        await page.until(said("Begun before"))
+        assert await page.value(said("How shall it be done?"))
+        await page.ask("Page.reload")
+        await page.until(said("Begun before"))
+        assert await page.value(said("How shall it be done?"))
+        await accessible(page)
+
+        await page.click("[name=way][value=poses]")
+        await press(page, "Begin")
+        await page.until(said("Pose 1 of 10"))
+        await discard(page)
+        await page.until(said("How shall it be done?"))
+        (first,) = (await newcomer.ask("GET", "registrations"))["registrations"]
+        assert "touch" == first["kind"]
+        await press(page, "Go on")
+        await page.until(said("Point 1 of 6"))
+        await newcomer.ask("DELETE", f"registrations/{first['id']}", {}, 204)  # on another screen
+        await page.until(said("How shall it be done?"))
+        await page.until(f"!{said('Begun before')}")
+        await press(page, "Begin")
+        await page.until(said("Pose 1 of 10"))
+        assert [] == page.complaints
 
     on_stage(tmp_path, test)
 

@@ -17,7 +17,19 @@ import pytest
 from browser import Browser, browser
 from browsersession import PASSWORD
 from flangedrawing import flange_drawing
-from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
+from setuppage import (
+    DIALOG,
+    SMALL_TARGETS,
+    TOO_WIDE,
+    UNTRANSLATED,
+    discard,
+    go,
+    log_in,
+    press,
+    said,
+    take,
+    take_over,
+)
 from stagecell import Newcomer, staged
 
 from edged.commands.stage import USER
@@ -450,5 +462,31 @@ def test_a_job_in_use_finds_the_part_where_it_truly_is(stand: Stand) -> None:
         await stand.open(360, 740, "?pseudo", "jobs", 'document.querySelector(".job")')
         assert [] == await page.value(UNTRANSLATED)
         assert 0 == await page.value(TOO_WIDE)
+
+    stand.run(test)
+
+
+def test_another_part_is_taught_after_one_is_in_use_and_after_one_is_discarded(stand: Stand) -> None:
+    """Each from a fresh pair, on the page where the one before was ended."""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open()
+        await take(page)
+        await press(page, "Another part")
+        await press(page, "Take the pair")
+        await page.until(PROPOSED)
+        await page.until(QUIET)
+        await press(page, "Use this job")
+        await page.until(DIALOG)
+        await page.type("dialog[open] input", "the second")
+        await page.click("dialog[open] .primary")
+        await page.until(said("is in use, as release"))
+        await press(page, "Another part")
+        for _ in range(2):
+            await press(page, "Take the pair")
+            await page.until(PROPOSED)
+            await discard(page)
+            await page.until('document.querySelector("#teach-begin")')
 
     stand.run(test)

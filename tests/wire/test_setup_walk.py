@@ -17,11 +17,13 @@ from setuppage import (
     STEPS,
     TABBED,
     TOO_WIDE,
+    freeze,
     go,
     log_in,
     press,
     said,
     take_over,
+    thaw,
 )
 from stagecell import PASSWORD, Newcomer, staged
 
@@ -211,12 +213,10 @@ def test_who_slept_comes_back_to_what_is_so_now(walk: Walk, step: str) -> None:
         page, other = walk.page, walk.other
         await walk.hold(page, step)
         await page.value("cutOff()")
-        await page.ask("Emulation.setFocusEmulationEnabled", enabled=False)
-        await page.ask("Page.setWebLifecycleState", state="frozen")
+        await freeze(page)
         await take_over(other)
         await page.value("skip(600_000)")
-        await page.ask("Page.setWebLifecycleState", state="active")
-        await page.ask("Emulation.setFocusEmulationEnabled", enabled=True)  # it is looked at again
+        await thaw(page)
         await page.until(LOST)
         await press(page, "Understood")
 

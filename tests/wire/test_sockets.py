@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from scriptedhead import until
 from webcell import Cell, run
 
-from edged.adapters.web import Overview, sockets
+from edged.adapters.web import Overview, server, sockets
 from edged.adapters.web.access import IDLE_S
 
 PLACE = "/api/v1/ws"
@@ -273,5 +274,33 @@ def test_stopping_ends_every_socket() -> None:
             await tab.socket.receive()
         await closing
         assert aiohttp.WSCloseCode.GOING_AWAY == tab.socket.close_code
+
+    run(test)
+
+
+def test_a_ping_is_answered_and_too_many_end_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says why; for a while whoever did it has no turn, on another connection, too; others have theirs."""
+    monkeypatch.setattr(server, "FLOODED_S", 60.0)
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in("Vera")
+        socket = await cell.session.ws_connect(PLACE, origin=cell.origin, autoping=False)
+        await socket.ping(b"here")
+        while (message := await socket.receive()).type is not aiohttp.WSMsgType.PONG:
+            assert message.type is aiohttp.WSMsgType.TEXT
+        assert b"here" == bytes(message.data)
+        with contextlib.suppress(ConnectionError):
+            for _ in range(2 * int(sockets.MESSAGES_AT_ONCE)):
+                await socket.ping()
+        while not socket.closed:
+            message = await socket.receive()
+        assert socket.close_code in (
+            aiohttp.WSCloseCode.POLICY_VIOLATION,
+            aiohttp.WSCloseCode.ABNORMAL_CLOSURE,
+        )
+        assert 429 == (await cell.ask("GET", "/api/v1/me"))[0]
+        cell.session.cookie_jar.clear()
+        await cell.log_in("Anna")
+        assert 200 == (await cell.ask("GET", "/api/v1/me"))[0]
 
     run(test)

@@ -16,7 +16,9 @@ from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 from snapshots import make_target
 
+from edged.adapters.modbus import ModbusSettings
 from edged.plc.clients import twincat_files
+from edged.robot.orientations import Convention
 
 CYCLES_BUSY = 3
 
@@ -142,6 +144,20 @@ def test_twincat_locates_a_part() -> None:
         plc.run(uiJob=99)
         assert (True, 2) == (plc.values["xError"], plc.values["uiError"])
         assert 2 == cell.head.captures
+
+
+def test_twincat_commands_no_cell_whose_angles_mean_something_else() -> None:
+    """uiError 104, no picture; with the convention of the cell the part is given."""
+    settings = ModbusSettings(port=0, validity_s=30.0, convention=Convention.KUKA_ABC)
+    with LiveCell(settings) as cell, TwinCat(cell.port) as plc:
+        for expected, outcome in ((1, (False, 104, 0)), (2, (True, 0, 1))):
+            plc.until("xReady")
+            plc.values |= {"uiConvention": expected, "xExecute": True}
+            plc.block.scan()
+            plc.until("xBusy", False)
+            values = plc.values
+            assert outcome == (values["stResult"]["xValid"], values["uiError"], cell.head.captures)
+            plc.release()
 
 
 def test_twincat_takes_a_command_back_when_the_link_is_down() -> None:

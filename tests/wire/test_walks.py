@@ -63,6 +63,7 @@ def fanuc(cell: WalkedCell, arm: RobotArm) -> int:
     def call(arguments: tuple[int, ...]) -> None:
         assert (pendant.tool == 0) == (arguments[0] == -8), "the flange where it says where that is"
         controller.arguments = arguments
+        controller.activate(pendant.tool)
         controller.position = lambda: pose_of(Brand.FANUC, pendant.position)
         program.call("RUN")
 

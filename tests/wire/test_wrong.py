@@ -248,4 +248,4 @@ def test_the_daemon_restarts() -> None:
         status = plc.read(reg.STATUS)
         assert (0, 0, 0) == tuple(status[name] for name in ("CMD_SEQ_ECHO", "DONE_SEQ", "OPEN_COMMANDS"))
         assert plc.shows_nothing()
-        assert 0 == plc.read(reg.CONSTANTS)["CONFIG_CRC"]
+        assert 0xF00D == plc.read(reg.CONSTANTS)["CONFIG_CRC"]

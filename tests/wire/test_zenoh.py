@@ -33,8 +33,17 @@ from edged.adapters.zenoh import (
     session_config,
 )
 from edged.adapters.zenoh.routers import PATIENCE, Routers
+from edged.adapters.zenoh.triggerquery import parse_trigger
 from edged.adapters.zenoh.worker import Worker
-from edged.domain.events import Command, CommandFailed, CommandKind, ExposureDone, JobChanged, Registered
+from edged.domain.events import (
+    Basis,
+    Command,
+    CommandFailed,
+    CommandKind,
+    ExposureDone,
+    JobChanged,
+    Registered,
+)
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Status
 from edged.domain.registration import Method, Obstacle, Registration
@@ -169,6 +178,11 @@ def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
     assert CommandKind.CHANGE_JOB is cell.commander.commands[3].kind
 
 
+def test_a_job_is_the_number_that_is_written():
+    """Also with noughts before it: not its first six digits, which are another job."""
+    assert 121 == parse_trigger(zenoh.Parameters("job=0000121"), 5.0).job
+
+
 def test_wrong_parameters_are_refused_with_what_was_expected():
     """Hostile or mistyped parameters reach nobody but the one who sent them."""
     bad = {
@@ -178,12 +192,14 @@ def test_wrong_parameters_are_refused_with_what_was_expected():
         "job=99999999999999999999": "job: expected a number from 0 to 65535, or all, got "
         "'99999999999999999999'",
         "job=²": "job: expected a number from 0 to 65535, or all, got '²'",
+        "timeout_s=1_0": "timeout_s: expected seconds up to 60, got '1_0'",
         "timeout_s=nan": "timeout_s: expected seconds up to 60, got 'nan'",
         "timeout_s=1e9": "timeout_s: expected seconds up to 60, got '1e9'",
-        "jbo=1": "unknown parameter 'jbo', expected kind, job, timeout_s, flange",
+        "jbo=1": "unknown parameter 'jbo', expected kind, job, timeout_s, flange, nonce",
         "flange=1,2,3": "flange: expected 7 numbers "
         "(x y z in mm, quaternion q1 q2 q3 q4 (scalar first)), got 3",
-        "flange=1,2,3,1,0,0,one": "flange: could not convert string to float: 'one'",
+        "flange=1,2,3,1,0,0,one": "flange: expected a finite number, got 'one'",
+        "flange=1_0,2,3,1,0,0,0": "flange: expected a finite number, got '1_0'",
         "flange=1,2,3,1,1,0,0": "flange: the quaternion has the length 1.4142, expected 1",
     }
 
@@ -219,7 +235,7 @@ def test_looking_around_with_wildcards_triggers_nothing():
 
 
 def test_last_says_how_old_it_is_and_when_there_is_none():
-    """`last` before the first cycle is an error, after it the result and its age."""
+    """`last` before the first cycle is an error, after it the result and its age; a reload ends it."""
 
     async def main() -> list[dict[str, Any]]:
         async with Cell() as cell:
@@ -227,10 +243,13 @@ def test_last_says_how_old_it_is_and_when_there_is_none():
             snapshot = make_snapshot(4)
             late = dataclasses.replace(snapshot, published_ns=snapshot.exposed_ns + 10_000_000_000)
             cell.publisher.announce(late)
-            return before + await ask(cell.port, "edged/cell1/last")
+            after = await ask(cell.port, "edged/cell1/last")
+            cell.publisher.announce(Basis(1, "cal", "beef"))
+            return before + after + await ask(cell.port, "edged/cell1/last")
 
-    before, after = asyncio.run(main())
-    assert "nothing has been measured yet" == before["document"]["error"]
+    before, after, reloaded = asyncio.run(main())
+    for without in (before, reloaded):
+        assert without["document"]["error"] == "nothing has been measured since the start or the last reload"
     # the stamps are years old: a clock that somebody sets makes no result younger or older
     assert 10_000 <= after["document"]["age_ms"] < 10_000 + 1000 * WAIT_S
     assert [] == violations(after["document"], SCHEMA, SCHEMA)

@@ -218,6 +218,61 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
     run(tmp_path, test)
 
 
+def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path: Path) -> None:
+    """Suggestions, a solution, views by themselves: ended. What is begun next is as if it was the first."""
+
+    async def test(cell: BoardCell) -> None:
+        place, token = await with_views(cell, 3)
+        _, begun = await cell.ask("POST", f"{place}/solve", {})
+        await cell.ask("PUT", f"{place}/auto", {"token": token, "on": True})
+        assert (204, None) == await cell.ask("DELETE", place, {})
+        assert "cancelled" == (await cell.done(begun["task"]))["state"]
+        for method, path in (("GET", ""), ("DELETE", ""), ("POST", "/solve"), ("POST", "/go-on")):
+            assert (404, "unknown") == await refused(cell, method, place + path)
+        assert (404, "unknown") == await refused(cell, "POST", f"{place}/views", {"token": token})
+        assert {"calibrations": []} == (await cell.ask("GET", "/calibrations"))[1]
+
+        status, draft = await cell.ask("POST", "/calibrations", {"boards": [SPEC]})
+        assert (201, True, False, []) == (status, draft["current"], draft["auto"], draft["views"])
+        place = f"/calibrations/{draft['id']}"
+        for number in range(3):
+            cell.world.shown = pairs(6)[number]
+            assert 201 == (await cell.ask("POST", f"{place}/views", {"token": token}))[0]
+        draft = await cell.until(place, lambda draft: not draft["guiding"])
+        assert draft["sigma_um"]["z"] > 0
+
+    run(tmp_path, test)
+
+
+def test_live_pairs_are_looked_at_for_the_draft_that_somebody_goes_on_with(tmp_path: Path) -> None:
+    """The one begun last, until somebody goes on with another; the others take no view by themselves."""
+
+    async def test(cell: BoardCell) -> None:
+        _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
+        token = entered["token"]
+        places = []
+        for board in ("chessboard:9x6:6", SPEC):
+            _, draft = await cell.ask("POST", "/calibrations", {"boards": [board]})
+            places.append(f"/calibrations/{draft['id']}")
+            await cell.ask("PUT", f"{places[-1]}/auto", {"token": token, "on": True})
+        headers = {"Origin": f"http://127.0.0.1:{cell.port}"}
+        async with cell.session.ws_connect("/api/v1/ws", headers=headers) as socket:
+            await socket.send_json({"live": True, "token": token})
+            looking = asyncio.create_task(look(socket))
+            for place, other in (places[::-1], places):
+                status, draft = await cell.ask("POST", f"{place}/go-on", {})
+                assert (200, True) == (status, draft["current"])
+                draft = await cell.until(place, lambda draft: draft["shown"])
+                _, before = await cell.ask("GET", other)
+                assert (False, False) == (before["current"], before["auto"])
+            _, listed = await cell.ask("GET", "/calibrations")
+            current = {one["id"]: one["current"] for one in listed["calibrations"]}
+            assert {places[0][14:]: True, places[1][14:]: False} == current
+            looking.cancel()
+
+    run(tmp_path, test)
+
+
 WRONG: dict[str, tuple[str, Callable[[int], tuple[Image, Image]]]] = {
     "calibration_other_board": ("chessboard:9x6:6", lambda view: pairs(6)[view]),
     "calibration_swapped": (SPEC, lambda view: pairs(6)[view][::-1]),

@@ -171,6 +171,31 @@ def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path
     on_stage(tmp_path, test)
 
 
+def test_a_discarded_draft_is_gone_and_another_is_begun(tmp_path: Path) -> None:
+    """While it is being judged; by whoever saw it last; what is begun next has nothing of it."""
+
+    async def test(newcomer: Newcomer) -> None:
+        about = {"mount": "fixed", "kind": "touch", "brand": "kuka", "board": BOARD}
+        person = Registrar(newcomer, about)
+        await person.begin()
+        await person.look()
+        document = await person.touch()
+        stale = {"revision": document["revision"] - 1}
+        assert "stale" == (await newcomer.ask("DELETE", person.place, stale, 412))["code"]
+        assert None is await newcomer.ask("DELETE", person.place, {"revision": document["revision"]}, 204)
+        for method, path in (("GET", ""), ("DELETE", ""), ("POST", "/solve"), ("POST", "/undo")):
+            assert "unknown" == (await newcomer.ask(method, person.place + path, {}, 404))["code"]
+        assert [] == (await newcomer.ask("GET", "registrations"))["registrations"]
+
+        await person.begin()
+        assert [] == person.document["samples"]
+        await person.look()
+        await person.touch()
+        assert 1 == len((await person.judged())["samples"])
+
+    on_stage(tmp_path, test)
+
+
 def check_same_digits(folder: Path, rig: bytes, document: dict[str, Any], found: FloatArray) -> None:
     """`edged register touch` of the same points."""
     from rich.console import Console

@@ -15,19 +15,34 @@ from typing import Any
 import pytest
 from scriptedhead import until
 
-from edged.errors import CalibrationError, TaskFailed
+from edged.errors import CalibrationError, TaskFailed, TaskTooLarge
 from edged.workshop import worker as workers
 from edged.workshop.worker import Worker
-from edged.workshop.workerprocess import NICENESS, OOM_SCORE
+from edged.workshop.workerprocess import MIB, NICENESS, OOM_SCORE, TaskLimits, limits_here
 
-TASKS = {name: f"workertasks:{name}" for name in ("about", "count", "refuse", "fail", "hang", "leave")}
+TASKS = {
+    name: f"workertasks:{name}"
+    for name in (
+        "about",
+        "burn",
+        "count",
+        "fail",
+        "fill",
+        "fill_picture",
+        "hang",
+        "leave",
+        "refuse",
+    )
+}
 
 
-def run(test: Callable[[Worker], Coroutine[Any, Any, None]], cpus: int = 1) -> None:
+def run(
+    test: Callable[[Worker], Coroutine[Any, Any, None]], cpus: int = 1, limits: TaskLimits | None = None
+) -> None:
     """A test's coroutine with a worker, bounded; afterwards its process is gone."""
 
     async def bounded() -> None:
-        worker = Worker(TASKS, lambda: cpus)
+        worker = Worker(TASKS, lambda: cpus, limits)
         try:
             async with asyncio.timeout(30):
                 await test(worker)
@@ -138,6 +153,40 @@ def test_a_process_that_dies_is_told_and_replaced() -> None:
         assert [0] == await worker.run("count", 1)
 
     run(test)
+
+
+@pytest.mark.parametrize(("task", "size"), [("fill", 1500), ("fill_picture", 40_000)])
+def test_a_task_that_takes_too_much_memory_fails_alone(task: str, size: int) -> None:
+    """With a sentence, also where it is a library that has none; the next task has a process of its own."""
+
+    async def test(worker: Worker) -> None:
+        pid = (await worker.run("about"))["pid"]
+        with pytest.raises(TaskTooLarge, match=rf"^{task}: more than the 1024 MiB .* expected fewer"):
+            await worker.run(task, size)
+        assert not lives(pid)
+        assert 100 << 20 == await worker.run("fill", 100)
+
+    run(test, limits=TaskLimits(1024 * MIB, 60))
+
+
+def test_a_task_that_takes_too_long_is_ended() -> None:
+    """By the processor time that it took itself, not that of the tasks before it; waiting is no work."""
+
+    async def test(worker: Worker) -> None:
+        used_s = [await worker.run("burn", 0.7) for _ in range(3)]
+        assert used_s[-1] > 2
+        with pytest.raises(TaskTooLarge, match="burn: more than the 2 s of processor time that it may take"):
+            await worker.run("burn", 30)
+        assert [0] == await worker.run("count", 1)
+
+    run(test, limits=TaskLimits(4096 * MIB, 2))
+
+
+def test_a_task_may_take_half_of_the_machine_at_most() -> None:
+    """As the cell needs the other half; on the smallest machine, enough to work at all."""
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+    assert 2048 * MIB <= limits_here().memory_bytes <= max(2048 * MIB, there // 2)
 
 
 def test_it_ends_when_nobody_wants_it_any_more(monkeypatch: pytest.MonkeyPatch) -> None:

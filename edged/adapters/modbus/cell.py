@@ -17,10 +17,11 @@ from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALU
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
 from edged.ages import ExposureClock
 from edged.domain.arrays import FloatArray
-from edged.domain.cell import Calibrated, CellPhase, CellState, SetupSource
+from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import (
     PLC_SOURCE,
     REGISTERING,
+    Basis,
     Command,
     CommandFailed,
     CommandKind,
@@ -28,7 +29,6 @@ from edged.domain.events import (
     ExposureDone,
     JobChanged,
     Registered,
-    Reloaded,
     Snapshot,
 )
 from edged.domain.registration import Registration
@@ -37,23 +37,15 @@ from edged.logs import LogLimit
 from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
-from edged.plc.answers import Answer, Reason, Verdict
+from edged.plc.answers import Reason, Verdict
 from edged.plc.ladder import Ladder
+from edged.plc.statuswords import status_values
 from edged.ports import Commander
 from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
 
 NOBODYS = -1
 """Ticket of a command that has ended, or that somebody else submitted."""
-STATES = {
-    CellPhase.STARTING: 0,
-    CellPhase.READY: 1,
-    CellPhase.BUSY: 2,
-    CellPhase.FAULT: 3,
-    CellPhase.STOPPING: 4,
-    CellPhase.SETUP: 5,
-}
-
 VERDICTS = {
     reg.ResultCode.OK: Verdict.GOOD,
     reg.ResultCode.VERIFIED: Verdict.PASSED,
@@ -71,7 +63,18 @@ UR_STATUS = tuple(
     and register.name != "UR_JOB"  # of the result, not of the command
 )
 """Words of the block ur that repeat the status: name there, byte of the map."""
-EPOCHS = ("START_EPOCH", "UR_START_EPOCH", "G_START_EPOCH", "UG_START_EPOCH")
+EPOCHS = (
+    "START_EPOCH",
+    "UR_START_EPOCH",
+    "G_START_EPOCH",
+    "UG_START_EPOCH",
+    "F_START_EPOCH",
+    "TABLE_START_EPOCH",
+)
+TABLE_START = 2 * reg.TABLE[0].address
+TABLE_CRC = next(
+    2 * register.address for register in reg.TABLE_END.registers if register.name == "TABLE_CRC16"
+)
 UR_START = 2 * reg.UR.address
 UR_CRC = next(2 * register.address for register in reg.UR.registers if register.name == "UR_CRC16")
 
@@ -96,14 +99,16 @@ class CellRegisters:
         self._commander = commander
         self._clock_s = clock_s
         self._state: hs.Handshake[reg.Measured] = hs.Handshake(settings.limits)
-        self._epoch = 1 + secrets.randbelow(reg.UINT32_MAX)
+        self._epoch = _new_epoch()
+        self._basis = (0, 0)  # CONFIG_CRC and CALIBRATION
+        self._registration, self._registered_by = Registration(), 0
         self._cell: CellState | None = None
-        self._last: reg.Measured | None = None
+        self._is_simulated = False  # the last result
         self._command = [0] * reg.COMMAND.words
         self._image = bytearray(2 * MAP_END)
-        self._encoded: tuple[int, int, bool, int] | None = None
-        self._held: tuple[object, object] = (None, None)
-        self._filled_rows, self._is_placed = 0, False  # rows of the table that are not empty
+        self._encoded: tuple[int, bool, int, int] | None = None
+        self._held: hs.Result[reg.Measured] | None = None
+        self._filled_rows = len(reg.TABLE)  # rows of the table that are not empty
         self._exposures = ExposureClock(clock_s)
         self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
         self._locked_by: int | None = None  # the client whose AUTO_LOCK holds
@@ -111,7 +116,7 @@ class CellRegisters:
         self._jobs, self._are_jobs_placed = jobs, False
         self._counts: dict[str, int] = {}
         self.ladder = Ladder()
-        self._place(reg.REGISTRATION, reg.registration_values(Registration(), 0, self._epoch))
+        self._place_basis()
         self.clients = 0
         self.changed: Callable[[], None] = lambda: None  # told of each write and event
         self._waiting: list[asyncio.Future[None]] = []
@@ -154,16 +159,20 @@ class CellRegisters:
         now_s = self._clock_s()
         self._step(ev.Tick(), now_s)
         valid = hs.is_valid(self._state, now_s)
-        status = self._status_values(now_s, valid)
+        status: dict[str, reg.Number] = {
+            **status_values(self._state, self._cell, now_s, valid=valid, simulated=self._is_simulated),
+            "CLIENTS": self.clients,
+            "START_EPOCH": self._epoch,
+            "CONVENTION": self._settings.convention,
+        }
         self._place(reg.STATUS, status)
         COMMAND_WORDS.pack_into(self._image, 2 * reg.COMMAND.address, *self._command)
         result = self._state.result
-        # _held keeps both alive: no id is used twice
-        shown = (id(result), id(self._last), valid, hs.remaining(self._state))
+        # _held keeps it alive: no id is used twice
+        shown = (id(result), valid, hs.remaining(self._state), self._epoch)
         if shown != self._encoded:
-            self._encoded = shown
-            self._held = (result, self._last)
-            self._place_result(valid)
+            self._encoded, self._held = shown, result
+            self._place_result(valid, hs.is_as_published(self._state, now_s))
         self._place_ur_status(status)
         if not self._are_jobs_placed:
             self._are_jobs_placed, jobs = True, self._jobs()
@@ -175,98 +184,49 @@ class CellRegisters:
         data = reg.encode(block, values, self._settings.word_order)
         self._image[start : start + len(data)] = data
 
-    def _place_result(self, valid: bool) -> None:
-        result, last = self._state.result, self._last
+    def _place_result(self, valid: bool, as_published: bool) -> None:
+        result = self._state.result
         values: dict[str, reg.Number] = dict(reg.NOTHING)
+        rows = 0
         if result is not None:
+            shown = result.payload
+            if result.verdict is Verdict.EXCHANGED:
+                shown = reg.exchanged(shown)
+            rows = len(shown.poses)
             free = self._state.command_sequence == 0
             values = reg.result_values(
-                result.payload,
+                shown,
                 result.sequence,
                 valid=valid,
+                as_published=as_published,
                 free_running=free,
                 remaining=hs.remaining(self._state),
             )
+            for index, block in enumerate(reg.TABLE[:rows]):
+                self._place(block, reg.row_values(shown, index, result.sequence, valid=valid))
         values |= dict.fromkeys(EPOCHS, self._epoch)
         for block in (reg.RESULT, reg.UR, reg.UR_GRASP, reg.FLOAT, reg.GRASP):
             self._place(block, values)
-        rows = len(result.payload.poses) if result is not None else 0
-        for index, block in enumerate(reg.TABLE):
-            if result is not None and index < rows:
-                self._place(block, reg.row_values(result.payload, index, result.sequence, valid=valid))
-            elif index < self._filled_rows or not self._is_placed:
-                self._place(block, {})
-        self._filled_rows, self._is_placed = rows, True
-        config, calibration = (last.config, last.calibration) if last is not None else (0, 0)
-        self._place(reg.CONSTANTS, reg.constant_values(self._settings.convention, config, calibration))
+        for block in reg.TABLE[rows : self._filled_rows]:
+            self._place(block, {})
+        self._filled_rows = rows
+        self._place(reg.TABLE_END, values)
+        self._place_crc(TABLE_START, TABLE_CRC)
+
+    def _place_basis(self) -> None:
+        """What is there whatever is measured: by what it is, and the state of a registration."""
+        self._place(reg.CONSTANTS, reg.constant_values(self._settings.convention, *self._basis))
+        registration = reg.registration_values(self._registration, self._registered_by, self._epoch)
+        self._place(reg.REGISTRATION, registration)
 
     def _place_ur_status(self, status: dict[str, reg.Number]) -> None:
         for name, start in UR_STATUS:
             struct.pack_into(">H", self._image, start, int(status[name]))
-        crc = reg.crc16(self._image[UR_START:UR_CRC])
-        self._image[UR_CRC : UR_CRC + 2] = crc.to_bytes(2, "big")
+        self._place_crc(UR_START, UR_CRC)
 
-    def _status_values(self, now_s: float, valid: bool) -> dict[str, reg.Number]:
-        state, cell = self._state, self._cell
-        age_ms = reg.UINT32_MAX
-        if state.result is not None:
-            age_ms = min(max(round((now_s - state.result.exposed_s) * 1000), 0), reg.UINT32_MAX - 1)
-        error = cell.error_code if cell is not None else 0
-        if cell is not None and cell.error and not error:
-            error = 1
-        return {
-            "STATE": STATES[cell.state] if cell is not None else 0,
-            "STATUS_BITS": self._status_bits(now_s, valid),
-            "CMD_SEQ_ECHO": state.command_sequence,
-            "HEARTBEAT": int(now_s * 10) & reg.UINT16_MAX,
-            "ERROR": error & reg.UINT16_MAX,
-            "WARNING": self._warnings(),
-            "ACTIVE_JOB": min(cell.job_number, reg.UINT16_MAX) if cell is not None else 0,
-            "RESULT_AGE": age_ms,
-            "MISSED_TRIGGERS": min(cell.missed_triggers, reg.UINT16_MAX) if cell is not None else 0,
-            "CLIENTS": self.clients,
-            "DONE_SEQ": state.done_sequence,
-            "OPEN_COMMANDS": len(state.open),
-            "NACK_REASON": state.reason,
-            "WRITE_OWNER": int(state.owner is not None),
-            "LAST_SEQ": state.ticket & hs.SEQUENCE_MASK,
-            "START_EPOCH": self._epoch,
-            "SETUP_SOURCE": cell.setup if cell is not None else SetupSource.NONE,
-        }
-
-    def _warnings(self) -> reg.Warn:
-        lost = reg.Warn.CLIENT_LOST if self._state.client_lost else reg.Warn(0)
-        unknown = reg.Warn.UNSYNCHRONISED if self._state.synchronised is None else reg.Warn(0)
-        set_up = reg.Warn.SETUP if self._state.suspended else reg.Warn(0)
-        return lost | set_up | unknown
-
-    def _status_bits(self, now_s: float, valid: bool) -> int:
-        state, cell = self._state, self._cell
-        ready = cell is not None and cell.ready and len(state.open) < state.limits.queue
-        busy = bool(state.open) or (cell is not None and cell.state is CellPhase.BUSY)
-        verdict = state.result.verdict if state.result is not None else None
-        passed = verdict is Verdict.PASSED and hs.is_fresh(state, now_s)
-        simulated = self._last is not None and bool(self._last.flags & reg.Flag.SIMULATED)
-        raised = (
-            (reg.StatusBit.READY, ready),
-            (reg.StatusBit.ACK, state.answer is Answer.ACK),
-            (reg.StatusBit.NACK, state.answer is Answer.NACK),
-            (reg.StatusBit.BUSY, busy),
-            (reg.StatusBit.EXPOSURE_DONE, state.exposure_done),
-            (reg.StatusBit.RESULT_VALID, valid),
-            (reg.StatusBit.OK, valid or passed),
-            (reg.StatusBit.NOK, verdict in (Verdict.BAD, Verdict.FAULT)),
-            (reg.StatusBit.ERROR, cell is not None and (cell.state is CellPhase.FAULT or bool(cell.error))),
-            (reg.StatusBit.OVERRUN, state.overrun),
-            (reg.StatusBit.DRIFT_WARN, cell is not None and cell.calibrated is not Calibrated.HOLDS),
-            (reg.StatusBit.CAL_INVALID, cell is not None and cell.calibrated is Calibrated.INVALID),
-            (
-                reg.StatusBit.CAM_FAULT,
-                cell is not None and cell.state is CellPhase.FAULT and not cell.cameras_ok,
-            ),
-            (reg.StatusBit.SIMULATED, simulated),
-        )
-        return sum(int(bit) for bit, is_up in raised if is_up)
+    def _place_crc(self, start: int, end: int) -> None:
+        """Of words that are placed one by one, or belong to several blocks; bytes of the map."""
+        self._image[end : end + 2] = reg.crc16(self._image[start:end]).to_bytes(2, "big")
 
     # --- writing -----------------------------------------------------------------------------
 
@@ -391,8 +351,8 @@ class CellRegisters:
                 self._step(ev.Exposed(self._ticket(command)), now_s)
             case JobChanged(_, _, command):
                 ticket = self._ticket(command)
-                if ticket is not None:
-                    self._step(ev.Finished(ticket, 0, Verdict.DONE, now_s, None), now_s)
+                is_others = ticket is None or ticket == NOBODYS
+                self._step(ev.OtherJob() if is_others else self._done(ticket, now_s), now_s)
             case Registered():
                 self._take_registered(event, now_s)
             case CommandFailed(command, reason):
@@ -400,9 +360,8 @@ class CellRegisters:
                 if ticket not in (None, NOBODYS):
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
                     self._step(ev.Failed(ticket), now_s)
-            case Reloaded():
-                self._are_jobs_placed = False
-                self._step(ev.Reloaded(), now_s)
+            case Basis():
+                self._take_basis(event, now_s)
             case CellState():
                 if event.state is CellPhase.BUSY and (
                     self._cell is None or self._cell.state is not CellPhase.BUSY
@@ -417,30 +376,43 @@ class CellRegisters:
                 pass
         self._tell()
 
+    def _take_basis(self, basis: Basis, now_s: float) -> None:
+        self._are_jobs_placed = False
+        # a registration ends by an exchange of its own, over which its client goes on: nothing is on display
+        if basis.number != self._state.basis and not self._state.registers:
+            self._epoch = _new_epoch()
+        self._basis = reg.basis_values(basis)
+        self._place_basis()
+        self._step(ev.Exchanged(basis.number), now_s)
+
+    def _done(self, ticket: int | None, now_s: float) -> ev.Event[reg.Measured]:
+        """The end of a command that measures nothing."""
+        return ev.Finished(ticket, 0, Verdict.DONE, now_s, None, basis=self._state.basis)
+
     def _take_registered(self, event: Registered, now_s: float) -> None:
         ticket = self._ticket(event.command)
         is_mine = ticket is not None and ticket != NOBODYS
-        sequence = event.command.sequence & hs.SEQUENCE_MASK if is_mine else 0
-        self._place(reg.REGISTRATION, reg.registration_values(event.registration, sequence, self._epoch))
+        self._registration = event.registration
+        self._registered_by = event.command.sequence & hs.SEQUENCE_MASK if is_mine else 0
+        self._place_basis()
         if ticket is None or not is_mine:
             return
         if event.obstacle is None:
-            self._step(ev.Finished(ticket, 0, Verdict.DONE, now_s, None), now_s)
+            self._step(self._done(ticket, now_s), now_s)
         else:
             self._step(ev.Declined(ticket, Reason[event.obstacle.name]), now_s)
 
     def _take_snapshot(self, snapshot: Snapshot, now_s: float) -> None:
         result = reg.measured(snapshot, self._settings.convention)
-        self._last = result
+        self._is_simulated = bool(result.flags & reg.Flag.SIMULATED)
         self._counts = reg.counted(self._counts, snapshot)
         self._place(reg.COUNTERS, dict(self._counts))
         verdict = VERDICTS.get(result.code, Verdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
         rest = result.further() if verdict is Verdict.GOOD else ()
-        self._step(
-            ev.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, snapshot.job_number), now_s
-        )
+        job, basis = snapshot.job_number, snapshot.basis
+        self._step(ev.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, job, basis), now_s)
 
     def _step(self, event: ev.Event[reg.Measured], now_s: float) -> tuple[ev.Effect, ...]:
         before = self._state
@@ -461,6 +433,10 @@ class CellRegisters:
         if command is None:
             return None
         return command.sequence if self._submitted.get(command.sequence) is command else NOBODYS
+
+
+def _new_epoch() -> int:
+    return 1 + secrets.randbelow(reg.UINT32_MAX)
 
 
 def _offset(name: str) -> int:

@@ -6,6 +6,7 @@ what a command is, whose turn it is or how long a result is valid: each line bec
 
     7,LOCATE,0                                           sequence, command, job
     7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    the same with the pose of the flange
+    kuka,7,LOCATE,0                                      the same of a robot that says whose it is
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.Answer`
 
 A line that came twice, because its answer was lost, is carried out once: the sequence is the same. What
@@ -15,8 +16,10 @@ begins with the first byte of a frame (`edged.plc.frames`) is read and answered 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -26,16 +29,18 @@ from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
+from edged.adapters.modbus.tcp import SILENT_S
 from edged.domain.arrays import FloatArray
 from edged.domain.events import REGISTERING, CommandKind
 from edged.domain.measurement import Reject
+from edged.domain.numerals import decimal, whole
 from edged.door import Door, Guest
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc import registers as reg
 from edged.plc.answers import Reason
 from edged.plc.frames import MAGIC, REQUEST, answer_frame, read_request
-from edged.plc.lines import MAX_LINE_BYTES, POSE_NAMES, UNKNOWN, Answer, LineStatus
+from edged.plc.lines import MAX_LINE_BYTES, POSE_NAMES, UNKNOWN, Answer, LineStatus, NoRequest
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform
 
@@ -49,6 +54,11 @@ READ = ("GRASP", "APPROACH")
 QUALITY = ("RMS", "HELD_OUT", "LIMIT")
 """Lengths that the answer to a command of a registration begins with, where others have X, Y, Z."""
 FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP
+END_OF_LINE = re.compile(rb"[\r\n]")
+LINE_FEED_S = 0.05
+"""So long after the first carriage return of a connection its answer waits for a line feed, to end alike: a
+robot that sends the two one by one may hold the second back until the first is acknowledged, which Linux does
+within 40 ms (TCP_DELACK_MIN in include/net/tcp.h)."""
 SEND_S = 5.0
 """A robot that does not read its answer for so long is hung up on."""
 
@@ -65,10 +75,11 @@ class _Refused(Exception):
 class Request:
     """A line that was understood.
 
-    flange : robot_from_flange (4, 4) in mm, None when it was not said; shown : its numbers. tries_all : the
-    job was "*".
+    brand : whose robot asks. flange : robot_from_flange (4, 4) in mm, None when it was not said; shown : its
+    numbers. tries_all : the job was "*".
     """
 
+    brand: Brand
     sequence: int
     command: str
     job: int
@@ -77,30 +88,53 @@ class Request:
     shown: tuple[float, ...] = ()
 
 
-def parse(line: bytes, brand: Brand) -> Request:
-    """Raises ValueError for what is no request."""
-    fields = [field.strip() for field in line.decode("ascii").split(",")]
+BLANKS = " \t\r\n"
+BRAND_WORDS = {str(brand): brand for brand in Brand}
+
+
+def parse(line: bytes, configured: Brand) -> Request:
+    """Raises `NoRequest`. configured : the brand of a request that names none."""
+    fields = [field.strip(BLANKS) for field in line.decode("ascii", "replace").split(",")]
+    brand = BRAND_WORDS.get(fields[0].lower())
+    try:
+        if brand is None and fields[0].isalpha() and len(fields) > 2:
+            status, sequence = LineStatus.NO_SUCH_BRAND, whole(fields[1])
+            raise NoRequest(f"no such brand: {fields[0]}", configured, status, sequence)
+        return _request(fields if brand is None else fields[1:], brand or configured)
+    except (ValueError, OverflowError) as error:
+        if isinstance(error, NoRequest):
+            raise
+        raise NoRequest(str(error), brand or configured) from error
+
+
+def _request(fields: list[str], brand: Brand) -> Request:
+    """The fields behind the brand. Raises ValueError, OverflowError."""
     if len(fields) < 2:
         raise ValueError("expected a sequence and a command")
-    sequence, command = int(fields[0]), fields[1].upper()
+    sequence, command = whole(fields[0]), fields[1].upper()
     tries_all = len(fields) > 2 and fields[2] == "*"
-    job = int(fields[2]) if len(fields) > 2 and not tries_all else 0
+    job = whole(fields[2]) if len(fields) > 2 and not tries_all else 0
     if not 1 <= sequence <= 0xFFFF or not 0 <= job <= 0xFFFF:
         raise ValueError("sequences are 1 to 65535, jobs 0 to 65535")
     command = "NEXT_PART" if command == "NEXT" else command
     if command not in (*CommandKind.__members__, *READ, "ACK"):
         raise ValueError(f"no such command: {command}")
-    shown = tuple(float(field) for field in fields[3:])
-    return Request(sequence, command, job, transform_of(brand, shown) if shown else None, tries_all, shown)
+    shown = tuple(decimal(field) for field in fields[3:])
+    flange = transform_of(brand, shown) if shown else None
+    return Request(brand, sequence, command, job, flange, tries_all, shown)
 
 
-def parse_frame(frame: bytes, brand: Brand) -> Request:
-    """Raises ValueError for what is no request."""
-    asked = read_request(frame, brand)
-    if asked.sequence == 0:
-        raise ValueError("sequences are 1 to 65535")
-    flange = transform_of(brand, asked.flange) if asked.flange else None
-    return Request(asked.sequence, asked.command, asked.job, flange, asked.tries_all, asked.flange)
+def parse_frame(frame: bytes, configured: Brand) -> Request:
+    """Raises `NoRequest`. configured : the brand of a request that names none."""
+    asked = read_request(frame, configured)
+    brand = asked.brand or configured
+    try:
+        if asked.sequence == 0:
+            raise ValueError("sequences are 1 to 65535")
+        flange = transform_of(brand, asked.flange) if asked.flange else None
+    except (ValueError, OverflowError) as error:
+        raise NoRequest(str(error), brand) from error
+    return Request(brand, asked.sequence, asked.command, asked.job, flange, asked.tries_all, asked.flange)
 
 
 class Robot:
@@ -110,22 +144,38 @@ class Robot:
     _located : the robot's number of the command before all NEXT. _given : the numbers of all since.
     """
 
-    def __init__(self, view: ClientView, settings: ModbusSettings, line: LineSettings) -> None:
+    def __init__(
+        self, view: ClientView, settings: ModbusSettings, line: LineSettings, *, may_write: bool
+    ) -> None:
         self._view = view
         self._settings = settings
         self._line = line
+        self._may_write = may_write
         self._sequence = 0
         self._asked = (0, False)
         self._located = 0
         self._given: set[int] = set()
 
-    async def answer(self, message: bytes) -> Answer:
-        """Carry one line, or one frame, out. Never raises for what a robot sent."""
+    async def answer(self, message: bytes) -> tuple[Answer, Brand]:
+        """Carry one line, or one frame, out. Never raises for what a robot sent.
+
+        The brand is the one whose convention the answer is written in.
+        """
         read = parse_frame if message.startswith(MAGIC[:1]) else parse
+        request: Request | NoRequest
         try:
             request = read(message, self._line.brand)
-        except (ValueError, OverflowError):
-            return Answer(0, LineStatus.NOT_UNDERSTOOD)
+        except NoRequest as error:
+            request = error
+        if not self._may_write:
+            answer = Answer(0, LineStatus.MAY_NOT_WRITE)
+        elif isinstance(request, NoRequest):
+            answer = Answer(request.sequence, request.status)
+        else:
+            answer = await self._answered(request)
+        return answer, request.brand
+
+    async def _answered(self, request: Request) -> Answer:
         try:
             return await self._carry_out(request)
         except _Refused as refused:
@@ -156,7 +206,7 @@ class Robot:
         if request.command == "LOCATE":
             if code != reg.ResultCode.OK:
                 raise _Refused(100 + code)
-            return self._part(request.sequence, LineStatus.NOT_VALID)
+            return self._part(request, LineStatus.NOT_VALID)
         if request.command == "VERIFY" and code != reg.ResultCode.VERIFIED:
             raise _Refused(100 + code)
         return Answer(request.sequence, LineStatus.OK)
@@ -188,7 +238,7 @@ class Robot:
         except _Refused as refused:
             is_end = refused.status == Reason.NO_LIST
             raise _Refused(LineStatus.NO_FURTHER if is_end else refused.status) from None
-        return self._part(request.sequence, LineStatus.NO_FURTHER)
+        return self._part(request, LineStatus.NO_FURTHER)
 
     async def _register(self, request: Request) -> Answer:
         """A command of a registration: how far it is, instead of a pose, also where it was refused."""
@@ -200,12 +250,12 @@ class Robot:
         state = self._read(reg.REGISTRATION)
         if state["H_SEQ"] != self._sequence:
             raise _Refused(status)
-        to_unit = 1e-6 if self._line.brand is Brand.UR else 1e-3  # from µm
+        to_unit = 1e-6 if request.brand is Brand.UR else 1e-3  # from µm
         lengths = (float(state[f"H_{name}"]) for name in QUALITY)
         told = [length * to_unit if length != reg.INT32_MIN else UNKNOWN for length in lengths]
         numbers = (*told, float(state["H_USED"]), float(state["H_WORST"]))
-        blank = (0.0,) * (len(POSE_NAMES[self._line.brand]) - len(numbers))
-        sigmas = self._sigma(state, "H_SIGMA")
+        blank = (0.0,) * (len(POSE_NAMES[request.brand]) - len(numbers))
+        sigmas = self._sigma(state, "H_SIGMA", request.brand)
         return Answer(request.sequence, status, int(state["H_SAMPLES"]), (*numbers, *blank), sigmas)
 
     def _begin(self, request: Request, sequence: int) -> None:
@@ -249,10 +299,10 @@ class Robot:
         data = reg.encode(reg.COMMAND, values, self._settings.word_order)
         return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
 
-    def _part(self, sequence: int, otherwise: LineStatus) -> Answer:
+    def _part(self, request: Request, otherwise: LineStatus) -> Answer:
         """The part on display. otherwise : the status where it may not be used any more."""
         result = self._usable(otherwise)
-        return self._answer(sequence, result, [result[axis] for axis in "XYZABC"], "SIGMA")
+        return self._answer(request, result, [result[axis] for axis in "XYZABC"], "SIGMA")
 
     def _tool(self, request: Request) -> Answer:
         """Where the tool takes the part on display, or from where it comes."""
@@ -261,7 +311,7 @@ class Robot:
             raise _Refused(LineStatus.NO_GRASP)
         place = "G" if request.command == "GRASP" else "G_APPROACH"
         pose = [*(grasp[f"{place}_{axis}"] for axis in "XYZ"), *(grasp[f"G_{axis}"] for axis in "ABC")]
-        return self._answer(request.sequence, {**result, **grasp}, pose, "G_SIGMA")
+        return self._answer(request, {**result, **grasp}, pose, "G_SIGMA")
 
     def _usable(self, otherwise: LineStatus) -> dict[str, reg.Number]:
         """The result that a robot may move by."""
@@ -276,19 +326,19 @@ class Robot:
         return result
 
     def _answer(
-        self, sequence: int, result: Mapping[str, reg.Number], numbers: Sequence[reg.Number], sigma: str
+        self, request: Request, result: Mapping[str, reg.Number], numbers: Sequence[reg.Number], sigma: str
     ) -> Answer:
         """numbers : X Y Z A B C as in the registers. sigma : how the names of theirs begin."""
         x, y, z, a, b, c = (float(number) / 1000 for number in numbers)
         robot_from_pose = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
-        pose = pose_of(self._line.brand, robot_from_pose)
+        pose = pose_of(request.brand, robot_from_pose)
         age_s = float(self._read(reg.STATUS)["RESULT_AGE"]) / 1000
-        remaining, sigmas = int(result["REMAINING"]), self._sigma(result, sigma)
-        return Answer(sequence, LineStatus.OK, remaining, pose, sigmas, age_s)
+        remaining, sigmas = int(result["REMAINING"]), self._sigma(result, sigma, request.brand)
+        return Answer(request.sequence, LineStatus.OK, remaining, pose, sigmas, age_s)
 
-    def _sigma(self, result: Mapping[str, reg.Number], name: str) -> tuple[float, ...]:
+    def _sigma(self, result: Mapping[str, reg.Number], name: str, brand: Brand) -> tuple[float, ...]:
         """Of X, Y, Z in the brand's unit."""
-        to_unit = 1e-7 if self._line.brand is Brand.UR else 1e-4  # from 0.1 µm
+        to_unit = 1e-7 if brand is Brand.UR else 1e-4  # from 0.1 µm
         known = (float(result[f"{name}_{axis}"]) for axis in "XYZ")
         return tuple(sigma * to_unit if sigma != reg.UINT16_MAX else UNKNOWN for sigma in known)
 
@@ -298,6 +348,79 @@ class Robot:
 
     def _write(self, name: str, words: list[int]) -> None:
         self._view.write(self._settings.base_address + reg.ADDRESS[name], words)
+
+
+class Messages:
+    """What a robot sends, one after the other: lines that end with CR, LF, or both, and frames.
+
+    Of both bytes the second may come in a packet of its own: it ends nothing any more. A program that sends a
+    line feed, and whose controller adds its own end of line, has ended one line.
+    """
+
+    def __init__(self, reader: asyncio.StreamReader) -> None:
+        self._reader = reader
+        self._buffer = bytearray()
+        self._before = b""  # the byte before the buffer, of a line
+        self._is_open = False  # the newest line ended with CR, and perhaps that is not all
+        self._end = b""  # with what the robot ends its lines, where that is known
+        self._heard_s = 0.0
+
+    async def next(self) -> bytes:
+        """A line with the first byte of its end, or a whole frame; b"" at the end of the connection.
+
+        So it is where only half a message came. Raises ConnectionError for a line that is too long.
+        """
+        while True:
+            message = self._taken()
+            if message:
+                self._heard_s = asyncio.get_running_loop().time()
+                return message
+            if not await self._hear():
+                return b""
+
+    async def end(self) -> bytes:
+        """With what the newest line ended, all of it; so ends its answer."""
+        if self._before == b"\n":
+            return b"\n"
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(self._heard_s + LINE_FEED_S):
+                while not self._buffer and not self._end and await self._hear():
+                    pass
+        if self._buffer.startswith(b"\n"):
+            self._end = b"\r\n"
+        self._end = self._end or b"\r"
+        return self._end
+
+    def _taken(self) -> bytes:
+        """A message that has come as a whole, taken out of the buffer; b"" when there is none."""
+        while self._buffer:
+            if self._buffer.startswith(MAGIC[:1]):
+                self._before = b""
+                return self._cut(REQUEST.size) if len(self._buffer) >= REQUEST.size else b""
+            found = END_OF_LINE.search(self._buffer)
+            if found is None:
+                if len(self._buffer) > MAX_LINE_BYTES:
+                    raise ConnectionError(f"a line is longer than {MAX_LINE_BYTES} bytes")
+                return b""
+            line = self._cut(found.end())
+            before, self._before = self._before, line[-1:]
+            is_open, self._is_open = self._is_open, line[-1:] == b"\r" and line != b"\r"
+            if line == b"\n" and before == b"\r":
+                self._end = b"\r\n" if is_open else self._end
+            elif line != b"\r":
+                return line
+        return b""
+
+    def _cut(self, size: int) -> bytes:
+        message = bytes(self._buffer[:size])
+        del self._buffer[:size]
+        return message
+
+    async def _hear(self) -> bool:
+        """Wait for more. False: the connection has ended."""
+        more = await self._reader.read(MAX_LINE_BYTES)
+        self._buffer += more
+        return bool(more)
 
 
 class LineServer:
@@ -343,22 +466,22 @@ class LineServer:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._door.close()
 
-    def _protocol(self, _guest: Guest) -> asyncio.Protocol:
-        return asyncio.StreamReaderProtocol(asyncio.StreamReader(limit=MAX_LINE_BYTES), self._accept)
+    def _protocol(self, guest: Guest) -> asyncio.Protocol:
+        def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            task = asyncio.create_task(self._converse(guest, reader, writer))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
 
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.create_task(self._converse(reader, writer))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        return asyncio.StreamReaderProtocol(asyncio.StreamReader(limit=MAX_LINE_BYTES), accept)
 
-    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _converse(
+        self, guest: Guest, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         number = next(self._numbers)
-        name = writer.get_extra_info("peername")
-        peer = str(name[0]) if name else "?"
         try:
-            await self._serve(reader, writer, number, peer)
+            await self._serve(guest, reader, writer, number)
         except (TimeoutError, OSError) as error:
-            self._log.warning("modbus.socket: %s is hung up on: %s", peer, str(error) or "it is silent")
+            self._log.warning("modbus.socket: %s is hung up on: %s", guest.peer, str(error) or "it is silent")
         finally:
             self._cell.gone(number)
             writer.close()
@@ -369,57 +492,55 @@ class LineServer:
                 writer.transport.abort()
 
     def _admits(self, newcomer: Guest) -> bool:
-        """Whether a robot may stay; one that may write makes the stranger go that came first."""
+        """Whether a robot may stay.
+
+        When all places are taken one that may write makes a stranger go, or else who is silent longest: what
+        it left behind itself when it lost its power; or another robot, whose right to write has lapsed. A
+        stranger displaces silent strangers only: it would be told nothing but that it may not write.
+        """
         settings, peer = self._settings, newcomer.peer
         if settings.readers and not contains((*settings.readers, *settings.writers), peer):
             self._log.warning("modbus.socket: %s is not in the list of networks, closed", peer)
             return False
         guests = self._door.guests
+        if len(guests) < MAX_CLIENTS:
+            return True
         strangers = [guest for guest in guests if not contains(settings.writers, guest.peer)]
-        if len(guests) >= MAX_CLIENTS and strangers and contains(settings.writers, peer):
-            min(strangers, key=lambda guest: guest.active_s).abort()
-        elif len(guests) >= MAX_CLIENTS:
+        silent = [guest for guest in guests if guest.is_silent(newcomer.active_s - SILENT_S)]
+        lapsed_s = newcomer.active_s - max(SILENT_S, settings.owner_s)
+        if contains(settings.writers, peer):
+            own = [guest for guest in silent if guest.peer == peer]
+            rest = strangers or own or [guest for guest in silent if guest.is_silent(lapsed_s)]
+        else:
+            rest = [guest for guest in silent if guest in strangers]
+        displaced = min(rest, key=lambda guest: guest.active_s, default=None)
+        if displaced is None:
             self._log.warning("modbus.socket: %s closed, %d robots are connected", peer, MAX_CLIENTS)
             return False
+        displaced.abort()
         return True
 
     async def _serve(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, number: int, peer: str
+        self, guest: Guest, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, number: int
     ) -> None:
-        robot = Robot(ClientView(self._cell, number), self._settings, self._line)
-        may_write = contains(self._settings.writers, peer)
+        may_write = contains(self._settings.writers, guest.peer)
+        robot = Robot(ClientView(self._cell, number), self._settings, self._line, may_write=may_write)
+        messages = Messages(reader)
         while True:
             async with asyncio.timeout(self._settings.idle_s):
-                line = await self._message_of(reader)
-            is_frame = line.startswith(MAGIC[:1])
-            if not is_frame and not line.endswith(b"\n"):
+                message = await messages.next()
+            if not message:
                 return
-            if line == b"\r\n":
-                continue  # the robot's own end of line, after the line feed that its program sent
-            if may_write:
-                answer = await robot.answer(line)
-            else:
-                self._refusals.note(address_of(peer), "it is not in modbus.writers")
-                answer = Answer(0, LineStatus.MAY_NOT_WRITE)
-            brand = self._line.brand
-            writer.write(answer_frame(answer, brand) if is_frame else answer.line(brand))
+            is_frame = message.startswith(MAGIC[:1])
+            if not may_write:
+                self._refusals.note(address_of(guest.peer), "it is not in modbus.writers")
+            guest.touch(busy=True)
+            answer, brand = await robot.answer(message)
+            writer.write(
+                answer_frame(answer, brand) if is_frame else answer.line(brand, await messages.end())
+            )
             async with asyncio.timeout(SEND_S):
                 await writer.drain()
+            guest.touch()
             if is_frame and answer.status == LineStatus.NOT_UNDERSTOOD and answer.sequence == 0:
                 return  # where the next frame begins is not known
-
-    @staticmethod
-    async def _message_of(reader: asyncio.StreamReader) -> bytes:
-        """A line with its end, or a whole frame; b"" or half a line at the end of the connection.
-
-        Raises ConnectionError for a line that is too long.
-        """
-        try:
-            first = await reader.readexactly(1)
-            if first == MAGIC[:1]:
-                return first + await reader.readexactly(REQUEST.size - 1)
-            return first if first == b"\n" else first + await reader.readline()
-        except asyncio.IncompleteReadError:
-            return b""
-        except ValueError as error:
-            raise ConnectionError(f"a line is longer than {MAX_LINE_BYTES} bytes") from error

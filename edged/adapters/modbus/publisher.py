@@ -134,7 +134,7 @@ class ModbusPublisher:
         await self._tcp.start()
         try:
             if self._rtu is not None:
-                self._rtu.start()
+                await self._rtu.start()
             if self._lines is not None:
                 await self._lines.start()
         except BaseException:

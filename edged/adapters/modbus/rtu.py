@@ -20,6 +20,7 @@ from pymodbus.pdu import DecodePDU
 from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.pdu import respond
 from edged.adapters.modbus.settings import SerialSettings
+from edged.bounded import bounded
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc.registers import CRC_START, crc16
@@ -29,6 +30,8 @@ log = logging.getLogger(__name__)
 OPEN_ERRORS = (OSError, ValueError, termios.error)
 """What opening a line raises; `termios.error`, which is no `OSError`, of an adapter that re-enumerates."""
 
+OPEN_S = 5.0
+"""The requests that set up an adapter, each of which Linux gives 5 s: USB_CTRL_SET_TIMEOUT, linux/usb.h."""
 MAX_FRAME_BYTES = 256
 MIN_FRAME_BYTES = 4
 BROADCAST = 0
@@ -83,10 +86,11 @@ class RtuServer:
         self._output = bytearray()
         self._timer: asyncio.TimerHandle | None = None
 
-    def start(self) -> None:
+    async def start(self) -> None:
         """Open the line. Raises `ListenError`; a line that gets lost later is opened again by itself."""
+        what = f"modbus: opening {self._settings.device}"
         try:
-            self._open()
+            self._take(await bounded(self._opened, OPEN_S, what, lambda line: line.close()))
         except OPEN_ERRORS as error:
             raise ListenError(
                 f"modbus: cannot open {self._settings.device}: {error}; is it plugged in, and is the "
@@ -100,10 +104,10 @@ class RtuServer:
             self._timer = None
         self._drop_line()
 
-    def _open(self) -> None:
+    def _opened(self) -> serial.Serial:
         settings = self._settings
         # exclusive: a second program on the line would take our bytes
-        self._line = serial.Serial(
+        return serial.Serial(
             settings.device,
             settings.baud,
             parity=PARITY[settings.parity],
@@ -112,9 +116,12 @@ class RtuServer:
             timeout=0,
             exclusive=True,
         )
+
+    def _take(self, line: serial.Serial) -> None:
+        self._line = line
         self._input.clear()
         self._output.clear()
-        asyncio.get_running_loop().add_reader(self._line.fileno(), self._readable)
+        asyncio.get_running_loop().add_reader(line.fileno(), self._readable)
 
     def _drop_line(self) -> None:
         if self._line is None:
@@ -135,7 +142,7 @@ class RtuServer:
 
     def _reopen(self) -> None:
         try:
-            self._open()
+            self._take(self._opened())
         except OPEN_ERRORS:
             self._drop_line()
             loop = asyncio.get_running_loop()

@@ -35,7 +35,7 @@ WRITE_BUFFER_BYTES = 16 * 1024
 STRANGERS_PER_S = (
     20.0  # TLS handshakes, each of which takes milliseconds of the loop; the PLC's are not counted
 )
-SILENT_S = 3.0  # no PLC polls as slowly as that
+SILENT_S = 3.0  # no PLC polls as slowly as that; whoever lost its power is, and looks alive
 
 
 class TcpServer:
@@ -139,8 +139,10 @@ class TcpServer:
     def _make_room(self, newcomer: Guest, *, is_known: bool) -> bool:
         """Whoever has not shown yet who it is makes room: the one of them that came first.
 
-        A known PLC also displaces the stranger that is idle longest, or else a silent connection. Its own:
-        what a PLC leaves behind that loses power looks alive. Or one of whoever has many.
+        A known PLC also displaces the stranger that is idle longest, or else the longest silent connection.
+        Its own: what a PLC leaves behind that loses power looks alive. Or one of whoever has many; or of
+        anybody whose right to write has lapsed. A stranger displaces silent strangers only: a PLC may be
+        silent between two commands, and must not lose its connection to a scan of the network.
         """
         guests, writers = self._guests, self.settings.writers
         strangers = [guest for guest in guests if not contains(writers, guest.peer)]
@@ -148,15 +150,21 @@ class TcpServer:
         nameless = [guest for guest in (*strangers, *own) if not guest.is_in]
         count = Counter(guest.peer for guest in guests)
 
-        def may_go(guest: Guest) -> bool:
+        def kept(guest: Guest) -> int:
             address = address_of(guest.peer)
-            kept = self.settings.reserved.get(address, 0) if address is not None else 0
-            return guest.peer == newcomer.peer or count[guest.peer] > max(count[newcomer.peer] + 1, kept)
+            return self.settings.reserved.get(address, 0) if address is not None else 0
 
-        silent = [
-            guest for guest in guests if guest.active_s <= newcomer.active_s - SILENT_S and may_go(guest)
-        ]
-        rest = strangers or silent if is_known else []
+        def has_many(guest: Guest) -> bool:
+            most = max(count[newcomer.peer] + 1, kept(guest))
+            return guest.peer == newcomer.peer or count[guest.peer] > most
+
+        silent = [guest for guest in guests if guest.is_silent(newcomer.active_s - SILENT_S)]
+        lapsed_s = newcomer.active_s - max(SILENT_S, self.settings.owner_s)
+        lapsed = [guest for guest in silent if guest.is_silent(lapsed_s) and count[guest.peer] > kept(guest)]
+        if is_known:
+            rest = strangers or [guest for guest in silent if has_many(guest)] or lapsed
+        else:
+            rest = [guest for guest in silent if guest in strangers]
         displaced = min(nameless or rest, key=lambda guest: guest.active_s, default=None)
         if displaced is None:
             return False

@@ -168,7 +168,7 @@ class OpcUaPublisher:
         if snapshot is None or not values["SEQ_HEAD"] or values["CYCLE"] != snapshot.cycle & reg.UINT32_MAX:
             return None
         code, flags = values["RESULT"], int(values["FLAGS"])
-        if code == reg.ResultCode.OK and not flags & reg.Flag.VALID:
+        if code == reg.ResultCode.RELOADED or (code == reg.ResultCode.OK and not flags & reg.Flag.VALID):
             return None
         return ResultRecord(
             int(values["START_EPOCH"]),

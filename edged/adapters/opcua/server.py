@@ -33,7 +33,7 @@ from edged.adapters.opcua.session import MAX_NODES, Server
 from edged.adapters.opcua.settings import OpcUaSettings
 from edged.adapters.opcua.space import Space
 from edged.door import Door, Guest, Rate
-from edged.errors import EdgedError, ListenError
+from edged.errors import EdgedError, ListenError, TookTooLong
 from edged.logs import LogLimit
 
 START_S, STOP_S = 30.0, 3.0
@@ -85,6 +85,7 @@ class ServerThread:
         self._space: Space | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._falling: asyncio.Task[None] | None = None
+        self._is_given_up = False
 
     @property
     def port(self) -> int:
@@ -106,8 +107,12 @@ class ServerThread:
 
         self._thread = threading.Thread(target=self._main, args=(done,), name="opcua", daemon=True)
         self._thread.start()
-        async with asyncio.timeout(START_S):
-            await ready
+        try:
+            async with asyncio.timeout(START_S):
+                await ready
+        except TimeoutError as error:
+            place = f"{self._settings.host}:{self._settings.port}"
+            raise TookTooLong(f"opcua on {place}: it has not started within {START_S:g} s") from error
 
     def post(self, picture: Picture) -> None:
         """Show a picture soon; one that comes before it was shown replaces it."""
@@ -119,6 +124,7 @@ class ServerThread:
 
     async def stop(self) -> None:
         """Hang up on everybody and end the thread."""
+        self._is_given_up = True
         loop, thread = self._loop, self._thread
         if loop is not None:
             with contextlib.suppress(RuntimeError):
@@ -152,6 +158,8 @@ class ServerThread:
         Methods(server, space, self._handshake).install()
         policies = self._policies(server)
         server.refresh = self._before_read
+        if self._is_given_up:
+            return  # its start took too long: the port is another's now
         self._door = door = Door(
             "opcua",
             functools.partial(self._connect, server, policies, trust),

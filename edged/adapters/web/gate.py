@@ -24,6 +24,7 @@ from edged.adapters.web.access import TooManyAttempts
 from edged.adapters.web.repeats import Repeats
 from edged.adapters.web.routes import BASE, Call, Given, Problem, Route, RouteTable
 from edged.adapters.web.visitors import Role, Visitor
+from edged.domain.numerals import decimal
 from edged.errors import (
     CalibrationError,
     CaptureError,
@@ -34,6 +35,7 @@ from edged.errors import (
     RegressionNeeded,
     SetupRefused,
     TaskFailed,
+    TaskTooLarge,
     TeachError,
     UserError,
 )
@@ -53,6 +55,7 @@ STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
     (ImageError, 422, "image"),
     (FileFormatError, 422, "file"),
     (UserError, 422, "input"),
+    (TaskTooLarge, 422, "task_too_large"),
     (TaskFailed, 503, "task_failed"),
 )
 """What the rooms raise, as it is answered; the first that fits."""
@@ -169,7 +172,9 @@ async def _body(route: Route, request: web.Request) -> BaseModel | None:
         if route.method == "GET":
             if len(set(request.query)) < len(request.query):
                 raise Problem(400, "query", "expected each parameter once")
-            return route.body.model_validate_strings(dict(request.query))
+            body = route.body.model_validate_strings(dict(request.query))
+            _check_numerals(body, request)
+            return body
         if request.content_type != "application/json":
             raise Problem(415, "json", "expected Content-Type: application/json")
         data = b"".join([chunk async for chunk in chunks(request, route.limit_bytes)])
@@ -178,6 +183,17 @@ async def _body(route: Route, request: web.Request) -> BaseModel | None:
         return route.body.model_validate_json(data)
     except ValidationError as error:
         raise _invalid(error) from error
+
+
+def _check_numerals(body: BaseModel, request: web.Request) -> None:
+    """What was read as a number was written as one: pydantic also takes `1_0` and ` 10`. Raises `Problem`."""
+    for name, text in request.query.items():
+        value = getattr(body, name, None)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            try:
+                decimal(text)
+            except ValueError as error:
+                raise Problem(400, "invalid", f"{name}: {error}", field=name) from None
 
 
 def _invalid(error: ValidationError) -> Problem:

@@ -25,7 +25,9 @@ from edged.adapters.web.visitors import Role, Visitor
 from edged.capture.tasks import cancel_and_await
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
+from edged.door import Guest, Rate
 from edged.errors import SetupRefused
+from edged.logs import LogLimit
 from edged.payload import Json
 from edged.session.live import LivePictures
 from edged.session.notices import Notices
@@ -33,6 +35,8 @@ from edged.session.notices import Notices
 MAX_SOCKETS = 32
 MESSAGE_BYTES = 1024
 """Of a tab, at most."""
+MESSAGES_PER_S, MESSAGES_AT_ONCE = 60.0, 120.0
+"""Of a tab, pings among them. It says one for each live pair: 20 a second (`session.live.PERIOD_S`)."""
 PERIOD_S = 0.2
 """The state of the cell is told this often at most."""
 PING_S = 15.0
@@ -87,6 +91,7 @@ class Sockets:
 
     visitor_of : who sent a request; None when their session has ended. now : the cell, as a session sees it.
     encoder : where pictures are encoded. active : told of a session in which a person does something.
+    guest_of : the connection of a request; None when it has gone. flooded : told of who sent too much.
     """
 
     def __init__(
@@ -97,8 +102,13 @@ class Sockets:
         visitor_of: Callable[[web.Request], Visitor | None],
         now: Callable[[str], CellNow],
         active: Callable[[str], None],
+        guest_of: Callable[[web.Request], Guest | None],
+        flooded: Callable[[web.Request], None],
     ) -> None:
         self._active = active
+        self._guest_of = guest_of
+        self._flooded = flooded
+        self._log = LogLimit(__name__)
         self._live = live
         self._encoder = encoder
         self._visitor_of = visitor_of
@@ -189,7 +199,7 @@ class Sockets:
         if len(self._tabs) >= MAX_SOCKETS:
             raise Problem(503, "sockets", f"{MAX_SOCKETS} pages are open already: close some")
         socket = web.WebSocketResponse(
-            timeout=CLOSE_S, heartbeat=PING_S, max_msg_size=MESSAGE_BYTES, compress=False
+            timeout=CLOSE_S, heartbeat=PING_S, max_msg_size=MESSAGE_BYTES, compress=False, autoping=False
         )
         if not socket.can_prepare(call.request).ok:
             raise Problem(426, "websocket", "expected a WebSocket handshake")
@@ -198,9 +208,14 @@ class Sockets:
         telling: asyncio.Task[None] | None = None
         try:
             await socket.prepare(call.request)
+            guest = self._guest_of(call.request)
+            if guest is not None:  # also of frames that are no messages yet
+                guest.limit(MESSAGES_PER_S * MESSAGE_BYTES, MESSAGES_AT_ONCE * MESSAGE_BYTES)
             tab.wake.set()
             telling = asyncio.create_task(self._tell(tab), name="tab")
             await self._hear(tab)
+            if guest is not None and guest.has_flooded:
+                self._flooded(tab.request)
         finally:
             self._live.unwant(tab)
             self._tabs.pop(tab, None)
@@ -212,8 +227,21 @@ class Sockets:
         return socket
 
     async def _hear(self, tab: _Tab) -> None:
-        """Until it goes, or says what is no message."""
+        """Until it goes, says what is no message, or too much."""
+        rate = Rate(MESSAGES_PER_S, burst=MESSAGES_AT_ONCE)
         async for message in tab.socket:
+            await asyncio.sleep(0)  # what has come already is read without a pause: others get their turn
+            if not rate.take():
+                self._log.warning(
+                    "status page: %s sends too much over its socket, closed", tab.request.remote
+                )
+                self._flooded(tab.request)
+                await _cut(tab.socket)
+                return
+            if message.type is WSMsgType.PING:
+                await tab.socket.pong(message.data)
+            if message.type in (WSMsgType.PING, WSMsgType.PONG):
+                continue
             visitor = self._visitor_of(tab.request)
             if visitor is None:
                 await tab.socket.close(code=LOGGED_OUT)
@@ -281,6 +309,13 @@ class Sockets:
             await tab.socket.send_str(frame.about)
             for picture in frame.pictures:
                 await tab.socket.send_bytes(picture)
+
+
+async def _cut(socket: web.WebSocketResponse) -> None:
+    """Say that it is over, and wait for no answer: who floods would be read until it comes."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(0):
+            await socket.close(code=WSCloseCode.POLICY_VIOLATION)
 
 
 def _encoded(number: int, pair: FramePair) -> _Encoded:

@@ -57,5 +57,6 @@ TRIGGER_PARAMETERS = {
         "X,Y,Z,QW,QX,QY,QZ (mm; scalar first): where the flange is, if the robot carries the cameras, and "
         "for register_add",
     ),
+    "nonce": ("", "anything: the MAC of the answer is over all parameters, so no former answer fits"),
 }
 """By name: what counts when it is left out, and what it says."""

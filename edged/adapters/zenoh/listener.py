@@ -4,38 +4,109 @@ from __future__ import annotations
 
 import json
 import re
+import threading
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import zenoh
 import zenoh.ext
 
 from edged.adapters.zenoh.cbor import decode_cbor
+from edged.adapters.zenoh.seals import Seal, Speakers, Verifier, seal_in
 from edged.adapters.zenoh.session import ClientTls, open_session, session_config, with_tls
 
 CELL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MAX_MESSAGE_BYTES = 1024 * 1024  # a result is kilobytes
+MAX_DOUBTED = 1000
+"""Cells of which it is known: anybody can publish under any name."""
 
 Heard = Callable[[str, str, dict[str, Any]], None]
 """Takes cell, kind and document of a message, on a thread of Zenoh's."""
 
 
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """links : how many routers and cells are connected now.
+
+    doubts : a sentence on each cell whose messages may not all be its own.
+    """
+
+    links: Callable[[], int]
+    doubts: Callable[[], list[str]]
+
+
+class Doorkeeper:
+    """Lets in what a cell has said; from any thread. key : shared with the cells; None: all is let in."""
+
+    def __init__(self, key: bytes | None) -> None:
+        self._verifier = None if key is None else Verifier(key)
+        self._lock = threading.Lock()
+        self._known: set[str] = set()
+        self._dropped: Counter[str] = Counter()
+        self._speakers: dict[str, Speakers] = {}
+        self._rivals: dict[str, tuple[str, str]] = {}
+
+    def admits(self, cell: str, kind: str, sample: zenoh.Sample) -> bool:
+        """Whether a message is shown. Of a cell that has proved nothing, no life sign is either."""
+        attachment = None if sample.attachment is None else sample.attachment.to_bytes()
+        with self._lock:
+            if kind == "alive":
+                return self._verifier is None or cell in self._known
+            if self._verifier is None:
+                self._note_speaker(cell, seal_in(attachment))
+                return True
+            if self._verifier.admits(str(sample.key_expr), sample.payload.to_bytes(), attachment):
+                self._known.add(cell)
+                return True
+            if cell in self._dropped or len(self._dropped) < MAX_DOUBTED:
+                self._dropped[cell] += 1
+            return False
+
+    def _note_speaker(self, cell: str, seal: Seal | None) -> None:
+        if cell in self._speakers or len(self._speakers) < MAX_DOUBTED:
+            speakers = self._speakers.setdefault(cell, Speakers())
+            rivals = speakers.heard("unnamed" if seal is None else seal.session)
+            if rivals is not None:
+                self._rivals.setdefault(cell, rivals)
+
+    def doubts(self) -> list[str]:
+        """A sentence on each cell in doubt."""
+        with self._lock:
+            dropped = [
+                f"{cell}: {count} message{'s' if count > 1 else ''} dropped: false, repeated, or signed with "
+                "another key"
+                for cell, count in sorted(self._dropped.items())
+            ]
+            rivals = [
+                f"{cell}: two Zenoh sessions publish for it, {one} and {other}: one of them may be false"
+                for cell, (one, other) in sorted(self._rivals.items())
+            ]
+        return dropped + rivals
+
+
 @contextmanager
 def listening(
-    connect: Sequence[str], cell: str, heard: Heard, tls: ClientTls | None = None
-) -> Iterator[Callable[[], int]]:
+    connect: Sequence[str],
+    cell: str,
+    heard: Heard,
+    tls: ClientTls | None = None,
+    shared_key: bytes | None = None,
+) -> Iterator[Listening]:
     """Hear every message of the kinds "target", "state" and "health", and "alive" with {"alive": bool}.
 
-    Gives a function: how many routers and cells are connected now.
-    connect : endpoints. cell : its name, or "*". The last target, state and life sign of each cell come
-    first, however long ago they were published. Raises `ConfigError` for endpoints that cannot be, and
-    `UserError` for certificates.
+    connect : endpoints. cell : its name, or "*". shared_key : only what is signed with it is heard. The last
+    target, state and life sign of each cell come first, however long ago they were published. Raises
+    `ConfigError` for endpoints that cannot be, and `UserError` for certificates.
     """
+
+    doorkeeper = Doorkeeper(shared_key)
 
     def arrived(sample: zenoh.Sample) -> None:
         message = _read(sample)
-        if message is not None:
+        if message is not None and doorkeeper.admits(message[0], message[1], sample):
             heard(*message)
 
     with ExitStack() as stack:
@@ -51,7 +122,9 @@ def listening(
             stack.callback(subscriber.undeclare)
         session.declare_subscriber(f"edged/{cell}/health", arrived)
         session.liveliness().declare_subscriber(f"edged/{cell}/alive", arrived, history=True)
-        yield lambda: len(session.info.routers_zid()) + len(session.info.peers_zid())
+        yield Listening(
+            lambda: len(session.info.routers_zid()) + len(session.info.peers_zid()), doorkeeper.doubts
+        )
 
 
 def _read(sample: zenoh.Sample) -> tuple[str, str, dict[str, Any]] | None:

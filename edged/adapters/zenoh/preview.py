@@ -37,6 +37,7 @@ class Preview:
             )
             for side in SIDES
         }
+        self._zid = str(session.zid())
         self._worker = Worker("zenoh-preview", 1)
         self._offered_s = float("-inf")
 
@@ -57,7 +58,8 @@ class Preview:
                 publisher = self._publishers[side]
                 status = publisher.matching_status
                 if getattr(status, "matching", status):  # its stub says bool, it is a MatchingStatus
-                    publisher.put(jpeg(frame.image), attachment=encode(_caption(event.cycle, frame)))
+                    caption = _caption(self._zid, event.cycle, frame)
+                    publisher.put(jpeg(frame.image), attachment=encode(caption))
 
         self._worker.post(send)
 
@@ -78,10 +80,11 @@ def jpeg(image: Image) -> bytes:
     return data.tobytes()
 
 
-def _caption(cycle: int, frame: Frame) -> dict[str, int]:
-    """Which exposure it is, and the size of the camera's image: a preview may be smaller."""
+def _caption(zid: str, cycle: int, frame: Frame) -> dict[str, int | str]:
+    """Whose, and which exposure it is, and the size of the camera's image: a preview may be smaller."""
     height_px, width_px = frame.image.shape
     return {
+        "session": zid,
         "cycle": cycle,
         "exposed_ns": frame.exposed_ns,
         "frame_id": frame.frame_id,

@@ -1,6 +1,6 @@
 """Zenoh: results for other processes, other machines and fleets, and commands from them.
 
-Responsible for: sessions, threads, `keys` and quality of service. Not responsible for the shape of
+Responsible for: sessions, threads, `keys`, seals and quality of service. Not responsible for the shape of
 what is sent (`edged.payload`) nor for carrying commands out (`Commander`).
 
 Nothing here blocks the event loop. All state lives on the loop; two threads do what may wait: one
@@ -27,13 +27,16 @@ from edged.adapters.zenoh.keys import PREFIX, QUERYABLES
 from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
 from edged.adapters.zenoh.routers import Routers
-from edged.adapters.zenoh.session import ZenohSettings, bounded, configured, open_session, plain
+from edged.adapters.zenoh.seals import Sealer
+from edged.adapters.zenoh.session import ZenohSettings, configured, open_session, plain
 from edged.adapters.zenoh.triggerquery import parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
 from edged.adapters.zenoh.worker import Worker
 from edged.ages import ExposureClock
+from edged.bounded import bounded
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import (
+    Basis,
     Command,
     CommandFailed,
     Event,
@@ -98,6 +101,7 @@ class ZenohPublisher:
         self._encode, self._encoding = ENCODINGS[settings.encoding]
         self._base = f"{PREFIX}/{settings.cell}"
         self._session: zenoh.Session | None = None
+        self._sealer = Sealer("", None, utc_ns)  # nothing is sent before there is a session
         self._ros2: Ros2Topics | None = None
         self._preview: Preview | None = None
         self._publishers: dict[str, zenoh.ext.AdvancedPublisher | zenoh.Publisher] = {}
@@ -118,7 +122,11 @@ class ZenohPublisher:
     async def start(self) -> None:
         """Open the session. Raises `ListenError`, or `ConfigError` for what Zenoh cannot read."""
         config = self._session_config or configured(self._settings)
-        self._session = session = await bounded(lambda: open_session(config), OPEN_TIMEOUT_S, "open")
+        what = f"zenoh: opening {', '.join(self._settings.listen) or 'its session'}"
+        self._session = session = await bounded(
+            lambda: open_session(config), OPEN_TIMEOUT_S, what, zenoh.Session.close
+        )
+        self._sealer = Sealer(str(session.zid()), self._settings.shared_key, self._utc_ns)
         try:
             self._declare(session)
         except ConfigError:
@@ -144,6 +152,8 @@ class ZenohPublisher:
             self._answer_command(
                 event.command, lambda: self._message("target", snapshot_to_json(event), sequence)
             )
+        elif isinstance(event, Basis):
+            self._last = None  # what it stood on is no more
         elif isinstance(event, ExposureDone):
             self._exposures.note(event)
             if self._preview is not None:
@@ -176,9 +186,11 @@ class ZenohPublisher:
         session, self._session = self._session, None
         try:
             for worker in self._workers():
-                await bounded(functools.partial(worker.stop, CLOSE_TIMEOUT_S), 2 * CLOSE_TIMEOUT_S, "stop")
+                await bounded(
+                    functools.partial(worker.stop, CLOSE_TIMEOUT_S), 2 * CLOSE_TIMEOUT_S, "zenoh: stopping"
+                )
             if session is not None:
-                await bounded(session.close, CLOSE_TIMEOUT_S, "close")
+                await bounded(session.close, CLOSE_TIMEOUT_S, "zenoh: closing")
         except (ListenError, zenoh.ZError) as error:
             log.warning("zenoh: the session did not close in order: %s", plain(error))
 
@@ -230,7 +242,12 @@ class ZenohPublisher:
         """Queue a message; it is shaped and encoded on the publishing thread. Returns its sequence."""
         self._sequences[kind] += 1
         sequence, publisher = self._sequences[kind], self._publishers[kind]
-        self._outbox.post(lambda: publisher.put(self._encode(self._message(kind, body(), sequence))))
+
+        def send() -> None:
+            payload = self._encode(self._message(kind, body(), sequence))
+            publisher.put(payload, attachment=self._sealer.attachment(f"{self._base}/{kind}", payload))
+
+        self._outbox.post(send)
         return sequence
 
     def _publish_ros2(self, snapshot: Snapshot) -> None:
@@ -283,7 +300,7 @@ class ZenohPublisher:
 
     def _on_last(self, query: zenoh.Query) -> None:
         if self._last is None:
-            self._reply_error(query, "nothing has been measured yet")
+            self._reply_error(query, "nothing has been measured since the start or the last reload")
             return
         snapshot, sequence, exposed_s = self._last
         age_ms = (self._clock_s() - exposed_s) * 1e3
@@ -337,14 +354,18 @@ class ZenohPublisher:
             self._reply_error(query, reason, command)
 
     def _reply(self, query: zenoh.Query, name: str, document: Callable[[], Json]) -> None:
+        key, asked = f"{self._base}/{name}", str(query.parameters)
+
         def send() -> None:
             with query:
-                query.reply(f"{self._base}/{name}", self._encode(document()), encoding=self._encoding)
+                payload = self._encode(document())
+                seal = self._sealer.attachment(key, payload, asked)
+                query.reply(key, payload, encoding=self._encoding, attachment=seal)
 
         self._answers.post(send)
 
     def _reply_error(self, query: zenoh.Query, reason: str, command: Command | None = None) -> None:
-        body: Json = {"error": reason}
+        body: Json = {"session": self._sealer.session, "error": reason}  # an error has no attachment
         if command is not None:
             body["command"] = command_to_json(command)
         document = self._message("error", self._dated(body))

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import json
 import ssl
-import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -38,6 +35,7 @@ class ZenohSettings:
     mode, endpoints and scouting wins over the fields here.
     trigger_timeout_s : how long a trigger waits for its result when it does not say so itself.
     encoding : of everything that is published or answered; the same fields in both (`cbor.py`).
+    shared_key : with which messages are signed (`seals.py`); None: they only name their session.
     ros2_domain_id : also publish for ROS 2 nodes of this domain (`edged.adapters.zenoh.ros2`).
     """
 
@@ -49,6 +47,7 @@ class ZenohSettings:
     trigger_timeout_s: float = 5.0
     encoding: Literal["json", "cbor"] = "json"
     ros2_domain_id: int | None = None
+    shared_key: bytes | None = field(default=None, repr=False)
 
 
 def session_config(
@@ -212,39 +211,6 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
             f"listen {config.get_json('listen/endpoints')}, connect {config.get_json('connect/endpoints')}"
         )
         raise ListenError(f"zenoh: {plain(error)} ({places})") from error
-
-
-async def bounded(work: Callable[[], T], timeout_s: float, what: str) -> T:
-    """Run what may block on a thread of its own. Raises `ListenError` when it takes too long.
-
-    Not `asyncio.to_thread`: its threads are joined at exit, and one that hangs would hang the exit.
-    """
-    loop = asyncio.get_running_loop()
-    done: asyncio.Future[T] = loop.create_future()
-
-    def settle(setter: Callable[[Any], None], value: object) -> None:
-        if not done.done():
-            setter(value)
-
-    def run() -> None:
-        setter: Callable[[Any], None]
-        value: object
-        try:
-            setter, value = done.set_result, work()
-        except Exception as error:  # noqa: BLE001  (whatever it is, it is raised by the await below)
-            setter, value = done.set_exception, error
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-            loop.call_soon_threadsafe(settle, setter, value)
-
-    thread = threading.Thread(target=run, name=f"zenoh-{what}", daemon=True)
-    thread.start()
-    try:
-        return await asyncio.wait_for(done, timeout_s)
-    except TimeoutError:
-        raise ListenError(f"zenoh: {what} took longer than {timeout_s:g} s") from None
-    finally:
-        if not done.cancelled():
-            thread.join()  # it is at its last line
 
 
 def plain(error: BaseException) -> str:

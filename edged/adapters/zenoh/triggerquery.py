@@ -10,6 +10,7 @@ import zenoh
 from edged.adapters.zenoh.keys import TRIGGER_PARAMETERS
 from edged.domain.arrays import FloatArray
 from edged.domain.events import CommandKind
+from edged.domain.numerals import decimal, whole
 from edged.errors import CommandRefused
 from edged.robot.orientations import Brand, transform_of
 
@@ -47,10 +48,14 @@ def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Tri
     tries_all = known["job"] == "all"
     if tries_all:
         known["job"] = "0"
-    if not (known["job"].isascii() and known["job"].isdigit() and int(known["job"][:6]) <= 65535):
+    try:
+        job = whole(known["job"])
+    except ValueError:
+        job = -1
+    if not 0 <= job <= 65535:
         raise CommandRefused(f"job: expected a number from 0 to 65535, or all, got {known['job'][:40]!r}")
     try:
-        timeout_s = float(known["timeout_s"])
+        timeout_s = decimal(known["timeout_s"])
     except ValueError:
         timeout_s = math.nan
     if not 0 < timeout_s <= MAX_TIMEOUT_S:
@@ -58,7 +63,7 @@ def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Tri
             f"timeout_s: expected seconds up to {MAX_TIMEOUT_S:g}, got {known['timeout_s'][:40]!r}"
         )
     flange, shown = _parse_flange(known["flange"])
-    return Trigger(kind, int(known["job"][:6]), timeout_s, flange, tries_all, shown)
+    return Trigger(kind, job, timeout_s, flange, tries_all, shown)
 
 
 def _parse_flange(text: str) -> tuple[FloatArray | None, tuple[float, ...]]:
@@ -66,7 +71,7 @@ def _parse_flange(text: str) -> tuple[FloatArray | None, tuple[float, ...]]:
     if not text:
         return None, ()
     try:
-        shown = tuple(float(part) for part in text[:400].split(","))
+        shown = tuple(decimal(part.strip(" ")) for part in text[:400].split(","))
         return transform_of(Brand.ABB, shown), shown
     except ValueError as error:
         raise CommandRefused(f"flange: {error}") from None

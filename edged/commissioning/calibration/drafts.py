@@ -27,6 +27,7 @@ from edged.domain.arrays import SIDES, Image
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.atomic import read_bytes, write_atomically
 from edged.files.pairs import ImagePair
+from edged.files.rig import read_rig
 from edged.vision.boards.board import NominalBoard, parse_boards
 from edged.vision.calibration.lenschoice import LensWish
 
@@ -118,7 +119,7 @@ class Draft:
         if solved is None:
             raise CalibrationError("it is not solved, or views came or went since then: solve it first")
         file = self._solved("rig", solved.digest)
-        data = read_bytes(file, "a rig")
+        data = read_rig(file)
         if hashlib.sha256(data).hexdigest() != solved.digest:
             raise FileFormatError(f"{file}: is not what it was solved to: solve it again")
         return data
@@ -171,6 +172,10 @@ class Drafts:
     def states(self) -> list[tuple[str, DraftState | FileFormatError]]:
         """Of all drafts, the youngest first: the identity, and the state or what is wrong with it."""
         return self._folders.states()
+
+    def remove(self, identity: str) -> None:
+        """Forget one. Raises `KeyError` when there is none."""
+        self._folders.remove(identity)
 
     def load(self, identity: str) -> Draft:
         """Read one. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""

@@ -221,7 +221,7 @@ def solve(
     # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
     make_rectification(calibration.rig)
     progress("the verdict", 0, 0)
-    verdict = judge_calibration(calibration, held)
+    verdict = judge_calibration(calibration, held, imaging)
     quality = {
         **quality_figures(calibration, held, views.boards),
         "imaging": [asdict(one) for one in found],

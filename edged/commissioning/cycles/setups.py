@@ -5,19 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import tomllib
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from edged.config.reading import limits_of
+from edged.config.tomltext import toml_of
 from edged.domain.picking import Bounds
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 from edged.files.jobs import SHAPE, TEXT, job_folders, job_of, read_job
 from edged.files.recording import setup_folder
-from edged.files.rig import rig_of
+from edged.files.rig import read_rig, rig_of
 from edged.payload import Json
 from edged.pipeline import PreparedRig, prepare
 from edged.robot.picking import narrowed, within
@@ -189,7 +189,7 @@ def _files(contents: Contents, folder: str) -> dict[str, bytes]:
 def _measuring(files: Contents, folder: str) -> JobFacts:
     """Raises `FileFormatError`."""
     try:
-        job = tomllib.loads(files[TEXT].decode("utf-8-sig"))
+        job = toml_of(files[TEXT])
         name, number, limits = str(job.pop("name")), int(job.pop("number")), job.get("limits", {})
         is_bounded = bool(job.get("grasp") or limits.get("box") or limits.get("keep_out"))
         text = json.dumps(job, sort_keys=True, default=str)
@@ -234,7 +234,7 @@ class Setups:
 
 
 def _contents_of(folder: Path) -> dict[str, bytes]:
-    contents = {RIG: read_bytes(folder / RIG, "a rig")}
+    contents = {RIG: read_rig(folder / RIG)}
     if (folder / CONFIG).is_file():
         contents[CONFIG] = read_bytes(folder / CONFIG, "a configuration")
     for job in job_folders(folder / "jobs") if (folder / "jobs").is_dir() else []:

@@ -25,6 +25,7 @@ from edged.domain.measurement import Reject, Status
 from edged.errors import UserError
 from edged.files.recording import Recording
 from edged.pipeline import Inspection, PreparedRig, inspect
+from edged.vision.part.acceptance import vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
 
@@ -268,7 +269,7 @@ def _loosened(job: Job, one: Measured) -> Iterator[Remedy]:
         if circle.name == (job.reference_circle.name if job.circles else None):
             radius_mm = abs(circle.radius_mm - job.reference_circle.radius_mm)
     wanted: Mapping[str, tuple[float | None, float]] = {
-        "max_sigma_mm": (limits.max_sigma_mm, float(np.sqrt(np.diag(target.covariance)[:3].max()))),
+        "max_sigma_mm": (limits.max_sigma_mm, vaguest_mm(job, target)),
         "max_rms_px": (limits.max_rms_px, evidence.rms_px),
         "max_epipolar_px": (limits.max_epipolar_px, target.epipolar_rms_px),
         "radius_tolerance_mm": (limits.radius_tolerance_mm, radius_mm),

@@ -26,7 +26,8 @@ from edged.commissioning.history import (
 )
 from edged.domain.arrays import SIDES
 from edged.errors import CalibrationError, FileFormatError
-from edged.files.atomic import read_bytes, write_atomically
+from edged.files.atomic import write_atomically
+from edged.files.rig import read_rig
 from edged.robot.orientations import Brand
 from edged.vision.boards.board import parse_boards
 
@@ -242,7 +243,7 @@ class RobotDraft:
         if solved is None:
             raise CalibrationError("it is not solved, or samples came or went since then: solve it first")
         file = self._solved(solved.digest)
-        data = read_bytes(file, "a rig")
+        data = read_rig(file)
         if hashlib.sha256(data).hexdigest() != solved.digest:
             raise FileFormatError(f"{file}: is not what it was solved to: solve it again")
         return data
@@ -302,6 +303,10 @@ class RobotDrafts:
     def states(self) -> list[tuple[str, RegistrationState | FileFormatError]]:
         """Of all drafts, the youngest first: the identity, and the state or what is wrong with it."""
         return self._folders.states()
+
+    def remove(self, identity: str) -> None:
+        """Forget one. Raises `KeyError` when there is none."""
+        self._folders.remove(identity)
 
     def load(self, identity: str) -> RobotDraft:
         """Read one. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""

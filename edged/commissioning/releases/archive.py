@@ -37,8 +37,10 @@ from edged.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
 from edged.commissioning.releases.jobsfolder import Jobs, jobs_in, without_pictures
 from edged.config.chosencameras import chosen_file
 from edged.config.configuration import Config
+from edged.config.tomltext import toml_of
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder
+from edged.files.owners import as_owner, by_name, unlinked
 from edged.files.replacing import replace_files
 from edged.plc.texts import render
 
@@ -211,15 +213,16 @@ def _placed(config: Path, text: str, key: str, target: Path) -> tuple[str, str]:
     else:
         member = target.name
     section = "zenoh" if key == "config_file" else "cell"
-    wanted = tomllib.loads(text)
+    wanted = toml_of(text)
     if wanted[section][key] == member:
         return member, text
     wanted[section][key] = member
     # only this value: the comments beside it are the integrator's
-    line = re.compile(rf"^(\s*(?:{section}\s*\.\s*)?{key}\s*=\s*)(\"[^\"\\]*\"|'[^']*')", re.MULTILINE)
+    begins = rf"[ \t]*(?:{section}[ \t]*\.[ \t]*)?{key}[ \t]*=[ \t]*"
+    line = re.compile(rf"^({begins})(\"[^\"\\]*\"|'[^']*')", re.MULTILINE)
     for found in line.finditer(text):
         edited = f'{text[: found.start(2)]}"{member}"{text[found.end(2) :]}'
-        if tomllib.loads(edited) == wanted:
+        if toml_of(edited) == wanted:
             return member, edited
     raise UserError(f'{config}: {section}.{key}: expected on a line of its own, as {key} = "{target}"')
 
@@ -361,25 +364,34 @@ def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
     force : files of this cell that are there make room; others stay as they are. Raises `UserError`; then
     nothing has changed.
     """
-    output = output.resolve()
-    if output.exists() and not output.is_dir():
-        raise UserError(f"{output}: exists and is no folder")
-    if output.is_dir() and any(output.iterdir()) and not force:
-        raise UserError(
-            f"{output}: is not empty; choose another folder, or --force to replace this cell's files in it"
-        )
-    named = _named(taken.files[taken.config], f"{taken.config} of the backup")
-    keep = _unused(output.with_name(f"{output.name}.before-restore"))
+    output = by_name(output)
     try:
-        replaced = _replaced(taken, output, named.get("cell.jobs", ""))
-        chosen = _chosen_member(named["cell.rig"]) if "cell.rig" in named else ""
-        if not _wrong_name(chosen) and os.path.lexists(output / chosen):
-            replaced.add(chosen)  # or another rig's cameras would be this one's
-        _leave_others_alone(taken, output, replaced)
-        private = {taken.config, named.get("zenoh.config_file", taken.config)}
-        return keep if replace_files(output, taken.files, replaced, keep, private=private) else None
+        if output.exists() and not output.is_dir():
+            raise UserError(f"{output}: exists and is no folder")
+        if output.is_dir() and any(output.iterdir()) and not force:
+            raise UserError(
+                f"{output}: is not empty; choose another folder, or --force to replace this cell's "
+                "files in it"
+            )
+        with as_owner(output.parent) as above:
+            place = unlinked(above / output.name)
+            keep = _unused(place.with_name(f"{place.name}.before-restore"))
+            is_kept = _put(taken, place, output, keep)
+        return unlinked(output).with_name(keep.name) if is_kept else None
     except OSError as error:
         raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
+
+
+def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:
+    """Exchange the files; returns whether any is kept. output : how messages name the place."""
+    names = _named(taken.files[taken.config], f"{taken.config} of the backup")
+    replaced = _replaced(taken, place, names.get("cell.jobs", ""))
+    chosen = _chosen_member(names["cell.rig"]) if "cell.rig" in names else ""
+    if not _wrong_name(chosen) and os.path.lexists(place / chosen):
+        replaced.add(chosen)  # or another rig's cameras would be this one's
+    _leave_others_alone(taken, place, output, replaced)
+    private = {taken.config, names.get("zenoh.config_file", taken.config)}
+    return replace_files(place, taken.files, replaced, keep, private=private)
 
 
 def _replaced(taken: Backup, output: Path, jobs: str) -> set[str]:
@@ -396,21 +408,21 @@ def _replaced(taken: Backup, output: Path, jobs: str) -> set[str]:
     return replaced
 
 
-def _leave_others_alone(taken: Backup, output: Path, replaced: set[str]) -> None:
+def _leave_others_alone(taken: Backup, place: Path, output: Path, replaced: set[str]) -> None:
     """Raise `UserError` where another cell of the folder stands on a file that would change."""
     changed = [
-        (output / name).resolve()
+        (place / name).resolve()
         for name in replaced | taken.files.keys()
-        if name != REGISTERS and not _is_same(output / name, taken.files.get(name))
+        if name != REGISTERS and not _is_same(place / name, taken.files.get(name))
     ]
-    for other in sorted(output.glob("*.toml")):
+    for other in sorted(place.glob("*.toml")):
         if other.name == taken.config or not other.is_file():
             continue
-        for place, name in _named(read_bytes(other, "a configuration"), str(other)).items():
-            used = (output / name).resolve()
+        for option, name in _named(read_bytes(other, "a configuration"), str(output / other.name)).items():
+            used = (place / name).resolve()
             if any(file.is_relative_to(used) for file in changed):
                 raise UserError(
-                    f"{output}: {place} of {other.name} is {name}, too, and would become another one; "
+                    f"{output}: {option} of {other.name} is {name}, too, and would become another one; "
                     "restore into another folder"
                 )
 
@@ -422,7 +434,7 @@ def _is_same(file: Path, data: bytes | None) -> bool:
 def _named(text: bytes, place: str) -> dict[str, str]:
     """What a configuration names, by dotted path. Raises `UserError` where that cannot be told."""
     try:
-        document = tomllib.loads(text.decode())
+        document = toml_of(text)
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise UserError(f"{place}: what it stands on cannot be told: not TOML: {error}") from error
     found = {}

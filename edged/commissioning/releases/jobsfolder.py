@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from edged.config.tomltext import toml_of
 from edged.errors import UserError
 from edged.files.atomic import read_bytes
 from edged.files.jobs import SHAPE, TEXT, job_folders
@@ -93,13 +94,13 @@ def renamed(files: Mapping[str, bytes], *, name: str | None, number: int | None)
 
 
 def _edited(text: str, key: str, value: str | int) -> str:
-    wanted: dict[str, Any] = {**tomllib.loads(text), key: value}
-    line = re.compile(rf"^(\s*{key}\s*=\s*)(\"[^\"\\]*\"|'[^']*'|[0-9_]+)", re.MULTILINE)
+    wanted: dict[str, Any] = {**toml_of(text), key: value}
+    line = re.compile(rf"^([ \t]*{key}[ \t]*=[ \t]*)(\"[^\"\\]*\"|'[^']*'|[0-9_]+)", re.MULTILINE)
     for found in line.finditer(text):
         shown = f'"{value}"' if isinstance(value, str) else str(value)
         edited = f"{text[: found.start(2)]}{shown}{text[found.end(2) :]}"
         try:
-            if tomllib.loads(edited) == wanted:
+            if toml_of(edited) == wanted:
                 return edited
         except tomllib.TOMLDecodeError:
             continue

@@ -17,12 +17,14 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from edged.config.reading import not_toml, not_utf8, problem_of
+from edged.config.tomltext import toml_of
 from edged.errors import FileFormatError
 from edged.files.arrays import pack_arrays, unpack_arrays
 from edged.files.atomic import read_folder, replace_folder
 from edged.files.jobs.schema import JobFile
 from edged.files.jobs.text import to_toml
 from edged.files.outputs import check_folder
+from edged.files.owners import as_owner, by_name, unlinked
 from edged.vision.part.body import Body
 from edged.vision.part.job import Job
 from edged.vision.shape.model import ShapeModel
@@ -55,7 +57,7 @@ def job_of(files: Mapping[str, bytes], folder: Path) -> Job:
     """The job of what `read_job` read; raises as `load_job`. folder : where, for messages."""
     path = Path(folder) / TEXT
     try:
-        data = tomllib.loads(files[TEXT].decode("utf-8-sig"))
+        data = toml_of(files[TEXT])
         file = JobFile.model_validate(data)
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path}: {not_utf8(error)}") from error
@@ -111,7 +113,7 @@ def job_files(job: Job) -> dict[str, bytes]:
 def check_text(job: Job) -> None:
     """Raises `FileFormatError` for a job whose file could not be read again: what in it is wrong."""
     try:
-        JobFile.model_validate(tomllib.loads(to_toml(job)))
+        JobFile.model_validate(toml_of(to_toml(job)))
     except ValidationError as error:
         raise FileFormatError("; ".join(problem_of(one, JobFile) for one in error.errors())) from error
 
@@ -121,9 +123,11 @@ def save_job(folder: Path, job: Job) -> None:
 
     Raises `FileFormatError` where something else is in the way, or the disc refuses.
     """
-    folder = Path(folder).resolve()
+    folder = by_name(Path(folder))
     check_job_folder(folder)
     try:
-        replace_folder(folder, job_files(job), folder.with_name(folder.name + ".old"))
+        with as_owner(folder.parent) as above:
+            place = unlinked(above / folder.name)
+            replace_folder(place, job_files(job), place.with_name(f"{place.name}.old"))
     except OSError as error:
         raise FileFormatError(f"{folder}: cannot write a job: {error.strerror or error}") from error

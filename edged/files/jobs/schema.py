@@ -58,7 +58,9 @@ class _Limits(_Section):
         0.3, ge=0, le=1, description="share of the reference circle that each camera must see"
     )
     max_rms_px: float = Field(0.5, gt=0, description="scatter of its edges about it")
-    max_sigma_mm: float = Field(0.2, gt=0, description="of each coordinate")
+    max_sigma_mm: float = Field(
+        0.2, gt=0, description="of each coordinate, and of how high each end of the face lies"
+    )
     max_epipolar_px: float = Field(0.5, gt=0, description="rows of both cameras against each other")
     radius_tolerance_mm: float | None = Field(
         None, gt=0, description="how far the reference circle may differ from the taught one"

@@ -14,12 +14,16 @@ import yaml
 from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes
+from edged.files.imagesizes import MAX_PIXELS
 from edged.vision.geometry.camera import CameraModel, StereoRig, calibration_identity
 from edged.vision.geometry.rigid import nearest_rotation, transform
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _MAX_SIZE_PX = 100_000
-_MAX_TEXT_BYTES = 1_000_000  # camera files are kilobytes; YAML of megabytes is slow to parse
+MAX_TEXT_BYTES = 250_000
+"""PyYAML takes twenty seconds for a million; camera files are kilobytes, with the points of all views 100."""
+MAX_NODES = 50_000
+"""With what aliases stand for: ten lists of ten of the one before are written in a hundred bytes each."""
 _ROTATION_TOLERANCE = 1e-3  # files with four decimals are common; the nearest rotation is taken
 
 
@@ -61,7 +65,12 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def make_rig(left: CameraModel, right: CameraModel, right_from_left: FloatArray) -> StereoRig:
-    """A rig named by its values, as every rig that was not calibrated here."""
+    """A rig named by its values, as every rig that was not calibrated here. Raises `FileFormatError`."""
+    for camera in (left, right):
+        if camera.width * camera.height > MAX_PIXELS:
+            raise FileFormatError(
+                f"images of {camera.width}x{camera.height}: expected at most {MAX_PIXELS} pixels"
+            )
     return StereoRig(left, right, right_from_left, calibration_identity(left, right, right_from_left))
 
 
@@ -193,17 +202,38 @@ def load_yaml(path: Path) -> Fields:
     """The mapping at the top of a YAML file, OpenCV's dialect included."""
     try:
         raw = read_bytes(path, "camera parameters")
-        if len(raw) > _MAX_TEXT_BYTES:
-            raise FileFormatError(f"{path}: {len(raw)} bytes are too many for camera parameters")
+        if len(raw) > MAX_TEXT_BYTES:
+            raise FileFormatError(
+                f"{path}: {len(raw)} bytes are too many for camera parameters: at most {MAX_TEXT_BYTES}"
+            )
         text = raw.decode("utf-8-sig")
         # "%YAML:1.0" is OpenCV's own spelling of a directive that YAML writes with a blank
-        document = yaml.load(re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text), Loader=_Loader)
+        loader = _Loader(re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text))
+        try:
+            node = loader.get_single_node()
+            nodes = 0 if node is None else _expanded(node, {})
+            if nodes > MAX_NODES:
+                raise FileFormatError(
+                    f"{path}: {nodes} values: expected camera parameters, at most {MAX_NODES}"
+                )
+            document = None if node is None else loader.construct_document(node)
+        finally:
+            loader.dispose()
     except (yaml.YAMLError, RecursionError, ValueError, TypeError) as error:
         problem = " ".join(str(error).split())[:200]
         raise FileFormatError(f"{path}: not YAML that can be read: {problem}") from error
     if not isinstance(document, Mapping) or not all(isinstance(key, str) for key in document):
         raise FileFormatError(f"{path}: expected named values, got {_kind(document)}")
     return Fields(path, document)
+
+
+def _expanded(node: yaml.Node, known: dict[int, int]) -> int:
+    """How many values a node stands for, an alias' each time. Raises RecursionError for what holds itself."""
+    if id(node) not in known:
+        inner = node.value if isinstance(node, yaml.CollectionNode) else []
+        parts = (part for entry in inner for part in (entry if isinstance(entry, tuple) else (entry,)))
+        known[id(node)] = 1 + sum(_expanded(part, known) for part in parts)
+    return known[id(node)]
 
 
 def holds(path: Path, *names: str) -> bool:
@@ -220,11 +250,3 @@ def files_in(folder: Path, *suffixes: str) -> list[Path]:
         return sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.is_file())
     except OSError as error:
         raise FileFormatError(f"{folder}: cannot be read: {error.strerror or error}") from error
-
-
-def make_folder(folder: Path) -> None:
-    """Create a folder to write into; an error if that is not possible."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{folder}: expected a folder to write into: {error.strerror or error}") from error

@@ -22,7 +22,8 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes, write_file
-from edged.files.rigformats.files import Fields, Imported, Options, files_in, make_folder, make_rig, relation
+from edged.files.outputs import make_folder
+from edged.files.rigformats.files import Fields, Imported, Options, files_in, make_rig, relation
 from edged.files.rigformats.lens import from_polynomial, to_polynomial
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix

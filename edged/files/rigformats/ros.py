@@ -20,6 +20,7 @@ import yaml
 from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import write_file
+from edged.files.outputs import make_folder
 from edged.files.rigformats.files import (
     Fields,
     Imported,
@@ -27,7 +28,6 @@ from edged.files.rigformats.files import (
     files_in,
     holds,
     load_yaml,
-    make_folder,
     make_rig,
 )
 from edged.files.rigformats.files import relation as checked_relation

@@ -9,6 +9,9 @@ From the "AS Language Reference Manual" (90209-1014) and the manual "TCP/IP Comm
 * Variables are global unless a point stands before their name (at most 15 characters), and undefined until
   they are written; REAL has 24 bits. `.REALS` gives them values when the file is loaded.
 * `$ENCODE(/I6,n)` puts blanks before a number; the cell ignores them. `ASC` counts characters from 1.
+* `HERE` is where the tip of `TOOL` is in `BASE`; `-` joins the inverse of a transformation: `HERE-TOOL` is
+  the flange. `DECOMPOSE` puts the numbers of a transformation into an array. The functions HERE and TOOL in
+  an expression are from memory.
 * `UTIMER` counts seconds. `POINT` and `TRANS` make a pose of X, Y, Z, O, A, T.
 """
 
@@ -23,7 +26,7 @@ RECEIVE_TIMED_OUT = -34024
 HEAD = """\
 .PROGRAM edged_notes() ; edged
 ; Written by `edged registers --format as`.
-; Needs [modbus.socket] with brand = "kawasaki" in the cell's configuration; its address is in .REALS below.
+; Needs [modbus.socket] in the cell's configuration; its address is in .REALS below.
 ;
 ;   CALL edged_locate(0,5)        ; job 0: the active one; seconds
 ;   IF ed_error == 0 THEN
@@ -68,6 +71,16 @@ HEAD = """\
     ed_is_open = 1
   END
 .END
+.PROGRAM ed_add_place()
+  POINT ed_flange = HERE-TOOL
+  DECOMPOSE ed_place[1] = ed_flange
+  $ed_request = $ed_request + "," + $ENCODE(/F12.4,ed_place[1])
+  $ed_request = $ed_request + "," + $ENCODE(/F12.4,ed_place[2])
+  $ed_request = $ed_request + "," + $ENCODE(/F12.4,ed_place[3])
+  $ed_request = $ed_request + "," + $ENCODE(/F12.4,ed_place[4])
+  $ed_request = $ed_request + "," + $ENCODE(/F12.4,ed_place[5])
+  $ed_request = $ed_request + "," + $ENCODE(/F12.4,ed_place[6])
+.END
 .PROGRAM ed_hang_up()
   IF ed_is_open == 1 THEN
     TCP_CLOSE ed_return,ed_socket
@@ -75,7 +88,7 @@ HEAD = """\
   ed_is_open = 0
 .END
 .PROGRAM ed_send()
-  $ed_sent[1] = $ENCODE(/I6,ed_number) + "," + $ed_request + $CHR(10)
+  $ed_sent[1] = "@BRAND@," + $ENCODE(/I6,ed_number) + "," + $ed_request + $CHR(10)
   TCP_SEND ed_return,ed_socket,$ed_sent[1],1,3
   IF ed_return < 0 THEN
     ed_error = @NO_LINK@

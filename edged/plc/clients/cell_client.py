@@ -282,9 +282,8 @@ class EdgedCell:
     def _measure(self, command: str, job: int, timeout_s: float, option: int = 0) -> Result:
         sequence, epoch = self._run(command, job, timeout_s, option)
         result = self.latest()
-        ours = (sequence, sequence, epoch)
-        if ours != tuple(result.values[name] for name in ("SEQ_HEAD", "SEQ_TAIL", "START_EPOCH")):
-            raise NoAnswer(f"another command has taken the place of {sequence}")
+        if (sequence, epoch) != (result.values["SEQ_HEAD"], result.values["START_EPOCH"]):
+            raise NoAnswer(f"another command, or a reload, has taken the place of {sequence}")
         return result
 
     def _run(self, command: str, job: int, timeout_s: float, option: int = 0) -> tuple[int, int]:

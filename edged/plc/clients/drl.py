@@ -7,7 +7,9 @@ From the "Doosan Robotics Programming Manual" (chapter "TCP/Client"):
 * `client_socket_write(sock, bytes)` returns 0, or a negative number.
 * `client_socket_read(sock, length, timeout)` returns (bytes read, data): what has come until now, which may
   be half an answer; -1 the link is gone, -2 an error of the socket, -3 nothing in `timeout` seconds.
-* `posx(x, y, z, a, b, c)`: mm, and degrees about Z, the new Y, the new Z.
+* `get_current_tool_flange_posx(ref)`: where the flange is, whatever tool is active.
+* `posx(x, y, z, a, b, c)`: mm, and degrees about Z, the new Y, the new Z. `trans(pos, delta, ref=DR_TOOL)`
+  shifts along the axes of the pose itself.
 """
 
 from __future__ import annotations
@@ -17,11 +19,11 @@ from edged.robot.orientations import Brand
 
 SCRIPT = """\
 # edged: written by `edged registers --format drl`.
-# Needs [modbus.socket] with brand = "doosan" in the cell's configuration. Put it before your program:
+# Needs [modbus.socket] in the cell's configuration. Put it before your program:
 #     part = edged_locate(0, 5.0)             # job 0: the active one; seconds
 #     if part is not None:
 #         target = posx(part[0], part[1], part[2], part[3], part[4], part[5])
-#         movel(trans(target, posx(0, 0, -100, 0, 0, 0), ref=DR_BASE, ref_out=DR_BASE), vel=100, acc=100)
+#         movel(trans(target, posx(0, 0, -100, 0, 0, 0), ref=DR_TOOL), vel=100, acc=100)
 #     edged_acknowledge()
 # Move only by what is not None. Otherwise edged_error says why:
 @STATUSES@
@@ -43,12 +45,12 @@ def edged_locate(job, timeout):
     edged_close()
     edged_socket = client_socket_open(edged_ip, edged_port)
     edged_command = edged_number()
-    return edged_pose(edged_ask("LOCATE," + str(job), edged_command, timeout))
+    return edged_part(edged_ask("LOCATE," + str(job) + edged_place(), edged_command, timeout))
 
 
 # The next target of the same picture.
 def edged_next(timeout):
-    return edged_pose(edged_ask("NEXT", edged_number(), timeout))
+    return edged_part(edged_ask("NEXT", edged_number(), timeout))
 
 
 # Where the tool takes the part that was given last, and from where it comes; edged_error 119: nowhere.
@@ -60,10 +62,20 @@ def edged_approach(timeout):
     return edged_pose(edged_ask("APPROACH", edged_number(), timeout))
 
 
-# The result was used: it is withdrawn, and the link is closed.
+# The part was used: it is withdrawn. After the last one the link is closed.
 def edged_acknowledge():
     edged_ask("ACK", edged_command, 2.0)
-    edged_close()
+    if edged_remaining == 0:
+        edged_close()
+
+
+# Where the flange is: cameras on it see from there.
+def edged_place():
+    flange = get_current_tool_flange_posx(DR_BASE)
+    text = ""
+    for i in range(6):
+        text = text + ",%.4f" % flange[i]
+    return text
 
 
 def edged_number():
@@ -87,10 +99,16 @@ def edged_fail(reason):
     return None
 
 
+def edged_part(fields):
+    global edged_remaining
+    if fields is None:
+        edged_remaining = 0
+    return edged_pose(fields)
+
+
 def edged_pose(fields):
     global edged_remaining, edged_sigma, edged_age
     if fields is None:
-        edged_remaining = 0
         return None
     edged_remaining = int(fields[@REMAINING@])
     edged_sigma = fields[@SIGMA_X@:@SIGMA_Z@ + 1]
@@ -104,7 +122,7 @@ def edged_ask(request, number, timeout):
     edged_error = 0
     if edged_socket is None:
         return edged_fail(@NO_LINK@)
-    line = str(number) + "," + request + "\\n"
+    line = "@BRAND@," + str(number) + "," + request + "\\n"
     if client_socket_write(edged_socket, line.encode()) != 0:
         return edged_fail(@NO_LINK@)
     start = time.time()

@@ -10,11 +10,13 @@ From the "KAREL Reference Manual" (MARRC75KR07091E) and the "Ethernet Function O
 * `BYTES_AHEAD` counts what has arrived; a `READ` of more would wait for ever.
 * STRING: at most 254 characters (128 on old controllers): an answer is read in pieces of 100.
 * `CNV_INT_STR` puts a blank before the number; the cell ignores it.
-* Names have at most 12 characters; INTEGER has 32 bits, REAL 24 of them.
+* Words and limits of names: `grammars/karel.toml`. INTEGER has 32 bits, REAL 24 of them.
 * Variables keep their values between calls, until the program is loaded anew: then they are uninitialised.
 * A file that a program opened is closed when the task ends: hence every target is fetched in one call.
 * `CURPOS` is in the user and tool frame that the TP program has set; with UTOOL_NUM=0 it is the flange's.
+  `$MNUTOOLNUM[1]` and `$MNUFRAMENUM[1]` are the numbers of group 1.
 * `CURPOS` gives a position with the configuration that the arm has now; W, P, R are degrees about fixed axes.
+* A listing of the teach pendant has negative constants in parentheses: `grammars/tp.toml`.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from edged.robot.orientations import Brand
 KAREL = """\
 PROGRAM edged
 -- edged: written by `edged registers --format karel`. Translate it with ROBOGUIDE or ktrans (V7.70 or later).
--- Needs [modbus.socket] with brand = "fanuc" in the cell's configuration, and the client tag C3:
+-- Needs [modbus.socket] in the cell's configuration, and the client tag C3:
 --
 --   CALL EDGED(0,5000,81,81,1)
 --     job (0: the active one), ms to wait, first R, first PR, how many PR may be written
@@ -37,7 +39,8 @@ PROGRAM edged
 --   CALL EDGED(0,5000,81,81,1,91,92)
 --     the same, and of each part where the tool takes it (from PR[91] on) and from where it comes (from
 --     PR[92] on); the sigmas are then the tool's
---   CALL EDGED(-@HAND_EYE_START@,5000,81,81,0) and so on register the rig: EDGEDREG does it
+--   CALL EDGED((-@HAND_EYE_START@),5000,81,81,0) and so on register the rig: EDGEDREG does it
+-- Cameras that the robot carries see from the flange: UTOOL_NUM=0, UFRAME_NUM=0 before the call.
 -- PR are in the frame that the rig was registered to: normally UFRAME 0.
 -- R[81] is, beside 0:
 @STATUSES@
@@ -150,7 +153,7 @@ VAR
   text : STRING[128]
 BEGIN
   CNV_INT_STR(number, 1, 0, text)
-  text = text + ',' + request + CHR(10)
+  text = '@BRAND@,' + text + ',' + request + CHR(10)
   WRITE link (text)
   IF IO_STATUS(link) <> 0 THEN
     RETURN(@NO_LINK@)
@@ -260,10 +263,35 @@ BEGIN
   RETURN(result)
 END put_grasp
 
+-- A number as ten thousandths; together they are the pose of a request.
+ROUTINE add_number(value : REAL)
+VAR
+  text : STRING[40]
+BEGIN
+  CNV_INT_STR(ROUND(value * 10000), 1, 0, text)
+  place = place + ',' + text + 'E-4'
+END add_number
+
+-- Where the flange is, for cameras on it: CURPOS says so while no tool and no user frame is active.
+ROUTINE add_flange
+VAR
+  pose : XYZWPR
+BEGIN
+  IF ($MNUTOOLNUM[1] = 0) AND ($MNUFRAMENUM[1] = 0) THEN
+    pose = CURPOS(0, 0)
+    add_number(pose.x)
+    add_number(pose.y)
+    add_number(pose.z)
+    add_number(pose.w)
+    add_number(pose.p)
+    add_number(pose.r)
+  ENDIF
+END add_flange
+
 -- Measure, fetch the targets, acknowledge. Returns what R[first_r] becomes.
 ROUTINE locate(job : INTEGER; wait_ms : INTEGER; first_pr : INTEGER; n_pr : INTEGER) : INTEGER
 VAR
-  command : INTEGER
+  locate_no : INTEGER
   result : INTEGER
   status : INTEGER
   taken : INTEGER
@@ -271,9 +299,11 @@ VAR
   text : STRING[40]
 BEGIN
   next_number
-  command = sequence
+  locate_no = sequence
   CNV_INT_STR(job, 1, 0, text)
-  result = ask('LOCATE,' + text, command, wait_ms)
+  place = 'LOCATE,' + text
+  add_flange
+  result = ask(place, locate_no, wait_ms)
   taken = 0
   more = 1
   WHILE (result = 0) AND (more > 0) DO
@@ -306,40 +336,24 @@ BEGIN
     RETURN(result)
   ENDIF
   -- the result was taken: it is withdrawn. If this fails, the cell withdraws it by its age
-  status = ask('ACK', command, 1000)
+  status = ask('ACK', locate_no, 1000)
   RETURN(0)
 END locate
 
--- A number as ten thousandths; together they are the pose of a request.
-ROUTINE add_number(value : REAL)
-VAR
-  text : STRING[40]
-BEGIN
-  CNV_INT_STR(ROUND(value * 10000), 1, 0, text)
-  place = place + ',' + text + 'E-4'
-END add_number
-
 -- A command of a registration, with the pose of the flange where it needs one (UTOOL_NUM=0).
-ROUTINE registered(command : INTEGER; wait_ms : INTEGER) : INTEGER
+ROUTINE registered(kind : INTEGER; wait_ms : INTEGER) : INTEGER
 VAR
-  pose : XYZWPR
   result : INTEGER
   status : INTEGER
 BEGIN
   next_number
   place = 'REGISTER_SOLVE'
-  IF command = @HAND_EYE_START@ THEN
+  IF kind = @HAND_EYE_START@ THEN
     place = 'HAND_EYE_START'
   ENDIF
-  IF command = @REGISTER_ADD@ THEN
+  IF kind = @REGISTER_ADD@ THEN
     place = 'REGISTER_ADD,0'
-    pose = CURPOS(0, 0)
-    add_number(pose.x)
-    add_number(pose.y)
-    add_number(pose.z)
-    add_number(pose.w)
-    add_number(pose.p)
-    add_number(pose.r)
+    add_flange
   ENDIF
   result = ask(place, sequence, wait_ms)
   IF result = 0 THEN
@@ -412,20 +426,21 @@ BEGIN
 END edged
 """
 TEACH_PENDANT = """\
-/PROG  EDGEDPICK
+/PROG  EDGEPICK
 /ATTR
 COMMENT = "edged: one part";
 DEFAULT_GROUP = 1,*,*,*,*;
 /MN
-   1:  !PR[80]: 0,0,-100,0,0,0 ;
+   1:  !PR[80]: 0,0,(-100),0,0,0 ;
    2:  UFRAME_NUM=0 ;
-   3:  UTOOL_NUM=1 ;
+   3:  UTOOL_NUM=0 ;
    4:  CALL EDGED(0,5000,81,81,1) ;
-   5:  IF R[81]<>0,JMP LBL[9] ;
-   6:L PR[81] 100mm/sec FINE Tool_Offset,PR[80] ;
-   7:  END ;
-   8:  LBL[9] ;
-   9:  UALM[1] ;
+   5:  UTOOL_NUM=1 ;
+   6:  IF R[81]<>0,JMP LBL[9] ;
+   7:L PR[81] 100mm/sec FINE Tool_Offset,PR[80] ;
+   8:  END ;
+   9:  LBL[9] ;
+  10:  UALM[1] ;
 /POS
 /END
 """
@@ -456,17 +471,20 @@ def karel_files() -> dict[str, str]:
         NO_FURTHER=int(LineStatus.NO_FURTHER),
         **CODES,
     )
-    return {"edged.kl": text, "edgedpick.ls": TEACH_PENDANT, "edgedreg.ls": _walk()}
+    return {"edged.kl": text, "edgepick.ls": TEACH_PENDANT, "edgedreg.ls": _walk()}
 
 
 def _walk() -> str:
     """R[81] is 0 at its end when the rig is registered; R[82] poses were taken, R[84] mm is how far off."""
 
     def call(command: str, milliseconds: int) -> str:
-        return f"CALL EDGED(-@{command}@,{milliseconds},81,81,0) ;"
+        return f"CALL EDGED((-@{command}@),{milliseconds},81,81,0) ;"
 
     def step(*numbers: int) -> str:
-        places = [f"PR[91,{axis}]={number}" for axis, number in enumerate(numbers, 1)]
+        places = [
+            f"PR[91,{axis}]={number if number >= 0 else f'({number})'}"
+            for axis, number in enumerate(numbers, 1)
+        ]
         return "\n".join(
             [
                 *(f"{place} ;" for place in places),

@@ -85,11 +85,11 @@ ENDDAT
 SOURCE = """\
 &ACCESS RVP
 &COMMENT edged: written by edged registers --format krl
-; Needs [modbus.socket] with brand = "kuka" in the cell's configuration.
+; Needs [modbus.socket] in the cell's configuration.
 ;
 ;   IF EDGED_LOCATE(0,5.0) THEN      ; job 0: the active one; seconds
-;     PICK=EDGED_PART[1]             ; to EDGED_PART[EDGED_COUNT]; mm and degrees in the robot's base
-;     LIN PICK
+;     PICK=EDGED_PART[1]:{X 0,Y 0,Z -100,A 0,B 0,C 0}
+;     LIN PICK                       ; to EDGED_PART[EDGED_COUNT]; mm and degrees in the robot's base
 ;   ENDIF
 ;
 ; EDGED_LOCATE_GRASPS(0,5.0) is the same, and EDGED_GRASP[] is where the tool takes each part,
@@ -133,7 +133,7 @@ RETURN EDGED_ERROR==0
 ENDFCT
 
 ; One pose; where the board is not seen it is left out.
-DEF STEP(PLACE:IN,TIMEOUT_S:IN)
+DEF ED_STEP(PLACE:IN,TIMEOUT_S:IN)
 DECL FRAME PLACE
 DECL REAL TIMEOUT_S
 IF EDGED_ERROR==0 THEN
@@ -186,6 +186,9 @@ IF RET.MSG_NO==0 THEN
 ED_IS_OPEN=1
 ED_TIMEOUT=TIMEOUT_S
 ED_JOB=JOB
+; where the flange is: cameras on it see from there
+WAIT SEC 0.0
+FLANGE=$POS_ACT:INV_POS($TOOL)
 ASK_FOR(1)
 ED_COMMAND=ED_NUMBER
 IF EDGED_ERROR==0 THEN
@@ -266,12 +269,15 @@ DEF ED_SEND()
 DECL INT I
 DECL INT AT
 DECL CHAR REQUEST[@REQUEST@]
+DECL CHAR MAKER[16]
 DECL CHAR WORD[16]
 DECL EKI_STATUS RET
 FOR I=1 TO @REQUEST@
 REQUEST[I]=" "
 ENDFOR
 AT=0
+MAKER[]="@BRAND@,"
+PUT_WORD(REQUEST[],AT,MAKER[])
 PUT_NUMBER(REQUEST[],AT,ED_NUMBER)
 IF ED_KIND==1 THEN
 WORD[]=",LOCATE,"
@@ -305,6 +311,8 @@ ENDIF
 IF ED_KIND==@REGISTER_ADD@ THEN
 WORD[]=",REGISTER_ADD,0"
 PUT_WORD(REQUEST[],AT,WORD[])
+ENDIF
+IF (ED_KIND==1) OR (ED_KIND==@REGISTER_ADD@) THEN
 PUT_REAL(REQUEST[],AT,FLANGE.X)
 PUT_REAL(REQUEST[],AT,FLANGE.Y)
 PUT_REAL(REQUEST[],AT,FLANGE.Z)
@@ -485,7 +493,7 @@ def krl_files() -> dict[str, str]:
     declared = (f"DECL {'REAL' if name in REALS else 'INT'} {DIALECT.variable(name)}=0" for name in numbers)
     walk = steps(
         lambda x, y, z, rx, ry, rz: (
-            f"PLACE=CENTRE:{{X {x}.0,Y {y}.0,Z {z}.0,A {rz}.0,B {ry}.0,C {rx}.0}}\nSTEP(PLACE,TIMEOUT_S)"
+            f"PLACE=CENTRE:{{X {x}.0,Y {y}.0,Z {z}.0,A {rz}.0,B {ry}.0,C {rx}.0}}\nED_STEP(PLACE,TIMEOUT_S)"
         )
     )
     values: dict[str, object] = {

@@ -5,8 +5,9 @@ and of programs that are known to run: the manual was not at hand, and the place
 
 * `Open "COM3:" As #1` of a device that the Ethernet parameters make a client connects; `M_Open(1)` is 1 once
   it is there. `Close` hangs up.
-* `Print #` ends with a carriage return, and perhaps a line feed: the program sends a line feed before it, and
-  the cell passes over the rest.
+* `Print #` ends with a carriage return, or with a line feed behind it, and `Input #` waits for the same: so
+  say the parameters NETTERM (whether there is an end) and CTERME11 to CTERME19 (0: CR, 1: CR LF) of the
+  device; it is CR unless they were changed. The cell ends its answer as the request ended.
 * `Input #` waits for a whole line, without a time-out, and puts what stands between its commas into the
   variables. Numbers beyond these are ignored: hence the request's number stands at the end of an answer once
   more. What is no number is an error, and stops the program.
@@ -15,8 +16,10 @@ and of programs that are known to run: the manual was not at hand, and the place
 * `M_Timer` counts ms. `M_00` to `M_19` and `P_100(1)` to `P_102(10)` are known to all programs, and kept.
 * A position is X, Y, Z in mm and A, B, C in degrees about X, Y, Z, turned about Z first, and structure flags
   (CR750 manual, 4.5.3 "About position data", read); a component of it that is an angle is in radians: `Rad`.
-  `P_Curr` has the arm's structure flags.
-* A name has at most 16 characters; M makes it a number, C a text, P a position; % a whole number of 16 bits.
+  `P_Curr` has the arm's structure flags, and is where the tip of `P_Tool` is: `P_Curr*Inv(P_Tool)` is the
+  flange. `Str$` writes a number as digits.
+* M makes a name a number's, C a text's, P a position's; % that of a whole number of 16 bits. Words and
+  limits: `grammars/melfa.toml`.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ SLOT = 2
 """The task slot that talks; one that runs nothing else."""
 MAIN = """\
 ' edged: written by `edged registers --format melfa`. Needs EDGEDL beside it, and task slot @SLOT@.
-' Needs [modbus.socket] with brand = "mitsubishi" in the cell's configuration, and COM3: as its client.
+' Needs [modbus.socket] in the cell's configuration, and COM3: as its client.
 '
 '   CallP "EDGED",0,5000,1,0
 '     job (0: the active one), ms to wait, how many parts at most (@PARTS@), 1 for grasps as well
@@ -106,6 +109,7 @@ GoSub *LNUMBER
 MCmd%=MSeq%
 MJob%=M_10
 CAsk$="LOCATE,"+Str$(MJob%)
+GoSub *LPLACE
 GoSub *LASK
 *LPART
 If MErr<>0 Then GoTo *LEND
@@ -157,7 +161,7 @@ MSeq%=MSeq%+1
 M_15=MSeq%
 Return
 *LASK
-Print #1,Str$(MSeq%)+","+CAsk$+Chr$(10)
+Print #1,"@BRAND@,"+Str$(MSeq%)+","+CAsk$
 MF1=0
 MF2=@NO_ANSWER@
 MF@FIELDS@=-1
@@ -168,6 +172,12 @@ MErr=MF2
 If MErr<>0 Then GoTo *LBACK
 If MF1<>MSeq% Then MErr=@OTHERS@
 *LBACK
+Return
+*LPLACE
+' where the flange is: cameras on it see from there
+PFlange=P_Curr*Inv(P_Tool)
+CAsk$=CAsk$+","+Str$(PFlange.X)+","+Str$(PFlange.Y)+","+Str$(PFlange.Z)
+CAsk$=CAsk$+","+Str$(Deg(PFlange.A))+","+Str$(Deg(PFlange.B))+","+Str$(Deg(PFlange.C))
 Return
 *LPOSE
 PNew=P_Curr

@@ -9,6 +9,7 @@ those of BSD), and from memory of the "INFORM II" and "MotoPlus" reference manua
 * The job counts I085 up for each request and waits until the task says it back in I086. It alone writes I083:
   nothing that comes after its time-out can look like a result; the task sees another number and gives up.
 * How long `mpConnect` waits is the controller's affair: the job's time-out holds all the same.
+* `mpGetCartPosEx` says where the tip of a tool is in a frame (0: the base's), in the units of positions.
 * The task writes numbers, the job makes the position: `GETS PX080 $PX001` is where the arm is, with its
   figure, and `SETE` changes X to Rz in 0.001 mm and 0.0001 degrees.
 """
@@ -22,17 +23,23 @@ from edged.robot.orientations import Brand
 
 HEAD = """\
 /* edged: written by `edged registers --format motoplus`. A MotoPlus application; EDGED.JBI calls it.
- * Needs [modbus.socket] with brand = "yaskawa" in the cell's configuration, whose address is here:
+ * Needs [modbus.socket] in the cell's configuration, whose address is here:
  */
 #define ED_ADDRESS "192.168.10.20"
 #define ED_PORT @PORT@
+/* Where the robot carries the cameras: a tool file whose numbers are all 0, so that its tip is the flange. */
+#define ED_FLANGE_TOOL (-1)
 /*
  *   SET I080 1          1 LOCATE, 2 NEXT, 3 GRASP, 4 ACK, 5 CHANGE_JOB
  *   SET I081 0          job; 0: the active one
  *   SET I082 500        time-out in 10 ms
  *   CALL JOB:EDGED
  *   JUMP *FAIL IF I083<>0
- *   MOVL P080 V=100.0
+ *   SET I080 3
+ *   CALL JOB:EDGED
+ *   JUMP *FAIL IF I083<>0
+ *   MOVL P082 V=200.0   from where the tool comes, and then
+ *   MOVL P081 V=50.0
  *
  * P080: the part; P081, P082: after GRASP where the tool takes it, and from where it comes; in the frame
  * that the rig was registered to. I084: how many more NEXT gives. D070 to D072: sigma of X, Y, Z in 0.1
@@ -49,7 +56,7 @@ HEAD = """\
 static double ed_field[@FIELDS@];
 static double ed_part[6], ed_grasp[6], ed_approach[6];
 static const char *ed_request = "";
-static char ed_text[32];
+static char ed_text[160];
 static unsigned char ed_heard[ED_HEARD + 1];
 static int ed_socket = -1;
 static LONG ed_ticket = 0;
@@ -98,6 +105,24 @@ static const char *ed_joined(const char *word, double number)
     return ed_text;
 }
 
+/* Where the flange is: cameras on it see from there. */
+static void ed_do_add_place(void)
+{
+    MP_CARTPOS_EX_SEND_DATA asked;
+    MP_CART_POS_RSP_DATA_EX heard;
+    int i;
+
+    if (ED_FLANGE_TOOL < 0)
+        return;
+    asked.sRobotNo = 0;
+    asked.sFrame = 0;
+    asked.sToolNo = ED_FLANGE_TOOL;
+    if (mpGetCartPosEx(&asked, &heard) != 0)
+        return;
+    for (i = 0; i < 6; i++)
+        sprintf(ed_text + strlen(ed_text), ",%dE-%d", (int)heard.lPos[i], i < 3 ? 3 : 4);
+}
+
 static void ed_do_open_link(void)
 {
     struct sockaddr_in address;
@@ -127,10 +152,10 @@ static void ed_do_hang_up(void)
 
 static void ed_do_send(void)
 {
-    char line[64];
+    char line[224];
     int size;
 
-    size = sprintf(line, "%d,%s\\n", (int)ed_number, ed_request);
+    size = sprintf(line, "@BRAND@,%d,%s\\n", (int)ed_number, ed_request);
     if (mpSend(ed_socket, line, size, 0) != size)
         ed_error = @NO_LINK@;
 }
@@ -306,7 +331,7 @@ DIALECT = Dialect(
     first=0,
     assigned="{} = {};",
 )
-NATIVE = ("open_link", "hang_up", "send", "receive", "start_clock", "read_clock", "pause")
+NATIVE = ("add_place", "open_link", "hang_up", "send", "receive", "start_clock", "read_clock", "pause")
 
 
 def motoplus_files() -> dict[str, str]:

@@ -23,13 +23,13 @@ from edged.robot.orientations import Brand
 
 MODULE = r"""MODULE EDGED
   ! edged: written by `edged registers --format rapid`.
-  ! Needs [modbus.socket] with brand = "abb" in the cell's configuration.
+  ! Needs [modbus.socket] in the cell's configuration.
   !
   !   VAR pose part;
   !   IF EdgedLocate(0, 5, part) THEN          ! job 0: the active one; seconds
   !     pick.trans:=part.trans;                ! mm, in the frame that the rig was registered to
   !     pick.rot:=part.rot;
-  !     MoveL pick,v200,fine,tool1;
+  !     MoveL RelTool(pick,0,0,-100),v200,fine,tool1\WObj:=wobj0;
   !   ENDIF
   !   EdgedAcknowledge;
   !
@@ -55,6 +55,7 @@ MODULE = r"""MODULE EDGED
     edged_remaining:=0;
     edged_sequence:=edged_sequence MOD 65535+1;
     edged_command:=edged_sequence;
+    EdgedSayPlace;
     IF EdgedAsk("LOCATE,"+NumToStr(job,0),edged_sequence,timeout_s,TRUE) THEN
       EdgedTake part;
       RETURN TRUE;
@@ -69,6 +70,7 @@ MODULE = r"""MODULE EDGED
       EdgedTake part;
       RETURN TRUE;
     ENDIF
+    edged_remaining:=0;
     RETURN FALSE;
   ENDFUNC
 
@@ -86,11 +88,13 @@ MODULE = r"""MODULE EDGED
     RETURN FALSE;
   ENDFUNC
 
-  ! The result was used: it is withdrawn, and the link is closed.
+  ! The part was used: it is withdrawn. After the last one the link is closed.
   PROC EdgedAcknowledge()
     VAR bool is_done;
     is_done:=EdgedAsk("ACK",edged_command,2,FALSE);
-    SocketClose edged_socket;
+    IF edged_remaining=0 THEN
+      SocketClose edged_socket;
+    ENDIF
   ENDPROC
 
   ! Any other command: "GRAB,0", "VERIFY,0", "CHANGE_JOB,2".
@@ -115,17 +119,22 @@ MODULE = r"""MODULE EDGED
     SocketClose edged_socket;
   ENDPROC
 
+  ! Where the flange is goes with the next request: cameras on it see from there.
+  LOCAL PROC EdgedSayPlace()
+    VAR robtarget flange;
+    flange:=CRobT(\Tool:=tool0\WObj:=wobj0);
+    edged_place:=","+NumToStr(flange.trans.x,3)+","+NumToStr(flange.trans.y,3)+","+NumToStr(flange.trans.z,3);
+    edged_place:=edged_place+","+NumToStr(flange.rot.q1,6)+","+NumToStr(flange.rot.q2,6);
+    edged_place:=edged_place+","+NumToStr(flange.rot.q3,6)+","+NumToStr(flange.rot.q4,6);
+  ENDPROC
+
   ! One pose; where the board is not seen it is left out.
   LOCAL PROC EdgedStep(robtarget place,num timeout_s,PERS tooldata tool)
-    VAR robtarget flange;
     VAR bool is_done;
     IF edged_error=0 THEN
       MoveL place,v100,fine,tool\WObj:=wobj0;
       WaitTime \InPos,@SETTLE@;
-      flange:=CRobT(\Tool:=tool0\WObj:=wobj0);
-      edged_place:=","+NumToStr(flange.trans.x,3)+","+NumToStr(flange.trans.y,3)+","+NumToStr(flange.trans.z,3);
-      edged_place:=edged_place+","+NumToStr(flange.rot.q1,6)+","+NumToStr(flange.rot.q2,6);
-      edged_place:=edged_place+","+NumToStr(flange.rot.q3,6)+","+NumToStr(flange.rot.q4,6);
+      EdgedSayPlace;
       is_done:=EdgedDo("REGISTER_ADD,0",timeout_s);
       IF edged_error=@NOT_SEEN@ OR edged_error=@SAME_PLACE@ THEN
         edged_error:=0;
@@ -168,7 +177,7 @@ MODULE = r"""MODULE EDGED
       SocketCreate edged_socket;
       SocketConnect edged_socket,edged_ip,edged_port\Time:=timeout_s;
     ENDIF
-    SocketSend edged_socket\Str:=NumToStr(sequence,0)+","+request;
+    SocketSend edged_socket\Str:="@BRAND@,"+NumToStr(sequence,0)+","+request;
     SocketSend edged_socket\Str:=place+"\0A";
     WHILE NOT is_whole DO
       left_s:=timeout_s-ClkRead(edged_clock);

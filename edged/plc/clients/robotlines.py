@@ -29,7 +29,7 @@ class Failure(enum.IntEnum):
 FAILURES = {
     Failure.LATE: "no answer in time",
     Failure.NO_LINK: "no link",
-    Failure.NO_ANSWER: "what came is no answer (another brand in [modbus.socket]?)",
+    Failure.NO_ANSWER: "what came is no answer",
     Failure.OTHERS: "an answer to another request",
 }
 STATUSES = {
@@ -39,10 +39,11 @@ STATUSES = {
     LineStatus.TAKEN_OVER: "another client commanded",
     LineStatus.NOT_YOUR_TURN: "another client may write",
     LineStatus.MAY_NOT_WRITE: "not among the cell's writers",
-    LineStatus.NOT_UNDERSTOOD: "no request",
+    LineStatus.NOT_UNDERSTOOD: "no request (a cell older than this program?)",
     LineStatus.NO_FURTHER: "no further target",
     LineStatus.OUT_OF_LIMITS: "where the robot must not go",
     LineStatus.NO_GRASP: "the part has no grasp",
+    LineStatus.NO_SUCH_BRAND: "a brand that the cell does not know",
 }
 
 
@@ -57,8 +58,9 @@ def statuses(comment: str, width: int = 72) -> str:
 
 
 def filled(template: str, brand: Brand, first: int, **more: object) -> str:
-    """A template with its @NAMES@: numbers of fields (counted from `first`), of failures, and `more`."""
+    """A template with its @NAMES@: brand, numbers of fields (counted from `first`) and failures, `more`."""
     fields = answer_fields(brand)
     values: dict[str, object] = {name: index + first for index, name in enumerate(fields)}
-    values |= {"FIELDS": len(fields), "PORT": PORT, **{one.name: int(one) for one in Failure}, **more}
+    values |= {"BRAND": brand, "FIELDS": len(fields), "PORT": PORT}
+    values |= {**{one.name: int(one) for one in Failure}, **more}
     return re.sub(r"@(\w+)@", lambda name: str(values[name[1]]), template)

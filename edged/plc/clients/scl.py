@@ -17,6 +17,7 @@ import re
 from edged.plc.clients.structured_text import CONTROL_WORDS, structured_text_source
 from edged.plc.clients.units import COMMENT, Code, Structure, Variable, codes, filled, structures
 from edged.plc.registers import COMMAND, GRASP, MAP_VERSION, RESULT, STATUS
+from edged.robot.orientations import Convention
 
 ADDRESS_BYTES = ("16#C0", "16#A8", "16#0A", "16#14")  # 192.168.10.20
 SHIFT = re.compile(r"\b(SHL|SHR)\(((?:[^(),]|\([^()]*\))+), (\d+)\)")
@@ -46,6 +47,7 @@ VERSION : 0.1
       uiCommand : UInt := 1;
       uiJob : UInt;
       xAllJobs : Bool;
+      uiConvention : UInt := @FIXED_XYZ@; (* what the robot takes A, B, C for, as in FB_EDGED *)
       tTimeout : Time := T#5S;
       xAllowRigFrame : Bool;
       xAllowSimulated : Bool;
@@ -137,7 +139,7 @@ BEGIN
    END_IF;
 
    #fbEdged(xLinkOk := #xLinkOk, xExecute := #xExecute, uiCommand := #uiCommand, uiJob := #uiJob,
-      xAllJobs := #xAllJobs,
+      xAllJobs := #xAllJobs, uiConvention := #uiConvention,
       tTimeout := #tTimeout, xLowWordFirst := #xLowWordFirst, xAllowRigFrame := #xAllowRigFrame,
       xAllowSimulated := #xAllowSimulated, adiFlange := #adiFlange, awStatus := "DB_EDGED".awStatus,
       awResult := "DB_EDGED".awResult, awGrasp := "DB_EDGED".awGrasp,
@@ -244,6 +246,7 @@ def _s7() -> str:
         "RESULT": RESULT.address,
         "GRASP": GRASP.address,
         "COMMAND": COMMAND.address,
+        "FIXED_XYZ": Convention.FIXED_XYZ.value,
         **{f"IP{i}": byte for i, byte in enumerate(ADDRESS_BYTES, start=1)},
     }
     return filled(S7, values)

@@ -4,7 +4,8 @@
 numbers that all routines share, `request` is a text, `field` holds the numbers of an answer. What the
 languages do differently is written in each: `open_link`, `hang_up`, `send` (the number and the request, with
 a line feed), `receive` (n_bytes: what has come now, 0 is nothing, -1 a lost link, -2 more than an answer),
-`start_clock`, `read_clock` (elapsed, in s), `pause`.
+`start_clock`, `read_clock` (elapsed, in s), `pause`, `add_place` (to the request: where the flange is, for
+cameras that the robot carries; a cell whose cameras stand still does not look at it).
 
 A REAL of 24 bits holds what is read exactly: 7 digits before the point, 6 after it.
 """
@@ -24,6 +25,7 @@ remaining = 0
 call next_number
 command = number
 request = "LOCATE," + text(job)
+call add_place
 call open_and_ask
 pose part
 end
@@ -61,7 +63,9 @@ number = command
 request = "ACK"
 timeout = 2
 call ask
+if remaining == 0
 call hang_up
+end if
 end
 sub next_number
 sequence = sequence + 1
@@ -264,8 +268,8 @@ def _taken(name: str, dialect: Dialect) -> list[str]:
         ),
         *([dialect.posed.format(name=name)] if dialect.posed else []),
         *(_statement(f"{one} = field[{number}]", dialect) for one, number in pairs),
-        _statement("else", dialect),
-        _statement("remaining = 0", dialect),
+        # of a part that has no grasp others may follow
+        *(_statement(line, dialect) for line in ("else", "remaining = 0") if name == "part"),
         _statement("end if", dialect),
     ]
 

@@ -10,7 +10,10 @@ From the "EPSON RC+ SPEL+ Language Reference" (7.0 and 8.0):
 * Names have at most 32 characters, in either case the same; those of strings end with $. `Global` makes a
   variable known to all functions; an array's number is its last index, its first is 0. `TmReset` and `Tmr`
   count seconds.
+* `Here` is where the active tool is, `CX` to `CW` its coordinates, tool 0 the flange; `Tool` alone is the
+  number of the active one.
 * `XY(X, Y, Z, U, V, W)`: mm, and degrees about Z, the new Y, the new X; SCARA robots have X, Y, Z, U.
+  `+TLZ(-100)` is back along the tool's Z, `+Z(100)` up along the frame's.
 """
 
 from __future__ import annotations
@@ -24,12 +27,12 @@ TIMER = 15
 """Of 0 to 15; one that nothing else uses."""
 HEAD = """\
 ' edged: written by `edged registers --format spel`. A program file for EPSON RC+.
-' Needs [modbus.socket] with brand = "epson" in the cell's configuration; its address is in EdgedOpenLink.
+' Needs [modbus.socket] in the cell's configuration; its address is in EdgedOpenLink.
 '
 '   EdgedLocate 0, 5                  ' job 0: the active one; seconds
 '   If edgedError = 0 Then
 '     P10 = XY(edgedPart(1), edgedPart(2), edgedPart(3), edgedPart(4), edgedPart(5), edgedPart(6))
-'     Go P10 +Z(100)                  ' mm and degrees, in the frame that the rig was registered to
+'     Go P10 +TLZ(-100)               ' mm and degrees, in the frame that the rig was registered to
 '   EndIf
 '   EdgedAck
 '
@@ -84,6 +87,14 @@ EdgedLinkEnd:
   OnErr GoTo 0
 Fend
 
+Function EdgedRunAddPlace
+  edgedTool = Tool
+  Tool 0
+  edgedRequest$ = edgedRequest$ + "," + Str$(CX(Here)) + "," + Str$(CY(Here)) + "," + Str$(CZ(Here))
+  edgedRequest$ = edgedRequest$ + "," + Str$(CU(Here)) + "," + Str$(CV(Here)) + "," + Str$(CW(Here))
+  Tool edgedTool
+Fend
+
 Function EdgedRunHangUp
   If ChkNet(201) <> -3 Then
     CloseNet #201
@@ -97,7 +108,7 @@ Function EdgedRunSend
     Exit Function
   EndIf
   OnErr GoTo EdgedNotSent
-  Print #201, Str$(edgedNumber) + "," + edgedRequest$
+  Print #201, "@BRAND@," + Str$(edgedNumber) + "," + edgedRequest$
   OnErr GoTo 0
   Exit Function
 EdgedNotSent:
@@ -162,7 +173,7 @@ DIALECT = Dialect(
 def spel_source() -> str:
     """A program file, as text."""
     fields = len(answer_fields(Brand.EPSON))
-    declared = [f"Global Double {DIALECT.variable(name)}" for name in NUMBERS]
+    declared = [f"Global Double {DIALECT.variable(name)}" for name in (*NUMBERS, "tool")]
     declared += [f"Global Double edged{name}(6)" for name in ("Part", "Grasp", "Approach")]
     declared += [f"Global Double edgedField({fields})"]
     declared += ["Global String edgedRequest$", "Global String edgedHeard$"]

@@ -23,6 +23,7 @@ from edged.plc.registers import (
     Register,
     StatusBit,
 )
+from edged.robot.orientations import Convention
 
 TYPES = {Kind.U16: ("ui", "UINT"), Kind.I32: ("di", "DINT"), Kind.U32: ("ud", "UDINT")}
 ARRAYS = {RESULT: "awResult", GRASP: "awGrasp"}
@@ -139,7 +140,9 @@ used. Its falling edge acknowledges the result, which is then withdrawn.
     xExposureDone  the picture is taken: the robot may move although the result is still to come.
     xError         it was not, or its result is lost; uiError: a NACK_REASON (@REASONS@),
                    100 not within tTimeout, 101 link down, 102 the cell's heartbeat stands still,
-                   103 the cell was started anew, or another client's command took the place of this one.
+                   103 the cell was started anew, what it measures by was exchanged (a reload), or another
+                   client's command took the place of this one,
+                   104 A, B, C of the cell are not what uiConvention says: nothing was commanded.
 After 100 to 103 the command is taken back (CMD_SEQ 0): it does not run when the link returns.
 While stResult.uiREMAINING > 0, uiCommand @NEXT_PART@ gives the next part of the same picture. *)
 FUNCTION_BLOCK FB_EDGED
@@ -149,6 +152,7 @@ VAR_INPUT
     uiCommand : UINT := @LOCATE@; (* @COMMANDS@ *)
     uiJob : UINT; (* 0: the active one *)
     xAllJobs : BOOL; (* TRUE: every job is tried, the part that agrees best counts *)
+    uiConvention : UINT := @FIXED_XYZ@; (* what the robot takes A, B, C for: @CONVENTIONS@ *)
     tTimeout : TIME := T#5S;
     xLowWordFirst : BOOL; (* word_order = "low" in the cell *)
     xAllowRigFrame : BOOL; (* TRUE: xValid also in the rig's frame, which no robot knows *)
@@ -250,6 +254,11 @@ IF iState = 0 AND xExecute AND NOT xWasExecute THEN
     iState := 5;
 END_IF;
 
+IF iState = 5 AND xKnown AND awStatus[@CONVENTION@] <> UINT_TO_WORD(uiConvention) THEN
+    uiError := 104;
+    iState := 40;
+END_IF;
+
 IF iState = 5 AND xKnown THEN
     wBefore := awStatus[@ECHO@];
     wEpochFirst := awStatus[@EPOCH@];
@@ -304,14 +313,15 @@ IF iState = 10 THEN
     END_IF;
 END_IF;
 
-(* Head, tail and epoch are read in one request: all are ours, or it is not our result. What may be used was
-always decoded in this scan: the result grows old, and a new command withdraws it. *)
-xFits := awResult[0] = UINT_TO_WORD(uiSequence) AND awResult[@RESULT_LAST@] = UINT_TO_WORD(uiSequence)
+(* Head, tail and epoch are read in one request: all are ours, or it is not our result. Tail 0: it is, and was
+withdrawn. What may be used was always decoded in this scan: the result grows old, a new command ends it. *)
+xFits := awResult[0] = UINT_TO_WORD(uiSequence)
+    AND (awResult[@RESULT_LAST@] = UINT_TO_WORD(uiSequence) OR awResult[@RESULT_LAST@] = 16#0)
     AND awResult[@RESULT_EPOCH@] = wEpochFirst AND awResult[@RESULT_EPOCH@ + 1] = wEpochSecond;
 stResult.xValid := FALSE;
 IF (iState = 20 OR iState = 30) AND xFits AND uiRunning <> @CHANGE_JOB@ AND uiRunning < @HAND_EYE_START@ THEN
 @DECODE@
-    stResult.xValid := (awResult[@FLAGS@] AND @VALID@) <> 16#0
+    stResult.xValid := (awResult[@FLAGS@] AND @VALID@) <> 16#0 AND awResult[@RESULT_LAST@] <> 16#0
         AND ((awResult[@FLAGS@] AND @ROBOT_FRAME@) <> 16#0 OR (xRigFrame AND xAllowRigFrame))
         AND ((awResult[@FLAGS@] AND @F_SIMULATED@) = 16#0 OR (xSimulated AND xAllowSimulated));
     xExposureDone := TRUE;
@@ -354,6 +364,8 @@ def _block() -> str:
         "CHANGE_JOB": CommandKind.CHANGE_JOB.value,
         "HAND_EYE_START": CommandKind.HAND_EYE_START.value,
         "NEXT_PART": CommandKind.NEXT_PART.value,
+        "FIXED_XYZ": Convention.FIXED_XYZ.value,
+        "CONVENTIONS": ", ".join(f"{mean.value} {mean.name}" for mean in Convention),
         "COMMANDS": ", ".join(f"{kind.value} {kind.name}" for kind in CommandKind),
         "REASONS": ", ".join(f"{reason.value} {reason.name.lower()}" for reason in Reason if reason),
         "BASELINE": f"16#{Reason.BASELINE.value:04X}",
@@ -363,6 +375,7 @@ def _block() -> str:
         "HEARTBEAT": _at("HEARTBEAT"),
         "BITS": _at("STATUS_BITS"),
         "DONE": _at("DONE_SEQ"),
+        "CONVENTION": _at("CONVENTION"),
         "ECHO": _at("CMD_SEQ_ECHO"),
         "REASON": _at("NACK_REASON"),
         "FLANGE": ADDRESS["FLANGE_X"] - COMMAND.address,

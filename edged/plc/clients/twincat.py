@@ -17,6 +17,7 @@ import uuid
 from edged.plc.clients.structured_text import CONTROL_WORDS, structured_text_source
 from edged.plc.clients.units import Code, Structure, codes, filled, structures
 from edged.plc.registers import COMMAND, GRASP, RESULT, STATUS
+from edged.robot.orientations import Convention
 
 NAMESPACE = uuid.UUID("6b1f1c1e-4f0b-5f5e-9a53-edf6e4444544")
 """Of the ids of the objects: the same name has the same id in every print, so a file can be replaced."""
@@ -34,6 +35,7 @@ VAR_INPUT
     uiCommand : UINT := 1;
     uiJob : UINT;
     xAllJobs : BOOL;
+    uiConvention : UINT := @FIXED_XYZ@; (* what the robot takes A, B, C for, as in FB_EDGED *)
     tTimeout : TIME := T#5S;
     xLowWordFirst : BOOL;
     xAllowRigFrame : BOOL;
@@ -115,7 +117,7 @@ ELSIF xEnded THEN
 END_IF;
 
 fbEdged(xLinkOk := xLinkOk, xExecute := xExecute, uiCommand := uiCommand, uiJob := uiJob,
-    xAllJobs := xAllJobs, tTimeout := tTimeout, xLowWordFirst := xLowWordFirst,
+    xAllJobs := xAllJobs, uiConvention := uiConvention, tTimeout := tTimeout, xLowWordFirst := xLowWordFirst,
     xAllowRigFrame := xAllowRigFrame, xAllowSimulated := xAllowSimulated, adiFlange := adiFlange,
     awStatus := awStatus, awResult := awResult, awGrasp := awGrasp,
     xReady => xReady, xBusy => xBusy, xExposureDone => xExposureDone, xDone => xDone, xError => xError,
@@ -184,5 +186,6 @@ def _modbus() -> str:
         "RESULT": RESULT.address,
         "GRASP": GRASP.address,
         "COMMAND": COMMAND.address,
+        "FIXED_XYZ": Convention.FIXED_XYZ.value,
     }
     return filled(MODBUS, numbers)

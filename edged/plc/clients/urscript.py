@@ -1,9 +1,9 @@
 """The robot's side in URScript, for Universal Robots e-Series (PolyScope 5) and PolyScope X.
 
-Two signals: the blocks ur and ur grasp, read in one request, so that its words always belong together, and
-the command block, written in one. What the controller's Modbus client does is in the "Script Manual" of
-PolyScope 5: `modbus_add_signal` (names of at most 20 characters, `register_count` to 123, type 16 writes by
-function 16), `modbus_set_signal_update_frequency`, `modbus_set_output_register`,
+Three signals: the blocks ur and ur grasp, read in one request, so that its words always belong together, the
+cell's convention, and the command block, written in one. What the controller's Modbus client does is in the
+"Script Manual" of PolyScope 5: `modbus_add_signal` (names of at most 20 characters, `register_count` to 123,
+type 16 writes by function 16), `modbus_set_signal_update_frequency`, `modbus_set_output_register`,
 `modbus_set_signal_watchdog`; CB3 controllers know no `register_count`. It goes on writing the output for
 ever, also when no program runs: the command block is one of those that the first CMD_SEQ of a connection is
 for.
@@ -21,6 +21,7 @@ from edged.plc.answers import Reason
 from edged.plc.clients.units import filled
 from edged.plc.clients.walk import CODES, SETTLE_S, steps
 from edged.plc.registers import ADDRESS, COMMAND, MAP_VERSION, UR, UR_GRASP, Block, Flag, Option, StatusBit
+from edged.robot.orientations import Convention
 
 REFRESH_HZ = 50
 STALE_S = 1.0
@@ -51,7 +52,8 @@ SCRIPT = """\
 # 100 not in time, 101 nothing usable found, 102 the rig is not registered to the robot, 103 a virtual cell
 # (set edged_allow_simulated to True to move by what it says), 104 the cell's heartbeat stands still,
 # 105 the cell was started anew, or another client's command took the place of this one, 106 the CRC is
-# wrong, 107 another job was measured, 108 the part has no grasp.
+# wrong, 107 another job was measured, 108 the part has no grasp, 109 a pose of the flange cannot be said:
+# the cell's convention is not "ur_rotation_vector". Parts are given in rotation vectors all the same.
 
 global edged_ok = False
 global edged_error = 0
@@ -62,6 +64,7 @@ global edged_sequence = 0
 global edged_allow_simulated = False
 global edged_in = [@ZEROS_IN@]
 global edged_out = [@ZEROS_OUT@]
+global edged_angles = [0, 0]
 # a exclusive or b of two numbers below 16 stands at 16 * a + b
 global edged_xor16 = [@XOR@]
 # CRC-16/MODBUS of the numbers below 16
@@ -71,6 +74,10 @@ def edged_setup(ip):
     modbus_add_signal(ip, 1, @UR@, 2, "edged_in", False, @UR_WORDS@)
     modbus_set_signal_update_frequency("edged_in", @HZ@)
     modbus_set_signal_watchdog("edged_in", @WATCHDOG@)
+    # what A, B, C mean; the word beside it makes it a list
+    modbus_add_signal(ip, 1, @CONVENTION@, 2, "edged_angles", False, 2)
+    modbus_set_signal_update_frequency("edged_angles", @HZ@)
+    modbus_set_signal_watchdog("edged_angles", @WATCHDOG@)
     modbus_add_signal(ip, 1, @COMMAND@, 16, "edged_out", False, @CONTROL_WORDS@)
     modbus_set_signal_update_frequency("edged_out", @HZ@)
     modbus_set_signal_watchdog("edged_out", @WATCHDOG@)
@@ -238,9 +245,22 @@ def edged_run(command, job, options, timeout):
     return edged_fail(100)
 end
 
+# LOCATE, with where the flange is: cameras on it see from there. True: there is a result.
+def edged_measured(job, options, timeout):
+    local is_done = False
+    if edged_knows_flanges():
+        edged_flange(get_actual_tool_flange_pose())
+    end
+    is_done = edged_run(@LOCATE@, job, options, timeout)
+    # a pose serves one command: it must not go with the next one
+    edged_flange(p[0, 0, 0, 0, 0, 0])
+    edged_send()
+    return is_done
+end
+
 # Measure. Returns the pose; it may be used only if edged_ok is True.
 def edged_locate(job, timeout):
-    if edged_run(@LOCATE@, job, 0, timeout):
+    if edged_measured(job, 0, timeout):
         return edged_pose(edged_in, job)
     end
     return p[0, 0, 0, 0, 0, 0]
@@ -248,7 +268,7 @@ end
 
 # The same with every job on one picture: the part that agrees best, edged_job is the number of its job.
 def edged_locate_all_jobs(timeout):
-    if edged_run(@LOCATE@, 0, @ALL_JOBS@, timeout):
+    if edged_measured(0, @ALL_JOBS@, timeout):
         return edged_pose(edged_in, 0)
     end
     return p[0, 0, 0, 0, 0, 0]
@@ -264,9 +284,12 @@ end
 
 # Register the rig: at ten poses about the one where the robot stands, turned about its tool centre point,
 # which is in the middle of the board (a rig on the flange: where the cameras look). True: it is registered.
-# The cell's convention is ur_rotation_vector.
 def edged_hand_eye(timeout):
     local centre = get_actual_tcp_pose()
+    if not edged_knows_flanges():
+        edged_error = 109
+        return False
+    end
     if not edged_run(@HAND_EYE_START@, 0, 0, timeout):
         return False
     end
@@ -286,6 +309,12 @@ def edged_step(place, timeout):
     edged_flange(p[0, 0, 0, 0, 0, 0])
     edged_send()
     return is_taken or edged_error == @NOT_SEEN@ or edged_error == @SAME_PLACE@
+end
+
+# Whether the cell reads A, B, C of FLANGE as the rotation vector that they are.
+def edged_knows_flanges():
+    edged_angles = modbus_get_signal_status("edged_angles", False)
+    return edged_angles[0] == @UR_ROTATION_VECTOR@
 end
 
 def edged_flange(place):
@@ -313,10 +342,12 @@ def edged_grasp():
         return p[0, 0, 0, 0, 0, 0]
     end
     edged_ok = False
-    if edged_in[@G_HEAD@] != edged_sequence or edged_in[@G_TAIL@] != edged_sequence:
+    if edged_in[@G_HEAD@] != edged_sequence:
         edged_error = 105
     elif not edged_bit(edged_in[@G_FLAGS@], @VALID@):
         edged_error = 108
+    elif edged_in[@G_TAIL@] != edged_sequence:
+        edged_error = 105
     elif edged_in[@G_CRC@] != edged_crc_of(edged_in, @G_HEAD@, @G_CRC@):
         edged_error = 106
     else:
@@ -329,12 +360,14 @@ end
 
 # The pose in a block of words; sets edged_ok, edged_remaining and edged_job.
 def edged_pose(words, job):
-    if words[@HEAD@] != edged_sequence or words[@TAIL@] != edged_sequence:
+    if words[@HEAD@] != edged_sequence:
         edged_error = 105
     elif job != 0 and words[@JOB@] != job:
         edged_error = 107
     elif not edged_bit(words[@FLAGS@], @VALID@):
         edged_error = 101
+    elif words[@TAIL@] != edged_sequence:
+        edged_error = 105
     elif not edged_bit(words[@FLAGS@], @ROBOT_FRAME@):
         edged_error = 102
     elif edged_bit(words[@FLAGS@], @SIMULATED@) and not edged_allow_simulated:
@@ -365,6 +398,8 @@ def _values() -> dict[str, str]:
         "G_FLAGS": _at("FLAGS", UR_GRASP),
         "G_CRC": _at("CRC16", UR_GRASP),
         "COMMAND": COMMAND.address,
+        "CONVENTION": ADDRESS["POSE_CONVENTION"],
+        "UR_ROTATION_VECTOR": Convention.UR_ROTATION_VECTOR.value,
         "CONTROL_WORDS": CONTROL_WORDS,
         "HZ": REFRESH_HZ,
         "WATCHDOG": WATCHDOG_S,

@@ -12,6 +12,7 @@ From the "VAL 3 Reference Manual" (D28062804A, version 5.3; D28093501, version 8
 * `sioGet` of one number reads a byte: 1; with `sioCtrl` "timeout" -1 it returns at once, 0 is nothing, -1 no
   link.
 * `string`: at most 128 characters, an answer has more. `asc` gives the code of a character, counted from 0.
+* `here(flange, world)` is the point of the flange in the world, `toString(".4", n)` writes four decimals.
 * `num` has 64 bits. Arrays are counted from 0, data keep their values until the application is loaded anew.
 
 The files' form is that of VAL 3 s7 (Program/2, Data/2, Project/3), which s8 converts when it is opened.
@@ -24,9 +25,9 @@ from edged.plc.clients.skeleton import NUMBERS, Dialect, indented, routines
 from edged.plc.lines import answer_fields
 from edged.robot.orientations import Brand
 
-REQUEST_BYTES = 32
-REQUESTS = ("locate", "next", "grasp")
-"""With a time-out; locate has a job before it."""
+REQUEST_BYTES = 128
+REQUESTS = {"locate": "locate", "next": "nextPart", "grasp": "grasp"}
+"""Programs with a time-out, by the skeleton's name; locate has a job before it. `next` is an instruction."""
 SPACE = "http://www.staubli.com/robotics/VAL3"
 XSI = 'xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
 HEAD = '<?xml version="1.0" encoding="utf-8"?>\n'
@@ -39,7 +40,7 @@ nIsOpen=1""",
 clearBuffer(siEdged)
 nIsOpen=0""",
     "send": """\
-sLine=toString("",nNumber)+","+sRequest
+sLine="@BRAND@,"+toString("",nNumber)+","+sRequest
 nIndex=0
 while nIndex<@BYTES@
   nOut[nIndex]=32
@@ -56,13 +57,21 @@ endIf
 nUnused=sioCtrl(siEdged,"timeout",-1)""",
     "receive": """\
 nBytes=sioGet(siEdged,nByte)""",
+    "addPlace": """\
+pHere=here(flange,world)
+sRequest=sRequest+","+toString(".4",pHere.trsf.x)
+sRequest=sRequest+","+toString(".4",pHere.trsf.y)
+sRequest=sRequest+","+toString(".4",pHere.trsf.z)
+sRequest=sRequest+","+toString(".4",pHere.trsf.rx)
+sRequest=sRequest+","+toString(".4",pHere.trsf.ry)
+sRequest=sRequest+","+toString(".4",pHere.trsf.rz)""",
     "startClock": "nStart=clock()",
     "readClock": "nElapsed=clock()-nStart",
     "pause": "delay(0.01)",
 }
 START = """\
 // edged: written by `edged registers --format val3`. A library: import it into your application.
-// Needs [modbus.socket] with brand = "staubli" in the cell's configuration, and a client socket "Edged".
+// Needs [modbus.socket] in the cell's configuration, and a client socket "Edged".
 //
 //   call edged:locate(0,5)                        // job 0: the active one; seconds
 //   if edged:nError==0
@@ -71,7 +80,7 @@ START = """\
 //   endIf
 //   call edged:acknowledge()
 //
-// next(5): the next part of the same picture, nRemaining says how many there are. grasp(5): trGrasp and
+// nextPart(5): the next part of the same picture, nRemaining says how many there are. grasp(5): trGrasp and
 // trApproach of the part that was given last. nSigmaX, nSigmaY, nSigmaZ: mm, -1 is not known; nAge: seconds.
 // Move only while nError is 0. Otherwise it says why:
 @STATUSES@"""
@@ -138,7 +147,11 @@ def _data() -> str:
         '    <Data name="siEdged" access="public" xsi:type="array" type="sio" size="1">\n'
         '      <Value key="0" link="Socket\\Edged" />\n    </Data>\n'
     )
-    datas = f"  <Datas>\n{plain}{link}  </Datas>\n"
+    here = (
+        '    <Data name="pHere" access="public" xsi:type="array" type="pointRx" size="1">\n'
+        '      <Value key="0" fatherId="world[0]" />\n    </Data>\n'
+    )
+    datas = f"  <Datas>\n{plain}{link}{here}  </Datas>\n"
     return f'{HEAD}<Database {XSI} xmlns="{SPACE}/Data/2">\n{datas}</Database>\n'
 
 
@@ -151,12 +164,12 @@ def val3_files() -> dict[str, str]:
     for name, text in NATIVE.items():
         code = filled(text, Brand.STAUBLI, first=0, BYTES=REQUEST_BYTES, LAST=REQUEST_BYTES - 1)
         programs[name] = (["  " + line for line in code.splitlines()], {})
-    for name in REQUESTS:
+    for name, program in REQUESTS.items():
         takes = ["  nTimeout=x_nTimeout", f"  call {DIALECT.routine(name)}()"]
         given = {"x_nTimeout": "num"}
         if name == "locate":
             takes, given = ["  nJob=x_nJob", *takes], {"x_nJob": "num", **given}
-        programs[name] = (takes, given)
+        programs[program] = (takes, given)
     programs["perform"] = (
         ["  sRequest=x_sRequest", "  nTimeout=x_nTimeout", "  call runPerform()"],
         {"x_sRequest": "string", "x_nTimeout": "num"},

@@ -39,8 +39,8 @@ CONSTANTS = make_block(
         ("UNIT_LENGTH", _U16, "", "unit of X, Y, Z: 1 is µm"),
         ("UNIT_ANGLE", _U16, "", "unit of A, B, C: 1 is 0.001°"),
         ("RESERVED_9", _U16, "", "0"),
-        ("CONFIG_CRC", _U32, "", "fingerprint of configuration, rig and jobs; 0 before the first cycle"),
-        ("CALIBRATION", _U32, "", "CRC-32 of the calibration id; 0 before the first cycle"),
+        ("CONFIG_CRC", _U32, "", "fingerprint of the configuration, rig and jobs that are loaded"),
+        ("CALIBRATION", _U32, "", "CRC-32 of the id of the calibration that is loaded"),
         ("TABLE_ROWS", _U16, "", "rows of the target table"),
         ("ROW_WORDS", _U16, "", "words of each row"),
     ],
@@ -152,7 +152,8 @@ STATUS = make_block(
             "0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed, 6 camera fault, "
             "7 the cell is in SETUP, 8 first CMD_SEQ of a connection, or after a start or another client's: "
             "nothing ran, 9 no next part; of a registration 10 none is under way, 11 not seen, "
-            "12 same place, 13 too few, 14 turn more, 15 not good, 16 other reading",
+            "12 same place, 13 too few, 14 turn more, 15 not good, 16 other reading; 17 there was a reload "
+            "while it waited",
         ),
         ("WRITE_OWNER", _U16, "", "1: a client holds the right to write"),
         (
@@ -161,8 +162,20 @@ STATUS = make_block(
             "",
             "the newest CMD_SEQ other than 0 since the start: a program that begins goes on after it",
         ),
-        ("START_EPOCH", _U32, "", "another number after each start of the daemon or of this server; never 0"),
+        (
+            "START_EPOCH",
+            _U32,
+            "",
+            "another number after each start of the daemon or of this server, and after each exchange of "
+            "what results stand on (rig, jobs, limits, cameras); never 0",
+        ),
         ("SETUP_SOURCE", _U16, "", f"why the cell is in SETUP: {list_codes(SetupSource)}"),
+        (
+            "CONVENTION",
+            _U16,
+            "",
+            "as POSE_CONVENTION, for a program to know before it commands",
+        ),
     ],
 )
 
@@ -203,7 +216,13 @@ RESULT = make_block(
         ("CALIBRATION", _U32, "", "CRC-32 of the calibration id"),
         ("START_EPOCH", _U32, "", "as in the status: the start to which this result belongs"),
         ("CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
-        ("SEQ_TAIL", _U16, "", "equals SEQ_HEAD"),
+        (
+            "SEQ_TAIL",
+            _U16,
+            "",
+            "equals SEQ_HEAD as long as the block says what it said when the result appeared; 0 once it is "
+            "withdrawn: acknowledged, too old, or RESULT is RELOADED",
+        ),
     ],
 )
 
@@ -228,7 +247,7 @@ UR = make_block(
         ("UR_LAST_SEQ", _U16, "", "as LAST_SEQ"),
         ("UR_START_EPOCH", _U32, "", "as START_EPOCH"),
         ("UR_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
-        ("UR_SEQ_TAIL", _U16, "", "equals UR_SEQ_HEAD"),
+        ("UR_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
         ("UR_REMAINING", _U16, "", "as REMAINING"),
     ],
     high_first=True,
@@ -247,7 +266,7 @@ UR_GRASP = make_block(
         ("UG_RETREAT", _I32, "µm", "as G_RETREAT"),
         ("UG_START_EPOCH", _U32, "", "as START_EPOCH"),
         ("UG_CRC16", _U16, "", "CRC-16/MODBUS of the words of this block before, each high byte first"),
-        ("UG_SEQ_TAIL", _U16, "", "equals UG_SEQ_HEAD"),
+        ("UG_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
     ],
     high_first=True,
 )
@@ -263,7 +282,9 @@ FLOAT = make_block(
         ("F_DEPTH", _F32, "mm", "NaN when not VALID"),
         *((f"F_SIGMA_{axis}", _F32, "mm" if axis in "XYZ" else "°", "one sigma") for axis in AXES),
         ("F_RESULT", _U16, "", "as RESULT"),
-        ("F_SEQ_TAIL", _U16, "", "equals F_SEQ_HEAD"),
+        ("F_START_EPOCH", _U32, "", "as START_EPOCH"),
+        ("F_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
+        ("F_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
     ],
 )
 
@@ -288,7 +309,7 @@ GRASP = make_block(
         ),
         ("G_START_EPOCH", _U32, "", "as START_EPOCH"),
         ("G_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
-        ("G_SEQ_TAIL", _U16, "", "equals G_SEQ_HEAD"),
+        ("G_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
     ],
 )
 
@@ -341,6 +362,17 @@ def _row(index: int) -> Block:
         ],
     )
 
+
+TABLE_END = make_block(
+    "targets",
+    600 + ROW_WORDS * TABLE_ROWS,
+    [
+        ("TABLE_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
+        ("TABLE_START_EPOCH", _U32, "", "as START_EPOCH"),
+        ("TABLE_CRC16", _U16, "", "CRC-16/MODBUS of all words before, from the first row of the table on"),
+        ("TABLE_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
+    ],
+)
 
 COUNTERS = make_block(
     "counters",
@@ -398,8 +430,9 @@ BLOCKS = (
     FLOAT,
     GRASP,
     REGISTRATION,
-    COUNTERS,
     *TABLE,
+    TABLE_END,
+    COUNTERS,
     *JOBS,
 )
 ROWS = (TABLE, JOBS)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 MAGIC = 0x4544  # "ED"
-MAP_VERSION = 3
+MAP_VERSION = 4
 INT32_MIN = -(2**31)
 INT32_MAX = 2**31 - 1
 UINT16_MAX = 0xFFFF
@@ -58,6 +58,8 @@ class ResultCode(enum.IntEnum):
     """The pictures were taken, as GRAB asked; nothing was measured for the PLC."""
     VERIFIED = 7
     """Within all limits, as VERIFY asked; without coordinates."""
+    RELOADED = 8
+    """What it was measured by has been exchanged since (a reload, a registration, another job): ask again."""
 
 
 class StatusBit(enum.IntFlag):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.domain.events import CommandKind, Snapshot
+from edged.domain.events import Basis, CommandKind, Snapshot
 from edged.domain.measurement import Status, Target
 from edged.domain.registration import Registration
 from edged.plc.registers.layout import AXES
@@ -94,7 +94,6 @@ class Measured:
     latency_us: int
     cycle: int
     calibration: int
-    config: int
     index: int = 0
 
     def further(self) -> tuple[Measured, ...]:
@@ -132,8 +131,12 @@ def measured(snapshot: Snapshot, convention: Convention) -> Measured:
         latency_us=_clamp(latency_us, UINT32_MAX),
         cycle=snapshot.cycle & UINT32_MAX,
         calibration=zlib.crc32(snapshot.calibration_id.encode()),
-        config=_fingerprint(snapshot.fingerprint),
     )
+
+
+def exchanged(shown: Measured) -> Measured:
+    """What is left of a result when what it stands on was exchanged: that it was one."""
+    return replace(shown, code=ResultCode.RELOADED, good=False, poses=(), index=0)
 
 
 def _code(snapshot: Snapshot, poses: tuple[Pose | None, ...]) -> ResultCode:
@@ -236,9 +239,20 @@ def _score(score: float) -> int:
 
 
 def result_values(
-    shown: Measured, sequence: int, *, valid: bool, free_running: bool, remaining: int = 0
+    shown: Measured,
+    sequence: int,
+    *,
+    valid: bool,
+    free_running: bool,
+    as_published: bool = True,
+    remaining: int = 0,
 ) -> dict[str, Number]:
-    """Values of the blocks result, ur, float and of both grasps by name; coordinates only when valid."""
+    """Values of the blocks result, ur, float, of both grasps and of the table's end, by name.
+
+    Coordinates only when valid. as_published : it says what it said when it appeared; without that the tails
+    are 0, so that whoever reads a block in several requests sees that it changed in between.
+    """
+    tail = sequence if as_published else 0
     flags = (
         shown.flags | (Flag.VALID if valid else Flag(0)) | (Flag.FREE_RUNNING if free_running else Flag(0))
     )
@@ -252,20 +266,25 @@ def result_values(
         "REMAINING": remaining,
         "FLAGS": flags,
         "SEQ_HEAD": sequence,
-        "SEQ_TAIL": sequence,
+        "SEQ_TAIL": tail,
         "EXPOSURE_NS": shown.exposed_ns,
         "CYCLE": shown.cycle,
         "LATENCY": shown.latency_us,
         "CALIBRATION": shown.calibration,
         "UR_SEQ_HEAD": sequence,
-        "UR_SEQ_TAIL": sequence,
+        "UR_SEQ_TAIL": tail,
         "UR_FLAGS": flags,
         "UR_RESULT": shown.code,
         "UR_JOB": shown.job,
         "UR_REMAINING": remaining,
         "F_SEQ_HEAD": sequence,
-        "F_SEQ_TAIL": sequence,
-        **{f"{block}_SEQ_{end}": sequence for block in ("G", "UG") for end in ("HEAD", "TAIL")},
+        "F_SEQ_TAIL": tail,
+        "G_SEQ_HEAD": sequence,
+        "G_SEQ_TAIL": tail,
+        "UG_SEQ_HEAD": sequence,
+        "UG_SEQ_TAIL": tail,
+        "TABLE_SEQ_HEAD": sequence,
+        "TABLE_SEQ_TAIL": tail,
         "G_FLAGS": flags & ~Flag.VALID,
         "UG_FLAGS": flags & ~Flag.VALID,
         "F_FLAGS": flags,
@@ -334,6 +353,11 @@ def row_values(shown: Measured, index: int, sequence: int, *, valid: bool) -> di
             values |= {t + axis: value for axis, value in zip(AXES, pose.integers, strict=True)}
             values[t + "RADIUS"] = _length_um(pose.radius_mm)
     return values
+
+
+def basis_values(basis: Basis) -> tuple[int, int]:
+    """CONFIG_CRC and CALIBRATION."""
+    return _fingerprint(basis.fingerprint), zlib.crc32(basis.calibration_id.encode())
 
 
 def constant_values(convention: Convention, config: int, calibration: int) -> dict[str, Number]:

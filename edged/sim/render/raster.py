@@ -28,9 +28,11 @@ KIND, CX, CY, COS, SIN, P0, P1, P2, P3, ALBEDO, CONTRAST, TRANSMISSION = range(1
 SHAPE_COLUMNS = 12
 PLANE, DISC, BOX, POLYGON, CHECKER, DOTS = range(6)
 
-# columns of a layer: (u, v, 1) ~ homography (x, y, 1); irradiance = a + b u + c v; texture
+# columns of a layer: (u, v, 1) ~ homography (x, y, 1); irradiance = a + b u + c v; texture, and how it lies:
+# along COS, SIN of an angle, or where RADIUS is not 0 on arcs about a point, as long there as it should be
 HOMOGRAPHY, IRRADIANCE, TEXTURE, TEXELS_U, TEXELS_V, FIRST, END = 0, 9, 12, 13, 14, 15, 16
-LAYER_COLUMNS = 17
+LAY_COS, LAY_SIN, LAY_U, LAY_V, LAY_RADIUS = 17, 18, 19, 20, 21
+LAYER_COLUMNS = 22
 
 MIXED, NOTHING = -1, -2
 BEHIND, PAINTED, DIVIDED = range(3)
@@ -131,6 +133,23 @@ def _texture(textures: F32, t: int, u: float, v: float) -> float:
     return float(top + b * (bottom - top))
 
 
+@kernel(inline=True)
+def _grain(textures: F32, layers: F64, n: int, u: float, v: float) -> float:
+    """The texture of layer n at a point of its plane."""
+    du, dv = u - layers[n, LAY_U], v - layers[n, LAY_V]
+    along, across = layers[n, LAY_COS] * du + layers[n, LAY_SIN] * dv, 0.0
+    if layers[n, LAY_RADIUS] > 0.0:
+        # the same on both sides, so that it meets itself behind the point
+        across = math.sqrt(du * du + dv * dv)
+        turn = math.acos(min(max(along / max(across, 1e-9), -1.0), 1.0))
+        along = layers[n, LAY_RADIUS] * turn
+    else:
+        across = layers[n, LAY_COS] * dv - layers[n, LAY_SIN] * du
+    return _texture(
+        textures, int(layers[n, TEXTURE]), along * layers[n, TEXELS_U], across * layers[n, TEXELS_V]
+    )
+
+
 @kernel()
 def _settle_tile(rays: F64, box: I64, layers: F64, n: int, shapes: F64, vertices: F64, states: I64) -> float:
     """Say of each shape of layer n if a tile is inside (1), outside (0) or mixed (2).
@@ -210,7 +229,6 @@ def _paint_tile(
     h6, h7, h8 = layers[n, 6], layers[n, 7], layers[n, 8]
     albedo, contrast, transmission = shapes[s, ALBEDO], shapes[s, CONTRAST], shapes[s, TRANSMISSION]
     level, slope_u, slope_v = layers[n, IRRADIANCE], layers[n, IRRADIANCE + 1], layers[n, IRRADIANCE + 2]
-    t, texels_u, texels_v = int(layers[n, TEXTURE]), layers[n, TEXELS_U], layers[n, TEXELS_V]
     for y in range(box[0], box[1]):
         for x in range(box[2], box[3]):
             a, b = rays[y, x, 0], rays[y, x, 1]
@@ -218,7 +236,7 @@ def _paint_tile(
             u, v = (h0 * a + h1 * b + h2) * w, (h3 * a + h4 * b + h5) * w
             reflected = albedo
             if contrast != 0.0:
-                reflected *= max(1.0 + contrast * _texture(textures, t, u * texels_u, v * texels_v), 0.0)
+                reflected *= max(1.0 + contrast * _grain(textures, layers, n, u, v), 0.0)
             light = max(level + slope_u * u + slope_v * v, 0.0)
             radiance[y, x] = reflected * light + transmission * radiance[y, x]
 
@@ -238,7 +256,7 @@ def _paint_pixel(
     u = (layers[n, 0] * a + layers[n, 1] * b + layers[n, 2]) / w
     v = (layers[n, 3] * a + layers[n, 4] * b + layers[n, 5]) / w
     light = max(layers[n, IRRADIANCE] + layers[n, IRRADIANCE + 1] * u + layers[n, IRRADIANCE + 2] * v, 0.0)
-    grain = _texture(textures, int(layers[n, TEXTURE]), u * layers[n, TEXELS_U], v * layers[n, TEXELS_V])
+    grain = _grain(textures, layers, n, u, v)
     value, divided = behind, False
     for s in range(first, end):
         state = states[s]

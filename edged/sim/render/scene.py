@@ -122,8 +122,10 @@ class Surface:
     """What a face looks like.
 
     albedo : radiance under light of level 1. contrast : standard deviation of the texture
-    against it. feature_mm : its finest strong wavelength. stretch : how much longer it is along x
-    (brushed metal). seed : which texture.
+    against it. feature_mm : its finest strong wavelength. stretch : how much longer it is along its lay
+    (brushed metal). seed : which texture. lay_rad : direction of a straight lay, from x to y. around_mm : the
+    point about which the lay runs in arcs instead (turned, milled); they are `stretch` long where they are
+    ARCS_MM farther from it than the origin, and grow with the radius.
     """
 
     albedo: float
@@ -131,6 +133,8 @@ class Surface:
     feature_mm: float = 0.8
     stretch: float = 1.0
     seed: int = 0
+    lay_rad: float = 0.0
+    around_mm: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,10 +347,22 @@ def _pack(scene: Scene, camera_from_rig: FloatArray) -> tuple[FloatArray, FloatA
         texels_per_mm = TEXELS_PER_FEATURE / surface.feature_mm
         layer[raster.TEXTURE] = seeds.index(surface.seed)
         layer[raster.TEXELS_U], layer[raster.TEXELS_V] = texels_per_mm / surface.stretch, texels_per_mm
+        layer[raster.LAY_COS : raster.LAY_RADIUS + 1] = _lay(surface)
         layer[raster.FIRST], layer[raster.END] = first, first + len(rows)
         first += len(rows)
     shapes = np.array([row for _, _, rows in planes for row in rows], dtype=np.float64)
     return layers, shapes, np.array(vertices, dtype=np.float64).reshape(-1, 2), _textures(seeds).ravel()
+
+
+def _lay(surface: Surface) -> tuple[float, float, float, float, float]:
+    """How the texture of a surface lies, as a layer has it."""
+    if surface.around_mm is None:
+        return math.cos(surface.lay_rad), math.sin(surface.lay_rad), 0.0, 0.0, 0.0
+    x_mm, y_mm = surface.around_mm
+    away_mm = math.hypot(x_mm, y_mm)
+    # arcs are mirrored on a line through their middle, which lies across the way to the origin
+    across_rad = math.atan2(y_mm, x_mm) + 0.5 * math.pi
+    return math.cos(across_rad), math.sin(across_rad), x_mm, y_mm, ARCS_MM + away_mm
 
 
 def _row(
@@ -382,6 +398,8 @@ def _row(
     return [float(value) for value in (kind, x_mm, y_mm, *direction, *parameters, *paint)]
 
 
+ARCS_MM = 10.0
+"""See `Surface`."""
 TEXELS_PER_FEATURE = 8.0
 """Texture samples per `feature_mm`; the shortest wavelength has half as many."""
 

@@ -5,9 +5,9 @@ The corner model is two straight edges that cross, each blurred by the same Gaus
     I(p) = (a + b erf(n1·(p - c) / (√2 s)) erf(n2·(p - c) / (√2 s))) (1 + g·(p - c))
 
 with centre c, edge normals n1, n2, blur s, mean grey a, half contrast b and slope g of the light. It is
-symmetric about c, and so is everything it leaves out (spread of ink, saturation, the product
+symmetric about c, and so is everything it leaves out (spread of ink, saturation, sharpening, the product
 form where the edges are not square to each other): that widens the residuals and the stated
-sigma, but does not move c.
+sigma, but does not move c, as long as the pixels are close enough to sample the edges (see `_fitted`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,19 @@ _MAX_RADIUS_PX = 20.0  # beyond this the lens bends the edges more than the long
 _MIN_RADIUS_PX = 3.0  # fewer pixels than about 30 cannot carry nine unknowns
 _RADIUS_SHARE = 0.7  # of the distance to the next edge, which must stay out of the window with its blur
 _MIN_CONTRAST = 8.0  # grey values; below, 8-bit rounding decides
-_ROUGH = 8.0  # times the usual sigma: no corner, but a thumb or a highlight; sharp and soft ends differ by 3
+# Times the usual sigma: no corner, but a thumb or a highlight; sharp and soft ends differ by 3
+_ROUGH = 8.0
+SMOOTHING_PX = 1.0  # sigma; less leaves more of the sampling, more costs twice the noise and nearer edges
+# An edge of this blur or more is sampled well whatever the camera has sharpened: what the pixels miss of a
+# Gaussian is exp(-2 π² s²) (Poisson's sum), 1e-7 there, and a halo adds as little
+_SOFT_PX = 0.9
+# Of edges along rows, by where they lie between the rows: 0.006 to 0.012 px rms with halos up to 15 %, and
+# 0.06 px where whites, or the halos, are clipped (tests/vision/boards/test_processed.py)
+_SAMPLING_PX, _CLIPPED_PX = 0.01, 0.06
+# What clipping alone gives, in two directions, with some noise: never rough, however precise the others are
+_NEVER_ROUGH_PX = 2.0 * _CLIPPED_PX
+BLACK, WHITE = 2, 250  # grey values: where pixels are clipped, after JPEG, too
+_DISAGREE = 3.0  # sigmas
 _MAX_SEARCH_PX = 1_500_000  # images with more pixels are searched reduced; refinement uses all of them
 _LEAST_SIZE = (5, 4)  # of a board whose size is not known; smaller ones are seen in many a picture without
 
@@ -62,10 +74,11 @@ def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | NotDetected:
 
     fits (N, 6) : x, y, sigma_px, blur_px, contrast, ok, one for each of ids (N,).
     """
-    contrast = float(np.median(fits[:, 4]))
-    ok = (fits[:, 5] > 0) & np.isfinite(fits).all(axis=1) & (fits[:, 4] > 0.25 * contrast)
+    ok = (fits[:, 5] > 0) & np.isfinite(fits).all(axis=1)
+    contrast = float(np.median(fits[ok if ok.any() else slice(None), 4]))
+    ok &= fits[:, 4] > 0.25 * contrast
     if ok.any():
-        ok &= fits[:, 2] <= _ROUGH * np.median(fits[ok, 2])
+        ok &= fits[:, 2] <= max(_ROUGH * float(np.median(fits[ok, 2])), _NEVER_ROUGH_PX)
     if contrast < _MIN_CONTRAST:
         return NotDetected(
             f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})"
@@ -184,12 +197,64 @@ def refine_corners(
         for column, direction in ((5, start[:, 2]), (6, start[:, 3])):
             start[:, column] = _edge_curvatures(camera, start[:, :2], direction)
     results = np.full((len(start), 6), np.nan)
-    results[:, 5] = 0
+    results[:, 4:] = 0
     usable = np.isfinite(start).all(axis=1) & (start[:, 4] >= _MIN_RADIUS_PX)
-    fitted = np.empty((int(usable.sum()), 6))
-    fit_corners(np.ascontiguousarray(image), np.ascontiguousarray(start[usable]), fitted)
-    results[usable] = fitted
+    results[usable] = _fitted(np.ascontiguousarray(image), start[usable])
     return results
+
+
+def _fitted(image: Image, start: FloatArray) -> FloatArray:
+    """The fits (N, 6) in the picture as it is, or, of edges too sharp for its pixels, in the smoothed one.
+
+    The model's values at the pixels tell the place only where pixels are close enough to sample the edge. If
+    they are not, or a camera's sharpening has made it so, the place found depends on where it lies between
+    the pixels, and residuals do not show it. Smoothed by a pixel, the model is close enough for any edge,
+    halos included. If the model holds in the picture as it is, the place there is the more precise one and
+    both agree (J. A. Hausman, 1978, doi:10.2307/1913827). It does not hold where the smoothed one, which has
+    lost half of what there is to know, says that it is twice as precise.
+    """
+    fits = np.empty((len(start), 6))
+    fit_corners(image, np.ascontiguousarray(start), 0.0, fits)
+    failed = (fits[:, 5] == 0) | ~np.isfinite(fits).all(axis=1)
+    asked = np.flatnonzero(failed | (fits[:, 3] < _SOFT_PX))
+    if not len(asked):
+        return fits
+    again, smooth = start[asked], np.empty((len(asked), 6))
+    again[:, 4] = np.maximum(again[:, 4] - SMOOTHING_PX, _MIN_RADIUS_PX)
+    picture = np.asarray(cv2.GaussianBlur(image, (0, 0), SMOOTHING_PX), np.uint8)
+    fit_corners(picture, np.ascontiguousarray(again), SMOOTHING_PX, smooth)
+    before, own = fits[asked, 2], smooth[:, 2].copy()
+    smooth[:, 2] = np.hypot(own, _between_pixels(image, again))
+    moved = np.linalg.norm(smooth[:, :2] - fits[asked, :2], axis=1)
+    by_noise = np.sqrt(np.maximum(own**2 - before**2, before**2))
+    sharp = failed[asked] | (smooth[:, 2] < 0.5 * before)
+    sharp |= moved > np.maximum(_DISAGREE * by_noise, _SAMPLING_PX)
+    # as near as smoothed ones are to the truth, or as noise may part them: the difference is a doubt
+    doubtful = ~sharp & (moved > _DISAGREE * before)
+    fits[asked[sharp]] = smooth[sharp]
+    fits[asked[doubtful], 2] = np.hypot(before, moved / math.sqrt(2.0))[doubtful]
+    return fits
+
+
+def _between_pixels(image: Image, start: FloatArray) -> FloatArray:
+    """Standard deviation (N,) in px of what all pixels along a sharp edge have in common.
+
+    start (N, 7) as `fit_corners` takes them. An edge along a row lies at one place between its pixels all
+    along, and errs alike all along, which no residual shows; where it crosses rows the errors alternate, and
+    the mean over n of them is left with sin(πn) / (πn). Clipped pixels have lost what they say of the place.
+    """
+    along = np.column_stack([np.cos(start[:, 2:4]), np.sin(start[:, 2:4])]).reshape(-1, 2, 2)
+    alike = np.sinc(2 * start[:, 4:5] * np.abs(along).min(axis=1)) ** 2
+    clipped = np.asarray((image <= BLACK) | (image >= WHITE), np.float64)
+    total = np.pad(clipped.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    left, top = np.rint(start[:, :2] - start[:, 4:5]).astype(int).T
+    right, bottom = np.rint(start[:, :2] + start[:, 4:5]).astype(int).T + 1
+    (top, bottom), (left, right) = (
+        np.clip(ends, 0, size) for ends, size in zip(((top, bottom), (left, right)), image.shape, strict=True)
+    )
+    lost = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+    lines = np.minimum(lost / (4 * start[:, 4]), 2.0)  # of pixels along the four edges, on either side
+    return np.asarray(np.sqrt(alike.mean(axis=1) * (_SAMPLING_PX**2 + lines * _CLIPPED_PX**2)))
 
 
 def _edge_curvatures(camera: CameraModel, pixels: FloatArray, directions_rad: FloatArray) -> FloatArray:
@@ -207,15 +272,23 @@ def _edge_curvatures(camera: CameraModel, pixels: FloatArray, directions_rad: Fl
 
 
 def _neighbour_steps(grid: FloatArray, axis: int) -> FloatArray:
-    """Mean step (rows, columns, 2) to both neighbours along an axis; NaN where there is none."""
+    """Mean step (rows, columns, 2) to both neighbours along an axis.
+
+    Where both are missing, that of the corners beside it; NaN where there is none of these either.
+    """
     step = np.diff(grid, axis=axis)
-    pad = [(0, 0)] * 3
-    pad[axis] = (1, 0)
-    before = np.pad(step, pad, constant_values=np.nan)
-    pad[axis] = (0, 1)
-    after = np.pad(step, pad, constant_values=np.nan)
-    both = np.stack([before, after])
+    rim = np.full_like(grid.take([0], axis), np.nan)
+    steps = _mean_of_known(np.concatenate([rim, step], axis), np.concatenate([step, rim], axis))
+    other = 1 - axis
+    rim, inner = np.full_like(grid.take([0], other), np.nan), steps.shape[other] - 1
+    before = np.concatenate([rim, steps.take(range(inner), other)], other)
+    after = np.concatenate([steps.take(range(1, inner + 1), other), rim], other)
+    return np.where(np.isfinite(steps), steps, _mean_of_known(before, after))
+
+
+def _mean_of_known(*values: FloatArray) -> FloatArray:
+    """The mean of what is finite of some arrays, element by element; NaN where nothing is."""
+    both = np.stack(values)
     known = np.isfinite(both)
-    return np.asarray(np.where(known, both, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)) * np.where(
-        known.any(axis=0), 1.0, np.nan
-    )
+    mean = np.where(known, both, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    return np.asarray(np.where(known.any(axis=0), mean, np.nan))

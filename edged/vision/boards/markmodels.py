@@ -23,6 +23,7 @@ _STEPS = 40
 _RECENTRED = 2  # the window is laid round the corner found, so that what is symmetric cancels
 _CENTRED_PX = 0.2  # a window that lies this well needs no second fit
 _MIN_SHARE_INSIDE = 0.7  # of the window's pixels; less lets one edge go unseen
+_PIXEL_BLUR_PX = math.sqrt(1.0 / 12.0)  # of a pixel's own width: no lens makes an edge sharper
 _TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)
 
 
@@ -177,9 +178,12 @@ def start_corner(image: Image, p: FloatArray, window: FloatArray) -> None:
 
 
 @kernel()
-def fit_window(kind: int, image: Image, p: FloatArray, window: FloatArray, covariance: FloatArray) -> float:
+def fit_window(
+    kind: int, image: Image, p: FloatArray, window: FloatArray, smoothed_px: float, covariance: FloatArray
+) -> float:
     """Levenberg-Marquardt over one window; p is improved in place.
 
+    smoothed_px : by how much the picture is, so that neighbouring pixels are alike; 0 for dots.
     covariance (2, 2) of the centre.  Returns the noise sigma in grey values, or NaN on failure.
     """
     n = unknowns_of(kind)
@@ -216,7 +220,11 @@ def fit_window(kind: int, image: Image, p: FloatArray, window: FloatArray, covar
             damping *= 10.0
             if damping > 1e8:
                 break
-    if not centre_covariance(kind, image, p, window, normal, covariance):
+    if smoothed_px > 0.0:
+        known = smoothed_covariance(image, p, window, smoothed_px, normal, covariance)
+    else:
+        known = centre_covariance(kind, image, p, window, normal, covariance)
+    if not known:
         return math.nan
     return math.sqrt(total / (count - n))
 
@@ -251,9 +259,101 @@ def centre_covariance(
     return True
 
 
-@kernel("void(u1[:, ::1], f8[:, ::1], f8[:, ::1])")
-def fit_corners(image: Image, start: FloatArray, result: FloatArray) -> None:
+@kernel()
+def smoothed_covariance(
+    image: Image,
+    p: FloatArray,
+    window: FloatArray,
+    smoothed_px: float,
+    normal: FloatArray,
+    covariance: FloatArray,
+) -> bool:
+    """Covariance (2, 2) of a corner's centre in a picture that was smoothed by a Gaussian s.
+
+    Noise of single pixels then has the correlation R = exp(-d² / 4 s²): the covariance is N^-1 JᵀRJ N^-1
+    times the variance. The residuals say it, as far as they lie where the place is read from; of noise, with
+    H = J N^-1 Jᵀ, they have the diagonal of (1 - H) R (1 - H)ᵀ.
+    """
+    side = 2 * math.ceil(window[2]) + 1
+    rows, residual = np.zeros((9, side, side)), np.zeros((side, side))
+    row, shape, factor = np.empty(_MOST_UNKNOWNS), np.empty(5), normal.copy()
+    shape_of(CORNER, p, shape)
+    left, top = math.ceil(window[0] - window[2]), math.ceil(window[1] - window[2])
+    for y in range(max(0, top), min(image.shape[0], top + side)):
+        for x in range(max(0, left), min(image.shape[1], left + side)):
+            if (x - window[0]) ** 2 + (y - window[1]) ** 2 <= window[2] * window[2]:
+                value = corner_value(p, window, shape, x - p[0], y - p[1], row)
+                residual[y - top, x - left] = image[y, x] - value
+                rows[:, y - top, x - left] = row[:9]
+    if factorise(factor, 9) == 0.0:
+        return False
+    inverse = np.eye(9)
+    for i in range(9):
+        substitute(factor, inverse[i], 9)
+    alike = correlated(rows, smoothed_px)
+    middle = np.zeros((9, 9))
+    for i in range(9):
+        for j in range(9):
+            middle[i, j] = (rows[i] * alike[j]).sum()
+    outer = product(product(inverse, middle), inverse)
+    seen, expected = np.zeros(2), np.zeros(2)
+    for y in range(side):
+        for x in range(side):
+            left_over = 1.0
+            for i in range(9):
+                for j in range(9):
+                    left_over -= 2.0 * rows[i, y, x] * inverse[i, j] * alike[j, y, x]
+                    left_over += rows[i, y, x] * outer[i, j] * rows[j, y, x]
+            for axis in range(2):
+                pull = (inverse[axis] * rows[:, y, x]).sum()
+                seen[axis] += pull * pull * residual[y, x] ** 2
+                expected[axis] += pull * pull * left_over
+    for a in range(2):
+        if not expected[a] > 0.0:
+            return False
+    for a in range(2):
+        for b in range(2):
+            covariance[a, b] = outer[a, b] * math.sqrt(seen[a] / expected[a] * seen[b] / expected[b])
+    return True
+
+
+@kernel()
+def correlated(rows: FloatArray, smoothed_px: float) -> FloatArray:
+    """Each of the rows (9, S, S) times the correlation exp(-d² / 4 s²) of smoothed noise."""
+    count, side, _ = rows.shape
+    reach = math.ceil(5.0 * smoothed_px)  # exp(-25 / 4) = 0.002
+    once, twice = np.zeros(rows.shape), np.zeros(rows.shape)
+    for far in range(-reach, reach + 1):
+        share = math.exp(-far * far / (4.0 * smoothed_px * smoothed_px))
+        for i in range(count):
+            for y in range(side):
+                for x in range(max(0, -far), min(side, side - far)):
+                    once[i, y, x] += share * rows[i, y, x + far]
+    for far in range(-reach, reach + 1):
+        share = math.exp(-far * far / (4.0 * smoothed_px * smoothed_px))
+        for i in range(count):
+            for y in range(max(0, -far), min(side, side - far)):
+                for x in range(side):
+                    twice[i, y, x] += share * once[i, y + far, x]
+    return twice
+
+
+@kernel()
+def product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Of two matrices (9, 9)."""
+    result = np.zeros((9, 9))
+    for i in range(9):
+        for j in range(9):
+            for k in range(9):
+                result[i, j] += a[i, k] * b[k, j]
+    return result
+
+
+@kernel("void(u1[:, ::1], f8[:, ::1], f8, f8[:, ::1])")
+def fit_corners(image: Image, start: FloatArray, smoothed_px: float, result: FloatArray) -> None:
     """Fit the corner model at each start.
+
+    smoothed_px : sigma of the Gaussian by which the picture was smoothed; 0: it is as the camera took it.
 
     start (N, 7) : x, y, the directions of both edges in rad, the window's radius in px, and the
     curvatures of both edges in 1/px, positive when they bend towards their normal.
@@ -275,7 +375,7 @@ def fit_corners(image: Image, start: FloatArray, result: FloatArray) -> None:
                 break
             start_corner(image, p, window)
             p[4] = max(p[4], -0.7)
-            noise = fit_window(CORNER, image, p, window, covariance)
+            noise = fit_window(CORNER, image, p, window, smoothed_px, covariance)
             if math.isnan(noise) or math.hypot(p[0] - window[0], p[1] - window[1]) < _CENTRED_PX:
                 break
         if math.isnan(noise):
@@ -289,6 +389,8 @@ def fit_corners(image: Image, start: FloatArray, result: FloatArray) -> None:
         result[n, 0], result[n, 1] = p[0], p[1]
         result[n, 2] = math.sqrt(0.5 * (covariance[0, 0] + covariance[1, 1]))
         result[n, 3], result[n, 4] = blur, contrast
+        if smoothed_px > 0.0:
+            result[n, 3] = max(_PIXEL_BLUR_PX, math.sqrt(max(0.0, blur * blur - smoothed_px * smoothed_px)))
         good = moved < max(2.5, 0.5 * start[n, 4]) and blur < 0.5 * start[n, 4] and across > 0.2
         if good and inside > _MIN_SHARE_INSIDE and noise < 0.25 * contrast:
             result[n, 5] = 1.0
@@ -320,7 +422,7 @@ def fit_dots(image: Image, start: FloatArray, result: FloatArray) -> None:
             angle = k * math.pi / 8.0
             rim += image[round(y + reach * math.sin(angle)), round(x + reach * math.cos(angle))] / 16.0
         p[6], p[7] = 0.5 * (inside + rim), 0.5 * (rim - inside)
-        noise = fit_window(DOT, image, p, window, covariance)
+        noise = fit_window(DOT, image, p, window, 0.0, covariance)
         determinant = p[2] * p[4] - p[3] * p[3]
         if math.isnan(noise) or not determinant > 0.0:
             continue

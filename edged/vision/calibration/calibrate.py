@@ -19,7 +19,7 @@ from edged.domain.arrays import SIDES, FloatArray
 from edged.vision.boards.board import IntArray, ShapedBoard, StereoView
 from edged.vision.boards.deformation import PRIOR_SHARE, deviation_mm, plate_basis, shaped
 from edged.vision.calibration.bundle import BundleState, Observations
-from edged.vision.calibration.estimation import Problem, Solution, estimate, estimate_cleaned
+from edged.vision.calibration.estimation import Movement, Problem, Solution, estimate, estimate_cleaned
 from edged.vision.calibration.initial import agree, check_sides, usable_views, zhang
 from edged.vision.calibration.lenschoice import (
     Choice,
@@ -74,6 +74,7 @@ class Calibration:
     model_error_px : (left, right), noise of one coordinate that the marks' own precision does not explain.
     excluded : view name and reason.  notes : what a person should know.
     lenses : the models that were tried, the best first; none where one was stated.
+    movements : of a camera between the views; those used are the longest run of views without one.
     """
 
     rig: StereoRig
@@ -87,6 +88,7 @@ class Calibration:
     excluded: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     lenses: tuple[LensWeight, ...] = ()
+    movements: tuple[Movement, ...] = ()
 
 
 def calibrate_stereo(
@@ -104,7 +106,7 @@ def calibrate_stereo(
     plate_shape : estimate the boards' own shape, too (see `edged.vision.boards.deformation`).
     Unusable views are left out and named. Raises `CalibrationError` where no trustworthy
     calibration is possible: fewer than three usable pairs, parallel boards, swapped images,
-    a camera that moved between the views.
+    a camera that moved so often that no run of views is left.
     """
     usable, excluded = usable_views(views)
     lens: LensModel = "brown" if model == "auto" else model
@@ -181,8 +183,9 @@ def _summarise(choice: Choice, excluded: list[tuple[str, str]]) -> Calibration:
         model_error_px=solution.model_error_px,
         outliers=marks - len(problem.left.view) - len(problem.right.view),
         excluded=tuple(excluded),
-        notes=_notes(problem.views),
+        notes=_notes(problem.views) + _movement_notes(problem),
         lenses=choice.weights,
+        movements=problem.movements,
     )
 
 
@@ -210,6 +213,14 @@ def _notes(views: Sequence[StereoView]) -> tuple[str, ...]:
                 f"{1000 * plane:.1f} µm rms in its plane (the size is as stated)"
             )
     return tuple(notes)
+
+
+def _movement_notes(problem: Problem) -> tuple[str, ...]:
+    if not problem.movements:
+        return ()
+    run = f"calibrated from {problem.views[0].name} to {problem.views[-1].name} alone"
+    stale = "; the rig is that of cameras which have moved since: take fresh views"
+    return tuple(f"{one}; {run}{stale if one.since else ''}" for one in problem.movements)
 
 
 def fit_of_view(view: StereoView, rig: StereoRig, left_from_board: FloatArray) -> ViewFit:

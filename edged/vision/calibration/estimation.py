@@ -30,16 +30,40 @@ _BAD_VIEW = 5.0  # times the usual residual beyond which a view is not of the sa
 _START_ERROR_PX = 0.5  # far above any real detector's, so that the first fit is a plain one
 _ESTIMATE_ROUNDS = 8
 _MOVED_SHARE = 0.3  # of chi² that one movement of a camera explains, from which it is not chance
+_LEAST_RUN = (
+    6  # views beside a movement: of fewer the verdict is "repeat" (`verdict.LEAST_VIEWS`), so say it at once
+)
 Freedoms = tuple[LensFreedom, LensFreedom]
+
+
+@dataclass(frozen=True, slots=True)
+class Movement:
+    """A camera that moved between two views, against the other. since : whether the views used are older."""
+
+    before: str
+    after: str
+    turn_deg: float
+    shift_mm: float
+    since: bool = False
+
+    def __str__(self) -> str:
+        return (
+            f"a camera was moved between {self.before} and {self.after}: by about {self.turn_deg:.3f}° and "
+            f"{self.shift_mm:.3f} mm against the other"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """Views with their observations, and which marks are kept as no outliers."""
+    """Views with their observations, and which marks are kept as no outliers.
+
+    movements : of a camera, which end the run of views that these are.
+    """
 
     views: Sequence[StereoView]
     left: Observations
     right: Observations
+    movements: tuple[Movement, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,12 +81,16 @@ def estimate_cleaned(
 ) -> Solution:
     """Estimate; leave out views that contradict the others, one at a time, and marks that are mistakes.
 
+    Where a camera moved, the views before or after it are used, whichever are more.
     excluded : takes name and reason of each view that was left out.
-    Raises `Undetermined`, and `CalibrationError` for a camera that moved and for views in contradiction.
+    Raises `Undetermined`, and `CalibrationError` for views in contradiction, and for a camera that moved with
+    no run of views from which one could calibrate.
     """
     while True:
         solution = estimate(problem_of(views), state, freedoms)
-        _check_movement(solution)
+        cut = _movement(solution)
+        if cut is not None:
+            return _of_longest_run(solution, *cut, excluded)
         worst = _worst_view(solution)
         if worst is None:
             break
@@ -169,8 +197,8 @@ def _model_error(seen: Observations, residuals: FloatArray, share: float) -> flo
     return high
 
 
-def _check_movement(solution: Solution) -> None:
-    """Raise `CalibrationError` if one change of right_from_left between two views explains the residuals.
+def _movement(solution: Solution) -> tuple[int, Movement] | None:
+    """How many views lie before a change of right_from_left that explains the residuals, and the change.
 
     A likelihood ratio test over all places where the sequence of views can be cut.
     """
@@ -186,17 +214,53 @@ def _check_movement(solution: Solution) -> None:
     last = len(problem.views) - 2  # a single view at either end is a bad view, not a movement
     inner = gain[1:last]
     if not inner.size or inner.max() < _MOVED_SHARE * result.chi2:
-        return
+        return None
     cut = 1 + int(np.argmax(inner))
     change = step_after[cut] - step_before[cut]
-    raise CalibrationError(
-        f"a camera was moved between {problem.views[cut].name} and {problem.views[cut + 1].name}: by about "
-        f"{np.degrees(np.linalg.norm(change[:3])):.3f}° and {np.linalg.norm(change[3:]):.3f} mm "
-        "against the other; take the views again without touching the cameras",
-        "camera_moved",
-        before=problem.views[cut].name,
-        after=problem.views[cut + 1].name,
-    )
+    turn, shift = np.degrees(np.linalg.norm(change[:3])), np.linalg.norm(change[3:])
+    names = problem.views[cut].name, problem.views[cut + 1].name
+    return cut + 1, Movement(*names, float(turn), float(shift))
+
+
+def _of_longest_run(
+    solution: Solution, cut: int, movement: Movement, excluded: list[tuple[str, str]]
+) -> Solution:
+    """The estimate from the views before or after a camera moved, whichever leaves more of them.
+
+    Of as many on both sides the later: they show the cameras as they stand.
+    """
+    views, state = list(solution.problem.views), solution.result.state
+    runs = list[tuple[int, Solution, list[tuple[str, str]]]]()
+    problems = list[CalibrationError]()
+    for some, others, where in (
+        (slice(cut, None), slice(cut), "before"),
+        (slice(cut), slice(cut, None), "after"),
+    ):
+        left_out = [(view.name, f"taken {where} {movement}") for view in views[others]]
+        begun = replace(state, left_from_board=state.left_from_board[some])
+        try:
+            if len(views[some]) < _LEAST_RUN:
+                continue
+            found = estimate_cleaned(views[some], begun, solution.freedoms, left_out)
+        except CalibrationError as error:
+            problems.append(error)
+            continue
+        movements = (*found.problem.movements, replace(movement, since=where == "after"))
+        found = replace(found, problem=replace(found.problem, movements=movements))
+        runs.append((len(found.problem.views), found, left_out))
+    if not runs:
+        for problem in problems:
+            if isinstance(problem, Undetermined):
+                raise problem
+        raise CalibrationError(
+            f"{movement}; take the views again without touching the cameras",
+            "camera_moved",
+            before=movement.before,
+            after=movement.after,
+        )
+    _, found, left_out = max(runs, key=lambda run: run[0])  # the first of those alike
+    excluded.extend(left_out)
+    return found
 
 
 def _worst_view(solution: Solution) -> tuple[int, float, float] | None:

@@ -43,6 +43,10 @@ SOFT_PX, MAX_ASYMMETRY_PX, MAX_SATURATED, MAX_FALLOFF = 1.0, 0.05, 0.01, 0.5
 """From where a person should do something: px of blur, px, shares."""
 NOISE_PX = 0.05
 """Of a single edge point in good light."""
+MAX_HALO = 0.03
+"""... of the step: a lens has none; the mean of hundreds of edges is sure to 0.01 at a noise of 5."""
+MUCH_SATURATED = 0.2
+"""Share of the edges from which on it is no single reflection that is clipped, but the whites."""
 CONFIRMED = 0.5
 """... when it takes away at least half of the profiles' asymmetry."""
 
@@ -79,7 +83,8 @@ class Imaging:
     blur_px : sigma of the edge spread; least and largest of nine places, too.
     asymmetry_px : by how much the spread differs between both ends of an edge, largest of the places.
     saturated : share of edges whose bright side is clipped.  falloff : share of the light missing in the
-    darkest corner, against the brightest place.
+    darkest corner, against the brightest place.  halo : by how much the picture overshoots beside an edge, of
+    its step; a lens makes none, sharpening does.
     """
 
     gamma: float
@@ -91,6 +96,7 @@ class Imaging:
     asymmetry_px: float
     saturated: float
     falloff: float
+    halo: float = math.nan
 
 
 UNKNOWN = Imaging(1.0, *[math.nan] * 8)
@@ -176,6 +182,7 @@ def imaging_of(pictures: Sequence[Edges], size: tuple[int, int]) -> Imaging:
         max((value for value in asymmetries if math.isfinite(value)), default=math.nan),
         saturated,
         1.0 - min(light) / max(light) if light else math.nan,
+        _halo(_profile(good)),
     )
 
 
@@ -245,6 +252,14 @@ def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) 
             one.asymmetry_px * depth_um,
             "close the aperture, or check that lens and filter are seated and clean",
             telling=one.asymmetry_px > MAX_ASYMMETRY_PX,
+        )
+        add(
+            f"{side} sharpening",
+            f"{side} camera, halos of {100 * one.halo:.0f} % beside edges; an edge may be found "
+            "displaced by as much of a pixel",
+            one.halo * across_um,
+            "the camera sharpens: switch it off",
+            telling=one.halo > MAX_HALO,
         )
         add(
             f"{side} saturation",
@@ -336,8 +351,15 @@ def _profile(edges: Edges) -> _Profile:
     return replace(profile, blur_px=math.sqrt(2.0 * float(np.sum(_HALF * tails)) * BIN_PX))
 
 
+_HALO_BINS = 5  # half a pixel: no single bin's noise
 CENTRE_STEPS_PX = np.arange(-0.03, 0.031, 0.01)
 _HALF = np.arange(BIN_PX / 2, REACH_PX - 2.0, BIN_PX)
+
+
+def _halo(profile: _Profile) -> float:
+    """By how much the profile leaves the levels of its sides, the larger of both, as a share of the step."""
+    beside = np.convolve(profile.share, np.full(_HALO_BINS, 1 / _HALO_BINS), "valid")
+    return max(float(beside.max()) - 1.0, -float(beside.min()), 0.0)
 
 
 def _by_sector(edges: Edges) -> list[Edges]:

@@ -33,6 +33,7 @@ from edged.vision.calibration.estimation import (
     without_outliers,
 )
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, LensModel, StereoRig
+from edged.vision.geometry.rectification import can_be_rectified
 from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.geometry.uncertainty import shift_by_parameters
@@ -113,6 +114,8 @@ def choose(views: list[StereoView], state: BundleState, excluded: list[tuple[str
         with contextlib.suppress(np.linalg.LinAlgError):
             result = adjust(_bound(begun, freedoms), left, right, *freedoms)
             tried.append((name, freedoms, result))
+    # a polynomial may fold the picture where no mark was seen: that is no lens, well as it fits
+    tried = [one for one in tried if can_be_rectified(rig_of(one[2]))] or tried
     aic = _criteria([result for _, _, result in tried], [freedoms for _, freedoms, _ in tried])
     weights = np.exp(-0.5 * aic) / np.exp(-0.5 * aic).sum()
     best = int(np.argmin(aic))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from edged.errors import CalibrationError
 from edged.vision.boards.board import StereoView
 from edged.vision.boards.deformation import nominal
 from edged.vision.calibration.calibrate import epipolar_errors_px, marks_in_both
@@ -29,7 +30,7 @@ class PlainCalibration:
 def plain_opencv(
     views: Sequence[StereoView], left_size: tuple[int, int], right_size: tuple[int, int]
 ) -> PlainCalibration | None:
-    """Calibrate with cv2.calibrateCamera and cv2.stereoCalibrate; None if OpenCV refuses."""
+    """Calibrate with cv2.calibrateCamera and cv2.stereoCalibrate; None if it refuses, or its rig is none."""
     boards, left, right = [], [], []
     for view in views:
         ids, in_left, in_right = marks_in_both(view)
@@ -60,7 +61,10 @@ def plain_opencv(
         return None
     cameras = [_camera(K1, d1, left_size), _camera(K2, d2, right_size)]
     rig = StereoRig(cameras[0], cameras[1], transform(np.asarray(R, dtype=np.float64), np.ravel(T)), "opencv")
-    rows = np.concatenate([epipolar_errors_px(rig, view) for view in views])
+    try:
+        rows = np.concatenate([epipolar_errors_px(rig, view) for view in views])
+    except CalibrationError:  # lenses that no camera has: they cannot be rectified
+        return None
     return PlainCalibration(rig, float(rms), float(np.sqrt(np.mean(rows**2))))
 
 

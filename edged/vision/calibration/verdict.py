@@ -12,7 +12,7 @@ from edged.domain.arrays import SIDES
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.coverage import coverage_in_words, coverage_of
 from edged.vision.calibration.crossvalidation import HeldOutView
-from edged.vision.calibration.imaging import NOISE_PX
+from edged.vision.calibration.imaging import MAX_HALO, MUCH_SATURATED, NOISE_PX, Imaging
 from edged.vision.calibration.nextbestview import best_next_view, volume_points
 from edged.vision.geometry.triangulation import raw_covariance
 from edged.vision.geometry.uncertainty import calibration_covariance
@@ -47,13 +47,18 @@ class Verdict:
         return f"verdict: {self.grade}: {'; '.join(self.why)}{add}"
 
 
-def judge_calibration(calibration: Calibration, held: Sequence[HeldOutView]) -> Verdict:
-    """By what views tell that were not used for their own result, and by the covariance."""
+def judge_calibration(
+    calibration: Calibration, held: Sequence[HeldOutView], imaging: Sequence[Imaging] = ()
+) -> Verdict:
+    """By what views tell that were not used for their own result, by the covariance, and by the pictures.
+
+    imaging : of the left and of the right camera, where it is known.
+    """
     suggestion = best_next_view(calibration)
     add = ""
     if suggestion is not None and suggestion.gain >= WORTH_ADDING:
         add = f"{suggestion.where} ({100 * suggestion.gain:.0f} % smaller error)"
-    findings = _findings(calibration, held)
+    findings = [*_findings(calibration, held), *_picture_findings(imaging)]
     for grade in ("repeat", "usable"):
         if why := tuple(text for found, text in findings if found == grade):
             return Verdict(grade, why, add)
@@ -63,6 +68,8 @@ def judge_calibration(calibration: Calibration, held: Sequence[HeldOutView]) -> 
 def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tuple[Grade, str]]:
     views = len(calibration.views)
     findings = [(_grade(-views, -GOOD_VIEWS, -LEAST_VIEWS), f"{views} views")]
+    # cameras that were moved afterwards do not stand as the rig says
+    findings += [("repeat" if one.since else "usable", str(one)) for one in calibration.movements]
     if not held:
         return [("repeat", f"{views} views are too few to hold any of them out"), *findings]
     epipolar_px = _rms([view.epipolar_rms_px for view in held])
@@ -93,6 +100,17 @@ def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tup
         text = f"its depth uncertainty {1000 * ours:.0f} µm, single-edge noise {1000 * noise:.0f} µm"
         findings.append((_grade(float(ours / noise), GOOD_SHARE, WORST_SHARE), text))
     return findings
+
+
+def _picture_findings(imaging: Sequence[Imaging]) -> list[tuple[Grade, str]]:
+    """Of cameras that change what they see: places of marks are still right, those of edges are less so."""
+    found = list[tuple[Grade, str]]()
+    for side, camera in zip(SIDES, imaging, strict=False):
+        if camera.halo > MAX_HALO:
+            found.append(("usable", f"the {side} camera sharpens: switch it off"))
+        if camera.saturated > MUCH_SATURATED:
+            found.append(("usable", f"whites of the {side} camera are clipped: less exposure"))
+    return found
 
 
 def _grade(value: float, good: float, worst: float) -> Grade:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -72,7 +72,10 @@ def foresee_plane(
     no curve, or the plane would not be known.
     """
     params = FitParams(min_support=min_support)
-    state = State(rig, (NOTHING, NOTHING), face, tuple(curves), params, False, False, rigid_mm)
+    broken = tuple(
+        replace(curve, break_mm=scatter.break_mm) for curve, scatter in zip(curves, scatters, strict=True)
+    )
+    state = State(rig, (NOTHING, NOTHING), face, broken, params, False, False, rigid_mm)
     sampled = state.sampled(SPACING_PX)
     if sampled is None:
         return None

@@ -67,6 +67,7 @@ class Curve:
     height_mm : of its plane along the face's normal; kept.
     signs (2, S) : the polarity over each of S equal stretches of the outline, in the left and the right
     image, 0 where it is not to be measured; None: the polarity is that of the whole curve in both.
+    break_mm : width of the edge break either end of which it may be; 0: what the images show of one.
     """
 
     name: str
@@ -76,6 +77,7 @@ class Curve:
     length_mm: float = 0.0
     height_mm: float = 0.0
     signs: npt.NDArray[np.int64] | None = None
+    break_mm: float = 0.0
 
     def signs_at(self, side: int, count: int) -> npt.NDArray[np.int64]:
         """(count,) the polarity at samples of `spread`; 0 : not known, or, of stretches, not measured."""

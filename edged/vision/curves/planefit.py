@@ -28,6 +28,7 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.curves.adjustment import propagate
 from edged.vision.curves.commonmode import PARTS
+from edged.vision.curves.edgebreaks import break_shifts, break_widths_mm
 from edged.vision.curves.outlineprojection import ProjectedOutline, circle_axes
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planestate import (
@@ -60,7 +61,7 @@ class Scatter:
     information (4,) : 1/px² by px of arc, of what both images have in common, of what they have against each
     other, and of what the left or the right one shows alone.  share : of the left image in what they have in
     common.  shift_px (F,) : sigmas of the systematic shifts.  clipped, soft : most samples of the left and
-    of the right image are so.
+    of the right image are so.  break_mm : width of the edge break that was reckoned with.
     """
 
     information: FloatArray
@@ -68,6 +69,7 @@ class Scatter:
     shift_px: FloatArray
     clipped: tuple[bool, bool]
     soft: tuple[bool, bool]
+    break_mm: float = 0.0
 
 
 UNKNOWN = Scatter(np.zeros(len(PARTS)), 0.5, np.zeros(FAMILIES.max() + 1), (False, False), (False, False))
@@ -252,9 +254,12 @@ def result_of(state: State, step: Step, known: Known | None = None) -> PlaneFit 
     if not kept:
         return None
     fits, support = [], step.support()
-    whole = known or _known(step.problem, state.rig, state.unknowns)
+    breaks_mm = np.zeros(len(state.curves))
+    if step.problem.final:
+        breaks_mm = break_widths_mm(state, step.problem)
+    whole = known or _known(step.problem, state, breaks_mm)
     first = np.cumsum([state.shared, *(curve.free for curve in state.curves)])
-    for k, scatter in zip(kept, _scatters_of(step, kept), strict=True):
+    for k, scatter in zip(kept, _scatters_of(step, kept, breaks_mm), strict=True):
         rows = slice(*step.starts[k : k + 2])
         weights = step.weights[:, rows]
         curve = state.curves[k]
@@ -296,13 +301,16 @@ def result_of(state: State, step: Step, known: Known | None = None) -> PlaneFit 
     )
 
 
-def _scatters_of(step: Step, numbers: Sequence[int]) -> list[Scatter]:
+def _scatters_of(step: Step, numbers: Sequence[int], breaks_mm: FloatArray) -> list[Scatter]:
     """The scatters of some curves of a step."""
     if not step.problem.final:
         return [UNKNOWN] * len(numbers)
     arcs = arcs_px(step.problem.sides, step.starts)
     lengths = np.add.reduceat(arcs, step.starts[:-1])
-    return [_scatter_of(step, number, float(lengths[number])) for number in numbers]
+    return [
+        replace(_scatter_of(step, number, float(lengths[number])), break_mm=float(breaks_mm[number]))
+        for number in numbers
+    ]
 
 
 def _scatter_of(step: Step, number: int, arc_px: float) -> Scatter:
@@ -343,8 +351,9 @@ class Known(NamedTuple):
     row_sigma_px: float
 
 
-def _known(problem: Problem, rig: StereoRig, unknowns: int) -> Known:
-    """How well a step is known; unknowns : of the whole fit."""
+def _known(problem: Problem, state: State, breaks_mm: FloatArray) -> Known:
+    """How well a step is known.  breaks_mm (K,) : how wide the edge breaks of its curves may be."""
+    rig, unknowns = state.rig, state.unknowns
     samples, solution, pairs, sides = problem.samples, problem.solution, problem.pairs, problem.sides
     used, edges = problem.used, problem.edges
     by_edges = whole = solution.covariance[: len(used), : len(used)]
@@ -354,6 +363,11 @@ def _known(problem: Problem, rig: StereoRig, unknowns: int) -> Known:
     if problem.final and (edges.clipped.any() or edges.soft.any()):
         causes = pairs.rows_of(*_poor_light(problem))
         by_cause = propagate(samples, solution, causes)
+        by_edges = by_edges + by_cause[: len(used)] @ by_cause[: len(used)].T
+        row_variance += float(by_cause[row] @ by_cause[row])
+        whole = by_edges
+    if breaks_mm.any():
+        by_cause = propagate(samples, solution, pairs.rows_of(*break_shifts(state, problem, breaks_mm)))
         by_edges = by_edges + by_cause[: len(used)] @ by_cause[: len(used)].T
         row_variance += float(by_cause[row] @ by_cause[row])
         whole = by_edges

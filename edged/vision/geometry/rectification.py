@@ -182,6 +182,15 @@ def row_difference_px(rig: StereoRig, left_px: FloatArray, right_px: FloatArray)
     return np.asarray(focal * (left[:, 1] - right[:, 1]))
 
 
+def can_be_rectified(rig: StereoRig) -> bool:
+    """Whether both images, up to their corners, have a common view."""
+    try:
+        _common_view(rig)
+    except CalibrationError:
+        return False
+    return True
+
+
 def _common_view(rig: StereoRig) -> tuple[FloatArray, FloatArray, float]:
     """Both rotations into the rectified frame, and its focal length in px."""
     left_axes = _rectified_axes(rig)

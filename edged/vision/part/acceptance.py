@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Measurement, Reject, Target
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.consistency import doubt_by_rows, doubt_by_sizes, doubted
-from edged.vision.part.job import Job, Limits
+from edged.vision.part.job import Job
 from edged.vision.part.measured import Evidence
 
 
@@ -21,7 +22,7 @@ def judged(job: Job, rectification: Rectification, target: Target, evidence: Evi
     mismatch, sizes that are wrong alike are out of tolerance.
     """
     limits = job.limits
-    reject = target.reject | _reasons(limits, target, evidence)
+    reject = target.reject | _reasons(job, target, evidence)
     reject |= _out_of_tolerance(job, target, evidence) | size_reasons(target.measurements)
     by_rows = doubt_by_rows(rectification, target, evidence.row_shift_px, evidence.row_sigma_px)
     by_sizes = doubt_by_sizes(evidence.scale, evidence.sigma_scale)
@@ -43,13 +44,36 @@ def size_reasons(measurements: tuple[Measurement, ...]) -> Reject:
     return reject
 
 
-def _reasons(limits: Limits, target: Target, evidence: Evidence) -> Reject:
-    reject = Reject.NONE
+def vaguest_mm(job: Job, target: Target) -> float:
+    """The largest sigma of a coordinate, and of how high each end of the part's face lies.
+
+    A normal that stands on a small hole is a vague one, and at the far end of the part so is the height. The
+    turn about the normal is left out: of a round part nobody needs to know it.
+    """
+    normal, reference = target.rig_from_part[:3, 2], job.place_of(job.reference)
+    arms = (_ends_mm(job) - reference) @ target.rig_from_part[:3, :3].T
+    # a rotation w of the part lifts the end of an arm by n (w x arm) = w (arm x n)
+    lifts = np.hstack([np.tile(normal, (len(arms), 1)), np.cross(arms, normal)])
+    heights = np.einsum("ki,ij,kj->k", lifts, target.covariance, lifts).tolist()
+    return math.sqrt(max(*np.diag(target.covariance)[:3].tolist(), *heights))
+
+
+def _ends_mm(job: Job) -> FloatArray:
+    """(N, 3) part frame: how far the features reach."""
+    cross = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+    ends = [circle.centre_mm + circle.radius_mm * cross for circle in job.circles]
+    ends += [slot.centre_mm + 0.5 * slot.length_mm * cross for slot in job.slots]
+    ends += [np.stack([edge.start_mm, edge.end_mm]) for edge in job.edges]
+    return np.concatenate(ends)
+
+
+def _reasons(job: Job, target: Target, evidence: Evidence) -> Reject:
+    reject, limits = Reject.NONE, job.limits
     if not evidence.support >= limits.min_support:
         reject |= Reject.FEW_EDGES
     if not evidence.rms_px <= limits.max_rms_px:
         reject |= Reject.RESIDUAL
-    if not float(np.sqrt(np.diag(target.covariance)[:3].max())) <= limits.max_sigma_mm:
+    if not vaguest_mm(job, target) <= limits.max_sigma_mm:
         reject |= Reject.SIGMA_LIMIT
     if target.epipolar_rms_px > limits.max_epipolar_px:  # NaN: no edge tells its row
         reject |= Reject.LEFT_RIGHT_MISMATCH

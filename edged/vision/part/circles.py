@@ -13,6 +13,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Match, Reject, Target
+from edged.vision.curves.edgebreaks import USUAL_MM
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.curves.planestate import FitParams
@@ -26,7 +27,7 @@ from edged.vision.part.consistency import distance_share, scale_deviation
 from edged.vision.part.edgeidentity import is_doubtful
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
-from edged.vision.part.job import CircleFeature, Job
+from edged.vision.part.job import DISPLACED_PX, LIGHT_PX, CircleFeature, Job
 from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.prediction import match_in_raw, poses_of_match, predicted, seen_depth_mm
 from edged.vision.shape.params import EACH_EDGE_ITSELF
@@ -46,6 +47,8 @@ MIN_OTHER_SUPPORT = 0.4
 ENOUGH_SUPPORT = 0.8
 """Of a start that both cameras agree with this much there is no better one."""
 PNP_POINTS = 16
+OTHER_END = 4.0
+"""Sigmas of a radius by which it differs from the taught one not by chance."""
 STRETCH, MIN_ROWS = 8, 4
 """Edge points whose row differences are averaged, and how many there must be in all."""
 LOCK_PARAMS = FitParams(reach_px=(3.0, 2.5, 2.0, 2.0), repeats=0, min_support=0.0)
@@ -64,20 +67,19 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Non
     if main is None:
         return None
     start = _start_rotation(images, job, match, main.circle)
-    turn, others, ambiguous = _decided(images, job, match, main, start)
-    fit = _together(images, job, main, others, start @ about_z(turn))
+    fit = _together(images, job, main, _others(images, job, match, main, start), start)
     measured = None if fit is None else circle_in_rig(fit, job.reference)
     if fit is None or measured is None:
         return None
     main, radius_mm = measured, job.reference_circle.radius_mm
     if abs(main.circle.radius_mm - radius_mm) > 0.1 * radius_mm:
         return None
-    start = _start_rotation(images, job, match, main.circle) @ about_z(turn)
+    start = _start_rotation(images, job, match, main.circle)
     agreeing, target = placed(job, match_in_raw(images.rectification, match), fit, start)
     target = replace(
         target,
         epipolar_rms_px=_epipolar_rms(images.rectification, main.fit),
-        reject=Reject.AMBIGUOUS_ROTATION if ambiguous else Reject.NONE,
+        reject=Reject.AMBIGUOUS_ROTATION if match.ambiguous else Reject.NONE,
     )
     if is_doubtful(images, job, main, agreeing, target.rig_from_part[:3, :3]):
         target = replace(target, reject=target.reject | Reject.AMBIGUOUS_EDGE)
@@ -239,33 +241,6 @@ def tolerance_mm(job: Job) -> float:
     return PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
 
 
-def _decided(
-    images: StereoImages, job: Job, match: ShapeMatch, main: FoundCircle, start: FloatArray
-) -> tuple[float, list[CurveFit], bool]:
-    """The turn about the normal against the match, the other circles there, and whether it is in doubt.
-
-    Where the search could not tell nearly equal rotations apart, the circles can: at a wrong rotation one of
-    them has another size, or none is there.
-    """
-    others = _others(images, job, match, main, start)
-    if not match.ambiguous:
-        return 0.0, others, False
-    turns = rival_turns(job)
-    if any(_maps_on_itself(job, turn) for turn in turns):
-        # they are the same circles under other names: one half hidden may count under one and not the other
-        return 0.0, others, True
-    if turns and len(others) == len(job.circles) - 1:
-        return 0.0, others, False  # each lies where it was taught, in its size
-    best, best_turn, rival_count = others, 0.0, 0
-    for turn in turns:
-        rivals = _others(images, job, match, main, start @ about_z(turn))
-        if len(rivals) > len(best):
-            best, best_turn, rival_count = rivals, turn, len(best)
-        else:
-            rival_count = max(rival_count, len(rivals))
-    return best_turn, best, len(best) == rival_count or not turns
-
-
 def rival_turns(job: Job) -> list[float]:
     """Turns about the reference circle's axis that lay one circle of the part on another one's place."""
     arms = np.array([c.centre_mm[:2] - job.reference_circle.centre_mm[:2] for c in job.circles])
@@ -281,29 +256,47 @@ def rival_turns(job: Job) -> list[float]:
     return sorted(turns)[:MAX_RIVALS]
 
 
-def _maps_on_itself(job: Job, turn: float) -> bool:
-    """Whether this turn about the reference circle's axis lays each circle on one of its size."""
-    centre = job.reference_circle.centre_mm
-    limit = tolerance_mm(job)
-    return all(
-        any(
-            np.linalg.norm(centre + about_z(turn) @ (circle.centre_mm - centre) - other.centre_mm) < limit
-            and abs(circle.radius_mm - other.radius_mm) < limit
-            for other in job.circles
-        )
-        for circle in job.circles
-    )
-
-
 def _together(
     images: StereoImages, job: Job, main: FoundCircle, others: list[CurveFit], rotation: FloatArray
 ) -> PlaneFit | None:
     """Measure all circles in one common plane, now with free radii. others : in the axes of the rotation."""
     face, first = _face_curves(job, main, rotation)
-    fit = fit_plane(images.rig, images.raw, face, [first, *(one.curve for one in others)], TOGETHER_PARAMS)
+    curves = [first, *(one.curve for one in others)]
+    fit = fit_plane(images.rig, images.raw, face, curves, TOGETHER_PARAMS)
     if (fit is None or fit.fit_of(job.reference) is None) and others:  # one of the others may be at fault
-        fit = fit_plane(images.rig, images.raw, face, [first], TOGETHER_PARAMS)
+        curves = [first]
+        fit = fit_plane(images.rig, images.raw, face, curves, TOGETHER_PARAMS)
+    other_end_mm = 0.0 if fit is None else _other_end_mm(images, job, fit)
+    if fit is not None and other_end_mm:
+        fits = [replace(one.curve, break_mm=max(other_end_mm, USUAL_MM)) for one in fit.fits]
+        fit = fit_plane(images.rig, images.raw, fit.face, fits, TOGETHER_PARAMS)
     return fit
+
+
+def _other_end_mm(images: StereoImages, job: Job, fit: PlaneFit) -> float:
+    """By how much radii differ from the taught ones where they are no sharp edges'; else 0.
+
+    No light displaces a sharp edge so far: it is seen at another end of its break than it was taught at. What
+    all sizes have alike is the distance's doubt, not theirs; beyond the tolerance of the job it is no edge of
+    this part's.
+    """
+    taught = {circle.name: circle.radius_mm for circle in job.circles}
+    found = [one.circle for one in circles_in_rig(fit.by_edges())]
+    apart = {one.name: one.radius_mm - taught[one.name] for one in found}
+    allowed_mm = job.limits.radius_tolerance_mm
+    if allowed_mm is not None and abs(apart.get(job.reference, 0.0)) > allowed_mm:
+        return 0.0
+    sizes = np.array([taught[one.name] for one in found])
+    weighted = sizes / np.array([one.sigma_radius_mm for one in found]) ** 2
+    growth = float(weighted @ np.array([apart[one.name] for one in found]) / (weighted @ sizes))
+    pixel_mm = float(fit.face.origin[2]) / images.rectification.focal_px
+    for one in found:
+        chance_mm, beside_mm = OTHER_END * one.sigma_radius_mm, apart[one.name] - growth * taught[one.name]
+        if abs(apart[one.name]) > max(chance_mm, DISPLACED_PX * pixel_mm):
+            return max(map(abs, apart.values()))
+        if abs(beside_mm) > max(chance_mm, LIGHT_PX * pixel_mm):
+            return max(map(abs, apart.values()))
+    return 0.0
 
 
 def _outline(circle: CircleFeature, count: int) -> FloatArray:

@@ -18,6 +18,7 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, Scatter
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, transform
+from edged.vision.part.acceptance import vaguest_mm
 from edged.vision.part.circles import placed
 from edged.vision.part.job import Job
 from edged.vision.part.measure import all_curves, completed, needs_all, published, target_from, with_free_axis
@@ -66,8 +67,9 @@ def expected_target(
         target = sight.edges()
     if target is None:
         return None
+    vaguest = vaguest_mm(job, target)
     target = published(job, target)
-    sigma_mm = max(float(one.sigma_mm.max()) for one in (target, target.as_reported))
+    sigma_mm = max(vaguest, *(float(one.sigma_mm.max()) for one in (target, target.as_reported)))
     vague = not sigma_mm <= job.limits.max_sigma_mm
     return replace(target, reject=Reject.SIGMA_LIMIT if vague else Reject.NONE)
 

@@ -133,7 +133,8 @@ class Limits:
 
     depth_mm : (nearest, farthest) of the reference point, rig z.
     min_support : share of the reference circle's edge that each camera must see.
-    max_rms_px : of the reference circle's edges.  max_sigma_mm : of each coordinate.
+    max_rms_px : of the reference circle's edges.  max_sigma_mm : of each coordinate, and of how
+    high each end of the face lies.
     max_epipolar_px : rms row difference of corresponding points.
     radius_tolerance_mm : deviation of the reference radius from the taught one; None: not checked.
     form_tolerance_mm : of a part without circles, deviation of its edges and slots from their taught places.
@@ -152,6 +153,7 @@ FINE_TOLERANCES_MM = ((6.0, 0.05), (30.0, 0.1), (120.0, 0.15), (400.0, 0.2), (10
 """Sizes up to, and by how much they may differ: ISO 2768-1, class f; workshops keep it unasked."""
 DISPLACED_PX = 0.5
 """Another light displaces the edges of one part by up to a third of this, walls by more (`systematic`)."""
+LIGHT_PX = DISPLACED_PX / 3
 
 
 def usual_tolerance_mm(size_mm: float, pixel_mm: float, sigma_mm: float = 0.0) -> float:

@@ -33,7 +33,7 @@ from edged.vision.part.measured import Evidence, Measured
 from edged.vision.part.pose import Motion, edge_curve, find_motion, form_mm, scale_of_features, slot_curve
 from edged.vision.part.prediction import is_contradicted, match_in_raw
 from edged.vision.part.sizes import APART, measure_sizes, place
-from edged.vision.part.solid import measure_solid
+from edged.vision.part.solid import curves_of, measure_solid
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 
@@ -63,7 +63,16 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured 
 
 
 def _is_beyond_doubt(job: Job, whole: Measured) -> bool:
-    """Whether nothing speaks against a part that was measured as a whole, its rows as little as asked for."""
+    """Whether nothing speaks against a part that was measured as a whole, its rows as little as asked for.
+
+    Broken rims do that glint, most of which are seen with the other sign than taught: all may lie on other
+    ends alike.
+    """
+    taught = {one.name: one.polarity for one in curves_of(job)}
+    odd = sum(one.curve.polarity != taught[one.name] for one in whole.fits)
+    broken = any(one.scatter.break_mm > 0.0 for one in whole.fits)
+    if broken and odd > 0.5 * len(whole.fits):
+        return False
     apart_px = abs(whole.evidence.row_shift_px)
     return not whole.target.reject and not whole.target.doubt_mm and apart_px <= job.limits.max_epipolar_px
 

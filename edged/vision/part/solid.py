@@ -123,9 +123,12 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
         return Reject.LEFT_RIGHT_MISMATCH
     best, margin = locked
     whole = fitted(images, job, best.pose)
-    if whole is None or whole.fit.rigid is None:
+    if whole is None:
         return Reject.FEW_EDGES
+    whole, alone = whole.with_breaks(images)
     fit, rigid = whole.fit, whole.fit.rigid
+    if rigid is None:
+        return Reject.FEW_EDGES
     in_raw = match_in_raw(images.rectification, match)
     target = target_of(job, in_raw, fit)
     reject = Reject.NONE
@@ -141,7 +144,6 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     fewest = max(MIN_FOUND * len(shown), min(MIN_CURVES, MIN_FOUND * len(whole.curves)))
     if len(fit.fits) < fewest or circles < MIN_FOUND * shown_circles:
         reject |= Reject.FEW_EDGES
-    alone = whole.alone(images)
     if alone is not None:
         target = replace(target, circles=tuple(one.circle for one in circles_in_rig(alone)))
         target = with_features(target, job, alone)
@@ -166,7 +168,8 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
 def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, float] | None:
     """The pose that most of the part agrees with, and by which share more than with any other turn.
 
-    0 where the search could not tell turns apart, and the features have none to try.
+    0 where several turns agree and it is not the one that the search has decided for; and where the search
+    could not tell turns apart, and the features have none to try.
     """
     curves = curves_of(job)
     best = _best_of(images, curves, _starts(images, job, match), body=job.body)
@@ -196,7 +199,11 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
     if match.ambiguous and not roundish and not motions:
         return best, 0.0
     other = next((one for one in found if _turn_between(one, best) > SAME_TURN), None)
-    return best, 1.0 if other is None else best.mean - other.mean
+    if other is None:
+        return best, 1.0
+    # a single curve tells them apart, and on a face full of edges it may agree by chance: 0.85 was seen
+    is_open = match.ambiguous or _is_turned(images, job, match, best)
+    return best, 0.0 if is_open else best.mean - other.mean
 
 
 def _leaning(images: StereoImages, job: Job, match: ShapeMatch, tilt_rad: float) -> Lock | None:
@@ -307,6 +314,17 @@ def _turn_between(one: Lock, two: Lock) -> float:
     return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(between)) - 1.0))))
 
 
+def _is_turned(images: StereoImages, job: Job, match: ShapeMatch, found: Lock) -> bool:
+    """Whether a lock is turned about the normal against a match that has a rotation."""
+    if match.symmetric:
+        return False
+    turns = []
+    for pose in _by_match(images, job, match, _main_face(job)):
+        between = pose[:3, :3].T @ found.pose[:3, :3]
+        turns.append(abs(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])))
+    return bool(turns) and min(turns) > SAME_TURN
+
+
 def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[FloatArray]:
     """Likely poses rig_from_part (4, 4): by the match alone, and by the rows of both images."""
     main = _main_face(job)
@@ -334,13 +352,15 @@ class _Whole:
     """All curves of a part fitted as one.
 
     curves : with their signs.  clear : names of those of which enough has no rival.  shown : of those of
-    which both cameras must see something good.
+    which both cameras must see something good.  params, rigid_mm : as they were fitted with.
     """
 
     fit: PlaneFit
     curves: tuple[Curve, ...]
     clear: frozenset[str]
     shown: frozenset[str]
+    params: FitParams
+    rigid_mm: float
 
     def alone(self, images: StereoImages) -> PlaneFit | None:
         """The curves that can be measured by themselves, each free; None where there is none."""
@@ -348,6 +368,17 @@ class _Whole:
         if not curves:
             return None
         return fit_plane(images.rig, images.raw, self.fit.face, curves, ALONE_PARAMS)
+
+    def with_breaks(self, images: StereoImages) -> tuple[_Whole, PlaneFit | None]:
+        """The same and the curves by themselves, both with the widest edge break that either shows."""
+        alone = self.alone(images)
+        widths = [{one.scatter.break_mm for one in fit.fits} for fit in (self.fit, alone) if fit is not None]
+        if len(set.union(*widths)) == 1:
+            return self, alone
+        curves = tuple(replace(curve, break_mm=max(set.union(*widths))) for curve in self.curves)
+        fit = fit_plane(images.rig, images.raw, self.fit.face, curves, self.params, rigid_mm=self.rigid_mm)
+        again = self if fit is None else replace(self, fit=fit, curves=curves)
+        return again, again.alone(images)
 
 
 def fitted(images: StereoImages, job: Job, pose: FloatArray) -> _Whole | None:
@@ -357,7 +388,7 @@ def fitted(images: StereoImages, job: Job, pose: FloatArray) -> _Whole | None:
     rigid_mm = taught_sigma_mm(images.rig, pose)
     params = PARAMS if job.body is None else KNOWN_PARAMS
     fit = fit_plane(images.rig, images.raw, face, curves, params, rigid_mm=rigid_mm)
-    return None if fit is None else _Whole(fit, tuple(curves), clear, shown)
+    return None if fit is None else _Whole(fit, tuple(curves), clear, shown, params, rigid_mm)
 
 
 def taught_sigma_mm(rig: StereoRig, pose: FloatArray) -> float:

@@ -22,6 +22,7 @@ from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
 from edged.vision.geometry.rigid import angle_between, rotation_2d, wrapped
 from edged.vision.kernels.jit import kernel
 from edged.vision.shape import refine
+from edged.vision.shape.chance import EVIDENCE, Chance, look_elsewhere
 from edged.vision.shape.model import ShapeModel
 
 APART_PX = 2.0
@@ -34,6 +35,8 @@ TURNS = 72
 """Rotations that are compared, beside the taught ones: each comes to rest on the best one near it."""
 MIN_TURN_RAD = 0.2
 SAME_TURN_RAD = 0.04
+TELLING = 6
+"""Rotations whose differences from the taught one stand for what tells rotations apart."""
 MEETING_PX = (8.0, 4.0, 2.5)
 """How far, step by step, a turned outline looks for its own: the middle is known to a few pixels."""
 ACCIDENTS, ACCIDENT_SPREAD = 0.3, 4.0
@@ -51,6 +54,8 @@ BESIDE_PX = 3.0
 SURFACE_SHARE, EVEN_SHARE, SPREADS = 0.35, 0.1, 4.0
 """Of the contrast of the part's weaker edges: so much may its surface vary at most, and so much always; in
 between, so many times its own sigma: a bar may be nearly as bright."""
+TEXTURED_SHARE = 0.75
+"""Of that contrast: as far as this from the face's grey value it is texture, beyond it another surface."""
 WEAKER = 25
 """Percentile of the part's edges that stands for its weaker ones."""
 
@@ -119,6 +124,15 @@ class Surroundings:
         return np.asarray(bare & (np.abs(sight.slope) < self.strong))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Odds:
+    """What the face of a part shows by chance; and the shares (T, K) of what K `turns` have of their own."""
+
+    chance: Chance
+    own: FloatArray
+    foreign: FloatArray
+
+
 def look(
     image: Image, model: ShapeModel, pose: FloatArray, sign: int, points: npt.NDArray[Any] | None = None
 ) -> Sight:
@@ -157,19 +171,41 @@ def look_at(
     return Sight(placed, np.where(there, slopes, 0.0), beside, _inward(model)[points], scale * gap_px(model))
 
 
-def surroundings(sight: Sight, min_contrast: float) -> Surroundings:
-    """What the edges that a pose shows say about the part's edges and surface."""
+def surroundings(sight: Sight, min_contrast: float, by_chance: float = 0.0) -> Surroundings:
+    """What the edges that a pose shows say about the part's edges and surface.
+
+    by_chance : slope of an edge that the face shows now and then where the part has none.
+    """
     strong = _strong(sight.slope, min_contrast)
+    beside = _beside_rim(sight, strong)
+    strong = max(strong, by_chance)
+    if beside is None:
+        return Surroundings(strong, (math.nan, 0.0), (math.nan, 0.0))
+    inside, outside, step = beside
+    return Surroundings(strong, _even(inside, step), _even(outside, step))
+
+
+def _face_greys(sight: Sight, strong: float) -> tuple[float, float]:
+    """Between which grey values the face lies, whatever its texture."""
+    beside = _beside_rim(sight, strong)
+    if beside is None:
+        return -math.inf, math.inf
+    inside, _, step = beside
+    level = float(np.median(inside))
+    return level - TEXTURED_SHARE * step, level + TEXTURED_SHARE * step
+
+
+def _beside_rim(sight: Sight, strong: float) -> tuple[FloatArray, FloatArray, float] | None:
+    """Grey values inside and outside of the rim, and the step of a weaker edge; None where little is seen."""
     seen = (np.abs(sight.slope) >= strong) & np.isfinite(sight.beside).all(axis=1)
     rim = (sight.inward != 0) & seen
     if rim.sum() < MIN_APART:
-        return Surroundings(strong, (math.nan, 0.0), (math.nan, 0.0))
-    steps = np.abs(sight.beside[seen, 2] - sight.beside[seen, 0])
-    step = _percentile(steps, WEAKER)
+        return None
+    step = _percentile(np.abs(sight.beside[seen, 2] - sight.beside[seen, 0]), WEAKER)
     inward = sight.inward[rim] > 0
     inside = np.where(inward, sight.beside[rim, 2], sight.beside[rim, 0])
     outside = np.where(inward, sight.beside[rim, 0], sight.beside[rim, 2])
-    return Surroundings(strong, _even(inside, step), _even(outside, step))
+    return inside, outside, step
 
 
 def _even(greys: FloatArray, step: float) -> tuple[float, float]:
@@ -181,8 +217,49 @@ def _even(greys: FloatArray, step: float) -> tuple[float, float]:
     return level, min(max(SPREADS * sigma, EVEN_SHARE * step), SURFACE_SHARE * step)
 
 
-def open_turns(
+def odds_on_face(
     image: Image, model: ShapeModel, pose: FloatArray, sign: int, min_contrast: float, slopes: FloatArray
+) -> Odds:
+    """What the face of the part at a pose shows by chance of the edges that tell its rotations apart.
+
+    slopes (N,) : at the edges where the pose expects them, 0 where there is none.
+    """
+    level, sets = model.levels[0], _telling(model)
+    inward = _inward(model)
+    rim = np.flatnonzero(inward)
+    placed = np.empty((len(rim), 4))
+    refine.place(level.points[rim], level.normals[rim], pose, placed)
+    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], BESIDE_PX, BESIDE_PX)
+    strong = _strong(slopes, min_contrast)
+    greys = _face_greys(Sight(placed, slopes[rim], beside, inward[rim], math.nan), strong)
+    chance = look_elsewhere(image, model, pose, sign, sets, (REACH_PX, BESIDE_PX), greys, strong)
+    shares, count = chance.shares(sets), len(turns(model).motions)
+    near = len(sets) // 2
+    rest = np.full(count - near, 2 * near)
+    own, foreign = (np.append(first + np.arange(near), rest) for first in (0, near))
+    return Odds(chance, shares[:, own], shares[:, foreign])
+
+
+@lru_cache(maxsize=16)
+def _telling(model: ShapeModel) -> Flags:
+    """Points (2 K + 1, N) of the model that tell it from the K rotations that are most like it.
+
+    What it has of its own, then what they have; and nothing, for rotations that are less alike and differ all
+    over: they are judged by all that was looked at.
+    """
+    found = turns(model)
+    nothing = np.zeros((1, len(model.levels[0].points)), np.bool_)
+    return np.concatenate([found.own[:TELLING], found.foreign[:TELLING], nothing])
+
+
+def open_turns(
+    image: Image,
+    model: ShapeModel,
+    pose: FloatArray,
+    sign: int,
+    min_contrast: float,
+    slopes: FloatArray,
+    odds: Odds,
 ) -> list[int]:
     """Indices of `turns` that the image does not rule out against a pose, those first that it speaks for.
 
@@ -193,23 +270,32 @@ def open_turns(
     all_turns = turns(model)
     own = all_turns.own
     count = own.sum(axis=1)
-    speaking = (own & (np.abs(slopes) >= _strong(slopes, min_contrast))).sum(axis=1)
-    doubtful = np.flatnonzero(speaking < ACCIDENTS * count + ACCIDENT_SPREAD * np.sqrt(count))
+    chance = odds.chance
+    strong = max(_strong(slopes, min_contrast), chance.thresholds[0])
+    speaking = np.count_nonzero(own & (np.abs(slopes) >= strong), axis=1)
+    is_doubtful = speaking < ACCIDENTS * count + ACCIDENT_SPREAD * np.sqrt(count)
+    is_doubtful |= chance.evidence(own, np.abs(slopes), strong, odds.own) < EVIDENCE
+    doubtful = np.flatnonzero(is_doubtful)
     if not len(doubtful):
         return []
     sight = look(image, model, pose, sign)
-    light = surroundings(sight, min_contrast)
+    light = surroundings(sight, min_contrast, chance.thresholds[0])
     shown, denied = light.shows(sight), light.denies(sight)
     foreign = [np.flatnonzero(all_turns.foreign[k]) for k in doubtful]
     turned_poses = [turned(pose, all_turns.motions[k]) for k in doubtful]
     others = _look_at_each(image, model, turned_poses, sign, foreign)
     others_shown, others_denied = light.shows(others), light.denies(others)
+    ends = np.cumsum([len(points) for points in foreign])
+    theirs = np.zeros(all_turns.foreign[doubtful].shape)
+    theirs[all_turns.foreign[doubtful]] = np.abs(others.slope)
+    mine, yours = odds.own[:, doubtful], odds.foreign[:, doubtful]
+    credit = chance.evidence(own[doubtful], np.abs(sight.slope), light.strong, mine)
+    credit -= chance.evidence(all_turns.foreign[doubtful], theirs, light.strong, yours)
     left: list[tuple[float, int]] = []
-    first = 0
-    for k, points in zip(doubtful, foreign, strict=True):
-        part = slice(first, first + len(points))
-        first = part.stop
-        ahead = _lead(shown[own[k]], denied[own[k]], others_shown[part], others_denied[part])
+    for k, points, end, nats in zip(doubtful, foreign, ends, credit, strict=True):
+        part = slice(end - len(points), end)
+        beyond_chance = shown[own[k]] & (nats >= EVIDENCE)
+        ahead = _lead(beyond_chance, denied[own[k]], others_shown[part], others_denied[part])
         if ahead < 0 or max(len(points), count[k]) < MIN_APART:
             left.append((ahead, int(k)))
     return [k for _, k in sorted(left)]
@@ -241,17 +327,32 @@ def _percentile(values: FloatArray, percent: int) -> float:
     return float(np.partition(values, rank)[rank])
 
 
-def decides(one: Sight, other: Sight, min_contrast: float) -> bool | None:
-    """Whether the image speaks for the first of two rotations; None where they hardly differ."""
+def decides(
+    image: Image,
+    model: ShapeModel,
+    poses: tuple[FloatArray, FloatArray],
+    signs: tuple[int, int],
+    min_contrast: float,
+    odds: Odds,
+) -> bool | None:
+    """Whether an image speaks for the first of two poses of a model; None where they hardly differ.
+
+    signs : as in `edges_along_normals`, one for each.  odds : of the part that both are of.
+    """
+    one, other = (look(image, model, pose, sign) for pose, sign in zip(poses, signs, strict=True))
     only_one = ~lies_on(one.placed, other.placed, other.gap_px)
     only_other = ~lies_on(other.placed, one.placed, one.gap_px)
     if max(only_one.sum(), only_other.sum()) < MIN_APART:
         return None
-    light = surroundings(one, min_contrast)
+    light = surroundings(one, min_contrast, odds.chance.thresholds[0])
+    shown, others_shown = light.shows(one), light.shows(other)
+    slopes = np.abs(np.array([one.slope, other.slope]))
+    sets = np.array([only_one, only_other])
+    nats = odds.chance.evidence(sets, slopes, light.strong, odds.chance.shares(sets))
     ahead = _lead(
-        light.shows(one)[only_one],
+        shown[only_one] & (nats[0] - nats[1] >= EVIDENCE),
         light.denies(one)[only_one],
-        light.shows(other)[only_other],
+        others_shown[only_other],
         light.denies(other)[only_other],
     )
     return ahead >= 0

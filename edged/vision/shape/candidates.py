@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.shape import refine, scan
+from edged.vision.shape.ambiguity import Odds
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import EACH_EDGE_ITSELF, SearchParams
 from edged.vision.shape.views import Views
@@ -37,6 +38,7 @@ class Hypothesis:
 
     scanned : its score in the scan.  slopes (N,) : of the edges that agree with it on the finest level, 0
     elsewhere.  ambiguous : another rotation explains the image as well.  view : which one it was found in.
+    odds : what the face shows by chance, where that was measured.
     """
 
     pose: FloatArray
@@ -47,6 +49,7 @@ class Hypothesis:
     slopes: FloatArray | None = None
     ambiguous: bool = False
     view: int = 0
+    odds: Odds | None = None
 
     @cached_property
     def origin(self) -> tuple[float, float]:

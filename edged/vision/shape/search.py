@@ -135,7 +135,7 @@ class _Search:
                 continue
             finest = self._climb(candidate, top, found)
             if finest is not None:
-                found.append(self._decided(finest, top > 0))
+                found.append(self._decided(self._with_odds(finest, found), top > 0))
         matches = [h for h in self._prune(found) if h.score >= self.params.min_score]
         return [match for h in self._one_of_each_place(matches) if (match := self._to_match(h, index))]
 
@@ -379,12 +379,27 @@ class _Search:
         """The motions after which the shape looks the same."""
         return [row for row in self.model.symmetries if row[3] >= self.model.same_score]
 
+    def _with_odds(self, hypothesis: Hypothesis, found: list[Hypothesis]) -> Hypothesis:
+        """With what the face shows by chance: as one as good at its place knows it, or measured."""
+        if self.model.round or hypothesis.slopes is None or hypothesis.score < self.params.min_score:
+            return hypothesis
+        for known in found:
+            as_good = known.score > hypothesis.score - RIVAL_MARGIN[0]
+            if known.odds is not None and as_good and self._same_place(hypothesis, 0, known):
+                return replace(hypothesis, odds=known.odds)
+        image, contrast, sign = self.work.images[0], self.params.min_contrast, self._sign(hypothesis)
+        odds = rivals.odds_on_face(
+            image, self.model, hypothesis.pose, sign, contrast, np.abs(hypothesis.slopes)
+        )
+        return replace(hypothesis, odds=odds)
+
     def _decided(self, hypothesis: Hypothesis, climbed: bool) -> Hypothesis:
         """The right one of the rotations that the search could accept, and whether it is in doubt.
 
         What the hypothesis shows settles most of them; the others are tried and compared with it.
         """
-        if self.model.round or hypothesis.score < self.params.min_score:
+        odds = hypothesis.odds
+        if odds is None:
             return hypothesis
         image, contrast = self.work.images[0], self.params.min_contrast
         equal = self._equal()
@@ -392,7 +407,7 @@ class _Search:
         best = hypothesis
         for _ in range(MAX_CHANGES):
             slopes = np.zeros(len(self.model.levels[0].points)) if best.slopes is None else best.slopes
-            left = rivals.open_turns(image, self.model, best.pose, self._sign(best), contrast, slopes)
+            left = rivals.open_turns(image, self.model, best.pose, self._sign(best), contrast, slopes, odds)
             left = [
                 k
                 for k in left
@@ -417,8 +432,11 @@ class _Search:
         if abs(one.score - other.score) > RIVAL_MARGIN[1]:
             return one.score > other.score
         image = self.work.images[0]
-        sight, others = (rivals.look(image, self.model, h.pose, self._sign(h)) for h in (one, other))
-        verdict = rivals.decides(sight, others, self.params.min_contrast)
+        poses, signs = (one.pose, other.pose), (self._sign(one), self._sign(other))
+        odds = one.odds or other.odds
+        if odds is None:
+            raise ValueError("rotations of a part whose face was not looked at")
+        verdict = rivals.decides(image, self.model, poses, signs, self.params.min_contrast, odds)
         if verdict is None:  # they hardly differ: only all edges together can tell
             return one.score - other.score >= DECIDED_SHARE * self._loss(one, other) * one.score
         return verdict

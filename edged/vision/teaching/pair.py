@@ -21,7 +21,15 @@ from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.edgeidentity import is_double
 from edged.vision.part.frames import FoundCircle, circles_in_rig
 from edged.vision.part.initialplane import find_plane
-from edged.vision.part.job import DEPTH_SHARE, CircleFeature, Job, crossing, known_radius, usual_limits
+from edged.vision.part.job import (
+    DEPTH_SHARE,
+    LIGHT_PX,
+    CircleFeature,
+    Job,
+    crossing,
+    known_radius,
+    usual_limits,
+)
 from edged.vision.part.pose import circle_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
@@ -45,8 +53,10 @@ SOLID_SCORE = 0.5
 refused by both cameras when the whole part is laid onto it."""
 SOLID_TOP_POINTS = 100
 """Of the coarsest level: with fewer, half of which its walls may hide, a tilted view is like many things."""
-IN_FACE_MM = 0.05
-"""Machined faces are flat to better than this, and holes measured singly are off by less."""
+IN_FACE_MM = FACE_TOLERANCE_MM
+"""Machined faces are flat to better than this. Measured singly, a hole whose break each camera sees at
+another end stands off by 1 / (2 tan 12°) of what these lie apart (24° between the cameras). Heights of 0.05
+and 0.06 mm that breaks of 0.1 mm gave two holes tilted a milled plate by 0.2° (`tools/bench breaks`)."""
 MIN_SUPPORT = 0.75
 HEIGHT_SHARE = 0.12
 """Of the distance: farther from the reference circle no face is of the same part."""
@@ -195,6 +205,9 @@ def _job(
 ) -> Job:
     rectification = view.images.rectification
     depth = float(rig_from_part[2, 3])
+    pixel_mm = depth / rectification.focal_px
+    # a radius vaguer than any light makes it is that of a broken rim: its other end is out of tolerance
+    sigma_mm = min(sigma_mm, LIGHT_PX * pixel_mm)
     if main_face is not None:
         shape = create_model(view.images.rectified_left, main_face, params=params)
     elif circles:
@@ -214,7 +227,7 @@ def _job(
         witness=witness,
         reference=reference,
         rig_from_part=rig_from_part,
-        limits=usual_limits(depth, depth / rectification.focal_px, shape, circles, reference, sigma_mm),
+        limits=usual_limits(depth, pixel_mm, shape, circles, reference, sigma_mm),
         search=SearchParams(
             scale_min=1 / (1 + DEPTH_SHARE),
             scale_max=1 / (1 - DEPTH_SHARE),

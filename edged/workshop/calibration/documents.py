@@ -104,7 +104,10 @@ class Trouble(Document):
 
 
 class DraftDocument(Document):
-    """A draft. waits : why no picture is taken by itself now. trouble : why views give no calibration yet."""
+    """A draft. waits : why no picture is taken by itself now. trouble : why views give no calibration yet.
+
+    current : live pairs are looked at for it.
+    """
 
     id: str
     revision: int
@@ -129,6 +132,7 @@ class DraftDocument(Document):
     task: str | None
     solved: SolvedDocument | None
     active: bool
+    current: bool
 
 
 class DraftLine(Document):
@@ -140,6 +144,7 @@ class DraftLine(Document):
     created: str = ""
     author: str = ""
     active: bool = False
+    current: bool = False
     trouble: str | None = None
 
 

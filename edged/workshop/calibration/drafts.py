@@ -85,6 +85,7 @@ class _Open:
     looked_for_others_s: float = -math.inf
     share: float | None = None  # how large the board was when it was first held
     auto: str | None = None  # the token of who wants pairs to be taken by themselves
+    is_gone: bool = False  # discarded: what is still under way for it is told nobody
 
     @property
     def wanted(self) -> tuple[object, ...]:
@@ -152,8 +153,31 @@ class Calibrations:
         draft = await asyncio.to_thread(self._drafts.create, author, boards, goal_um, lens, now, mm)
         self._open = {name: one for name, one in self._open.items() if one.task or one.guiding}
         self._open[draft.state.id] = _Open(draft)
-        self._current = draft.state.id
-        return self._tell(self._open[draft.state.id])
+        return await self.go_on(draft.state.id)
+
+    async def go_on(self, identity: str) -> DraftDocument:
+        """Let it be the one that live pairs are looked at for. Raises as `document`."""
+        one = await self._opened(identity)
+        for other in self._open.values():
+            if other is not one:
+                other.auto = None
+        self._current = identity
+        return self._tell(one)
+
+    async def remove(self, identity: str) -> None:
+        """Discard a draft, and what is under way for it. Raises `KeyError`."""
+        async with self._taking:  # a view that is being kept is kept before
+            await asyncio.to_thread(self._drafts.remove, identity)
+            one = self._open.pop(identity, None)
+        if self._current == identity:
+            self._current = None
+        self._notices.publish("draft", {"id": identity, "gone": True})
+        if one is not None:
+            one.is_gone = True
+            if self._tasks.is_running(one.task):
+                await self._tasks.cancel(str(one.task))
+            if one.guiding is not None:
+                await cancel_and_await(one.guiding)
 
     async def listed(self) -> DraftList:
         """All of them."""
@@ -181,6 +205,7 @@ class Calibrations:
         one = await self._opened(identity)
         self._current = identity
         async with self._taking:
+            _check_there(one)
             await asyncio.to_thread(change, one.draft)
         self._guide(one)
         return self._tell(one)
@@ -225,10 +250,12 @@ class Calibrations:
     async def _watch(self, identity: str, pair: FramePair) -> None:
         try:
             await self._look(await self._opened(identity), pair.left.image, pair.right.image)
-        except KeyError:  # somebody removed its folder
-            self._current = None
+        except KeyError:  # somebody discarded it, or removed its folder
+            if self._current == identity:
+                self._current = None
         except SetupRefused:  # somebody else has the cell by now
-            self._open[identity].auto = None
+            if identity in self._open:
+                self._open[identity].auto = None
         except (EdgedError, OSError) as error:
             log.warning("a live pair cannot be looked at: %s", error)
             if identity in self._open:
@@ -281,6 +308,7 @@ class Calibrations:
     async def _take(self, one: _Open, left: Image, right: Image) -> None:
         """Keep a pair as the next view."""
         async with self._taking:
+            _check_there(one)
             draft = one.draft
             name = draft.next_view
             looks, *seen = await self._worker.run(
@@ -339,6 +367,7 @@ class Calibrations:
         arguments = (draft.pictures, state.board_models, looks, state.lens, self._rig(), about)
         solution: Solution = await self._worker.run("solve", *arguments, progress=progress)
         async with self._taking:
+            _check_there(one)
             if draft.state.used != state.used:
                 raise CalibrationError("views came or went meanwhile: solve it again")
             await asyncio.to_thread(draft.solve, solution)
@@ -364,11 +393,13 @@ class Calibrations:
             created=state.created,
             author=state.author,
             active=state.solved is not None and self._is_active(state.solved.calibration_id),
+            current=identity == self._current,
         )
 
     def _tell(self, one: _Open) -> DraftDocument:
         document = self._document(one)
-        self._notices.publish("draft", document.model_dump(mode="json"))
+        if not one.is_gone:
+            self._notices.publish("draft", document.model_dump(mode="json"))
         return document
 
     def _document(self, one: _Open) -> DraftDocument:
@@ -398,7 +429,14 @@ class Calibrations:
             task=one.task if self._tasks.is_running(one.task) else None,
             solved=solved_in(one.draft),
             active=state.solved is not None and self._is_active(state.solved.calibration_id),
+            current=state.id == self._current,
         )
+
+
+def _check_there(one: _Open) -> None:
+    """Raises `KeyError` for a draft that was discarded meanwhile."""
+    if one.is_gone:
+        raise KeyError(one.draft.state.id)
 
 
 def _outlines(view: ViewState) -> FloatArray:

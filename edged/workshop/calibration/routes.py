@@ -89,6 +89,15 @@ class CalibrationRoutes:
         )
         table.route("GET", DRAFT, self._get, "A draft as it stands", role=see, answer=DraftDocument)
         table.route("PUT", DRAFT, self._want, "What is wanted of it", body=Wanted, answer=DraftDocument)
+        table.route("DELETE", DRAFT, self._discard, "Discard a draft", body=Nothing, audit=True)
+        table.route(
+            "POST",
+            f"{DRAFT}/go-on",
+            self._go_on,
+            "Go on with a draft: live pairs are looked at for it, and for no other",
+            body=Nothing,
+            answer=DraftDocument,
+        )
         table.route(
             "POST",
             f"{DRAFT}/views",
@@ -162,6 +171,12 @@ class CalibrationRoutes:
 
     async def _want(self, call: Call[Wanted]) -> DraftDocument:
         return await self._change(call.part("id"), lambda draft: draft.set_goal(call.body.goal_um))
+
+    async def _discard(self, call: Call[Nothing]) -> None:
+        await known(self._calibrations.remove(call.part("id")))
+
+    async def _go_on(self, call: Call[Nothing]) -> DraftDocument:
+        return await known(self._calibrations.go_on(call.part("id")))
 
     async def _auto(self, call: Call[Auto]) -> DraftDocument:
         body = call.body

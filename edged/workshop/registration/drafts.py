@@ -68,6 +68,7 @@ class _Open:
     judging: asyncio.Task[None] | None = None
     fault: Trouble | None = None
     solved: StereoRig | None = None
+    is_gone: bool = False  # discarded: what is still under way for it is told nobody
 
     def wanted(self, rig: RigInUse | None) -> tuple[object, ...]:
         """What a verdict depends on."""
@@ -131,6 +132,17 @@ class Registrations:
         self._open[draft.state.id] = _Open(draft)
         return self._tell(self._open[draft.state.id])
 
+    async def remove(self, identity: str) -> None:
+        """Discard a draft, and what is under way for it. Raises `KeyError`."""
+        async with self._taking:  # a sample that is being kept is kept before
+            await asyncio.to_thread(self._drafts.remove, identity)
+            one = self._open.pop(identity, None)
+        self._notices.publish("registration", {"id": identity, "gone": True})
+        if one is not None:
+            one.is_gone = True
+            if one.judging is not None:
+                await cancel_and_await(one.judging)
+
     async def listed(self) -> RegistrationList:
         """All of them."""
         states = await asyncio.to_thread(self._drafts.states)
@@ -152,6 +164,7 @@ class Registrations:
         """Anything that a draft can. Raises what it raises."""
         one = await self._opened(identity)
         async with self._taking:
+            _check_there(one)
             await asyncio.to_thread(change, one.draft)
             await self._keep_solved(one)
         self._judge(one)
@@ -328,6 +341,7 @@ class Registrations:
     async def _keep_look(self, one: _Open, images: tuple[Image, Image], job: str | None) -> None:
         rig, draft = self._needed_rig(), one.draft
         async with self._taking:
+            _check_there(one)
             about = (draft.folder, draft.next_look, *images, rig.content, rig.path)
             if job is None:
                 what = parse_boards(draft.state.board)[0]
@@ -341,6 +355,7 @@ class Registrations:
     ) -> None:
         rig, draft = self._needed_rig(), one.draft
         async with self._taking:
+            _check_there(one)
             name, board = draft.next_sample, parse_boards(draft.state.board)[0]
             about = (draft.folder, name, *images, rig.content, rig.path, board)
             sample: SampleState = await self._worker.run("pose_with_board", *about)
@@ -387,7 +402,8 @@ class Registrations:
 
     def _tell(self, one: _Open) -> RegistrationDocument:
         document = self._document(one)
-        self._notices.publish("registration", document.model_dump(mode="json"))
+        if not one.is_gone:
+            self._notices.publish("registration", document.model_dump(mode="json"))
         return document
 
     def _document(self, one: _Open) -> RegistrationDocument:
@@ -395,6 +411,12 @@ class Registrations:
         return document_of(
             one.draft.state, one.judged, self._rig(), one.solved, judging=judging, fault=one.fault
         )
+
+
+def _check_there(one: _Open) -> None:
+    """Raises `KeyError` for a draft that was discarded meanwhile."""
+    if one.is_gone:
+        raise KeyError(one.draft.state.id)
 
 
 def _place(one: _Open, key: str) -> Place:

@@ -143,6 +143,7 @@ class RegistrationRoutes:
             "GET", DRAFT, self._get, "A registration as it stands", role=see, answer=RegistrationDocument
         )
         writes("PUT", DRAFT, self._state, "Brand, mount or limit", StatedOtherwise)
+        table.route("DELETE", DRAFT, self._discard, "Discard a registration", body=Revised, audit=True)
         writes(
             "POST",
             f"{DRAFT}/looks",
@@ -203,6 +204,10 @@ class RegistrationRoutes:
         changes = call.body.model_dump(include=call.body.model_fields_set - {"revision"})
         changes = {name: value for name, value in changes.items() if value is not None or name == "brand"}
         return await self._change(call, lambda draft: draft.state_otherwise(**changes))
+
+    async def _discard(self, call: Call[Revised]) -> None:
+        await self._check(call)
+        await known(self._registrations.remove(call.part("id")))
 
     async def _look(self, call: Call[Looking]) -> RegistrationDocument:
         body = call.body
@@ -270,8 +275,10 @@ class RegistrationRoutes:
     async def _check(self, call: Call[Any]) -> None:
         """Raises `Problem` for a change of a draft that has changed since it was seen."""
         seen = call.body.revision
+        if seen is None:
+            return
         draft = await known(self._registrations.draft(call.part("id")))
-        if seen is not None and seen != draft.state.revision:
+        if seen != draft.state.revision:
             raise Problem(
                 412,
                 "stale",

@@ -24,8 +24,8 @@ from edged.commissioning.releases.shelf import Release, Shelf, Tested
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
 from edged.domain.arrays import Side
 from edged.errors import EdgedError, FileFormatError, SetupRefused, UserError
-from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
-from edged.files.rig import rig_of
+from edged.files.atomic import make_folders, sync, write_atomically
+from edged.files.rig import read_rig, rig_of
 from edged.files.statefolder import state_folder
 
 log = logging.getLogger(__name__)
@@ -210,7 +210,7 @@ class Activation:
     def _there(self) -> _Parts:
         """What is exchanged, as it is now."""
         running = self._running()
-        rig = read_bytes(running.rig, "a rig") if running.rig.exists() else None
+        rig = read_rig(running.rig) if running.rig.exists() else None
         return _Parts(rig, read_chosen(running.rig), jobs_in(running.jobs))
 
     def _proven(self, wanted: _Parts) -> tuple[Made, Release | None]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,6 +10,7 @@ from pathlib import Path
 
 from edged.commissioning.releases.jobsfolder import Jobs, with_job
 from edged.commissioning.teaching.draftstate import Content
+from edged.config.tomltext import toml_of
 from edged.errors import TeachError
 from edged.files.jobs import TEXT
 
@@ -122,7 +122,7 @@ def lines_in(contents: Mapping[str, bytes]) -> tuple[JobLine, ...]:
 
 @lru_cache(maxsize=256)
 def _line(folder: str, content: bytes) -> JobLine:
-    text = tomllib.loads(content.decode("utf-8-sig"))
+    text = toml_of(content)
     features = sum(len(text.get(kind, ())) for kind in ("circle", "slot", "edge", "corner"))
     digest = hashlib.sha256(content).hexdigest()
     return JobLine(folder, str(text["name"]), int(text["number"]), digest, features)

@@ -27,7 +27,7 @@ from edged.commissioning.teaching.editing import edited
 from edged.commissioning.teaching.former import FormerFiles
 from edged.commissioning.teaching.proposing import Order, Seen
 from edged.domain.frames import FramePair
-from edged.errors import EdgedError, FileFormatError, SetupRefused, TaskFailed, TeachError
+from edged.errors import EdgedError, FileFormatError, SetupRefused, TaskFailed, TaskTooLarge, TeachError
 from edged.files.jobs import SHAPE, TEXT, job_files, read_job
 from edged.files.rig import rig_of
 from edged.session.notices import Notices
@@ -338,6 +338,7 @@ class Teachings:
                     one.seen_of, one.trouble = wanted, None
                 except EdgedError as error:
                     failed += isinstance(error, TaskFailed)
+                    failed += isinstance(error, TaskTooLarge)  # once is enough
                     if failed == 1 and isinstance(error, TaskFailed):  # somebody ended the process
                         continue
                     one.seen, one.seen_of = None, self._wanted(one)

@@ -218,7 +218,7 @@ def test_a_corner_outside_the_image_is_refused() -> None:
     image = np.full((60, 60), 100, np.uint8)
     start = np.array([[-5.0, 30, 0, 1.5, 8, 0, 0], [30.0, 30, 0, 1.5, 8, 0, 0], [59.0, 59, 0, 1.5, 8, 0, 0]])
     result = np.empty((3, 6))
-    fit_corners(image, start, result)
+    fit_corners(image, start, 0.0, result)
     assert (result[:, 5] == 0).all()
 
 

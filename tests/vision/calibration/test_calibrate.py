@@ -14,6 +14,8 @@ from edged.errors import CalibrationError
 from edged.vision.boards.board import Board, Chessboard, Detection, NotDetected, StereoView
 from edged.vision.calibration.bundle import BundleState, LensFreedom, Observations, adjust
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
+from edged.vision.calibration.crossvalidation import hold_out
+from edged.vision.calibration.verdict import judge_calibration
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, rotation_vector, transform
 
@@ -284,17 +286,51 @@ def test_swapped_images_are_refused() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("angle_deg", [0.02, 1.0])
-def test_a_camera_bumped_half_way_is_refused(angle_deg: float) -> None:
-    """A camera turned by a fiftieth of a degree between two views is noticed, and the place named."""
+@pytest.mark.parametrize(
+    ("angle_deg", "first", "kept"), [(0.02, 7, range(7, 14)), (1.0, 8, range(8)), (1.0, 4, range(4, 14))]
+)
+def test_a_camera_bumped_between_views_costs_the_smaller_part(
+    angle_deg: float, first: int, kept: range
+) -> None:
+    """A camera turned by a fiftieth of a degree is noticed; the longer run of views is used, the place named.
+
+    Of as many on both sides the later ones count: the cameras stand as these show them.
+    """
     rig = make_rig()
     bump = transform(rotation_matrix(np.array([0.0, np.radians(angle_deg), 0.0])), np.zeros(3))
 
     def bumped(number: int, real: StereoRig) -> StereoRig:
-        return replace(real, right_from_left=bump @ real.right_from_left) if number >= 7 else real
+        return replace(real, right_from_left=bump @ real.right_from_left) if number >= first else real
 
     views = synthetic_views(rig, BOARD, board_poses(rig, BOARD, 14, 2), 0.02, 2, bumped)
-    with pytest.raises(CalibrationError, match=r"moved between view_06 and view_07.*°"):
+    found = calibrate(views, rig)
+
+    assert [f"view_{number:02}" for number in kept] == [fit.name for fit in found.views]
+    place = f"a camera was moved between view_{first - 1:02} and view_{first:02}: by about "
+    where = "before" if kept.start else "after"
+    assert len(views) - len(kept) == len(found.excluded)
+    assert all(f"taken {where} {place}" in reason for _, reason in found.excluded)
+    (movement,) = found.movements
+    assert movement.since is (kept.start == 0)
+    (note,) = (note for note in found.notes if place in note)
+    assert ("moved since: take fresh views" in note) is movement.since
+    grade = judge_calibration(found, hold_out(found)).grade
+    assert grade == "repeat" if movement.since else grade != "good"
+    true = bump @ rig.right_from_left if kept.start else rig.right_from_left
+    assert np.abs(found.rig.right_from_left[:3, 3] - true[:3, 3]).max() < 0.1
+
+
+@pytest.mark.slow
+def test_a_camera_that_never_stands_still_is_refused() -> None:
+    """Where no run of views is long enough to calibrate from, the error names the movement."""
+    rig = make_rig()
+
+    def loose(number: int, real: StereoRig) -> StereoRig:
+        turn = rotation_matrix(np.array([0.0, np.radians(0.5 * (number // 2)), 0.0]))
+        return replace(real, right_from_left=transform(turn, np.zeros(3)) @ real.right_from_left)
+
+    views = synthetic_views(rig, BOARD, board_poses(rig, BOARD, 8, 2), 0.02, 2, loose)
+    with pytest.raises(CalibrationError, match=r"moved between .*take the views again"):
         calibrate(views, rig)
 
 

@@ -157,3 +157,17 @@ def test_images_become_linear_before_they_are_measured() -> None:
     images = StereoImages.of(make_rectification(rig), bent, bent)
     assert np.abs(images.left.astype(int) - linear).max() <= 1
     assert np.array_equal(images.right, bent)
+
+
+@pytest.mark.parametrize(("amount", "least", "most"), [(0.0, 0.0, 0.01), (0.5, 0.03, 0.2)])
+def test_halos_are_seen(amount: float, least: float, most: float) -> None:
+    """What a camera's sharpening leaves beside edges is measured, and what to do said; a lens makes none."""
+
+    def sharpened(image: Image) -> Image:
+        soft = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64)
+        return np.clip(np.rint(image + amount * (image - soft)), 0, 255).astype(np.uint8)
+
+    found = imaging_of(edges(sharpened), SIZE)
+    assert least <= found.halo <= most
+    told = [one for one in findings((found, found), RIG, 200.0) if one.name == "left sharpening"]
+    assert ["" if amount == 0.0 else "the camera sharpens: switch it off"] == [one.remedy for one in told]

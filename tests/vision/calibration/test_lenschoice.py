@@ -102,3 +102,18 @@ def test_views_that_determine_no_brown_lens_still_choose() -> None:
 def test_a_stated_model_is_not_questioned() -> None:
     """No other models are tried, and none are told."""
     assert () == calibrate_stereo(views_of(DIVISION), SIZE, SIZE, "brown").lenses
+
+
+def test_a_lens_that_folds_the_picture_is_not_chosen() -> None:
+    """A polynomial that fits the marks in the middle best, and turns back further out, is no lens."""
+    rig = make_rig("brown", focal_px=425.0, size=SIZE)
+    folding = -0.45, 0.0, 8e-4, -8e-4, 0.0  # no point of space is seen beyond 243 px from the middle
+    left, right = (replace(camera, distortion=folding) for camera in (rig.left, rig.right))
+    wide, board = replace(rig, left=left, right=right), Chessboard(9, 6, 12.0)
+    poses = [
+        pose
+        for pose in board_poses(wide, board, 80, 1)
+        if np.abs(wide.left.project(apply(pose, board.points_mm)) - (320, 240)).max() < 180
+    ]
+    views = synthetic_views(wide, board, poses[:14], 0.05, 1)
+    assert "division" == calibrate_stereo(views, SIZE, SIZE, "auto").rig.left.model

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from boards import board_poses, synthetic_views
 from rigs import make_rig
@@ -9,6 +11,7 @@ from rigs import make_rig
 from edged.vision.boards.board import Chessboard
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.calibration.crossvalidation import hold_out
+from edged.vision.calibration.imaging import UNKNOWN
 from edged.vision.calibration.verdict import judge_calibration
 
 BOARD = Chessboard(11, 8, 4.0)
@@ -36,6 +39,23 @@ def test_few_views_are_usable_and_noise_is_not(views: int, sigma_px: float, grad
     assert any(why in text for text in verdict.why)
     assert (grade == "good") == (verdict.add == "")
     assert str(verdict).startswith(f"verdict: {grade}: ")
+
+
+@pytest.mark.slow
+def test_pictures_that_a_camera_has_changed_are_usable_at_best() -> None:
+    """Twenty views of a camera that sharpens, or clips its whites, are no good calibration; both are said."""
+    poses = board_poses(RIG, BOARD, 20, 0)
+    calibration = calibrate_stereo(synthetic_views(RIG, BOARD, poses, 0.02, 0), SIZE, SIZE, "division")
+    sharpening, clipping = replace(UNKNOWN, halo=0.08), replace(UNKNOWN, saturated=0.9)
+    held = hold_out(calibration)
+
+    assert "good" == judge_calibration(calibration, held, (UNKNOWN, UNKNOWN)).grade
+    verdict = judge_calibration(calibration, held, (sharpening, clipping))
+    assert "usable" == verdict.grade
+    assert (
+        "the left camera sharpens: switch it off",
+        "whites of the right camera are clipped: less exposure",
+    ) == verdict.why
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cells import PLACE_MM, frame_pair, pictures, pose, scene, small_rig
+from cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene, small_rig
 from flatparts import METAL, PLATE, Cell, cell, only
 
 from edged import pipeline
@@ -31,6 +31,7 @@ from edged.vision.part.measured import Measured
 from edged.vision.part.pointcloud import CONTOUR, FACE
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, ShapeMatch, find_shapes
+from edged.vision.teaching.pair import teach
 
 ELSEWHERE = pose((6.0, 1.0, 203.0), turn_deg=37.0, tilt_deg=5.0)
 
@@ -288,6 +289,24 @@ def test_an_ambiguous_rotation_is_refused() -> None:
     (match,) = find_shapes(images.rectified_left, here.job.shape, here.job.search, rectification.valid_left)
     for ambiguous, expected in ((False, Reject.NONE), (True, Reject.AMBIGUOUS_ROTATION)):
         result = measure_part(images, here.job, replace(match, ambiguous=ambiguous))
+        assert isinstance(result, Measured)
+        assert result.target.reject == expected
+
+
+def test_circles_do_not_decide_what_the_search_could_not() -> None:
+    """All holes in their places, one of them odd: on a face full of edges that may be chance; refused."""
+    holes = tuple(
+        Hole(f"h{k}", Disc(8 * math.cos(k * math.pi / 2), 8 * math.sin(k * math.pi / 2), 1.5 if k else 1.1))
+        for k in range(4)
+    )
+    part, rig = Part("odd", Disc(0, 0, 13), METAL, holes), small_rig()
+    prepared = pipeline.prepare(rig)
+    left, right = pictures(rig, scene((part, pose())))
+    job = teach(left, right, prepared.rectification, region_around(rig, pose()[:3, 3], 15.0), "odd")
+    images = StereoImages.of(prepared.rectification, left, right)
+    (match,) = find_shapes(images.rectified_left, job.shape, job.search, prepared.rectification.valid_left)
+    for ambiguous, expected in ((False, Reject.NONE), (True, Reject.AMBIGUOUS_ROTATION)):
+        result = measure_part(images, job, replace(match, ambiguous=ambiguous))
         assert isinstance(result, Measured)
         assert result.target.reject == expected
 

@@ -21,7 +21,7 @@ from blockpart import (
     taught,
     up,
 )
-from cells import frame_pair, pictures, small_rig
+from cells import frame_pair, pictures, pose, region_around, scene, small_rig
 from flatparts import METAL, only
 from tilted import lying, stacked
 
@@ -41,7 +41,8 @@ from edged.vision.part.frames import with_features
 from edged.vision.part.job import CornerFeature, MeasurementSpec
 from edged.vision.part.measured import Measured
 from edged.vision.part.rigidlock import lock
-from edged.vision.part.solid import curves_of
+from edged.vision.part.solid import curves_of, measure_solid
+from edged.vision.shape.ambiguity import about, turned
 from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.pair import teach
@@ -115,6 +116,29 @@ def test_a_round_part_is_not_turned(turn_deg: float) -> None:
     between = (where @ here.part_from_job)[:3, :3].T @ target.rig_from_part[:3, :3]
     assert target.reject is Reject.NONE
     assert abs(math.degrees(math.atan2(between[1, 0], between[0, 0]))) < 1.0
+
+
+def test_a_turn_that_search_and_curves_see_differently_is_refused() -> None:
+    """One of four holes is odd: turned by 90°, most curves agree as well, and by chance all of them may."""
+    holes = tuple(
+        Hole(f"h{k}", Disc(8 * math.cos(k * math.pi / 2), 8 * math.sin(k * math.pi / 2), 1.5 if k else 1.1))
+        for k in range(4)
+    )
+    rig, where = prepare(small_rig()), pose()
+    left, right = pictures(rig.rig, scene((Part("odd", Disc(0, 0, 13), METAL, holes), where)))
+    region = region_around(rig.rig, where[:3, 3], 15.0)
+    job = teach(left, right, rig.rectification, region, "odd")
+    images = StereoImages.of(rig.rectification, left, right)
+    (match,) = find_shapes(images.rectified_left, job.shape, job.search, rig.rectification.valid_left)
+    seen = np.array([match.x_px, match.y_px, *match.linear.ravel(), *match.tilt])
+    quarter = turned(seen, about(job.shape.centre_px, 0.5 * math.pi))
+    wrong = replace(
+        match, x_px=quarter[0], y_px=quarter[1], linear=quarter[2:6].reshape(2, 2), tilt=quarter[6:]
+    )
+    for seen_as, expected in ((match, Reject.NONE), (wrong, Reject.AMBIGUOUS_ROTATION)):
+        result = measure_solid(images, job, seen_as)
+        assert isinstance(result, Measured)
+        assert result.target.reject == expected
 
 
 def test_half_of_the_edges_displaced_do_not_draw_the_pose_between_both() -> None:

@@ -142,8 +142,11 @@ function showLoss() {
   $("link").textContent = t("run-reconnecting");
 }
 
+let source = null; // none while the page is not looked at
+let retry = 0;
+
 function connect() {
-  const source = new EventSource("/events");
+  source = new EventSource("/events");
   source.addEventListener("all", (event) => {
     const status = JSON.parse(event.data);
     points = status.points;
@@ -161,14 +164,24 @@ function connect() {
   source.onerror = () => {
     isLost = true;
     showLoss();
-    if (source.readyState === EventSource.CLOSED) setTimeout(again, 3000);
+    if (source.readyState === EventSource.CLOSED) retry = setTimeout(again, 3000);
   };
 }
+
+// A page that is left or frozen may come back from the browser's memory, where no connection lasts.
+function rest() {
+  clearTimeout(retry);
+  source?.close();
+  source = null;
+  isLost = true;
+  showLoss();
+}
+const rouse = () => source || connect();
 
 async function again() {
   const answer = await fetch("/status.json").catch(() => null);
   if (answer && answer.status === 401) location.assign("/login");
-  else connect();
+  else if (source) connect(); // not left meanwhile
 }
 
 // --- its language: as on the pages that set the cell up ---
@@ -212,6 +225,10 @@ await speak(preferred());
 await learn("run/run");
 speakThePage();
 connect();
+addEventListener("pagehide", rest);
+addEventListener("pageshow", rouse);
+document.addEventListener("freeze", rest);
+document.addEventListener("resume", rouse);
 const theirs = preferred((await whoLooks()).language);
 if (theirs !== language.value) {
   await speak(theirs);

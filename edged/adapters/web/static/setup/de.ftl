@@ -108,6 +108,7 @@ problem-image-size =
        *[right] rechte
     } Bild hat { $found } Pixel, und die Kalibrierung ist von { $wanted }: Stellen Sie die Kameras wieder darauf ein, oder kalibrieren Sie sie, wie sie jetzt sind.
 problem-task-failed = Die Arbeit der Zelle daran endete ohne Ergebnis. Wenn das wieder geschieht, sehen Sie in ihr Protokoll (journalctl -u edged).
+problem-task-too-large = Das brauchte mehr Speicher oder Rechenzeit, als die Zelle dafür ausgeben darf, und wurde beendet: nehmen Sie weniger oder kleinere Bilder, oder eine kleinere Zeichnung.
 problem-gone = Dieses Bild ist nicht mehr da. Nehmen Sie ein neues auf.
 problem-status-404 = Diese Zelle bietet das nicht an. Bringen Sie edged auf dem Zellen-PC auf den neuen Stand und laden Sie die Seite neu.
 problem-status-500 = Die Zelle hat selbst einen Fehler gemacht: sehen Sie in ihr Protokoll (journalctl -u edged).
@@ -186,3 +187,12 @@ zoom = Vergrößerung
 zoom-in = Näher
 zoom-out = Weiter weg
 zoom-all = Alles
+
+## Entwürfe
+draft-begun = Zuvor begonnen
+draft-go-on = Weiter damit
+draft-go-on-with = Weiter mit { $name }
+draft-discard = Verwerfen
+draft-discard-name = { $name } verwerfen
+draft-discard-title = { $name } verwerfen?
+draft-broken = Sie lässt sich nicht mehr lesen.

@@ -108,6 +108,7 @@ problem-image-size =
        *[right] right
     } picture has { $found } pixels, and the calibration is of { $wanted }: let the cameras give that again, or calibrate them as they are now.
 problem-task-failed = The cell's own work on it ended without a result. If that happens again, look at its log (journalctl -u edged).
+problem-task-too-large = This took more memory or processor time than the cell may spend on it, and was ended: use fewer or smaller pictures, or a smaller drawing.
 problem-gone = This picture is no longer kept. Take a new one.
 problem-status-404 = This cell does not offer that. Update edged on the cell PC, and load this page again.
 problem-status-500 = The cell made a mistake of its own: look at its log (journalctl -u edged).
@@ -186,3 +187,12 @@ zoom = Zoom
 zoom-in = Closer
 zoom-out = Further away
 zoom-all = All
+
+## Drafts
+draft-begun = Begun before
+draft-go-on = Go on
+draft-go-on-with = Go on with { $name }
+draft-discard = Discard
+draft-discard-name = Discard { $name }
+draft-discard-title = Discard { $name }?
+draft-broken = It cannot be read any more.

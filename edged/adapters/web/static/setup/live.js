@@ -1,6 +1,7 @@
 // What the cell is and does now: facts and pictures over one WebSocket, and the lease of whoever sets it up.
 import { batch, computed, effect, signal, useEffect } from "../vendor/ui.js";
 import { ask, attempt, glance, logIn, Problem, trouble } from "./api.js";
+import { forget, isAside } from "./drafting.js";
 
 const KEPT = "edged.lease";
 const LEASE_MS = 5000;
@@ -159,7 +160,16 @@ function rouse() {
   if (document.visibilityState !== "visible") return;
   const slept = Date.now() - awake;
   awake = Date.now();
-  if (slept > SLEPT_MS) listenAnew();
+  if (slept > SLEPT_MS || !socket) listenAnew();
+}
+// A page that is left or frozen may come back from the browser's memory. Its socket does not: browsers cut it there, and say so as a fault.
+function rest() {
+  const old = socket;
+  socket = null;
+  clearTimeout(retry);
+  isConnected.value = false;
+  waiting.clear();
+  old?.close();
 }
 function listenAnew() {
   const old = socket;
@@ -192,7 +202,7 @@ function hear({ type, ...message }) {
     if (token.value && !message.setup?.yours) renew(); // says at once that it is lost
     if (isOther) glance(lookAtCheck);
   } else if (type === "check") checked.value = message;
-  else if (type === "draft") draft.value = message;
+  else if (type === "draft") hearDraft(message);
   else if (type === "task") task.value = message;
   else if (type === "quality") quality.value = message;
   else if (type === "live") {
@@ -201,6 +211,15 @@ function hear({ type, ...message }) {
     // it ends when nobody has looked for a while: a tablet that slept looks again
     if (message.code === "unseen" && document.visibilityState === "visible") tellLive();
   } else told(type).value = message;
+}
+
+// What is told of the calibration that is shown; and another one, where the cell is at that and nobody here has put it aside.
+function hearDraft(message) {
+  const isShown = message.id === draft.peek()?.id;
+  if (message.gone) {
+    forget("calibrations", message.id);
+    if (isShown) draft.value = null;
+  } else if (isShown || (message.current && !message.active && !isAside("calibrations", message.id))) draft.value = message;
 }
 
 // Of a whole image of a camera, whatever the size of the picture that is shown.
@@ -249,10 +268,19 @@ effect(() => {
 
 const tellLive = () => say(liveViews.value > 0 && holds.value ? { live: true, token: token.value } : { live: false });
 
+// Somebody may have discarded it meanwhile.
+async function lookAtDraft(id) {
+  const found = await ask("GET", `calibrations/${id}`).catch((problem) => {
+    if (problem.status !== 404) throw problem;
+    return null;
+  });
+  if (draft.peek()?.id === id) draft.value = found;
+}
+
 async function facts() {
   me.value = await ask("GET", "me");
   await look();
-  if (draft.peek()) draft.value = await ask("GET", `calibrations/${draft.peek().id}`);
+  if (draft.peek()) await lookAtDraft(draft.peek().id);
   if (offers("trials/still")) ask("GET", "trials/still").then(({ last }) => (told("still").value = last), () => {});
   if (offers("cameras") && cameras.peek()) await search();
 }
@@ -268,6 +296,9 @@ export async function start() {
   }, LEASE_MS);
   for (const name of ["pointerdown", "keydown"]) addEventListener(name, sign, { passive: true });
   for (const name of ["visibilitychange", "resume"]) document.addEventListener(name, rouse);
+  document.addEventListener("freeze", rest);
+  addEventListener("pagehide", rest);
+  addEventListener("pageshow", rouse);
   addEventListener("online", listenAnew);
   addEventListener("storage", adopt);
   addEventListener("visibilitychange", () => document.visibilityState === "visible" && tellLive());

@@ -10,7 +10,7 @@ export const isPitched = ({ kind }) => kind === "dots" || kind === "circles";
 
 export function BoardFields({ size, onSize }) {
   const set = (values) => onSize({ ...size, ...values });
-  const count = (name) => html`<${NumberField} label=${t(`board-${name}`)} unit="" digits=${0} low=${3} high=${99} value=${size[name]} onValue=${(value) => set({ [name]: Math.round(value) })} />`;
+  const count = (name) => html`<${NumberField} label=${t(`board-${name}`)} unit="" digits=${0} low=${3} high=${99} value=${size[name]} onValue=${(value) => set({ [name]: Math.round(value) })} name=${name} />`;
   return html`<div class="row">
     <label class="field"><span>${t("board-kind")}</span><select value=${size.kind} onChange=${(event) => set({ kind: event.currentTarget.value })}>${KINDS.map((one) => html`<option value=${one} selected=${one === size.kind}>${t(`kind-${one}`)}</option>`)}</select></label>
     ${count("columns")} ${count("rows")}

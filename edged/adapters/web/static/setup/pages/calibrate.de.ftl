@@ -2,6 +2,13 @@
 calibrate-title = Kalibrieren
 calibrate-what = Halten Sie eine Kalibriertafel vor beide Kameras, an verschiedenen Orten und verschieden geneigt. edged sagt, welche Ansicht am meisten hilft, und wann es genug ist.
 calibrate-new = Andere Kalibrierung beginnen
+calibrate-nameless = { $id }, noch ohne Tafel
+calibrate-begun-views =
+    { $views ->
+        [one] eine Ansicht
+       *[other] { $views } Ansichten
+    }
+calibrate-discard-what = Alle ihre Ansichten sind dann weg. Die Kalibrierung in Gebrauch bleibt.
 calibrate-board = Tafel:
 calibrate-looking = Halten Sie die Tafel vor beide Kameras, dorthin, wo Teile liegen werden: sie wird erkannt.
 sigma-unknown =

@@ -2,6 +2,13 @@
 calibrate-title = Calibrate
 calibrate-what = Hold a calibration board before both cameras, at different places and tilts. edged says which view helps most, and when it is enough.
 calibrate-new = Begin another calibration
+calibrate-nameless = { $id }, no board yet
+calibrate-begun-views =
+    { $views ->
+        [one] one view
+       *[other] { $views } views
+    }
+calibrate-discard-what = All its views are gone. The calibration in use stays.
 calibrate-board = Board:
 calibrate-looking = Hold the board before both cameras, where parts will lie: it is being recognised.
 sigma-unknown =

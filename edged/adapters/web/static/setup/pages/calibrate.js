@@ -1,7 +1,8 @@
 // The calibration: which board, then hands free view by view until the goal, then the solution and its release.
-import { html, useEffect, useRef, useState } from "../../vendor/ui.js";
+import { html, signal, useEffect, useRef, useState } from "../../vendor/ui.js";
 import { ask, attempt, glance, sentence } from "../api.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
+import { Begun, Discard, discard, putAside, unfinished } from "../drafting.js";
 import { draft, holds, look, mayTake, newest, offers, sign, task, token, useFresh } from "../live.js";
 import { Filmstrip, short } from "./filmstrip.js";
 import { Pair, points } from "./picture.js";
@@ -23,12 +24,41 @@ const change = (method, path, body = {}) =>
     return true;
   });
 
-// The newest that is not in use yet: what somebody began goes on, here or on another screen.
-async function find() {
-  const { calibrations } = await ask("GET", "calibrations");
-  const begun = calibrations.find(({ active, trouble }) => !active && !trouble);
-  draft.value = begun ? await newest(draft, ask("GET", `calibrations/${begun.id}`)) : null;
+const KIND = "calibrations";
+const drafts = signal([]);
+async function list() {
+  ({ calibrations: drafts.value } = await ask("GET", KIND));
 }
+
+// What somebody began goes on, here or on another screen.
+async function find() {
+  await list();
+  const begun = unfinished(KIND, drafts.value);
+  draft.value = begun && (await newest(draft, ask("GET", `${KIND}/${begun.id}`)));
+}
+
+// Nothing is looked for any more by itself: no view of the next board may come into this one.
+const another = () =>
+  attempt(async () => {
+    if (draft.value.auto && holds.value) draft.value = await ask("PUT", `${place()}/auto`, { token: token.value, on: false });
+    await list();
+    putAside(KIND, drafts.value);
+    draft.value = null;
+  });
+async function throwAway(id) {
+  await glance(list);
+  putAside(KIND, drafts.value);
+  if (!(await discard(KIND, id))) return;
+  if (draft.value?.id === id) draft.value = null;
+  await glance(list);
+}
+const goOn = (id) =>
+  attempt(async () => {
+    draft.value = await newest(draft, mayTake.value ? ask("POST", `${KIND}/${id}/go-on`) : ask("GET", `${KIND}/${id}`));
+  });
+
+const nameOf = ({ boards: specs, id }) => (specs.length ? specs.join(", ") : t("calibrate-nameless", { id }));
+const inTile = (line) => ({ name: nameOf(line), isGiven: line.boards.length > 0, more: t("calibrate-begun-views", { views: line.views }) });
 
 // --- which board ---
 
@@ -234,15 +264,22 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
 }
 
 export default function Calibrate() {
-  useFresh(() => (!draft.value || draft.value.active) && glance(find));
-  if (!draft.value) return html`<h1>${t("calibrate-title")}</h1><p class="lead">${t("calibrate-what")}</p><${Pair} /><${Board} />`;
-  const { boards: specs } = draft.value;
+  useFresh(() => (!draft.value || draft.value.active) && glance(find), [draft.value === null]);
+  if (!draft.value)
+    return html`<h1>${t("calibrate-title")}</h1><p class="lead">${t("calibrate-what")}</p><${Pair} /><${Board} />
+      <${Begun} drafts=${drafts.value} about=${inTile} what=${t("calibrate-discard-what")} isDisabled=${!mayTake.value} onOpen=${goOn} onDiscard=${throwAway} />`;
+  const { id, boards: specs } = draft.value;
   return html`<h1>${t("calibrate-title")}</h1>
-    <p class="lead">${specs.length ? html`${t("calibrate-board")} <span translate=${false}>${specs.join(", ")}</span>` : t("calibrate-looking")}</p>
+    <div class="draft-bar">
+      <p class="lead">${specs.length ? html`${t("calibrate-board")} <span translate=${false}>${specs.join(", ")}</span>` : t("calibrate-looking")}</p>
+      <div class="actions">
+        <button type="button" disabled=${!mayTake.value} onClick=${another}>${t("calibrate-new")}</button>
+        <${Discard} name=${nameOf(draft.value)} what=${t("calibrate-discard-what")} isDisabled=${!mayTake.value} onDiscard=${() => throwAway(id)} />
+      </div>
+    </div>
     <${Figure} />
     <${Pair} over=${boards} below=${(side) => html`<${Seen} side=${side} />`} />
-    <${Capture} />
+    <${Capture} key=${id} />
     <${Filmstrip} change=${change} why=${why} />
-    <${Solve} />
-    <div class="actions"><button type="button" disabled=${!mayTake.value} onClick=${() => (draft.value = null)}>${t("calibrate-new")}</button></div>`;
+    <${Solve} key=${`solve ${id}`} />`;
 }

@@ -28,6 +28,14 @@ robot-program-how = Wie das geht
 robot-walks = Das eigene Programm des Roboters registriert die Zelle gerade: seine Posen oder Punkte erscheinen hier, wie sie kommen.
 robot-walked = Diese hat das eigene Programm des Roboters aufgenommen.
 robot-new = Eine neue beginnen
+robot-begun-touch = Angetastete Punkte
+robot-begun-poses = Posen des Flanschs
+robot-begun-samples =
+    { $samples ->
+        [one] bisher eine
+       *[other] bisher { $samples }
+    }
+robot-discard-what = Alle ihre Punkte und Posen sind dann weg. Eine Registrierung in Gebrauch bleibt.
 robot-take-cell = Nehmen Sie die Zelle: ihre Kameras werden gebraucht.
 robot-taking = Das Bild wird aufgenommen …
 robot-name-point = Punkt { $number }

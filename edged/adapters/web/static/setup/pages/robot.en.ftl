@@ -28,6 +28,14 @@ robot-program-how = How that is done
 robot-walks = The robot's own program registers the cell now: its poses or points appear here as they come.
 robot-walked = The robot's own program took these.
 robot-new = Begin another one
+robot-begun-touch = Touched points
+robot-begun-poses = Poses of the flange
+robot-begun-samples =
+    { $samples ->
+        [one] one so far
+       *[other] { $samples } so far
+    }
+robot-discard-what = All its points and poses are gone. A registration in use stays.
 robot-take-cell = Take the cell: its cameras are needed.
 robot-taking = The picture is being taken …
 robot-name-point = point { $number }

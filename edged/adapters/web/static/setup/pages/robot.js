@@ -6,11 +6,12 @@ import { NumberField, say, Shape, useKept } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { dashed, number, t } from "../texts.js";
 import { BoardFields, isPitched, SIZE, specOf } from "./board.js";
+import { Begun, Discard } from "../drafting.js";
 import { Pair } from "./picture.js";
 import { More, Places, title } from "./robotplaces.js";
 import { Samples } from "./robotsamples.js";
 import { Sky } from "./robotsky.js";
-import { BRANDS, change, current, find, hear, heard, placeName, sampleName } from "./robotdraft.js";
+import { another, BRANDS, change, current, find, goOn, hear, heard, placeName, sampleName, throwAway } from "./robotdraft.js";
 import { Shown } from "./robotnumbers.js";
 import { styled } from "./styles.js";
 
@@ -205,18 +206,30 @@ function GoThere() {
     ${confirmed && html`<p class="verdict" role="status"><${Shape} is=${isGood ? "tick" : "doubt"} /> ${t("robot-off-by", { mm: number(confirmed.distance_mm, 2) })} ${!isGood && t("robot-off-more")}</p>`}`;
 }
 
+const wayOf = ({ kind }) => t(kind === "touch" ? "robot-begun-touch" : "robot-begun-poses");
+const inTile = (line) => ({ name: wayOf(line), more: t("robot-begun-samples", { samples: line.samples }) });
+
 export default function Robot() {
-  useFresh(() => glance(() => find(current.draft.value?.id)));
+  useFresh(() => glance(() => find(current.draft.value?.id)), [current.draft.value === null]);
   useEffect(() => effect(hear), []);
   const { draft } = current;
   const head = html`<h1>${t("robot-title")}</h1><p class="lead">${t("robot-lead")}</p>`;
   if (cell.value.missing.includes("rig")) return html`${head}<p><${Shape} is="gap" /> ${t("robot-no-rig")}</p><div class="actions"><a class="button primary" href="#/calibrate">${t("step-calibrate")}</a></div>`;
   const [shape, is] = registered();
   const now = html`<p><${Shape} is=${shape} /> ${t(is)}</p>`;
-  if (!draft.value) return html`${head}${now}${current.brands.value.length > 0 && html`<${Begin} />`}`;
-  const { kind, brand, stale, by_program, solved } = draft.value;
+  if (!draft.value)
+    return html`${head}${now}${current.brands.value.length > 0 && html`<${Begin} />`}
+      <${Begun} drafts=${current.drafts.value} about=${inTile} what=${t("robot-discard-what")} isDisabled=${!mayTake.value} onOpen=${(id) => attempt(() => goOn(id))} onDiscard=${throwAway} />`;
+  const { id, kind, brand, stale, by_program, solved } = draft.value;
   const isWalking = by_program && !solved && cell.value.setup?.source === "robot"; // it takes the pictures itself
   return html`${head}${now}
+    <div class="draft-bar">
+      <p><strong>${wayOf(draft.value)}</strong></p>
+      <div class="actions">
+        <button type="button" disabled=${!mayTake.value} onClick=${() => attempt(another)}>${t("robot-new")}</button>
+        <${Discard} name=${wayOf(draft.value)} what=${t("robot-discard-what")} isDisabled=${!mayTake.value} onDiscard=${() => throwAway(id)} />
+      </div>
+    </div>
     ${stale && html`<p class="verdict"><${Shape} is="gap" /> ${t("robot-stale")}</p>`}
     <div class="row"><${BrandField} value=${brand ?? ""} onValue=${(one) => change("PUT", "", { brand: one || null })} mayBeUnknown=${kind === "poses"} /></div>
     ${by_program && html`<p><${Shape} is=${isWalking ? "busy" : "none"} /> ${t(isWalking ? "robot-walks" : "robot-walked")}</p>`}
@@ -224,6 +237,5 @@ export default function Robot() {
     ${kind === "poses" && draft.value.sky.length > 1 && html`<${Sky} sky=${draft.value.sky} missing=${draft.value.missing} />`}
     <${Verdict} />
     <${Samples} />
-    <${Keep} />
-    <div class="actions"><button type="button" disabled=${!mayTake.value} onClick=${() => (draft.value = null)}>${t("robot-new")}</button></div>`;
+    <${Keep} key=${id} />`;
 }

@@ -1,6 +1,7 @@
 // The registration that somebody is at: the newest state of its draft, and what is said of its things.
 import { signal } from "../../vendor/ui.js";
-import { ask, attempt, Problem } from "../api.js";
+import { ask, attempt, glance, Problem } from "../api.js";
+import { discard, forget, isAside, putAside, unfinished } from "../drafting.js";
 import { newest, told } from "../live.js";
 import { t } from "../texts.js";
 
@@ -9,21 +10,47 @@ export const BRANDS = {
   kawasaki: "Kawasaki", doosan: "Doosan", mitsubishi: "Mitsubishi", epson: "Epson", denso: "Denso", techman: "Techman",
 };
 // job: whose part is touched, null for the board of the draft.
-export const current = { draft: signal(null), brands: signal([]), job: signal(null) };
+export const current = { draft: signal(null), drafts: signal([]), brands: signal([]), job: signal(null) };
 
 export const heard = told("registration");
 
-// This one, or the newest that is not in use yet: what somebody began goes on, here or on another screen.
+const KIND = "registrations";
+async function list() {
+  ({ registrations: current.drafts.value, brands: current.brands.value } = await ask("GET", KIND));
+}
+export async function goOn(id) {
+  current.draft.value = await newest(heard, ask("GET", `${KIND}/${id}`));
+}
+
+// This one; or what somebody began goes on, here or on another screen.
 export async function find(id) {
-  const { registrations, brands } = await ask("GET", "registrations");
-  current.brands.value = brands;
-  const begun = registrations.find((one) => (id ? one.id === id : !one.active && !one.trouble));
-  current.draft.value = begun ? await newest(heard, ask("GET", `registrations/${begun.id}`)) : null;
+  await list();
+  const begun = current.drafts.value.find((one) => one.id === id) ?? unfinished(KIND, current.drafts.value);
+  if (begun) await goOn(begun.id);
+  else current.draft.value = null;
+}
+
+export async function another() {
+  await list();
+  putAside(KIND, current.drafts.value);
+  current.draft.value = null;
+}
+export async function throwAway(id) {
+  await glance(list);
+  putAside(KIND, current.drafts.value);
+  if (!(await discard(KIND, id))) return;
+  if (current.draft.value?.id === id) current.draft.value = null;
+  await glance(list);
 }
 
 export function hear() {
   const [now, newer] = [current.draft.peek(), heard.value];
-  if (now ? newer?.id === now.id && newer.revision >= now.revision : newer?.by_program) current.draft.value = newer;
+  if (!newer) return;
+  const isShown = newer.id === now?.id;
+  if (newer.gone) {
+    forget(KIND, newer.id);
+    if (isShown) current.draft.value = null;
+  } else if (isShown ? newer.revision >= now.revision : !now && newer.by_program && !isAside(KIND, newer.id)) current.draft.value = newer;
 }
 
 // Of the draft as it is seen here: what somebody else has changed meanwhile is looked at first.

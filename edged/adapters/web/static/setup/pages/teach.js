@@ -3,7 +3,8 @@ import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt, glance, sentence } from "../api.js";
 import { cell, holds, look, mayTake, newest, SIDES, sign, token, useFresh } from "../live.js";
 import { Pair } from "./picture.js";
-import { Dialog, say, Shape } from "../pieces.js";
+import { Begun, Discard, discard } from "../drafting.js";
+import { say, Shape } from "../pieces.js";
 import { Releasing } from "../releasing.js";
 import { styled } from "./styles.js";
 import { around, centre, extent, featureAt, FeatureList, Features, Outlines, Places, Predicted, toggle, Warnings } from "./teachfeatures.js";
@@ -34,7 +35,6 @@ function Begin() {
       }
     });
   const goOn = (id) => attempt(async () => open(await newest(pushed, ask("GET", `teachings/${id}`))));
-  const begun = (drafts.value ?? []).filter(({ active }) => !active);
   const known = (jobs.value ?? []).filter(({ retired }) => !retired);
   const fresh = { token: token.value };
   return html`<h1>${t("teach-title")}</h1>
@@ -46,15 +46,7 @@ function Begin() {
       <div class="actions"><button type="button" class="primary big" disabled=${!holds.value || isTaking} onClick=${() => begin(fresh)}>${t(isTaking ? "teach-taking" : "teach-take")}</button></div>
       ${!holds.value && html`<p class="hint">${t("teach-take-cell")}</p>`}
     </section>
-    ${begun.length > 0 &&
-    html`<section aria-labelledby="teach-begun">
-      <h2 id="teach-begun">${t("teach-begun")}</h2>
-      <ul class="tiles">${begun.map(
-        ({ id, name, author, created }) =>
-          html`<li class="tile" key=${id}><h3 translate=${false}>${name}</h3><p class="muted" translate=${false}>${moment(created)} · ${author}</p>
-            <div class="actions"><button type="button" aria-label=${t("teach-go-on-with", { name })} onClick=${() => goOn(id)}>${t("teach-go-on")}</button></div></li>`,
-      )}</ul>
-    </section>`}
+    <${Begun} drafts=${drafts.value ?? []} about=${({ name }) => ({ name, isGiven: true })} what=${t("teach-discard-what")} isDisabled=${!mayTake.value} onOpen=${goOn} onDiscard=${throwAway} />
     ${known.length > 0 &&
     html`<section aria-labelledby="teach-known">
       <h2 id="teach-known">${t("teach-known")}</h2>
@@ -158,17 +150,7 @@ function Activate() {
 
 const step = (way) => async () => (await change("POST", `/${way}`)) && say(t(way === "undo" ? "teach-undone" : "teach-redone"));
 function Bar() {
-  const [isAsked, setAsked] = useState(false);
-  const { name, job, can_undo, can_redo, author, created } = teaching.value;
-  const discard = async () => {
-    setAsked(false);
-    const { id } = teaching.value;
-    const gone = await attempt(async () => {
-      await ask("DELETE", `teachings/${id}`, {});
-      return true;
-    });
-    if (gone) shut();
-  };
+  const { id, name, job, can_undo, can_redo, author, created } = teaching.value;
   useEffect(() => {
     const key = (event) => {
       if (!(event.ctrlKey || event.metaKey) || !/^[zy]$/i.test(event.key) || event.target.matches("input, textarea, select") || !mayTake.value) return;
@@ -185,17 +167,16 @@ function Bar() {
       <button type="button" disabled=${!can_undo || !mayTake.value} onClick=${step("undo")}>${t("teach-undo")}</button>
       <button type="button" disabled=${!can_redo || !mayTake.value} onClick=${step("redo")}>${t("teach-redo")}</button>
       <button type="button" onClick=${shut}>${t("teach-other")}</button>
-      <button type="button" disabled=${!mayTake.value} onClick=${() => setAsked(true)}>${t("teach-discard")}</button>
+      <${Discard} name=${name} what=${t("teach-discard-what")} isDisabled=${!mayTake.value} onDiscard=${() => throwAway(id)} />
     </div>
-    <${Dialog} title=${t("teach-discard-title", { name })} isOpen=${isAsked} onClose=${() => setAsked(false)}>
-      <p>${t("teach-discard-what")}</p>
-      <div class="actions"><button type="button" onClick=${() => setAsked(false)}>${t("back")}</button><button type="button" class="primary" onClick=${discard}>${t("teach-discard")}</button></div>
-    <//>
   </div>`;
 }
 function shut() {
   open(null);
   glance(find);
+}
+async function throwAway(id) {
+  if (await discard("teachings", id)) shut();
 }
 
 export default function Teach() {

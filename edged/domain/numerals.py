@@ -1,0 +1,37 @@
+"""Numbers as machines and strangers write them: digits of ASCII, and nothing that only Python takes for one.
+
+`int` and `float` also read underscores, digits of any alphabet, `nan` and `inf`: what was torn or mistyped
+would be another number, and a robot would move by it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+_WHOLE = re.compile(r"[0-9]+")
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+LONGEST = 100
+"""Characters of a number; none that is meant has more."""
+
+
+def whole(text: str) -> int:
+    """A number of digits alone, without a sign. Raises ValueError.
+
+    >>> whole("0042")
+    42
+    """
+    if len(text) > LONGEST or not _WHOLE.fullmatch(text):
+        raise ValueError(f"expected a whole number, got {text[:LONGEST]!r}")
+    return int(text)
+
+
+def decimal(text: str) -> float:
+    """A finite number with a decimal point, or without one. Raises ValueError.
+
+    >>> decimal("-5123456E-4")
+    -512.3456
+    """
+    if len(text) > LONGEST or not _DECIMAL.fullmatch(text) or not math.isfinite(value := float(text)):
+        raise ValueError(f"expected a finite number, got {text[:LONGEST]!r}")
+    return value

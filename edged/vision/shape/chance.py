@@ -1,0 +1,226 @@
+"""Edges by chance: what the bare face of a part shows, in this picture, where the part has no edge.
+
+Grinding, turning and milling leave a texture that is full of edges. How many of them a curve meets depends on
+the surface, the light and the curve: rings are met all along by a curve about their middle and by no other,
+streaks by what runs with them. So it is measured where it matters: the very points that tell two rotations
+apart are turned about the part's middle to where the face has no edge of its own, and looked at there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray, Image
+from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
+from edged.vision.geometry.rigid import rotation_2d
+from edged.vision.shape import refine
+from edged.vision.shape.model import ShapeModel
+
+MISTAKES = 1e-6
+"""Wanted share of wrong rotations that chance makes look right."""
+EVIDENCE = -math.log(MISTAKES)
+"""Nats that speak for a rotation when chance would show so much once in 1 / MISTAKES pictures."""
+PLACES = 23
+"""Rotations at which points are looked at elsewhere: a prime, so that none is a part's own symmetry."""
+CLEAR_PX = 4.0
+"""Farther from every edge of the model there is none of its slope left: reach and width of the operator."""
+RARE = (0.05, 0.02, 0.005)
+"""Shares of places on the face where chance shows an edge as strong as one that counts: a part's own edges
+may be hardly stronger than its texture, or what lies on the face may have edges as strong as they are."""
+OFTEN = 0.2
+"""Share at which edges are so frequent that it shows how far they go together."""
+MAX_LOOKS, MAX_POINTS = 960, 128
+"""Looks that are taken elsewhere, and points of the model that take part: a tenth of a millisecond."""
+STRIDE = 7
+"""Places in this order lie all around, however many are used."""
+FEW_LOOKS, FEW_PLACES = 40, 4
+"""With fewer looks a set of points is judged by all that were taken; with fewer places no scatter is told."""
+CURVE_POINTS = 64
+"""Of more points than these, others lie on other curves."""
+LEAST_SLOPE = 1e-6
+"""Grey values per px: below it there is no edge."""
+UNKNOWN = 0.3
+"""Share of points that show an edge by chance where nothing of the face is seen bare."""
+Array = npt.NDArray[Any]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Elsewhere:
+    """Points of a model, turned about its middle to where its face has no edge.
+
+    points, normals (C, 2) : as `ShapeLevel`.  of (C,) : which point of the model it is.  place (C,) : number
+    of the rotation, of PLACES.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    of: npt.NDArray[np.int64]
+    place: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chance:
+    """What points of a model showed elsewhere on its face.
+
+    known (U,) : which points of the model.  looked (U,), met (T, U) : at how many places the bare face was
+    seen there, and at how many of them an edge.  thresholds (T,) : slopes from which an edge may count,
+    ascending; chance exceeds the first at the first of the shares RARE, and so on.  repeated, many : by how
+    much more than of independent points the number of edges of a set scatters, and of how many that was told.
+    """
+
+    known: npt.NDArray[np.int64]
+    looked: FloatArray
+    met: FloatArray
+    thresholds: FloatArray
+    repeated: float = 1.0
+    many: float = 1.0
+
+    @staticmethod
+    def of(
+        known: npt.NDArray[np.int64], slope: FloatArray, thresholds: FloatArray, scatter: tuple[float, float]
+    ) -> Chance:
+        """From the slope (PLACES, U) of the edge at each place, 0 without one, NaN where no face was seen."""
+        looked = np.count_nonzero(np.isfinite(slope), axis=0).astype(np.float64)
+        met = np.count_nonzero(slope >= thresholds[:, None, None], axis=1).astype(np.float64)  # False for NaN
+        return Chance(known, looked, met, thresholds, *scatter)
+
+    def shares(self, sets: Flags) -> FloatArray:
+        """Share (T, K) of each of K sets (K, N) of the model's points that shows an edge by chance."""
+        members = sets[:, self.known].T.astype(np.float64)
+        looked, met = self.looked @ members, self.met @ members
+        few = looked < FEW_LOOKS
+        looked[few], met[:, few] = self.looked.sum(), self.met.sum(axis=1)[:, None]
+        return np.asarray(np.where(looked > 0, (met + 0.5) / (looked + 1.0), UNKNOWN))
+
+    def evidence(self, sets: Flags, slopes: FloatArray, strong: float, shares: FloatArray) -> FloatArray:
+        """How unlikely it is, in nats (K,), that chance shows so many edges of each of K sets of points.
+
+        sets (K, N) : points of the model, with their `shares`.  slopes (N,) or (K, N) : strength of the edge
+        that each shows.  strong : slope from which one counts at least.
+        A share s of n independent points, where chance shows a share p, is reached with a probability below
+        exp(-n KL(s, p)) (H. Chernoff, 1952). Of all thresholds the one that tells most decides, at the price
+        of having chosen it.
+        """
+        count = np.maximum(np.count_nonzero(sets, axis=1), 1)
+        levels = np.maximum(self.thresholds, strong)
+        shown = np.stack([np.count_nonzero(sets & (slopes >= level), axis=1) for level in levels])
+        seen = np.clip(shown / count, shares, 1.0)
+        rest = (1.0 - seen) * np.log(np.maximum(1.0 - seen, 1e-12) / (1.0 - shares))
+        nats = self._independent(count) * (seen * np.log(seen / shares) + rest)
+        return np.asarray(nats.max(axis=0) - math.log(len(levels)))
+
+    def _independent(self, count: Array) -> FloatArray:
+        """How many independent points tell as much as so many on a few curves."""
+        shared = (self.repeated - 1.0) / max(self.many - 1.0, 1.0)
+        return np.asarray(count / (1.0 + (np.minimum(count, CURVE_POINTS) - 1.0) * min(shared, 1.0)))
+
+
+def clumping(
+    slope: FloatArray, known: npt.NDArray[np.int64], sets: Flags, often: float
+) -> tuple[float, float]:
+    """By how much more than of independent points the number of edges of a set scatters; of how many points.
+
+    slope (PLACES, U), known (U,) : as in `Chance.of`.  sets (K, N) : points that lie on a curve or two.
+    often : slope that chance exceeds often enough to tell.
+    Rings and streaks are met by many points at once, or by none: the number of edges scatters from place to
+    place like that of so many fewer points (beta-binomial).
+    """
+    members = sets[:, known].T.astype(np.float32)
+    looked = np.isfinite(slope).astype(np.float32) @ members
+    met = (slope >= often).astype(np.float32) @ members  # False for NaN
+    used = looked > 1
+    places = np.count_nonzero(used, axis=0)
+    told = (places > FEW_PLACES) & (met.sum(axis=0) > 0)
+    if not told.any():
+        return 1.0, 1.0
+    looked, met, used = looked[:, told], met[:, told], used[:, told]
+    share = met.sum(axis=0) / np.maximum(looked.sum(axis=0), 1.0)
+    scatter = (met - looked * share) ** 2 / np.maximum(looked * share * (1.0 - share), 1e-9)
+    freedom = (places[told] - 1).sum()
+    return max(float(scatter[used].sum()) / float(freedom), 1.0), float(looked[used].mean())
+
+
+def look_elsewhere(
+    image: Image,
+    model: ShapeModel,
+    pose: FloatArray,
+    sign: int,
+    sets: Flags,
+    reach_px: tuple[float, float],
+    face: tuple[float, float],
+    strong: float,
+) -> Chance:
+    """Look at points of a model elsewhere on the face of the part at a pose, in an image (H, W) uint8.
+
+    sets (K, N) : which of its points; those of one set lie together.  sign : as in `edges_along_normals`.
+    reach_px : how far from a point its edge is looked for, and how far grey values beside it.  face : lowest
+    and highest grey value of the face; beside what is darker or brighter lies a hole, or something that is no
+    texture.  strong : slope from which an edge may be the part's.
+    """
+    all_places = elsewhere(model)
+    chosen = _chosen(all_places, np.asarray(sets.any(axis=0)))
+    placed = np.empty((len(chosen), 4))
+    refine.place(all_places.points[chosen], all_places.normals[chosen], pose, placed)
+    reach, aside = reach_px
+    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], aside, aside)
+    on_face = ((beside > face[0]) & (beside < face[1])).all(axis=1)  # False for NaN
+    placed, chosen = np.ascontiguousarray(placed[on_face]), chosen[on_face]
+    offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], reach, sign)
+    slope = np.where(np.abs(offsets) < refine.AGREES_PX, np.abs(slopes), 0.0)  # False for NaN
+    known, column = np.unique(all_places.of[chosen], return_inverse=True)
+    table = np.full((PLACES, len(known)), np.nan)
+    table[all_places.place[chosen], column] = slope
+    exceeded = _exceeded(slope)
+    levels = np.maximum(exceeded[:-1], LEAST_SLOPE)
+    scatter = max(clumping(table, known, sets, float(level)) for level in levels)
+    return Chance.of(known, table, np.maximum(exceeded[1:], strong), scatter)
+
+
+def _exceeded(slope: FloatArray) -> FloatArray:
+    """What the shares OFTEN and RARE of slopes (C,) exceed; 0 without any."""
+    wanted = np.array((OFTEN, *RARE))
+    if not len(slope):
+        return np.zeros(len(wanted))
+    ranks = np.ceil((1.0 - wanted) * len(slope)).astype(int) - 1
+    return np.asarray(np.partition(slope, ranks)[ranks])
+
+
+def _chosen(all_places: Elsewhere, points: Flags) -> npt.NDArray[np.int64]:
+    """Indices of what is looked at: curves as whole as may be, at as many places as there is time for."""
+    # the model's points come in random order: the first ones are as good as any
+    some = points & (np.cumsum(points) <= MAX_POINTS)
+    found = np.flatnonzero(some[all_places.of])
+    scattered = all_places.place[found] * STRIDE % PLACES
+    return np.asarray(found[np.argsort(scattered, kind="stable")][:MAX_LOOKS])
+
+
+@lru_cache(maxsize=16)
+def elsewhere(model: ShapeModel) -> Elsewhere:
+    """Where the points of a model may be turned to."""
+    level, centre = model.levels[0], model.centre_px
+    points, normals = level.points, level.normals
+    low = np.floor(points.min(axis=0)) - 2.0
+    width, height = (np.ceil(points.max(axis=0)) - low).astype(int) + 3
+    canvas = np.full((height, width), 255, np.uint8)
+    inside = np.zeros_like(canvas)
+    cells = np.rint(points - low).astype(np.int32)
+    canvas[cells[:, 1], cells[:, 0]] = 0
+    cv2.fillConvexPoly(inside, cv2.convexHull(cells), 255)
+    clear = (cv2.distanceTransform(canvas, cv2.DIST_L2, 5) > CLEAR_PX) & (inside > 0)
+    found: list[tuple[FloatArray, FloatArray, Array, Array]] = []
+    for place in range(1, PLACES):
+        turn = rotation_2d(2 * math.pi * place / PLACES)
+        moved = (points - centre) @ turn.T + centre
+        x, y = np.rint(moved - low).astype(np.int64).T
+        there = np.flatnonzero((x >= 0) & (x < width) & (y >= 0) & (y < height))
+        there = there[clear[y[there], x[there]]]
+        found.append((moved[there], (normals @ turn.T)[there], there, np.full(len(there), place)))
+    return Elsewhere(*(np.ascontiguousarray(np.concatenate(column)) for column in zip(*found, strict=True)))

@@ -1,0 +1,108 @@
+"""Who sends to the page as fast as they can is shown the door, and the PLC beside it gets every answer."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import struct
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from scriptedhead import Ear
+from webcell import Cell, running
+
+from edged.adapters.modbus import ModbusSettings
+from edged.plc.registers import ADDRESS
+
+FLOODER = Path(__file__).parents[1] / "flooder.py"
+COMMANDS = 12
+PATIENCE_S = 5.0
+"""Of the PLC, for one command."""
+TABS, LINES = 8, 16
+
+
+@asynccontextmanager
+async def flood(cell: Cell, kind: str, connections: int) -> AsyncIterator[list[int]]:
+    """Beside it somebody floods. Yields what in the end holds how many connections were closed."""
+    cookie = "; ".join(f"{name}={value}" for name, value in cell.cookies().items())
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, str(FLOODER), str(cell.web.port), kind, str(connections), cookie),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    closed: list[int] = []
+    try:
+        assert b"flooding\n" == await process.stdout.readline()
+        yield closed
+        process.stdin.close()
+        closed.append(int(await process.stdout.readline()))
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        await process.communicate()
+
+
+async def answered(port: int) -> int:
+    """How many of a PLC's commands have their result before its patience ends."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+
+    async def ask(pdu: bytes, size: int) -> bytes:
+        writer.write(struct.pack(">HHHB", 1, 0, len(pdu) + 1, 1) + pdu)
+        return await reader.readexactly(size)
+
+    async def command(sequence: int) -> None:
+        await ask(struct.pack(">BHHB3H", 16, ADDRESS["COMMAND"], 3, 6, 1, 0, sequence), 12)
+        while sequence != struct.unpack(">H", (await ask(struct.pack(">BHH", 3, 300, 1), 11))[9:])[0]:  # noqa: ASYNC110  (a PLC polls)
+            await asyncio.sleep(0.005)
+
+    await ask(struct.pack(">BHH", 6, ADDRESS["CMD_SEQ"], 0), 12)  # the first of a connection runs nothing
+    count = 0
+    for sequence in range(1, COMMANDS + 1):
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                await command(sequence)
+        except TimeoutError:
+            break
+        count += 1
+    writer.close()
+    return count
+
+
+def beside(kind: str, connections: int) -> tuple[int, int]:
+    """Commands that a PLC has answered, and floods that were closed; who has logged in can still look."""
+
+    async def bounded() -> tuple[int, int]:
+        async with asyncio.timeout(60), running(Ear(), True, modbus=ModbusSettings(port=0)) as cell:
+            assert cell.modbus is not None
+            strangers = cell.cookies()
+            await cell.log_in("Vera")
+            if kind != "requests":
+                strangers = cell.cookies()
+            theirs = cell.cookies()
+            cell.use(strangers)
+            async with flood(cell, kind, connections) as closed:
+                count = await answered(cell.modbus.port)
+            cell.use(theirs)
+            if kind == "requests":
+                assert 200 == (await cell.ask("GET", "/api/v1/me"))[0]
+            return count, closed[0]
+
+    return asyncio.run(bounded())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["pings", "pongs", "messages", "fragments"])
+def test_tabs_that_flood_are_closed_and_the_plc_is_answered(kind: str) -> None:
+    """Of a viewer who has logged in; whatever the frames are, also those of a message that never ends."""
+    assert (COMMANDS, TABS) == beside(kind, TABS)
+
+
+@pytest.mark.slow
+def test_requests_without_end_are_closed_and_the_plc_is_answered() -> None:
+    """Of strangers, one after another without waiting for an answer; who has logged in is still served."""
+    assert (COMMANDS, LINES) == beside("requests", LINES)
