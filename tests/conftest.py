@@ -1,6 +1,6 @@
 """What every test below runs under: one BLAS thread, which tests never run at once, and which may be skipped.
 
-pytest makes the helpers beside this file (naive, snapshots, ...) importable from every test.
+pytest makes `helpers` and `naive` importable from every test.
 """
 
 import os
@@ -11,7 +11,7 @@ from xdist.scheduler import LoadScopeScheduling
 # as `edged` itself does: BLAS threads on small matrices only spin; set before anything imports numpy
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-pytest_plugins = ["skips"]
+pytest_plugins = ["helpers.skips"]
 
 ALONE = (
     "tests/cameras/",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from snapshots import make_snapshot
+from helpers.snapshots import make_snapshot
 
 from edged.ages import ExposureClock
 from edged.domain.events import ExposureDone, Snapshot

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from cells import small_rig
+from helpers.cells import small_rig
 
 from edged.cellfiles import read_any_cell, read_cell
 from edged.commands.demo import DemoOptions, prepare_cell

@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scriptedhead import Ear, Head, held, locate_command, make_setup, until
-from snapshots import make_target, make_transform
+from helpers.scriptedhead import Ear, Head, held, locate_command, make_setup, until
+from helpers.snapshots import make_target, make_transform
 
 from edged.cycle import FAULT_REST_S, Cycle
 from edged.domain.cell import CellPhase, CellState

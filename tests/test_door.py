@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 
-from scriptedhead import until
+from helpers.scriptedhead import until
 
 from edged.door import Door, Guest, Rate, Rates
 

@@ -7,11 +7,11 @@ import math
 import time
 from dataclasses import replace
 
-import cells
 import numpy as np
 import pytest
-from scriptedhead import Ear, Head, until
-from snapshots import make_target
+from helpers import cells
+from helpers.scriptedhead import Ear, Head, until
+from helpers.snapshots import make_target
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings

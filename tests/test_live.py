@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from scriptedhead import Head, make_setup, until
+from helpers.scriptedhead import Head, make_setup, until
 
 from edged.cycle import Cycle
 from edged.errors import SetupRefused

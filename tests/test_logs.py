@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from livecell import LiveCell
+from helpers.livecell import LiveCell
 from wire.test_wrong import Plc
 
 from edged.adapters.journal import JournalHandler, encode, set_up_logging

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.schema_check import load_schema, violations
+from helpers.snapshots import make_snapshot, make_target, make_transform
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from schema_check import load_schema, violations
-from snapshots import make_snapshot, make_target, make_transform
 
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Command, CommandKind

@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
-import statewriters
-from powercuts import Call, Changed, Disk, Record, Synced, cut
-from smallcell import SmallCell
+from helpers import statewriters
+from helpers.powercuts import Call, Changed, Disk, Record, Synced, cut
+from helpers.smallcell import SmallCell
 
 from edged.files import atomic
 

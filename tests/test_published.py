@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import flange, frame_pair, pictures, pose, scene
+from helpers.cells import flange, frame_pair, pictures, pose, scene
+from helpers.scriptedhead import Ear, Head, until
+from helpers.snapshots import make_snapshot, make_transform
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scriptedhead import Ear, Head, until
-from snapshots import make_snapshot, make_transform
 
 from edged.cycle import Cycle
 from edged.domain.events import Event, Snapshot

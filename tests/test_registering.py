@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scriptedhead import Ear, Head, make_setup, until
+from helpers.scriptedhead import Ear, Head, make_setup, until
 
 from edged.cycle import Cycle
 from edged.domain.cell import CellPhase, CellState, SetupSource

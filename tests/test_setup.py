@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from helpers.scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup, until
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-from scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup, until
 
 from edged.cycle import Cycle
 from edged.domain.cell import CellPhase, CellState, SetupSource

@@ -33,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from bench_solid import DEPTH_SHARE, NEAR_MM, pair_of, pose_of
-from cells import frame_pair
+from helpers.cells import frame_pair
 from imperfections import KINDS
 from table3 import true_rig
 

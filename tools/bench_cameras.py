@@ -33,8 +33,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 from bench_service import enter_namespace, resources
 from cameraworld import ADDRESSES, CameraWorld, exposed_ns_of
-from livecell import LiveCell
-from snapshots import make_target
+from helpers.livecell import LiveCell
+from helpers.snapshots import make_target
 
 from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.adapters.modbus import ModbusSettings

@@ -42,8 +42,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from cells import PLACE_MM, frame_pair, pose, region_around, small_rig
 from distinguished import DESIGNS, HELD_OUT, Design, without_holes
+from helpers.cells import PLACE_MM, frame_pair, pose, region_around, small_rig
 from imperfections import KINDS
 
 from edged.domain.arrays import FloatArray, Image

@@ -27,7 +27,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from cells import TEXTURED, clean_greys, noisy, pictures, pose, region_around, scene
+from helpers.cells import TEXTURED, clean_greys, noisy, pictures, pose, region_around, scene
 
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
-from opcuacell import PASSWORD
+from helpers.opcuacell import PASSWORD
 from pymodbus.client import ModbusTcpClient
 
 from edged.plc import registers as reg
@@ -32,12 +32,12 @@ from edged.plc import registers as reg
 SERVER = """
 import json, sys, time
 from pathlib import Path
-from livecell import LiveCell
+from helpers.livecell import LiveCell
 def resident_mb():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
 folder, vision_ms, opcua = sys.argv[1:]
 if opcua == "yes":
-    from opcuacell import OpcUaCell, secure_settings
+    from helpers.opcuacell import OpcUaCell, secure_settings
     cell = OpcUaCell(secure_settings(Path(folder)))
 else:
     cell = LiveCell()

@@ -25,9 +25,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from boards import board_poses, synthetic_views
-from cells import clean_greys, noisy, pose, region_around, scene
-from flatparts import DISC, PLATE
+from helpers.boards import board_poses, synthetic_views
+from helpers.cells import clean_greys, noisy, pose, region_around, scene
+from helpers.flatparts import DISC, PLATE
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Target

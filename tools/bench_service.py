@@ -3,7 +3,7 @@
 
 Run it with `tools/bench service [--only PART ...]`; it prints Markdown. The cell is small (320x240, one
 circle), because this is about the service: loop, publishers, recorder, and a PLC in another process that
-polls over Modbus all the time and writes down whatever must not be seen (`tests/plcwitness.py`).
+polls over Modbus all the time and writes down whatever must not be seen (`tests/helpers/plcwitness.py`).
 """
 
 from __future__ import annotations
@@ -34,9 +34,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from pagecost import page_cost
-from plcwitness import Report, Witness
-from servicefaults import (
+from helpers.plcwitness import Report, Witness
+from helpers.servicefaults import (
     FAKETIME,
     FakeClock,
     full,
@@ -47,8 +46,9 @@ from servicefaults import (
     seen,
     tmpfs,
 )
-from smallcell import DaemonProcess, SmallCell, SmallWorld, pictures
-from statewriters import survive
+from helpers.smallcell import DaemonProcess, SmallCell, SmallWorld, pictures
+from helpers.statewriters import survive
+from pagecost import page_cost
 
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon

@@ -32,9 +32,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from bench_modbus import in_process, read_all
 from benchcell import BenchCell, free_port
-from browser import Browser, browser
+from helpers.browser import Browser, browser
+from helpers.setuppage import log_in, take
 from pagecost import viewer
-from setuppage import log_in, take
 
 from edged.capture.tasks import cancel_and_await
 from edged.commissioning.calibration.drafts import Drafts, keep_pair

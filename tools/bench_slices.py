@@ -27,9 +27,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from cells import TEXTURED, frame_pair, pictures, pose, small_rig
-from flatparts import METAL
-from tilted import BELOW_MM, lying, stacked
+from helpers.cells import TEXTURED, frame_pair, pictures, pose, small_rig
+from helpers.flatparts import METAL
+from helpers.tilted import BELOW_MM, lying, stacked
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject, Target

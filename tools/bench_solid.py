@@ -29,7 +29,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from cells import frame_pair
+from helpers.cells import frame_pair
 from table3 import true_rig
 
 from edged.commands.teach import read_model

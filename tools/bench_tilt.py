@@ -23,9 +23,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from cells import frame_pair, pictures, pose, region_around, scene
-from flatparts import DISC, METAL, PLATE
-from tilted import lying, thick, thin
+from helpers.cells import frame_pair, pictures, pose, region_around, scene
+from helpers.flatparts import DISC, METAL, PLATE
+from helpers.tilted import lying, thick, thin
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject

@@ -42,14 +42,14 @@ from ipaddress import ip_address
 logging.basicConfig(level=logging.INFO)
 from edged.adapters.modbus import LineSettings, ModbusSettings, SerialSettings
 from edged.robot.orientations import Brand
-from livecell import LiveCell
+from helpers.livecell import LiveCell
 serial = SerialSettings(sys.argv[1], parity="none", gap_s=0.004)
-from snapshots import make_target
-from livecell import GRASPS
+from helpers.snapshots import make_target
+from helpers.livecell import GRASPS
 settings = ModbusSettings(port=0, serial=serial, idle_s=float(sys.argv[2]), max_clients=int(sys.argv[3]),
                           line=LineSettings(0, Brand.KUKA), reserved={ip_address(sys.argv[4]): 2})
 cell = LiveCell(settings, period_s=0.05).pick(GRASPS)
-from hostileregistrar import registrar_of
+from helpers.hostileregistrar import registrar_of
 cell.registrar = registrar_of(cell)
 cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
 with cell:

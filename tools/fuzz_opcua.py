@@ -42,7 +42,7 @@ import logging, sys
 from pathlib import Path
 from dataclasses import replace
 logging.basicConfig(level=logging.INFO)
-from opcuacell import OpcUaCell, secure_settings
+from helpers.opcuacell import OpcUaCell, secure_settings
 with OpcUaCell(secure_settings(Path(sys.argv[1]), anonymous=True), period_s=0.05) as cell:
     print(cell.publisher.port, flush=True)
     sys.stdin.read()

@@ -15,8 +15,8 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from browser import Browser, browser
-from setuppage import DIALOG, STATE, go, log_in, press, said
+from helpers.browser import Browser, browser
+from helpers.setuppage import DIALOG, STATE, go, log_in, press, said
 
 Ask = Callable[..., Awaitable[Any]]
 SIZE = (1280, 900)

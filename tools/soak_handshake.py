@@ -2,7 +2,8 @@
 """Simulate days of handshakes with faults, restarts and reloads in virtual time and look for violations.
 
 Run it with the project's Python: `.venv/bin/python tools/soak_handshake.py --hours 24`. What is simulated and
-which rules are checked stands in `tests/soak.py`. Exit code 1 if any rule was broken; a seed repeats a run.
+which rules are checked stands in `tests/helpers/soak.py`. Exit code 1 if any
+rule was broken; a seed repeats a run.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from soak import Soak
+from helpers.soak import Soak
 
 
 def main(hours: float, seed: int, block_hours: float) -> int:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.snapshots import make_snapshot
 from hypothesis import given
 from hypothesis import strategies as st
-from snapshots import make_snapshot
 
 from edged.adapters.zenoh.cbor import decode_cbor, encode_cbor
 from edged.payload import encode, snapshot_to_json

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from snapshots import make_snapshot, make_target, make_transform
+from helpers.snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings

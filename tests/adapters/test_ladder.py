@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 import pytest
-from snapshots import make_snapshot
+from helpers.snapshots import make_snapshot
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.pdu import RequestRefused

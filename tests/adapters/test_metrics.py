@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from helpers.snapshots import make_snapshot, make_target
 from prometheus_client.parser import text_string_to_metric_families
-from snapshots import make_snapshot, make_target
 
 from edged.adapters.metrics import MetricsPublisher
 from edged.domain.cell import CellPhase, CellState, SetupSource

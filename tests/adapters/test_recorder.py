@@ -16,10 +16,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.snapshots import make_snapshot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
-from snapshots import make_snapshot
 
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app.cell import load_cell

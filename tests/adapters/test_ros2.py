@@ -11,7 +11,7 @@ import types
 import numpy as np
 import pytest
 import zenoh.ext
-from snapshots import make_snapshot, make_target, make_transform
+from helpers.snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.zenoh import ros2
 from edged.domain.measurement import Reject, Status

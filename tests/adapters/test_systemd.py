@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from annotated_types import Le
-from snapshots import make_snapshot
+from helpers.snapshots import make_snapshot
 
 from edged.adapters.modbus import lines
 from edged.adapters.systemd import SystemdNotifier

@@ -9,8 +9,8 @@ import json
 
 import numpy as np
 import pytest
+from helpers.snapshots import make_snapshot, make_target, make_transform
 from rich.console import Console
-from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.terminal import DemoView, reading_hints
 from edged.domain.arrays import FloatArray

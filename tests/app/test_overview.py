@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from livecell import Head
-from smallcell import SmallCell
+from helpers.livecell import Head
+from helpers.smallcell import SmallCell
 
 from edged.app.cell import load_cell
 from edged.app.status import Running, overview

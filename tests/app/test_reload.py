@@ -11,9 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from scriptedhead import until
-from smallcell import SmallCell, SmallWorld, free_port, pictures
-from snapshots import make_transform
+from helpers.scriptedhead import until
+from helpers.smallcell import SmallCell, SmallWorld, free_port, pictures
+from helpers.snapshots import make_transform
 
 from edged.app import daemon as module
 from edged.app.cell import LoadedCell, load_cell

@@ -14,7 +14,7 @@ from typing import cast
 
 import cv2
 import pytest
-from smallcell import DaemonProcess, SmallCell
+from helpers.smallcell import DaemonProcess, SmallCell
 
 from edged.app.daemon import Daemon
 from edged.app.process import serve

@@ -10,8 +10,8 @@ import shutil
 from pathlib import Path
 
 import pytest
+from helpers.zenohcell import free_port
 from rich.console import Console
-from zenohcell import free_port
 
 from edged.app.cell import load_cell
 from edged.app.daemon import Daemon

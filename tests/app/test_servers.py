@@ -17,9 +17,9 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from certificates import make_certificates
-from smallcell import free_port
-from zenohcell import ask
+from helpers.certificates import make_certificates
+from helpers.smallcell import free_port
+from helpers.zenohcell import ask
 
 from edged.app.servers import Servers, wanted_servers
 from edged.app.status import Running

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gigecell import (
+from helpers.gigecell import (
     HEIGHT,
     LEFT,
     NOBODY,

@@ -7,8 +7,8 @@ import logging
 from collections.abc import Iterator
 
 import pytest
-from gigecell import Cell, left_camera, run, running, shoot
-from scriptedhead import Ear, make_setup, until
+from helpers.gigecell import Cell, left_camera, run, running, shoot
+from helpers.scriptedhead import Ear, make_setup, until
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
 from edged.capture.stereohead import StereoHead

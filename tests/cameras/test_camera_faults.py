@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import pytest
-from gigecell import LEFT, RIGHT, Cell, Sensor, gige_camera, run, running
+from helpers.gigecell import LEFT, RIGHT, Cell, Sensor, gige_camera, run, running
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
 from edged.capture.stereohead import REOPEN_AFTER, StereoHead

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gigecell import LEFT, RIGHT, Cell, left_camera, run, running, shoot
+from helpers.gigecell import LEFT, RIGHT, Cell, left_camera, run, running, shoot
 
 from edged.adapters.aravis import AravisCamera, Output, aravis_missing
 from edged.adapters.aravis.clock import CLOCK_DRIFT

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gigecell import HEIGHT, LEFT, NOBODY, RIGHT, WIDTH, Cell, left_camera, run, running, shoot
+from helpers.gigecell import HEIGHT, LEFT, NOBODY, RIGHT, WIDTH, Cell, left_camera, run, running, shoot
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
 from edged.adapters.aravis.library import library

@@ -258,7 +258,7 @@ class CameraProcess:
 
     def __init__(self, side: str) -> None:
         index = ("left", "right").index(side)
-        script = Path(__file__).parent.parent / "camera_process.py"
+        script = Path(__file__).parents[1] / "helpers" / "camera_process.py"
         self.process = subprocess.Popen(
             [sys.executable, str(script), ADDRESSES[index], f"EDGED-{side}", side],
             stdout=subprocess.PIPE,

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from gigeclient import Client, Image, Stream, acquiring
+from helpers.gigeclient import Client, Image, Stream, acquiring
 
 from edged.sim.gige import genicam as g
 from edged.sim.gige.camera import GigeCamera, moving_ramp

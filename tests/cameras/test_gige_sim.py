@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from gigeclient import Client
+from helpers.gigeclient import Client
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
 from edged.domain.arrays import Image

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import pytest
-from gigeclient import Client, Stream, acquiring
+from helpers.gigeclient import Client, Stream, acquiring
 
 from edged.sim.gige import genicam as g
 from edged.sim.gige.camera import GigeCamera, moving_ramp

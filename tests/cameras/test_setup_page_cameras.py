@@ -6,10 +6,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-from browser import browser
-from browsersession import PASSWORD
-from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
-from stagecell import Newcomer, run
+from helpers.browser import browser
+from helpers.browsersession import PASSWORD
+from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
+from helpers.stagecell import Newcomer, run
 
 from edged.adapters.aravis import aravis_missing
 from edged.commands.stage import USER

@@ -11,8 +11,8 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 import pytest
-from scriptedhead import until
-from stagecell import Newcomer, free_port, run
+from helpers.scriptedhead import until
+from helpers.stagecell import Newcomer, free_port, run
 
 from edged.adapters.aravis import aravis_missing
 from edged.domain.arrays import SIDES

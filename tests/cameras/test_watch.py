@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from certificates import make_certificates
+from helpers.certificates import make_certificates
+from helpers.snapshots import make_snapshot, make_transform
+from helpers.zenohcell import READY, WAIT_S, Cell, free_port
 from rich.console import Console, ConsoleDimensions
-from snapshots import make_snapshot, make_transform
-from zenohcell import READY, WAIT_S, Cell, free_port
 
 from edged.adapters.zenoh import open_session, session_config
 from edged.adapters.zenoh.cbor import decode_cbor

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from cells import small_rig
+from helpers.cells import small_rig
 from rich.console import Console
 
 from edged.commands.audit import audit

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cells import small_rig
+from helpers.cells import small_rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console

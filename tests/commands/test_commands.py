@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from cells import flange, frame_pair, small_rig
+from helpers.cells import flange, frame_pair, small_rig
 
 from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell

@@ -17,7 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from certificates import make_certificates
+from helpers.certificates import make_certificates
 from rich.console import Console
 
 from edged.adapters.aravis import CameraInfo, aravis_missing

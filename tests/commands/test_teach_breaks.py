@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import TEXTURED, frame_pair, pictures, pose, small_rig
-from flatparts import METAL
-from platewithpad import CORNER, DARK, HOLES, OUTLINE, PAD, PAD_MM, settled, square
-from tilted import BELOW_MM, lying, stacked
+from helpers.cells import TEXTURED, frame_pair, pictures, pose, small_rig
+from helpers.flatparts import METAL
+from helpers.platewithpad import CORNER, DARK, HOLES, OUTLINE, PAD, PAD_MM, settled, square
+from helpers.tilted import BELOW_MM, lying, stacked
 
 from edged.domain.arrays import FloatArray, Image
 from edged.pipeline import locate, prepare

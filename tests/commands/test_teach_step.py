@@ -12,12 +12,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from cells import TEXTURED, frame_pair, pictures, pose, small_rig
-from flatparts import METAL, only
-from platewithpad import CORNER, DARK, HOLES, OUTLINE, PAD, PAD_MM, STEP, settled, square
+from helpers.cells import TEXTURED, frame_pair, pictures, pose, small_rig
+from helpers.flatparts import METAL, only
+from helpers.platewithpad import CORNER, DARK, HOLES, OUTLINE, PAD, PAD_MM, STEP, settled, square
+from helpers.stlfiles import binary, ring
+from helpers.tilted import BELOW_MM, lying, stacked
 from rich.console import Console
-from stlfiles import binary, ring
-from tilted import BELOW_MM, lying, stacked
 
 from edged.commands.locate import locate
 from edged.commands.teach import DrawingSource, PairSource, chosen_source, read_model, teach

@@ -10,10 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import board_poses, draw_board, right_pose, synthetic_views
-from cells import flange
+from helpers.boards import board_poses, draw_board, right_pose, synthetic_views
+from helpers.cells import flange
+from helpers.rigs import make_rig
 from rich.console import Console
-from rigs import make_rig
 
 from edged.commands.verify import verify
 from edged.commissioning.calibration.checking import Limits

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from boards import board_poses, draw_board
-from rigs import make_rig
+from helpers.boards import board_poses, draw_board
+from helpers.rigs import make_rig
 
 from edged.commissioning.calibration.boards import boards_in, check_board_shown, stated_boards
 from edged.commissioning.pairs import Picture

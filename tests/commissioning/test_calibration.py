@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import board_poses, draw_board, right_pose
+from helpers.boards import board_poses, draw_board, right_pose
+from helpers.rigs import make_rig
 from rich.console import Console
-from rigs import make_rig
 
 from edged.commands.calibrate import calibrate
 from edged.commands.verify import verify

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boardpairs import BOARD, SPEC, pairs
-from powercuts import Record, cut
+from helpers.boardpairs import BOARD, SPEC, pairs
+from helpers.powercuts import Record, cut
 
 from edged.commissioning.calibration import drafts as drafts_module
 from edged.commissioning.calibration.drafts import Draft, Drafts, Solution, keep_pair, look_again

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boardpairs import BOARD, RIG, SPEC, drawn, pairs
-from boards import board_poses, synthetic_views
+from helpers.boardpairs import BOARD, RIG, SPEC, drawn, pairs
+from helpers.boards import board_poses, synthetic_views
 from rich.console import Console
 
 from edged.commands.calibrate import calibrate

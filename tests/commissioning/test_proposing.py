@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cells import pictures, pose, scene, small_rig
-from flatparts import DISC, PLATE
+from helpers.cells import pictures, pose, scene, small_rig
+from helpers.flatparts import DISC, PLATE
 
 from edged.commissioning.teaching.drafts import KeptPair, TeachingDraft, TeachingDrafts
 from edged.commissioning.teaching.draftstate import Content

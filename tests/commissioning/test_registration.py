@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.rigs import make_rig
 from rich.console import Console
-from rigs import make_rig
 
 from edged.commands.register import touch
 from edged.commissioning.registration.registering import from_points, save

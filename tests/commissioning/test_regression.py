@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import pytest
+from helpers.recordedcell import exposures, record
+from helpers.smallcell import SmallCell
 from hypothesis import given
 from hypothesis import strategies as st
-from recordedcell import exposures, record
-from smallcell import SmallCell
 
 from edged.cellfiles import CellFiles, read_cell
 from edged.commissioning.cycles import comparing

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from smallcell import SmallCell
+from helpers.smallcell import SmallCell
 
 from edged.cellfiles import read_any_cell, read_cell
 from edged.commissioning.releases.archive import make

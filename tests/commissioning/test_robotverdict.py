@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rigs import make_rig
+from helpers.rigs import make_rig
 
 from edged.commissioning.registration import verdict
 from edged.commissioning.registration.verdict import Judged, judge_points, judge_poses

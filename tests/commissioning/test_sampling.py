@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.rigs import make_rig
+from helpers.snapshots import make_target, make_transform
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rigs import make_rig
-from snapshots import make_target, make_transform
 
 from edged.commissioning.registration.sampling import Sampling
 from edged.domain.arrays import FloatArray

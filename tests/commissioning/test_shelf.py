@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from smallcell import SmallCell
+from helpers.smallcell import SmallCell
 
 from edged.cellfiles import UnfinishedCell, read_any_cell, read_cell
 from edged.commissioning.releases import shelf as shelves

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from boardpairs import BOARD, RIG, drawn, pairs
-from boards import board_poses, draw_board, right_pose
-from rigs import make_rig
+from helpers.boardpairs import BOARD, RIG, drawn, pairs
+from helpers.boards import board_poses, draw_board, right_pose
+from helpers.rigs import make_rig
 
 from edged.commissioning.calibration.guidance import (
     FIRST_SHARE,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from powercuts import Record, cut
+from helpers.powercuts import Record, cut
 
 from edged.commissioning.teaching import drafts as teachdrafts
 from edged.commissioning.teaching.drafts import KeptPair, TeachingDraft, TeachingDrafts, kept_pair

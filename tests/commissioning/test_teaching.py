@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cells
 import cv2
 import pytest
+from helpers import cells
+from helpers.snapshots import make_snapshot
 from rich.console import Console
-from snapshots import make_snapshot
 
 from edged.commands.teach import PairSource, teach
 from edged.commissioning.cycles.regression import COMPARED, compare, remeasure

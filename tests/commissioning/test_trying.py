@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import functools
 
-import cells
 import numpy as np
 import pytest
+from helpers import cells
 
 from edged.commissioning.trying.sigmamap import ACROSS, DEEP, DOWN, sigma_map
 from edged.commissioning.trying.stilltest import LEAST, Stand, Stillness, interval, judged

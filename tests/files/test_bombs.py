@@ -16,11 +16,11 @@ import zipfile
 import zlib
 from collections.abc import Callable
 
-import boundedreading
 import cv2
 import ezdxf
 import numpy as np
 import pytest
+from helpers import boundedreading
 
 from edged.config.tomltext import MAX_KEY_PARTS, toml_of
 from edged.files.imagesizes import claimed_size

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from helpers.rigs import make_rig, random_points, rigs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
-from rigs import make_rig, random_points, rigs
 from scipy.spatial.transform import Rotation
 
 from edged.commands.rig import convert

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.stlfiles import binary, ring, text
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stlfiles import binary, ring, text
 
 from edged.errors import FileFormatError
 from edged.files.step import read_step

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import flange, frame_pair, pictures, pose, scene
+from helpers.cells import flange, frame_pair, pictures, pose, scene
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Match, NearMiss, Reject, Slot3D, Status

@@ -10,24 +10,26 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import drl
-import inform
-import karel
-import kawasaki
-import krl
-import melfa
 import numpy as np
 import pytest
-import rapid
-import scl
-import spel
-import structured_text
-import urscript
-import val3
-from robotarm import RobotArm
-from robotlink import Link
-from robotwords import Declared
-from teachpendant import TeachPendant
+from helpers import (
+    drl,
+    inform,
+    karel,
+    kawasaki,
+    krl,
+    melfa,
+    rapid,
+    scl,
+    spel,
+    structured_text,
+    urscript,
+    val3,
+)
+from helpers.robotarm import RobotArm
+from helpers.robotlink import Link
+from helpers.robotwords import Declared
+from helpers.teachpendant import TeachPendant
 
 from edged.plc.clients import (
     karel_files,

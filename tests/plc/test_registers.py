@@ -11,10 +11,10 @@ import struct
 
 import numpy as np
 import pytest
+from helpers.snapshots import make_snapshot, make_target, make_transform
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from snapshots import make_snapshot, make_target, make_transform
 
 from edged.domain.events import Command, CommandKind, Snapshot
 from edged.domain.measurement import Reject, Status

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from soak import Soak
+from helpers.soak import Soak
 
 from edged.adapters.modbus.cell import NOBODYS, CellRegisters
 from edged.adapters.zenoh.triggers import Triggers

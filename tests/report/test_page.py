@@ -8,7 +8,7 @@ from typing import Any
 
 import jinja2
 import pytest
-from htmlpages import HtmlPage
+from helpers.htmlpages import HtmlPage
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -6,12 +6,12 @@ import json
 import math
 from dataclasses import replace
 
-import cells
 import numpy as np
 import pytest
+from helpers import cells
+from helpers.snapshots import make_target, make_transform
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from snapshots import make_target, make_transform
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Outcome, Status, Target

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import small_rig
-from scriptedhead import Ear, Head, until
-from snapshots import make_target, make_transform
+from helpers.cells import small_rig
+from helpers.scriptedhead import Ear, Head, until
+from helpers.snapshots import make_target, make_transform
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings

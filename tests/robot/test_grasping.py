@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 import pytest
+from helpers.snapshots import make_target, make_transform
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from snapshots import make_target, make_transform
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Outcome, Reject, Status, Target

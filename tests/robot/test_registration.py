@@ -7,16 +7,16 @@ import math
 from datetime import datetime
 from pathlib import Path
 
-import cells
 import cv2
 import numpy as np
 import pytest
+from helpers import cells
+from helpers.snapshots import make_target, make_transform
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_dist
-from snapshots import make_target, make_transform
 
 from edged.commands.register import hand_eye_command, read_poses, read_touched, self_test, touch
 from edged.domain.arrays import FloatArray

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from snapshots import make_target, make_transform
+from helpers.snapshots import make_target, make_transform
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Outcome, Reject, ReportedPose, Status, Target

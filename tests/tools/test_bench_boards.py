@@ -12,8 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import board_poses, draw_board, right_pose
-from cells import small_rig
+from helpers.boards import board_poses, draw_board, right_pose
+from helpers.cells import small_rig
 
 from edged.files.pairs import ImagePair
 from edged.vision.boards.board import Chessboard

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import frame_pair, pose
+from helpers.cells import frame_pair, pose
 
 from edged.domain.arrays import Image
 from edged.domain.measurement import Reject

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from drawings import BRACKET, draw
+from helpers.drawings import BRACKET, draw
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "bench_real.py"
 

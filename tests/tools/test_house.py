@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 import pytest
-from cells import frame_pair, region_around
+from helpers.cells import frame_pair, region_around
 
 import edged.sim
 import edged.vision

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import frame_pair
+from helpers.cells import frame_pair
 
 from edged.commands.register import read_touched
 from edged.domain.arrays import FloatArray

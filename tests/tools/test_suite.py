@@ -13,7 +13,7 @@ import pytest
 
 TESTS = Path(__file__).parents[1]
 
-LIST = "not on the list of tests/skips.py"
+LIST = "not on the list of tests/helpers/skips.py"
 DOCTOR = "tests/cameras/test_doctor_networks.py"
 
 
@@ -27,7 +27,7 @@ def suite(folder: Path, reason: str, ci: str) -> subprocess.CompletedProcess[str
         f"@pytest.mark.skipif(True, reason={reason!r})\n"
         "def test_that_wants_more(): pass\n"
     )
-    options = ["-n", "1", "-p", "skips", "-p", "no:cacheprovider", "--import-mode=importlib"]
+    options = ["-n", "1", "-p", "helpers.skips", "-p", "no:cacheprovider", "--import-mode=importlib"]
     return subprocess.run(
         [sys.executable, "-m", "pytest", *options, "-c", os.devnull, "--rootdir", str(folder), str(file)],
         env=os.environ | {"CI": ci, "PYTHONPATH": str(TESTS)},

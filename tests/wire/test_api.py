@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from everyroute import BASIC, check_document, check_questions, check_roles
-from scriptedhead import until
-from webcell import USERS, Cell, run
+from helpers.everyroute import BASIC, check_document, check_questions, check_roles
+from helpers.scriptedhead import until
+from helpers.webcell import USERS, Cell, run
 
 from edged.adapters.web.routes import Body, Leased, RouteTable
 from edged.domain.cell import CellPhase

@@ -6,9 +6,9 @@ import asyncio
 import logging
 
 import pytest
-from browsersession import PASSWORD
-from scriptedhead import until
-from webcell import Cell, run
+from helpers.browsersession import PASSWORD
+from helpers.scriptedhead import until
+from helpers.webcell import Cell, run
 
 from edged.adapters.web.auditing import REFUSED_BURST, RUN, Auditor
 from edged.domain.cell import CellPhase

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from browser import Browser, browser
-from cells import flange, frame_pair
-from setuppage import TOO_WIDE, UNTRANSLATED, come_back, freeze, leave, thaw
-from snapshots import make_snapshot, make_target
+from helpers.browser import Browser, browser
+from helpers.cells import flange, frame_pair
+from helpers.setuppage import TOO_WIDE, UNTRANSLATED, come_back, freeze, leave, thaw
+from helpers.snapshots import make_snapshot, make_target
 from wire.test_web import sources
 
 from edged.adapters.web import WebPublisher, WebSettings

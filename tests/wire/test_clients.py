@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import structured_text
-import urscript
-from livecell import GRASPS, PART_FROM_TCP, LiveCell
+from helpers import structured_text, urscript
+from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
+from helpers.snapshots import make_target, make_transform
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
-from snapshots import make_target, make_transform
 
 from edged.adapters.modbus import ModbusSettings
 from edged.config.servers import ModbusSection

@@ -11,13 +11,13 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from scriptedhead import Ear
-from webcell import Cell, running
+from helpers.scriptedhead import Ear
+from helpers.webcell import Cell, running
 
 from edged.adapters.modbus import ModbusSettings
 from edged.plc.registers import ADDRESS
 
-FLOODER = Path(__file__).parents[1] / "flooder.py"
+FLOODER = Path(__file__).parents[1] / "helpers" / "flooder.py"
 COMMANDS = 12
 PATIENCE_S = 5.0
 """Of the PLC, for one command."""

@@ -12,8 +12,8 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
-from livecell import GRASPS, PART_FROM_TCP, LiveCell
-from snapshots import make_target
+from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
+from helpers.snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.plc.frames import ANSWER, FrameRequest, read_answer

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
+from helpers.snapshots import make_target
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from livecell import GRASPS, PART_FROM_TCP, LiveCell
 from pymodbus.client import ModbusTcpClient
-from snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings, lines
 from edged.adapters.modbus.lines import parse

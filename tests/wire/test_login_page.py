@@ -8,11 +8,11 @@ import shutil
 
 import pytest
 from argon2 import PasswordHasher
-from browser import Browser, browser
-from browsersession import PASSWORD
-from scriptedhead import Ear
-from setuppage import SMALL_TARGETS, TOO_WIDE, log_in
-from webcell import Cell, run, running
+from helpers.browser import Browser, browser
+from helpers.browsersession import PASSWORD
+from helpers.scriptedhead import Ear
+from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, log_in
+from helpers.webcell import Cell, run, running
 
 from edged.adapters.web.assets import read_assets
 from edged.files.invite import Invite

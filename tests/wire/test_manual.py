@@ -12,7 +12,7 @@ from pathlib import Path
 
 import aiohttp
 import pytest
-from browsersession import browsing
+from helpers.browsersession import browsing
 from yarl import URL
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings

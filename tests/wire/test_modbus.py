@@ -25,17 +25,17 @@ from typing import Any
 
 import pytest
 import serial
-from certificates import make_certificates
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
 from cryptography.x509.oid import NameOID
+from helpers.certificates import make_certificates
+from helpers.scriptedhead import until
+from helpers.snapshots import make_snapshot
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from rich.console import Console
-from scriptedhead import until
-from snapshots import make_snapshot
 
 from edged import door
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings, tcp

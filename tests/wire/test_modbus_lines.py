@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
-from certificates import make_certificates
-from livecell import LiveCell
+from helpers.certificates import make_certificates
+from helpers.livecell import LiveCell
+from helpers.serialline import SerialCable
+from helpers.snapshots import make_target
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusTlsClient
-from serialline import SerialCable
-from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings, SerialSettings, TlsSettings, rtu
 from edged.adapters.modbus.cell import CellRegisters

@@ -19,10 +19,10 @@ from typing import Any
 import pytest
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
-from opcuacell import JOBS, PASSWORD, OpcUaCell, make_certificate, secure_settings
+from helpers.opcuacell import JOBS, PASSWORD, OpcUaCell, make_certificate, secure_settings
+from helpers.smallcell import DaemonProcess, SmallCell, free_port
+from helpers.snapshots import make_target
 from pymodbus.client import ModbusTcpClient
-from smallcell import DaemonProcess, SmallCell, free_port
-from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
 from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings, identity_of

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from asyncua import Client, ua
 from asyncua.crypto.permission_rules import UserRole
-from opcuacell import PASSWORD, PASSWORD_HASH, OpcUaCell
+from helpers.opcuacell import PASSWORD, PASSWORD_HASH, OpcUaCell
 
 from edged.adapters.opcua import OpcUaSettings, connection
 from edged.adapters.opcua.security import FREE_ATTEMPTS, LOCKED_S, Users, first_certificate

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 from argon2 import PasswordHasher
-from browsersession import PASSWORD
-from webcell import HASH, Cell, run
+from helpers.browsersession import PASSWORD
+from helpers.webcell import HASH, Cell, run
 
 from edged.adapters.web.access import IDLE_S, Access
 from edged.adapters.web.visitors import Role

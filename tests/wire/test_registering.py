@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell
 from pymodbus.client import ModbusTcpClient
-from walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell
 
 from edged.domain.events import CommandKind
 from edged.domain.registration import Method

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from browsersession import PASSWORD
-from webcell import Cell, run
+from helpers.browsersession import PASSWORD
+from helpers.webcell import Cell, run
 
 from edged.adapters.web.repeats import KEPT, KEPT_S, MAX_LETTERS
 

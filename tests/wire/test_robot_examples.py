@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import urscript
-from livecell import LiveCell
-from robotexamples import DOCS, EXAMPLES, Example, text_of
-from robotlink import Link
-from snapshots import make_target, make_transform
+from helpers import urscript
+from helpers.livecell import LiveCell
+from helpers.robotexamples import DOCS, EXAMPLES, Example, text_of
+from helpers.robotlink import Link
+from helpers.snapshots import make_target, make_transform
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.arrays import FloatArray

@@ -13,10 +13,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from livecell import GRASPS, PART_FROM_TCP, LiveCell
-from robotlink import Link
-from robotsides import LIES, SIDES, Doosan, Fanuc, FanucWithEnds, Kuka, Mitsubishi, Side, Yaskawa, honest
-from snapshots import make_target
+from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
+from helpers.robotlink import Link
+from helpers.robotsides import (
+    LIES,
+    SIDES,
+    Doosan,
+    Fanuc,
+    FanucWithEnds,
+    Kuka,
+    Mitsubishi,
+    Side,
+    Yaskawa,
+    honest,
+)
+from helpers.snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.measurement import Target

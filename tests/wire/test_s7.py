@@ -11,12 +11,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
-import scl
-import structured_text
-from livecell import LiveCell
+from helpers import scl, structured_text
+from helpers.livecell import LiveCell
+from helpers.snapshots import make_target
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
-from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
 from edged.plc.texts import render

@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from plcwitness import Witness
-from servicefaults import FAKETIME, kill_often
-from smallcell import SmallCell
+from helpers.plcwitness import Witness
+from helpers.servicefaults import FAKETIME, kill_often
+from helpers.smallcell import SmallCell
 
 NAMESPACE = ["unshare", "--mount", *(["--map-root-user"] if os.geteuid() else [])]
 
@@ -49,9 +49,9 @@ def test_a_bad_disk_and_a_clock_that_is_set_do_not_reach_the_plc(tmp_path: Path)
 
     The log says that there are no recordings and that there are again, not with every cycle.
     """
-    script = Path(__file__).parent.parent / "brokencell.py"
     run = subprocess.run(
-        [*NAMESPACE, sys.executable, str(script), str(tmp_path)],
+        [*NAMESPACE, sys.executable, "-m", "helpers.brokencell", str(tmp_path)],
+        cwd=Path(__file__).parents[1],
         capture_output=True,
         text=True,
         timeout=180,

@@ -7,9 +7,9 @@ import base64
 import cv2
 import numpy as np
 import pytest
-from browsersession import PASSWORD
-from scriptedhead import until
-from webcell import Cell, run
+from helpers.browsersession import PASSWORD
+from helpers.scriptedhead import until
+from helpers.webcell import Cell, run
 
 from edged.domain.cell import CellPhase
 

@@ -7,10 +7,10 @@ import shutil
 from collections.abc import Awaitable, Callable
 
 import pytest
-from browser import Browser, browser
-from browsersession import PASSWORD
-from scriptedhead import Ear, until
-from setuppage import (
+from helpers.browser import Browser, browser
+from helpers.browsersession import PASSWORD
+from helpers.scriptedhead import Ear, until
+from helpers.setuppage import (
     DIALOG,
     LEASE,
     SMALL_TARGETS,
@@ -27,7 +27,7 @@ from setuppage import (
     take,
     thaw,
 )
-from webcell import Cell, running
+from helpers.webcell import Cell, running
 
 from edged.domain.cell import CellPhase
 

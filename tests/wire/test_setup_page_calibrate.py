@@ -8,12 +8,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from boardcell import BoardCell
-from boardpairs import SPEC
-from browser import Browser, browser
-from browsersession import PASSWORD
-from setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, discard, go, log_in, press, said, take_over
-from stagecell import Newcomer, run
+from helpers.boardcell import BoardCell
+from helpers.boardpairs import SPEC
+from helpers.browser import Browser, browser
+from helpers.browsersession import PASSWORD
+from helpers.setuppage import (
+    SMALL_TARGETS,
+    TOO_WIDE,
+    UNTRANSLATED,
+    discard,
+    go,
+    log_in,
+    press,
+    said,
+    take_over,
+)
+from helpers.stagecell import Newcomer, run
 from workshop.test_calibrations import with_views
 
 from edged.commands.stage import USER

@@ -11,11 +11,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from browser import Browser, browser
-from browsersession import PASSWORD
-from recordedcell import RecordingCell, exposures, record
-from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
-from smallcell import SmallCell
+from helpers.browser import Browser, browser
+from helpers.browsersession import PASSWORD
+from helpers.recordedcell import RecordingCell, exposures, record
+from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
+from helpers.smallcell import SmallCell
 
 from edged.cellfiles import read_cell
 from edged.commissioning.calibration.drafts import Drafts, Solution

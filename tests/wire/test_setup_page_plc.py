@@ -11,11 +11,11 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from browser import Browser, browser
-from browsersession import PASSWORD
-from scriptedhead import Ear, until
-from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
-from webcell import Cell, running
+from helpers.browser import Browser, browser
+from helpers.browsersession import PASSWORD
+from helpers.scriptedhead import Ear, until
+from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
+from helpers.webcell import Cell, running
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.domain.cell import CellPhase

@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from browser import Browser, browser
-from browsersession import PASSWORD
-from setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, discard, go, log_in, press, said
-from stagecell import Newcomer, run
+from helpers.browser import Browser, browser
+from helpers.browsersession import PASSWORD
+from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, discard, go, log_in, press, said
+from helpers.stagecell import Newcomer, run
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig, save_rig

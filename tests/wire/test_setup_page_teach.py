@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import Browser, browser
-from browsersession import PASSWORD
-from flangedrawing import flange_drawing
-from setuppage import (
+from helpers.browser import Browser, browser
+from helpers.browsersession import PASSWORD
+from helpers.flangedrawing import flange_drawing
+from helpers.setuppage import (
     DIALOG,
     SMALL_TARGETS,
     TOO_WIDE,
@@ -30,7 +30,7 @@ from setuppage import (
     take,
     take_over,
 )
-from stagecell import Newcomer, staged
+from helpers.stagecell import Newcomer, staged
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig

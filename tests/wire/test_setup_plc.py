@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from livecell import LiveCell
+from helpers.livecell import LiveCell
+from helpers.smallcell import DaemonProcess, SmallCell
 from pymodbus.client import ModbusTcpClient
-from smallcell import DaemonProcess, SmallCell
 
 from edged.adapters.modbus import ModbusSettings
 from edged.domain.cell import SetupSource

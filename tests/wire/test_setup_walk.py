@@ -9,8 +9,8 @@ from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
 
 import pytest
-from browser import Browser, browser
-from setuppage import (
+from helpers.browser import Browser, browser
+from helpers.setuppage import (
     CUT_OFF,
     LEASE,
     SMALL_TARGETS,
@@ -25,7 +25,7 @@ from setuppage import (
     take_over,
     thaw,
 )
-from stagecell import PASSWORD, Newcomer, staged
+from helpers.stagecell import PASSWORD, Newcomer, staged
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig

@@ -11,8 +11,8 @@ import aiohttp
 import cv2
 import numpy as np
 import pytest
-from scriptedhead import until
-from webcell import Cell, run
+from helpers.scriptedhead import until
+from helpers.webcell import Cell, run
 
 from edged.adapters.web import Overview, server, sockets
 from edged.adapters.web.access import IDLE_S

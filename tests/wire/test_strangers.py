@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from smallcell import DaemonProcess, SmallCell
+from helpers.smallcell import DaemonProcess, SmallCell
 
 DESCRIPTORS = 1024
 STRANGERS = 1100

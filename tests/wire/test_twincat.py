@@ -10,11 +10,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from typing import Any
 
-import structured_text
-from livecell import LiveCell
+from helpers import structured_text
+from helpers.livecell import LiveCell
+from helpers.snapshots import make_target
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
-from snapshots import make_target
 
 from edged.adapters.modbus import ModbusSettings
 from edged.plc.clients import twincat_files

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-import karel
-import krl
 import numpy as np
 import pytest
-import rapid
-import urscript
-from robotarm import RobotArm
-from robotlink import Link
-from teachpendant import Alarm, TeachPendant
-from walkedcell import (
+from helpers import karel, krl, rapid, urscript
+from helpers.robotarm import RobotArm
+from helpers.robotlink import Link
+from helpers.teachpendant import Alarm, TeachPendant
+from helpers.walkedcell import (
     BOARD,
     CENTRE_MM,
     FLANGE_FROM_BOARD,

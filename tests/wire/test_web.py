@@ -21,11 +21,11 @@ import aiohttp
 import cv2
 import numpy as np
 import pytest
-from browsersession import browsing
-from cells import flange, frame_pair
-from livecell import GRASPS
+from helpers.browsersession import browsing
+from helpers.cells import flange, frame_pair
+from helpers.livecell import GRASPS
+from helpers.snapshots import make_snapshot, make_target, make_transform
 from rich.console import Console
-from snapshots import make_snapshot, make_target, make_transform
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings, login, page, server, viewers
 from edged.adapters.web.access import Access, TooManyAttempts

@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from typing import Any
 
 import zenoh
-from livecell import LiveCell
+from helpers.livecell import LiveCell
+from helpers.snapshots import make_snapshot
 from pymodbus.client import ModbusTcpClient
-from snapshots import make_snapshot
 
 from edged.adapters.modbus import ModbusSettings
 from edged.adapters.modbus.cell import CellRegisters

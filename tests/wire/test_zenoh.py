@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 import pytest
 import zenoh
-from schema_check import load_schema, violations
-from scriptedhead import until
-from snapshots import make_snapshot
-from zenohcell import READY, WAIT_S, Cell, Peer, ask, free_port, ignore, is_message, peer
+from helpers.schema_check import load_schema, violations
+from helpers.scriptedhead import until
+from helpers.snapshots import make_snapshot
+from helpers.zenohcell import READY, WAIT_S, Cell, Peer, ask, free_port, ignore, is_message, peer
 
 from edged.adapters.zenoh import (
     ZenohPublisher,

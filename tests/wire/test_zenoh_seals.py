@@ -19,11 +19,11 @@ from typing import Any
 
 import pytest
 import zenoh
+from helpers.schema_check import load_schema, violations
+from helpers.scriptedhead import until
+from helpers.snapshots import make_snapshot
+from helpers.zenohcell import READY, WAIT_S, Cell
 from rich.console import Console
-from schema_check import load_schema, violations
-from scriptedhead import until
-from snapshots import make_snapshot
-from zenohcell import READY, WAIT_S, Cell
 
 from edged.adapters.zenoh import open_session, session_config
 from edged.adapters.zenoh.listener import listening

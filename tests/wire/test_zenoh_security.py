@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from snapshots import make_snapshot
-from zenohcell import WAIT_S, Cell, free_port, is_message, peer
+from helpers.snapshots import make_snapshot
+from helpers.zenohcell import WAIT_S, Cell, free_port, is_message, peer
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 

@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from powercuts import Record, cut
-from smallcell import SmallCell
+from helpers.powercuts import Record, cut
+from helpers.smallcell import SmallCell
 
 from edged.cellfiles import read_cell
 from edged.commissioning.releases import shelf

@@ -13,8 +13,8 @@ from typing import Any
 import aiohttp
 import numpy as np
 import pytest
-from boardcell import BoardCell
-from boardpairs import RIG, SPEC, pairs
+from helpers.boardcell import BoardCell
+from helpers.boardpairs import RIG, SPEC, pairs
 from rich.console import Console
 
 from edged.commands.calibrate import calibrate

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from smallcell import SmallCell, pictures
-from stagecell import Newcomer, run
+from helpers.smallcell import SmallCell, pictures
+from helpers.stagecell import Newcomer, run
 
 from edged.commands.stage import USER
 from edged.domain.frames import Frame, FramePair

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import pytest
-from boardcell import BoardCell
-from recordedcell import exposures, record
-from smallcell import SmallCell
+from helpers.boardcell import BoardCell
+from helpers.recordedcell import exposures, record
+from helpers.smallcell import SmallCell
 
 from edged.cellfiles import CellFiles, read_cell
 from edged.commissioning.cycles.recorded import Damaged, Records, Wanted

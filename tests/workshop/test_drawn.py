@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cells import flange
-from flangedrawing import flange_drawing
-from partcell import PartCell
+from helpers.cells import flange
+from helpers.flangedrawing import flange_drawing
+from helpers.partcell import PartCell
 from rich.console import Console
 
 from edged.commands.teach import DrawingSource, teach

@@ -7,10 +7,10 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
-from boardcell import BoardCell
-from browsersession import BrowserSession
-from everyroute import check_document, check_questions, check_roles
-from webcell import HASH, USERS
+from helpers.boardcell import BoardCell
+from helpers.browsersession import BrowserSession
+from helpers.everyroute import check_document, check_questions, check_roles
+from helpers.webcell import HASH, USERS
 
 from edged.files.statefolder import state_folder
 from edged.files.users import User, UserFile

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cells import flange
-from partcell import PartCell
+from helpers.cells import flange
+from helpers.partcell import PartCell
 
 from edged.cellfiles import read_cell
 from edged.domain.events import Command, CommandKind

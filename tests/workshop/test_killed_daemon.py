@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsersession import BrowserSession, Visitor, browsing
-from smallcell import free_port
+from helpers.browsersession import BrowserSession, Visitor, browsing
+from helpers.smallcell import free_port
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig

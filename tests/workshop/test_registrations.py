@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stagecell import Newcomer, run
+from helpers.stagecell import Newcomer, run
 
 from edged.domain.arrays import FloatArray
 from edged.domain.events import Command, CommandKind

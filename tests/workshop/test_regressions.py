@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from recordedcell import RecordingCell, exposures, record
-from smallcell import SmallCell
+from helpers.recordedcell import RecordingCell, exposures, record
+from helpers.smallcell import SmallCell
 
 from edged.cellfiles import CellFiles, read_cell
 from edged.commissioning.calibration.drafts import Drafts, Solution

@@ -11,7 +11,7 @@ from urllib.request import Request, urlopen
 
 import pytest
 from argon2 import PasswordHasher
-from walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell, free_port
+from helpers.walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell, free_port
 
 from edged.vision.geometry.rigid import apply, transform
 

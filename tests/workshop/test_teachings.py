@@ -15,8 +15,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from cells import flange, frame_pair
-from partcell import PartCell
+from helpers.cells import flange, frame_pair
+from helpers.partcell import PartCell
 from rich.console import Console
 
 from edged.commands.check import check

@@ -12,8 +12,8 @@ from typing import Any
 import aiohttp
 import numpy as np
 import pytest
-from cells import flange
-from partcell import PartCell, turned
+from helpers.cells import flange
+from helpers.partcell import PartCell, turned
 
 from edged.files.jobs import save_job
 from edged.pipeline import prepare

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scriptedhead import until
+from helpers.scriptedhead import until
 
 from edged.errors import CalibrationError, TaskFailed, TaskTooLarge
 from edged.workshop import worker as workers

@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from boards import board_poses, draw_board, right_pose
+from helpers.boards import board_poses, draw_board, right_pose
+from helpers.rigs import make_rig
 from hypothesis import given
 from hypothesis import strategies as st
 from naive.boards import corner_model, dot_model
-from rigs import make_rig
 
 from edged.errors import CalibrationError
 from edged.vision.boards.board import (

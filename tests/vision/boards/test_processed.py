@@ -7,8 +7,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from boards import board_in_the_middle, draw_board, processed, sharp_board
-from rigs import make_rig
+from helpers.boards import board_in_the_middle, draw_board, processed, sharp_board
+from helpers.rigs import make_rig
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import Chessboard, Detection

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from boards import board_poses, parameter_error, synthetic_views
-from rigs import make_rig
+from helpers.boards import board_poses, parameter_error, synthetic_views
+from helpers.rigs import make_rig
 
 from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError

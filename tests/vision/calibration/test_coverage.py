@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from boards import board_poses, synthetic_views
-from rigs import make_rig
+from helpers.boards import board_poses, synthetic_views
+from helpers.rigs import make_rig
 
 from edged.vision.boards.board import Chessboard, Detection, StereoView
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from boards import board_poses, synthetic_views
-from htmlpages import HtmlPage
-from rigs import make_rig
+from helpers.boards import board_poses, synthetic_views
+from helpers.htmlpages import HtmlPage
+from helpers.rigs import make_rig
 
 from edged.commissioning.calibration.views import quality_figures
 from edged.report.calibration import calibration_report

@@ -7,8 +7,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from boards import board_poses, draw_board
-from rigs import make_rig
+from helpers.boards import board_poses, draw_board
+from helpers.rigs import make_rig
 
 from edged.domain.arrays import Image
 from edged.vision.boards.board import Chessboard, Detection, DotGrid

@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from boards import board_poses, draw_board, right_pose
-from cells import pictures, pose, scene, small_rig
+from helpers.boards import board_poses, draw_board, right_pose
+from helpers.cells import pictures, pose, scene, small_rig
 
 from edged.errors import CalibrationError
 from edged.sim.render.scene import Disc, Part, Surface

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from boards import board_poses, synthetic_views
-from rigs import make_rig
+from helpers.boards import board_poses, synthetic_views
+from helpers.rigs import make_rig
 
 from edged.vision.boards.board import Chessboard
 from edged.vision.calibration.calibrate import calibrate_stereo

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjustments import problem
+from helpers.adjustments import problem
 from naive import curves as naive
 
 from edged.vision.curves.adjustment import propagate, solve

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from cells import PLACE_MM, clean_greys, noisy, pictures, pose, scene, small_rig
+from helpers.cells import PLACE_MM, clean_greys, noisy, pictures, pose, scene, small_rig
 
 from edged.domain.arrays import FloatArray, Image
 from edged.sim.cell import demo_rig

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.rigs import make_rig
 from naive import curves as naive
-from rigs import make_rig
 
 from edged.vision.curves.outlineprojection import (
     camera_pose,

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from cells import pictures, pose, scene, small_rig
+from helpers.cells import pictures, pose, scene, small_rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays

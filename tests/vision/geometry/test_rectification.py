@@ -7,9 +7,9 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
+from helpers.rigs import make_camera, make_rig, random_points, rigs
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from rigs import make_camera, make_rig, random_points, rigs
 
 from edged.errors import CalibrationError, ImageError
 from edged.vision.geometry.camera import StereoRig

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.rigs import make_camera, make_rig, random_points, rigs
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from rigs import make_camera, make_rig, random_points, rigs
 
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import project_with_jacobians

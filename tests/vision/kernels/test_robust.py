@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from adjustments import ring
+from helpers.adjustments import ring
 from naive import curves as naive_curves
 from naive import kernels as naive_kernels
 

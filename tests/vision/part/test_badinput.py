@@ -7,8 +7,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene
-from flatparts import HONEST, METAL, cell, chi2, only
+from helpers.cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene
+from helpers.flatparts import HONEST, METAL, cell, chi2, only
 
 from edged.domain.arrays import Image
 from edged.domain.measurement import Outcome, Reject, Status, Target

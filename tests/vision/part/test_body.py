@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import small_rig
+from helpers.cells import small_rig
+from helpers.stlfiles import ring
+from helpers.tilted import lying
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stlfiles import ring
-from tilted import lying
 
 from edged.domain.arrays import FloatArray
 from edged.files.step import read_step

@@ -9,8 +9,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from cells import frame_pair, pose
-from flatparts import HONEST, cell, chi2, only
+from helpers.cells import frame_pair, pose
+from helpers.flatparts import HONEST, cell, chi2, only
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Outcome, Reject, Status, Target

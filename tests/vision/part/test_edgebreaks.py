@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from brokenparts import DARK, FACE, pair_of
-from cells import frame_pair, pose, region_around, small_rig
-from flatparts import cell, only
+from helpers.brokenparts import DARK, FACE, pair_of
+from helpers.cells import frame_pair, pose, region_around, small_rig
+from helpers.flatparts import cell, only
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject, Target

@@ -5,10 +5,10 @@ from __future__ import annotations
 import functools
 from dataclasses import replace
 
-import cells
 import numpy as np
 import pytest
-from flatparts import cell
+from helpers import cells
+from helpers.flatparts import cell
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject, Target

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import PLACE_MM, pictures, pose, scene, small_rig
+from helpers.cells import PLACE_MM, pictures, pose, scene, small_rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import part as naive

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene, small_rig
-from flatparts import METAL, PLATE, Cell, cell, only
+from helpers.cells import PLACE_MM, frame_pair, pictures, pose, region_around, scene, small_rig
+from helpers.flatparts import METAL, PLATE, Cell, cell, only
 
 from edged import pipeline
 from edged.domain.arrays import FloatArray, Image

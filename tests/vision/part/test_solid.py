@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blockpart import (
+from helpers.blockpart import (
     BOSS,
     DARK,
     PLATE,
@@ -21,9 +21,9 @@ from blockpart import (
     taught,
     up,
 )
-from cells import frame_pair, pictures, pose, region_around, scene, small_rig
-from flatparts import METAL, only
-from tilted import lying, stacked
+from helpers.cells import frame_pair, pictures, pose, region_around, scene, small_rig
+from helpers.flatparts import METAL, only
+from helpers.tilted import lying, stacked
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject, Target

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import flange, frame_pair, pictures, pose, region_around, scene
-from flatparts import Cell, cell, only
+from helpers.cells import flange, frame_pair, pictures, pose, region_around, scene
+from helpers.flatparts import Cell, cell, only
+from helpers.tilted import lying, thick, thin
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tilted import lying, thick, thin
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject, Target

@@ -8,7 +8,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from drawings import draw, flange
+from helpers.drawings import draw, flange
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.shape import ambiguity as rivals

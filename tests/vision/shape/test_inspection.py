@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cells
 import cv2
-import drawings
 import numpy as np
 import pytest
-from htmlpages import HtmlPage
+from helpers import cells, drawings
+from helpers.htmlpages import HtmlPage
 from rich.console import Console
 
 from edged.commands.teach import PairSource, teach

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawings import BRACKET, disc, draw
+from helpers.drawings import BRACKET, disc, draw
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import shape as naive

@@ -9,7 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawings import BRACKET, disc, draw, flange
+from helpers.drawings import BRACKET, disc, draw, flange
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import PLACE_MM, Flange, flange, pictures, pose, region_around, scene
+from helpers.cells import PLACE_MM, Flange, flange, pictures, pose, region_around, scene
 
 from edged.domain.arrays import FloatArray
 from edged.sim.render.scene import Surface

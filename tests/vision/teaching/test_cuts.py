@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import cells
 import numpy as np
 import pytest
+from helpers import cells
 
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.teaching.cuts import Cut, cut_edges

@@ -6,10 +6,10 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import cells
 import numpy as np
 import pytest
-from flangedrawing import flange_drawing
+from helpers import cells
+from helpers.flangedrawing import flange_drawing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import teaching as naive

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from cells import Flange, flange, pictures, pose, region_around, scene
+from helpers.cells import Flange, flange, pictures, pose, region_around, scene
 
 from edged.errors import ImageError, TeachError
 from edged.sim.render.scene import Box, Disc, Hole, Part, Slot, Surface

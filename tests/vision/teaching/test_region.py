@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from cells import flange
+from helpers.cells import flange
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

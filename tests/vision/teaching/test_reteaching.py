@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cells
 import pytest
+from helpers import cells
 
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.part.job import Job, MeasurementSpec

@@ -1,0 +1,1 @@
+"""What several tests share: cells, robots, parts, interpreters of robot languages, clients."""

@@ -1,0 +1,105 @@
+"""A daemon without rig and jobs before drawn boards, and a browser that sets it up."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+
+from edged.app.cell import load_any_cell
+from edged.app.daemon import Daemon
+from edged.domain.arrays import SIDES, Image
+from edged.files.statefolder import state_folder
+from edged.files.users import User, UserFile
+from edged.sim.exposure import ExposureRequest
+from edged.sim.inprocess import InProcessCamera
+from helpers.boardpairs import pairs
+from helpers.browsersession import PASSWORD, BrowserSession, browsing
+from helpers.smallcell import free_port
+from helpers.webcell import HASH
+
+
+class BoardWorld:
+    """Cameras that see a drawn pair; in its corner is the exposure's number, as noise would differ."""
+
+    addresses = None
+    stage = None
+
+    def __init__(self) -> None:
+        self.shown = pairs(6)[0]
+
+    def in_process_cameras(self) -> tuple[InProcessCamera, ...]:
+        """As the daemon asks for them."""
+        return tuple(
+            InProcessCamera(side, self._exposure(index), width=640, height=480)
+            for index, side in enumerate(SIDES)
+        )
+
+    def _exposure(self, index: int) -> Callable[[ExposureRequest], Image]:
+        def expose(request: ExposureRequest) -> Image:
+            image = self.shown[index].copy()
+            image[0, :8] = [(request.frame_id >> bit & 1) * 8 + 60 for bit in range(8)]
+            return image
+
+        return expose
+
+
+class BoardCell:
+    """The daemon's files, its world, and how the page asks it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.world = BoardWorld()
+        self.config, self.rig = folder / "cell.toml", folder / "rig.json"
+        self.state = state_folder(self.config)
+        self.port = free_port()
+        (folder / "jobs").mkdir()
+        self.config.write_text(
+            '[cell]\nname = "cell1"\nrig = "rig.json"\njobs = "jobs"\njob = "none"\n'
+            '[cycle]\nmode = "command"\n[cameras]\nsource = "virtual-inprocess"\n'
+            f"[modbus]\nport = {free_port()}\n[zenoh]\nenabled = false\n"
+            f'[web]\nport = {self.port}\npassword_hash = "{HASH}"\ncommissioning = true\n'
+        )
+        anna = User(name="Anna", role="engineer", password_hash=HASH)
+        UserFile(self.state / "users.json").put(anna)
+        self.session: aiohttp.ClientSession
+        self.daemon: Daemon
+
+    async def ask(self, method: str, path: str, document: Any = None) -> tuple[int, Any]:
+        """Status and answer below /api/v1, as the page asks."""
+        return await BrowserSession(self.session).ask(method, f"/api/v1{path}", document)
+
+    async def done(self, task: str) -> dict[str, Any]:
+        """How a task ended."""
+        while True:
+            _, document = await self.ask("GET", f"/tasks/{task}")
+            if document["state"] != "running":
+                return document
+            await asyncio.sleep(0.05)
+
+    async def until(self, path: str, condition: Callable[[Any], object]) -> Any:
+        """The first answer that fulfils a condition."""
+        async with asyncio.timeout(60):
+            while True:
+                _, document = await self.ask("GET", path)
+                if condition(document):
+                    return document
+                await asyncio.sleep(0.05)
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """The daemon, and a browser that has logged in."""
+        loaded = load_any_cell(self.config)
+        self.daemon = Daemon(self.config, loaded, world=self.world)
+        task = asyncio.create_task(self.daemon.run())
+        try:
+            async with browsing(f"http://127.0.0.1:{self.port}") as self.session:
+                browser = BrowserSession(self.session)
+                await browser.log_in_once_it_listens("Anna", PASSWORD, lambda: not task.done())
+                yield
+        finally:
+            self.daemon.stop()
+            await task

@@ -1,0 +1,62 @@
+"""Flat parts with broken rims: between face and wall a ring as bright as light and point of view make it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray, Image
+from edged.sim.render.scene import Disc, Hole, Mark, Part, Polygon, Surface
+from edged.vision.geometry.camera import StereoRig
+from helpers.cells import pictures, scene
+from helpers.flatparts import METAL
+
+RIM_MM, HOLES = 13.0, (("bore", -4.0, 3.0, 3.0), ("pin", 6.0, 4.0, 1.5), ("odd", 2.0, -7.0, 2.0))
+DARK, FACE = 0.1, METAL.albedo
+WALL = Surface(albedo=DARK)
+
+
+def half_disc(x_mm: float, y_mm: float, radius_mm: float, side_rad: float) -> Polygon:
+    """Half of a circle, on the side that lies in this direction."""
+    phase = side_rad + np.linspace(-0.5 * math.pi, 0.5 * math.pi, 90)
+    return Polygon(tuple((x_mm + radius_mm * math.cos(a), y_mm + radius_mm * math.sin(a)) for a in phase))
+
+
+def parts(break_mm: float, light: FloatArray, side_rad: float) -> tuple[Part, Part]:
+    """Body and face of a disc with three holes.
+
+    light (2,) : albedo of its breaks on the side that lies in a direction, and of the others.
+    """
+    body = Part(
+        "body",
+        Disc(0, 0, RIM_MM),
+        Surface(albedo=float(light[1])),
+        marks=(Mark(half_disc(0, 0, RIM_MM - 0.01, side_rad), float(light[0])),),
+    )
+    rings: list[Mark] = []
+    for _, x, y, radius in HOLES:
+        # of a hole the other side is turned to the light
+        rings.append(Mark(Disc(x, y, radius + break_mm), float(light[0])))
+        rings.append(Mark(half_disc(x, y, radius + break_mm, side_rad), float(light[1])))
+    holes = tuple(Hole(name, Disc(x, y, radius), 0.1) for name, x, y, radius in HOLES)
+    return body, Part("face", Disc(0, 0, RIM_MM - break_mm), METAL, holes, tuple(rings))
+
+
+def pair_of(
+    rig: StereoRig,
+    where: FloatArray,
+    break_mm: float,
+    lights: FloatArray,
+    side_rad: float = 0.0,
+    seed: int = 7,
+) -> tuple[Image, Image]:
+    """Both pictures of the part.  lights (2, 2) : of the left and the right camera, as `parts` has them."""
+    lower = where.copy()
+    lower[:3, 3] += break_mm * where[:3, 2]
+    seen = []
+    for light in lights:
+        body, face = parts(break_mm, light, side_rad)
+        seen.append(pictures(rig, scene((body, lower), (face, where), table=replace(WALL, albedo=0.1)), seed))
+    return seen[0][0], seen[1][1]

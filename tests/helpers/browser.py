@@ -1,0 +1,195 @@
+"""A real browser for tests: headless Chromium over its DevTools protocol."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import json
+import re
+import tempfile
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+
+AXE = Path(__file__).parents[1] / "data" / "axe" / "axe.min.js"
+REST_MS = 40
+START_S, PATIENCE_S = 30.0, 20.0
+
+
+class Gone(Exception):
+    """What was asked belonged to a page that has been left meanwhile."""
+
+
+class Browser:
+    """One page. complaints : what its console said: errors, and what the security policy forbade."""
+
+    def __init__(self, devtools: aiohttp.ClientWebSocketResponse) -> None:
+        self._devtools = devtools
+        self._number = 0
+        self.complaints: list[str] = []
+
+    async def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """One command of the protocol, and its result."""
+        self._number += 1
+        await self._devtools.send_json({"id": self._number, "method": method, "params": parameters})
+        while True:
+            message = json.loads((await self._devtools.receive()).data)
+            if message.get("method") == "Log.entryAdded":
+                entry = message["params"]["entry"]
+                self.complaints.append(f"{entry['text']} {entry.get('url', '')}")
+            elif message.get("method") == "Runtime.exceptionThrown":
+                self.complaints.append(json.dumps(message["params"]))
+            elif message.get("id") == self._number:
+                if "error" in message:
+                    raise Gone(message["error"]["message"])
+                return dict(message["result"])
+
+    async def resize(self, width: int, height: int, zoom: float = 1.0) -> None:
+        """The window, in CSS pixels as the page has them at this zoom."""
+        await self.ask(
+            "Emulation.setDeviceMetricsOverride",
+            width=round(width / zoom),
+            height=round(height / zoom),
+            deviceScaleFactor=zoom,
+            mobile=False,
+        )
+
+    async def open(self, url: str, width: int, height: int) -> None:
+        """Go to a page, in a window of this size."""
+        await self.ask("Log.enable")
+        await self.ask("Runtime.enable")
+        await self.ask("Page.enable")
+        await self.resize(width, height)
+        await self.ask("Page.navigate", url=url)
+
+    async def value(self, expression: str) -> Any:
+        """Of an expression in the page; promises are awaited."""
+        answer = await self.ask(
+            "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
+        )
+        if "exceptionDetails" in answer:
+            raise RuntimeError(f"{expression}: {answer['exceptionDetails']}")
+        return answer["result"].get("value")
+
+    async def until(self, expression: str) -> None:
+        """Wait for something in the page to be true, or in the one that it leads to."""
+        try:
+            await self._wait_for(expression)
+        except Gone:
+            await self._wait_for(expression)
+
+    async def _wait_for(self, expression: str) -> None:
+        await self.value(
+            f"""new Promise((done, failed) => {{
+              const shown = () => document.body.innerText;
+              const late = setTimeout(() => failed(new Error("never true: " + shown())), {1e3 * PATIENCE_S});
+              const look = () => {{
+                if (!({expression})) return setTimeout(look, 20);
+                clearTimeout(late);
+                done();
+              }};
+              look(); }})"""
+        )
+
+    async def press(self, key: str) -> None:
+        """A key, as a person would."""
+        text = {"text": key} if len(key) == 1 else {}
+        await self.ask("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
+        await self.ask("Input.dispatchKeyEvent", type="keyUp", key=key)
+
+    async def click(self, selector: str) -> None:
+        """The middle of an element, as a person would: what covers it gets the click."""
+        x, y = await self.middle(selector)
+        for kind in ("mousePressed", "mouseReleased"):
+            await self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    async def tap(self, selector: str) -> None:
+        """The same with a finger."""
+        x, y = await self.middle(selector)
+        await self.ask("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        await self.ask("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+    async def wheel(self, selector: str, delta: float) -> None:
+        """Turn the wheel over the middle of an element; negative: away from the person."""
+        x, y = await self.middle(selector)
+        await self.ask("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=delta)
+
+    async def pinch(self, selector: str, apart_px: tuple[float, float]) -> None:
+        """Two fingers beside the middle of an element, from one distance to another."""
+        x, y = await self.middle(selector)
+        await self.ask("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+        for kind, apart in (("touchStart", apart_px[0]), ("touchMove", apart_px[1])):
+            points = [{"x": x + sign * apart / 2, "y": y, "id": n} for n, sign in enumerate((-1, 1))]
+            await self.ask("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+        await self.ask("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        await self.ask("Emulation.setTouchEmulationEnabled", enabled=False)
+
+    async def middle(self, selector: str) -> tuple[float, float]:
+        """Of an element, scrolled into view, when what is around it has come to rest."""
+        x, y = await self.value(
+            f"""(async () => {{
+              const middle = () => {{
+                const e = document.querySelector({json.dumps(selector)});
+                e.scrollIntoView({{block: "center", inline: "center"}});
+                const b = e.getBoundingClientRect();
+                return [b.x + b.width / 2, b.y + b.height / 2];
+              }};
+              for (let now = middle(), last = null; ; [last, now] = [now, middle()]) {{
+                if (last && last.every((value, i) => value === now[i])) return now;
+                await new Promise((done) => setTimeout(done, {REST_MS}));
+              }}
+            }})()"""
+        )
+        return float(x), float(y)
+
+    async def type(self, selector: str, text: str) -> None:
+        """Into a field, as a person would, and leave it."""
+        await self.click(selector)
+        await self.value(f"document.querySelector({json.dumps(selector)}).select()")
+        await self.ask("Input.insertText", text=text)
+        await self.value(f"document.querySelector({json.dumps(selector)}).blur()")
+
+    async def violations(self) -> list[str]:
+        """What axe-core finds wrong for people who see, hear or move otherwise: rule and place of each."""
+        if not await self.value("Boolean(window.axe)"):
+            await self.ask("Runtime.evaluate", expression=AXE.read_text())
+        return list(
+            await self.value(
+                "axe.run().then(({violations}) => violations.flatMap(({id, nodes}) => "
+                "nodes.map(({target, failureSummary}) => `${id} ${target}: ${failureSummary}`)))"
+            )
+        )
+
+    async def picture(self) -> bytes:
+        """What it looks like, PNG."""
+        return base64.b64decode((await self.ask("Page.captureScreenshot", format="png"))["data"])
+
+
+@asynccontextmanager
+async def browser() -> AsyncIterator[Browser]:
+    """An empty page of a new Chromium."""
+    with tempfile.TemporaryDirectory(prefix="edged-chromium-", ignore_cleanup_errors=True) as profile:
+        process = await asyncio.create_subprocess_exec(
+            *("chromium", "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"),
+            *(f"--user-data-dir={profile}", "about:blank"),
+            stderr=asyncio.subprocess.PIPE,
+        )
+        try:
+            async with asyncio.timeout(START_S):
+                assert process.stderr is not None
+                while not (found := re.search(rb"ws://([^/]+)/", await process.stderr.readline())):
+                    pass
+            async with aiohttp.ClientSession() as session:
+                async with session.get(f"http://{found[1].decode()}/json/list") as answer:
+                    pages = json.loads(await answer.read())
+                address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
+                async with session.ws_connect(address, max_msg_size=0) as devtools:
+                    yield Browser(devtools)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            await process.communicate()

@@ -1,0 +1,298 @@
+"""KRL as KUKA's controllers run it, as far as `edged registers --format krl` uses it, with EthernetKRL.
+
+After "KUKA System Software 8.x: Operating and Programming Instructions for System Integrators" (declarations
+before statements, arrays handed over as OUT, quotients of INT are whole, REAL rounded to INT where it is
+assigned) and "KUKA.EthernetKRL 2.2" (6.1 the configuration, 6.2 the functions).
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+from xml.etree import ElementTree
+
+from edged.domain.arrays import FloatArray
+from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.vision.geometry.rigid import invert
+from helpers.robotarm import RobotArm
+from helpers.robotlanguage import Assign, Call, Parameter, Program, Return, Routine, Syntax, block
+from helpers.robotlink import Link
+from helpers.robotvalues import Array, Record, Types, single
+
+NAME = r"[A-Za-z$_][\w$]*"
+
+
+def _int(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) >= 2**31:
+        raise TypeError(f"{value!r} is no INT")
+    return round(value)
+
+
+def _real(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{value!r} is no REAL")
+    return single(value)
+
+
+def _bool(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"{value!r} is no BOOL")
+    return value
+
+
+def _char(value: Any) -> str:
+    if not isinstance(value, str) or len(value) != 1:
+        raise TypeError(f"{value!r} is no CHAR")
+    return value
+
+
+TYPES = Types(
+    {
+        "INT": (0, _int),
+        "REAL": (0.0, _real),
+        "BOOL": (False, _bool),
+        "CHAR": ("\0", _char),
+        "text": ("", lambda value: value),
+        "literal": ("", lambda value: value[1:-1]),
+    },
+    {
+        "FRAME": dict.fromkeys("xyzabc", "REAL"),
+        "EKI_STATUS": {"buff": "INT", "read": "INT", "msg_no": "INT", "connected": "BOOL"},
+    },
+)
+HEAD = re.compile(
+    rf"(?P<is_global>GLOBAL )?(?:DEFFCT (?P<returns>\w+)|DEF) (?P<name>{NAME})\((?P<parameters>.*)\)$"
+)
+LOCAL = re.compile(rf"DECL (?P<type>\w+) (?P<name>{NAME})(?P<array>\[(?P<size>\d*)\])?$")
+DATA = re.compile(
+    rf"DECL (?:GLOBAL )?(?P<type>INT|REAL|FRAME|CHAR) (?P<name>{NAME})"
+    r"(?:\[(?P<size>\d+)\])?(?:=(?P<initial>\S+))?$"
+)
+
+
+class _Syntax(Syntax):
+    """KRL's statements, one a line; it has no ELSEIF."""
+
+    WHILE = r"WHILE (.+)$"
+    FOR = rf"FOR ({NAME})=(.+) TO (.+)$"
+
+    def simple(self, line: str) -> Any:
+        if found := re.match(r"RETURN(?: (.+))?$", line):
+            return Return(found[1] or "")
+        if found := re.match(r"WAIT SEC (\S+)$", line):
+            return Call("WAIT_SEC", found[1])
+        if found := re.match(rf"LIN ({NAME})$", line):
+            return Call("LIN", found[1])
+        if found := re.match(rf"({NAME})=({NAME}):INV_POS\(({NAME})\)$", line):
+            return Call("GEOMETRIC_INVERSE", ", ".join(found.groups()))
+        if found := re.match(
+            rf"({NAME})=({NAME}(?:\[\d+\])?):\{{X (\S+),Y (\S+),Z (\S+),A (\S+),B (\S+),C (\S+)\}}$", line
+        ):
+            return Call("GEOMETRIC", ", ".join(found.groups()))
+        if found := re.match(rf"((?:{NAME})(?:\.\w+|\[[^\]]*\])*)=(.+)$", line):
+            return Assign(found[1], found[2])
+        found = re.match(rf"({NAME})\((.*)\)$", line)
+        assert found is not None, f"no statement: {line}"
+        return Call(found[1], found[2])
+
+
+class _Krl(Program):
+    """KRL: `TEXT[]` is the whole array, and a string is written into it."""
+
+    def statement(self, one: Any) -> None:
+        """Strings are assigned as a whole; everything else as in the other languages."""
+        if isinstance(one, Assign) and one.target.endswith("[]"):
+            array, text = self.place(one.target), self.evaluate(one.value).get()
+            assert len(text) <= len(array.elements), one
+            for place, char in zip(array.elements, text, strict=False):
+                place.set(char)
+        else:
+            super().statement(one)
+
+
+def load(files: dict[str, str], controller: Controller) -> Program:
+    """The module of `edged.src` and `edged.dat`."""
+    program = _Krl("krl", TYPES, "==", "[]")
+    program.builtins = {name: getattr(controller, name.lower()) for name in BUILTINS}
+    lines = [line.partition(";")[0].strip() for line in files["edged.dat"].splitlines()]
+    lines = [line for line in lines if line and not line.startswith("&")]
+    assert lines[0] == "DEFDAT EDGED PUBLIC" and lines[-1] == "ENDDAT"
+    for line in lines[1:-1]:
+        found = DATA.match(line)
+        assert found is not None, line
+        size = int(found["size"] or 0)
+        made = TYPES.array(found["type"], size) if size else TYPES.variable(found["type"])
+        program.globals[program.declared(found["name"])] = made
+        if found["initial"]:
+            made.set(program.evaluate(found["initial"]).get())
+    program.globals["$FLAG"] = controller.flags
+    program.globals |= {"$POS_ACT": controller.position, "$TOOL": controller.tool}
+    source = files["edged.src"]
+    assert source.isascii()
+    lines = [line.partition(";")[0].strip() for line in source.splitlines()]
+    lines = [line for line in lines if line and not line.startswith("&")]
+    assert lines[0] == "DEF EDGED()", "the first routine has the module's name"
+    at = 0
+    while at < len(lines):
+        at = _routine(program, lines, at)
+    return program
+
+
+def _routine(program: Program, lines: list[str], at: int) -> int:
+    head = HEAD.match(lines[at])
+    assert head is not None, lines[at]
+    ways = dict(one.split(":") for one in filter(None, head["parameters"].split(",")))
+    assert all(way == "OUT" for name, way in ways.items() if name.endswith("[]")), (
+        "arrays are handed over as OUT"
+    )
+    ways = {name.removesuffix("[]"): way for name, way in ways.items()}
+    at += 1
+    declared: dict[str, tuple[str, int, bool]] = {}
+    while found := LOCAL.match(lines[at]):
+        declared[program.declared(found["name"])] = (
+            found["type"],
+            int(found["size"] or 0),
+            bool(found["array"]),
+        )
+        at += 1
+    parameters = [
+        Parameter(name, declared[name][0], way == "OUT", declared[name][2]) for name, way in ways.items()
+    ]
+    routine = Routine(program.declared(head["name"]), parameters, head["returns"] or "")
+    routine.locals = [
+        (name, kind, size, "") for name, (kind, size, _) in declared.items() if name not in ways
+    ]
+    assert all(size or not is_array for name, (_, size, is_array) in declared.items() if name not in ways)
+    routine.body, at = block(lines, at, _Syntax(), {"ENDFCT" if head["returns"] else "END"})
+    program.routines[head["name"]] = routine
+    return at + 1
+
+
+BUILTINS = (
+    *("EKI_INIT", "EKI_OPEN", "EKI_CLOSE", "EKI_CLEAR", "EKI_SEND", "EKI_CHECKBUFFER", "EKI_GETSTRING"),
+    *("STRLEN", "WAIT_SEC", "LIN", "GEOMETRIC", "GEOMETRIC_INVERSE"),
+)
+
+
+def _matrix(frame: Any) -> FloatArray:
+    return transform_of(Brand.KUKA, tuple(frame.get().plain().values()))
+
+
+def _write(frame: Any, pose: FloatArray) -> None:
+    for place, number in zip(frame.get().fields.values(), pose_of(Brand.KUKA, pose), strict=True):
+        place.set(number)
+
+
+class Controller:
+    """One channel of EthernetKRL, as the configuration file says, and the flags."""
+
+    def __init__(self, configuration: str, link: Link, arm: RobotArm | None = None) -> None:
+        self.arm = arm or link.arm
+        self.position, self.tool = TYPES.variable("FRAME"), TYPES.variable("FRAME")
+        _write(self.tool, self.arm.flange_from_tip)
+        _write(self.position, self.arm.tip)
+        root = ElementTree.fromstring(configuration)
+        assert root.tag == "ETHERNETKRL" and root.findtext("CONFIGURATION/EXTERNAL/TYPE") == "Server"
+        assert "1503" == root.findtext("CONFIGURATION/EXTERNAL/PORT")
+        messages = root.find("CONFIGURATION/INTERNAL/MESSAGES")
+        alive = root.find("CONFIGURATION/INTERNAL/ALIVE")
+        assert messages is not None and messages.get("Display") == "disabled" and alive is not None
+        self.ends = {}
+        for way in ("RECEIVE", "SEND"):
+            element = root.find(f"{way}/RAW/ELEMENT")
+            assert element is not None and element.get("Type") == "STREAM"
+            self.ends[way] = bytes(int(code) for code in element.get("EOS", "").split(","))
+        self.flag = int(alive.get("Set_Flag", ""))
+        assert 1 <= self.flag <= 1025
+        self.flags = TYPES.array("BOOL", 1025)
+        self.link = link
+        self.is_initialised = False
+        self.data = b""
+
+    def _status(self, message: int = 0) -> Record:
+        record: Record = TYPES.initial("EKI_STATUS")
+        self._receive()
+        record.fields["msg_no"].set(message)
+        record.fields["buff"].set(self.data.count(self.ends["RECEIVE"]))
+        record.fields["connected"].set(self.link.is_open)
+        return record
+
+    def _receive(self) -> None:
+        """What has come; the flag falls with the link."""
+        while self.link.is_open and (more := self.link.receive(0.0)) is not None:
+            self.data += more
+            if not more:
+                self._hang_up()
+
+    def _hang_up(self) -> None:
+        self.link.close()
+        self.flags.element(self.flag).set(False)
+
+    def eki_init(self, channel: Any) -> Record:
+        """Of a channel that is initialised: an error (EKI00023)."""
+        assert channel.get() == "edged" and not self.is_initialised
+        self.is_initialised = True
+        return self._status()
+
+    def eki_open(self, _channel: Any) -> Record:
+        """Waits for the link at most as long as the configuration says."""
+        assert self.is_initialised
+        if not self.link.open():
+            return self._status(4)
+        self.flags.element(self.flag).set(True)
+        return self._status()
+
+    def eki_close(self, _channel: Any) -> Record:
+        """Of a link that is there; otherwise a message stops the program (EKI00009)."""
+        assert self.link.is_open
+        self._hang_up()
+        return self._status()
+
+    def eki_clear(self, _channel: Any) -> Record:
+        """The channel and its memory are gone."""
+        assert self.is_initialised
+        self._hang_up()
+        self.is_initialised, self.data = False, b""
+        return self._status()
+
+    def eki_send(self, _channel: Any, text: Any, length: Any) -> Record:
+        """So many characters, but not beyond the first zero, and the end string."""
+        said = "".join(one.get() for one in text.elements)[: length.get()].partition("\0")[0]
+        return self._status(0 if self.link.send(said.encode("ascii") + self.ends["SEND"]) else 9)
+
+    def eki_checkbuffer(self, _channel: Any, tag: Any) -> Record:
+        """How many lines wait."""
+        assert tag.get() == "Line"
+        return self._status()
+
+    def eki_getstring(self, _channel: Any, tag: Any, target: Any) -> Record:
+        """The oldest line, without its end, into a string that is long enough."""
+        assert tag.get() == "Line" and isinstance(target, Array)
+        line, _, self.data = self.data.partition(self.ends["RECEIVE"])
+        assert len(line) <= len(target.elements)
+        for place, char in zip(target.elements, line.decode("latin-1"), strict=False):
+            place.set(char)
+        return self._status()
+
+    def strlen(self, text: Any) -> int:
+        """Characters of the string."""
+        return "".join(one.get() for one in text.elements).find("\0")
+
+    def wait_sec(self, seconds: Any) -> None:
+        """Wait; what is read then is where the robot stands (advance run)."""
+        self.link.pause(seconds.get())
+        self.arm.rests()
+        _write(self.position, self.arm.tip)
+
+    def lin(self, place: Any) -> None:
+        """Along a line, with what $TOOL and $BASE are."""
+        self.arm.move(_matrix(place))
+
+    def geometric(self, target: Any, place: Any, *numbers: Any) -> None:
+        """A place, and a frame in it."""
+        frame = transform_of(Brand.KUKA, tuple(number.get() for number in numbers))
+        _write(target, _matrix(place) @ frame)
+
+    def geometric_inverse(self, target: Any, place: Any, frame: Any) -> None:
+        """A place, and the inverse of a frame in it."""
+        _write(target, _matrix(place) @ invert(_matrix(frame)))

@@ -1,0 +1,131 @@
+"""A cell in a thread: the real loop, handshake and Modbus server; cameras and vision are made up."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from types import TracebackType
+from typing import TypeVar
+
+import numpy as np
+
+from edged.adapters.modbus import ModbusPublisher, ModbusSettings
+from edged.cycle import Cycle
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Outcome, Status, Target
+from edged.domain.picking import Grasp, Picking
+from edged.errors import FrameTimeout
+from edged.loop.loaded import LoadedJob, Setup
+from edged.loop.registering import Registrar
+from helpers.snapshots import make_target, make_transform
+
+T = TypeVar("T")
+PART_FROM_TCP = make_transform((0.4, 0.0, -1.0), (30.0, -10.0, 5.0))
+GRASPS = Picking(grasps=(Grasp("rim", PART_FROM_TCP, PART_FROM_TCP, 50.0, 80.0),))
+"""One way to take the part of `make_target`."""
+
+
+class Head:
+    """A stereo head in memory; `broken` makes every capture fail."""
+
+    def __init__(self) -> None:
+        self.broken = False
+        self.captures = 0
+
+    async def open(self) -> None:
+        self._check()
+
+    async def capture(self) -> FramePair:
+        await asyncio.sleep(0.005)
+        self._check()
+        self.captures += 1
+        image = np.zeros((4, 4), np.uint8)
+        left, right = (
+            Frame(side, self.captures, image, time.time_ns(), time.time_ns()) for side in ("left", "right")
+        )
+        return FramePair(left, right)
+
+    async def close(self) -> None:
+        pass
+
+    def _check(self) -> None:
+        if self.broken:
+            raise FrameTimeout("left", "unplugged")
+
+
+class LiveCell:
+    """Two jobs; every capture shows `targets`, `slow_s` later, when it `may_end`. Use it as a context."""
+
+    def __init__(self, settings: ModbusSettings | None = None, period_s: float | None = None) -> None:
+        self.settings = settings or ModbusSettings(port=0, validity_s=30.0)
+        self.head = Head()
+        self.targets: tuple[Target, ...] = (make_target(),)
+        self.slow_s = 0.0
+        self.registrar: Registrar | None = None
+        self.may_end = threading.Event()
+        self.may_end.set()
+        jobs = {number: LoadedJob(f"job{number}", number, self._locate) for number in (1, 2)}
+        self.setup = Setup(jobs, 1, period_s, "cal", "f00d", simulated=False, robot_from_rig=np.eye(4))
+        self._started = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
+
+    def pick(self, picking: Picking) -> LiveCell:
+        """Before it starts: what its jobs say of picking."""
+        jobs = {number: replace(job, picking=picking) for number, job in self.setup.jobs.items()}
+        self.setup = replace(self.setup, jobs=jobs)
+        return self
+
+    def __enter__(self) -> LiveCell:
+        self._thread.start()
+        assert self._started.wait(10)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.call(self.cycle.stop)
+        self._thread.join(20)
+        assert not self._thread.is_alive()
+
+    @property
+    def port(self) -> int:
+        """TCP port of the server."""
+        return self.server.port
+
+    def call(self, work: Callable[[], T]) -> T:
+        """Do something on the cell's event loop."""
+
+        async def run() -> T:
+            return work()
+
+        return asyncio.run_coroutine_threadsafe(run(), self.loop).result(10)
+
+    def reload(self, **changes: object) -> None:
+        """As a reload that changed these fields of the setup; returns when it is in force."""
+        self.setup = replace(self.setup, **changes)
+        self.call(lambda: self.cycle.exchange(self.setup))
+        in_force = vars(self.cycle)
+        while in_force["_setup"] is not self.setup:
+            time.sleep(0.001)
+
+    def _locate(self, _pair: FramePair, lap: Callable[[str], None]) -> Outcome:
+        time.sleep(self.slow_s)
+        assert self.may_end.wait(20)
+        lap("find")
+        return Outcome(Status.OK if self.targets else Status.NO_TARGET, self.targets)
+
+    async def _run(self) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.cycle = Cycle(self.head, self.setup, registrar=self.registrar)
+        jobs = [(job.number, job.name) for job in self.setup.jobs.values()]
+        self.server = ModbusPublisher(self.settings, self.cycle, jobs=lambda: jobs)
+        await self.server.start()
+        try:
+            self.cycle.set_publishers([self.server])
+            self.loop.call_soon(self._started.set)
+            await self.cycle.run()
+        finally:
+            await self.server.close()

@@ -1,0 +1,117 @@
+"""A live cell that is served over OPC UA, and certificates for it and its clients."""
+
+from __future__ import annotations
+
+import asyncio
+import datetime
+from pathlib import Path
+from types import TracebackType
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from edged.adapters.modbus import ModbusSettings
+from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings
+from edged.passwords import hash_password
+from helpers.livecell import LiveCell
+
+PASSWORD = "a password for tests"
+PASSWORD_HASH = hash_password(PASSWORD)
+JOBS = [(1, "job1"), (2, "job2")]
+
+
+def make_certificate(folder: Path, name: str, uri: str, *, days: int = 2) -> None:
+    """`name`.pem, .der, .key and .key.der: an application's certificate, as OPC 10000-6, 6.2.2 wants it."""
+    key = rsa.generate_private_key(65537, 2048)
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    now = datetime.datetime.now(datetime.UTC)
+    begins = now - datetime.timedelta(days=3)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(begins)
+        .not_valid_after(now + datetime.timedelta(days=days))
+        .add_extension(
+            x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri), x509.DNSName("localhost")]),
+            critical=False,
+        )
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(
+            x509.KeyUsage(
+                digital_signature=True,
+                content_commitment=True,
+                key_encipherment=True,
+                data_encipherment=True,
+                key_agreement=False,
+                key_cert_sign=True,
+                crl_sign=False,
+                encipher_only=False,
+                decipher_only=False,
+            ),
+            critical=True,
+        )
+        .add_extension(
+            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]),
+            critical=False,
+        )
+        .sign(key, hashes.SHA256())
+    )
+    (folder / f"{name}.pem").write_bytes(certificate.public_bytes(Encoding.PEM))
+    (folder / f"{name}.der").write_bytes(certificate.public_bytes(Encoding.DER))
+    for suffix, encoding in (("key", Encoding.PEM), ("key.der", Encoding.DER)):
+        data = key.private_bytes(encoding, PrivateFormat.TraditionalOpenSSL, NoEncryption())
+        (folder / f"{name}.{suffix}").write_bytes(data)
+
+
+def secure_settings(folder: Path, *, anonymous: bool = False) -> OpcUaSettings:
+    """Settings with certificates in the folder; the client `friend` is trusted."""
+    trusted = folder / "trusted"
+    trusted.mkdir()
+    make_certificate(folder, "server", "urn:edged:cell1")
+    for name in ("friend", "stranger"):
+        make_certificate(folder, name, f"urn:test:{name}")
+    (trusted / "friend.der").write_bytes((folder / "friend.der").read_bytes())
+    return OpcUaSettings(
+        "cell1",
+        port=0,
+        certificate=folder / "server.pem",
+        key=folder / "server.key",
+        trusted=trusted,
+        password_hash=PASSWORD_HASH,
+        anonymous=anonymous,
+    )
+
+
+class OpcUaCell(LiveCell):
+    """A live cell with OPC UA. Use it as a context."""
+
+    def __init__(
+        self, settings: OpcUaSettings, modbus: ModbusSettings | None = None, period_s: float | None = None
+    ) -> None:
+        super().__init__(modbus, period_s)
+        self.jobs = list(JOBS)
+        self.publisher = OpcUaPublisher(settings, lambda: self.server, lambda: self.jobs)
+
+    def __enter__(self) -> OpcUaCell:
+        super().__enter__()
+        asyncio.run_coroutine_threadsafe(self.publisher.start(), self.loop).result(30)
+        # before Modbus, though it shows what Modbus has taken note of: the order must not matter
+        self.call(lambda: self.cycle.set_publishers([self.publisher, self.server]))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        asyncio.run_coroutine_threadsafe(self.publisher.close(), self.loop).result(10)
+        super().__exit__(kind, error, trace)
+
+    @property
+    def url(self) -> str:
+        """Where clients connect."""
+        return f"opc.tcp://127.0.0.1:{self.publisher.port}"

@@ -1,0 +1,561 @@
+"""The robots of every maker, each with its generated program in an interpreter of its language.
+
+`LIES` are answers that none of them may move by; `excuses` of a side are those that its language hears in
+another way.
+"""
+
+from __future__ import annotations
+
+import atexit
+import itertools
+import re
+import shutil
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+import pytest
+
+from edged.plc.clients.karel import karel_files
+from edged.plc.clients.krl import krl_files
+from edged.plc.clients.melfa import melfa_files
+from edged.plc.clients.motoplus import motoplus_files
+from edged.plc.clients.robotlines import Failure
+from edged.plc.clients.val3 import val3_files
+from edged.plc.lines import answer_fields
+from edged.plc.texts import render
+from edged.robot.orientations import Brand
+from helpers import drl, inform, karel, kawasaki, krl, melfa, rapid, spel, val3
+from helpers.robotlanguage import Program
+from helpers.robotlink import Link
+
+Lie = tuple[Callable[[Brand, str], bytes], int]
+"""What is answered to the request of that sequence, and what the robot says of it."""
+Taken = tuple[tuple[float, ...], ...]
+"""Poses of a part, of the tool that takes it, and of the tool before."""
+
+
+def honest(brand: Brand, sequence: str, **changes: str) -> str:
+    """An answer of the cell with some fields changed, without its end."""
+    values = dict.fromkeys(answer_fields(brand), "0.000000") | {"SEQUENCE": sequence, "STATUS": "0"}
+    values |= {"REMAINING": "0", "X": "400.000000", "AGE": "0.100000"}
+    values |= {"Q1": "1.000000"} if brand is Brand.ABB else {}
+    values |= {"END": sequence} if brand is Brand.MITSUBISHI else {}
+    return ",".join((values | changes).values())
+
+
+LIES: dict[str, Lie] = {
+    "of the request before": (lambda b, s: f"{honest(b, str(int(s) - 1))}\n".encode(), Failure.OTHERS),
+    "of another robot": (lambda b, _: f"{honest(b, '4711')}\n".encode(), Failure.OTHERS),
+    "one field less": (lambda b, s: f"{honest(b, s).rpartition(',')[0]}\n".encode(), Failure.NO_ANSWER),
+    "one field more": (lambda b, s: f"{honest(b, s)},1.0\n".encode(), Failure.NO_ANSWER),
+    "a word": (lambda b, s: f"{honest(b, s, Y='left')}\n".encode(), Failure.NO_ANSWER),
+    "an empty field": (lambda b, s: f"{honest(b, s, Z='')}\n".encode(), Failure.NO_ANSWER),
+    "not a number": (lambda b, s: f"{honest(b, s, Z='nan')}\n".encode(), Failure.NO_ANSWER),
+    "two points": (lambda b, s: f"{honest(b, s, Z='1.2.3')}\n".encode(), Failure.NO_ANSWER),
+    "a sign within": (lambda b, s: f"{honest(b, s, Z='1-2')}\n".encode(), Failure.NO_ANSWER),
+    "an empty line": (lambda *_: b"\n", Failure.NO_ANSWER),
+    "two lines": (lambda b, s: f"{honest(b, s)}\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
+    "a line before": (lambda b, s: f"hello\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
+    "a flood": (lambda *_: b"1" * 900, Failure.NO_ANSWER),
+    "other bytes": (lambda *_: bytes(range(128, 200)) + b"\n", Failure.NO_ANSWER),
+    "half a line": (lambda b, s: honest(b, s)[:-3].encode(), Failure.LATE),
+    "nothing": (lambda *_: b"", Failure.LATE),
+    "another failure": (lambda b, s: f"{honest(b, s, STATUS='102')}\n".encode(), 102),
+}
+
+
+class Side(Protocol):
+    """A robot that runs its program. Each request gives the pose's numbers, or None: do not move."""
+
+    brand: Brand
+    link: Link
+
+    def __init__(self, link: Link) -> None: ...
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None: ...
+    def error(self) -> int: ...
+    def sigma_age(self) -> tuple[float, ...]: ...
+    def close(self) -> None: ...
+
+
+class Abb:
+    """An ABB controller."""
+
+    brand = Brand.ABB
+    excuses: ClassVar[dict[str, Lie]] = {}
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.sockets = rapid.Sockets(link)
+        self.program = rapid.load(render("rapid"), self.sockets)
+        self.part = rapid.TYPES.variable("pose")
+
+    def _pose(self, ok: bool) -> tuple[float, ...] | None:
+        plain = self.part.value.plain()
+        return (*plain["trans"].values(), *plain["rot"].values()) if ok else None
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
+        return self._pose(self.program.call("EdgedLocate", job, timeout_s, self.part))
+
+    def next(self) -> tuple[float, ...] | None:
+        return self._pose(self.program.call("EdgedNext", 5, self.part))
+
+    def grasp(self) -> list[tuple[float, ...]] | None:
+        grasp, approach = (rapid.TYPES.variable("pose") for _ in range(2))
+        if not self.program.call("EdgedGrasp", 5, grasp, approach):
+            return None
+        plain = [one.value.plain() for one in (grasp, approach)]
+        return [(*one["trans"].values(), *one["rot"].values()) for one in plain]
+
+    def acknowledge(self) -> None:
+        self.program.call("EdgedAcknowledge")
+
+    def error(self) -> int:
+        return int(self.program.named("edged_error").get())
+
+    def remaining(self) -> int:
+        return int(self.program.named("edged_remaining").get())
+
+    def sigma_age(self) -> tuple[float, ...]:
+        sigma = self.program.named("edged_sigma").get().plain()
+        return (*sigma.values(), self.program.named("edged_age").get())
+
+    def close(self) -> None:
+        self.sockets.close()
+
+
+class Fanuc:
+    """A FANUC controller: one call measures, fetches three targets and acknowledges."""
+
+    brand = Brand.FANUC
+    keeps_ends = False
+    excuses: ClassVar[dict[str, Lie]] = {  # READ ends at the line feed and does not show it
+        "an empty line": (lambda *_: b"\n", Failure.LATE),
+        "one field less": (lambda b, s: f"{honest(b, s).rpartition(',')[0]}\n".encode(), Failure.LATE),
+        "two lines": (lambda b, s: f"{honest(b, s)[:-3]}\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
+    }
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = karel.Controller(link, keeps_ends=self.keeps_ends)
+        source = karel_files()["edged.kl"]
+        self.program = karel.load(source, self.controller)
+        self.given = 0
+
+    def locate(
+        self, job: int = 0, timeout_s: float = 5.0, grasps: tuple[int, ...] = ()
+    ) -> tuple[float, ...] | None:
+        self.controller.arguments = (job, int(timeout_s * 1000), 81, 91, 3, *grasps)
+        self.controller.positions.clear()
+        self.program.call("RUN")
+        self.given = 0
+        assert (self.controller.registers[81] == 0) == (self.controller.registers[82] > 0)
+        return self.next()
+
+    def locate_grasps(self, timeout_s: float = 5.0) -> list[Taken] | None:
+        if self.locate(0, timeout_s, (71, 81)) is None:
+            return None
+        poses = {number: tuple(one.plain().values())[:6] for number, one in self.controller.positions.items()}
+        return [
+            (poses[91 + i], poses[71 + i], poses[81 + i]) for i in range(int(self.controller.registers[82]))
+        ]
+
+    def next(self) -> tuple[float, ...] | None:
+        if self.given >= self.controller.registers[82]:
+            return None
+        self.given += 1
+        plain = self.controller.positions[90 + self.given].plain()
+        assert "NUT000" == plain.pop("config_data")
+        return tuple(plain.values())
+
+    def error(self) -> int:
+        return int(self.controller.registers[81])
+
+    def sigma_age(self) -> tuple[float, ...]:
+        age, *sigma = (self.controller.registers[84 + i] for i in range(4))
+        return (*sigma, age)
+
+    def close(self) -> None:
+        self.link.close()
+
+
+class FanucWithEnds(Fanuc):
+    """One whose READ leaves the line feed in the string."""
+
+    keeps_ends = True
+    excuses: ClassVar[dict[str, Lie]] = {}
+
+
+class Kuka:
+    """A KUKA controller: one call measures, fetches the targets and acknowledges."""
+
+    brand = Brand.KUKA
+    excuses: ClassVar[dict[str, Lie]] = {  # no line ever ends: nothing has been received
+        "a flood": (lambda *_: b"1" * 900, Failure.LATE),
+    }
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        files = krl_files()
+        self.controller = krl.Controller(files["edged.xml"], link)
+        self.program = krl.load(files, self.controller)
+        self.given = 0
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
+        is_found = self.program.call("EDGED_LOCATE", job, timeout_s)
+        assert not self.controller.is_initialised
+        self.given = 0
+        assert is_found == (self.count() > 0)
+        return self.next()
+
+    def count(self) -> int:
+        return int(self.program.named("EDGED_COUNT").get())
+
+    def next(self) -> tuple[float, ...] | None:
+        if self.given >= self.count():
+            return None
+        self.given += 1
+        return self.pose("PART", self.given)
+
+    def pose(self, name: str, number: int) -> tuple[float, ...]:
+        return tuple(self.program.named(f"EDGED_{name}").element(number).get().plain().values())
+
+    def locate_grasps(self, timeout_s: float = 5.0) -> list[Taken] | None:
+        is_found = self.program.call("EDGED_LOCATE_GRASPS", 0, timeout_s)
+        assert is_found == (self.count() > 0)
+        if not is_found:
+            return None
+        poses = ("PART", "GRASP", "APPROACH")
+        return [tuple(self.pose(name, i + 1) for name in poses) for i in range(self.count())]
+
+    def error(self) -> int:
+        return int(self.program.named("EDGED_ERROR").get())
+
+    def sigma_age(self) -> tuple[float, ...]:
+        sigma = (one.get() for one in self.program.named("EDGED_SIGMA").elements)
+        return (*sigma, self.program.named("EDGED_AGE").get())
+
+    def close(self) -> None:
+        self.link.close()
+
+
+class Doosan:
+    """A Doosan controller. It waits for the cell in `client_socket_open`, without end."""
+
+    brand = Brand.DOOSAN
+    excuses: ClassVar[dict[str, Lie]] = {}
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = drl.Controller(link)
+        self.names = drl.load(render("drl"), self.controller)
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
+        pose = self.names["edged_locate"](job, timeout_s)
+        return None if pose is None else tuple(pose)
+
+    def next(self) -> tuple[float, ...] | None:
+        pose = self.names["edged_next"](5.0)
+        return None if pose is None else tuple(pose)
+
+    def grasp(self) -> list[tuple[float, ...]] | None:
+        poses = [self.names[name](5.0) for name in ("edged_grasp", "edged_approach")]
+        return None if None in poses else [tuple(pose) for pose in poses]
+
+    def acknowledge(self) -> None:
+        self.names["edged_acknowledge"]()
+
+    def error(self) -> int:
+        return int(self.names["edged_error"])
+
+    def remaining(self) -> int:
+        return int(self.names["edged_remaining"])
+
+    def sigma_age(self) -> tuple[float, ...]:
+        return (*self.names["edged_sigma"], self.names["edged_age"])
+
+    def close(self) -> None:
+        self.controller.close()
+        self.names["edged_socket"] = None
+
+
+class Shared:
+    """A controller with a program made of the skeleton: numbers by their names, poses of six numbers."""
+
+    brand: Brand
+    excuses: ClassVar[dict[str, Lie]] = {}
+    program: Program
+    controller: Any
+
+    def named(self, name: str) -> Any:
+        """A variable of the program by the skeleton's name."""
+        raise NotImplementedError
+
+    def run(self, name: str, *arguments: Any) -> None:
+        """A routine by the skeleton's name."""
+        raise NotImplementedError
+
+    def pose(self, name: str) -> tuple[float, ...]:
+        """`part`, `grasp` or `approach`."""
+        return tuple(self.named(name).plain().values())
+
+    def _part(self) -> tuple[float, ...] | None:
+        return self.pose("part") if self.error() == 0 else None
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
+        self.run("locate", job, timeout_s)
+        return self._part()
+
+    def next(self) -> tuple[float, ...] | None:
+        self.run("next", 5.0)
+        return self._part()
+
+    def grasp(self) -> list[tuple[float, ...]] | None:
+        self.run("grasp", 5.0)
+        return [self.pose("grasp"), self.pose("approach")] if self.error() == 0 else None
+
+    def acknowledge(self) -> None:
+        self.run("acknowledge")
+
+    def error(self) -> int:
+        return int(self.named("error"))
+
+    def remaining(self) -> int:
+        return int(self.named("remaining"))
+
+    def sigma_age(self) -> tuple[float, ...]:
+        return tuple(self.named(name) for name in ("sigma_x", "sigma_y", "sigma_z", "age"))
+
+    def close(self) -> None:
+        self.controller.close()
+
+
+class Staubli(Shared):
+    """A Stäubli controller; `clearBuffer` closes its link."""
+
+    brand = Brand.STAUBLI
+    closes = True
+    excuses: ClassVar[dict[str, Lie]] = {  # answers to other requests are passed over
+        "of another robot": (LIES["of another robot"][0], Failure.LATE),
+    }
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = val3.Controller(link, closes=self.closes)
+        self.program = val3.load(val3_files(), self.controller)
+
+    def named(self, name: str) -> Any:
+        prefix = "tr" if name in ("part", "grasp", "approach") else "n"
+        return self.program.named(prefix + name.replace("_", "")).get()
+
+    def run(self, name: str, *arguments: Any) -> None:
+        self.program.call({"next": "nextPart"}.get(name, name), *arguments)
+
+
+class StaubliThatStays(Staubli):
+    """One whose `clearBuffer` only empties what came: all requests go over one link."""
+
+    closes = False
+
+
+class Kawasaki(Shared):
+    """A Kawasaki controller."""
+
+    brand = Brand.KAWASAKI
+    gone = kawasaki.GONE
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = kawasaki.Controller(link, self.gone)
+        self.program = kawasaki.load(render("as"), self.controller)
+
+    def named(self, name: str) -> Any:
+        return self.program.named(f"ed_{name}").get()
+
+    def run(self, name: str, *arguments: Any) -> None:
+        self.program.call("edged_" + name.replace("acknowledge", "ack"), *arguments)
+
+
+class KawasakiThatHearsNothing(Kawasaki):
+    """One whose TCP_RECV says of a lost link that it has received nothing."""
+
+    gone = 0
+
+
+class Epson(Shared):
+    """An Epson controller."""
+
+    brand = Brand.EPSON
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = spel.Controller(link)
+        self.program = spel.load(render("spel"), self.controller)
+
+    def named(self, name: str) -> Any:
+        return self.program.named("edged" + name.replace("_", "")).get()
+
+    def pose(self, name: str) -> tuple[float, ...]:
+        return tuple(one.get() for one in self.named(name).elements[1:])
+
+    def run(self, name: str, *arguments: Any) -> None:
+        other = {"acknowledge": "Ack", "grasp": "FetchGrasp"}
+        self.program.call("Edged" + other.get(name, name), *arguments)
+
+
+class Mitsubishi:
+    """A Mitsubishi controller: one call measures, fetches the targets and acknowledges."""
+
+    brand = Brand.MITSUBISHI
+    short_waits, end = True, b"\r"
+    excuses: ClassVar[dict[str, Lie]] = {  # an error of `Input` stops the slot that talks
+        **{
+            name: (LIES[name][0], Failure.LATE)
+            for name in ("one field less", "a word", "an empty field", "not a number", "two points")
+        },
+        **{
+            name: (LIES[name][0], Failure.LATE)
+            for name in ("a sign within", "an empty line", "a line before", "a flood", "other bytes")
+        },
+        # what is beyond the last number is ignored
+        "one field more": (lambda b, s: f"{honest(b, s, Z='0,0.0')}\n".encode(), Failure.NO_ANSWER),
+        "two lines": (lambda b, s: f"{honest(b, '4')}\n{honest(b, s)}\n".encode(), Failure.OTHERS),
+    }
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = melfa.Controller(melfa_files(), link, short_waits=self.short_waits, end=self.end)
+        self.given = 0
+
+    def number(self, name: str) -> float:
+        return float(self.controller.shared[name].get())
+
+    def locate(
+        self, job: int = 0, timeout_s: float = 5.0, *, grasps: bool = False
+    ) -> tuple[float, ...] | None:
+        self.controller.call(job, timeout_s * 1000, 10, int(grasps))
+        self.given = 0
+        assert (self.number("M_00") == 0) == (self.number("M_01") > 0)
+        return self.next()
+
+    def next(self) -> tuple[float, ...] | None:
+        if self.given >= self.number("M_01"):
+            return None
+        self.given += 1
+        return self.pose("P_100", self.given)
+
+    def pose(self, name: str, number: int) -> tuple[float, ...]:
+        *pose, flags = self.controller.shared[name].element(number).get().plain().values()
+        assert 7 == flags
+        return (*pose[:3], *np.degrees(pose[3:]).tolist())
+
+    def locate_grasps(self, timeout_s: float = 5.0) -> list[Taken] | None:
+        if self.locate(0, timeout_s, grasps=True) is None:
+            return None
+        names = ("P_100", "P_101", "P_102")
+        return [tuple(self.pose(name, i + 1) for name in names) for i in range(int(self.number("M_01")))]
+
+    def error(self) -> int:
+        return int(self.number("M_00"))
+
+    def sigma_age(self) -> tuple[float, ...]:
+        return tuple(self.number(name) for name in ("M_04", "M_05", "M_06", "M_03"))
+
+    def close(self) -> None:
+        self.link.close()
+
+
+class MitsubishiThatGoesOn(Mitsubishi):
+    """One whose `Input` goes on with fewer numbers than were asked for, and ends its lines with two bytes."""
+
+    short_waits, end = False, b"\r\n"
+    excuses: ClassVar[dict[str, Lie]] = {
+        **Mitsubishi.excuses,
+        "one field less": LIES["one field less"],
+    }
+
+
+@cache
+def _translated(changed: str = "") -> Path:
+    """The MotoPlus task, once for all tests; changed : a line of it as who installs it writes that."""
+    if shutil.which("gcc") is None:
+        pytest.skip("no C compiler")
+    folder = Path(tempfile.mkdtemp(prefix="edged-motoplus-"))
+    atexit.register(shutil.rmtree, folder)
+    source = motoplus_files()["edged.c"]
+    if changed:
+        source, count = re.subn(rf"^{changed.rpartition(' ')[0]} .*$", changed, source, flags=re.MULTILINE)
+        assert 1 == count
+    return inform.translate(source, folder)
+
+
+class Yaskawa:
+    """A Yaskawa controller: the task runs beside the job."""
+
+    brand = Brand.YASKAWA
+    changed = ""
+    excuses: ClassVar[dict[str, Lie]] = {}
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        program = _translated(self.changed)
+        memory = program.with_name(f"memory{next(NUMBERS)}")
+        self.controller = inform.Controller(program, memory, motoplus_files()["EDGED.JBI"], link)
+
+    def _run(self, command: int, job: int = 0, timeout_s: float = 5.0) -> bool:
+        for name, value in (("I080", command), ("I081", job), ("I082", round(timeout_s * 100))):
+            self.controller.put(name, value)
+        self.controller.call()
+        return self.error() == 0
+
+    def _pose(self, number: int) -> tuple[float, ...]:
+        x, y, z, rx, ry, rz = self.controller.positions[number].tolist()
+        return (x / 1e3, y / 1e3, z / 1e3, rx / 1e4, ry / 1e4, rz / 1e4)
+
+    def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
+        return self._pose(80) if self._run(1, job, timeout_s) else None
+
+    def next(self) -> tuple[float, ...] | None:
+        return self._pose(80) if self._run(2) else None
+
+    def grasp(self) -> list[tuple[float, ...]] | None:
+        return [self._pose(81), self._pose(82)] if self._run(3) else None
+
+    def acknowledge(self) -> None:
+        self._run(4)
+
+    def error(self) -> int:
+        return self.controller.number("I083")
+
+    def remaining(self) -> int:
+        return self.controller.number("I084")
+
+    def sigma_age(self) -> tuple[float, ...]:
+        sigma = (self.controller.number(f"D07{i}") / 1e4 for i in range(3))
+        return (*sigma, self.controller.number("D073") / 1e3)
+
+    def close(self) -> None:
+        self.controller.close()
+
+
+class YaskawaThatCarries(Yaskawa):
+    """One whose program knows which tool file is empty."""
+
+    changed = "#define ED_FLANGE_TOOL 5"
+
+
+NUMBERS = itertools.count(1)
+"""Of controllers."""
+SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Doosan, Staubli, StaubliThatStays]
+SIDES += [
+    Kawasaki,
+    KawasakiThatHearsNothing,
+    Epson,
+    Mitsubishi,
+    MitsubishiThatGoesOn,
+    Yaskawa,
+    YaskawaThatCarries,
+]

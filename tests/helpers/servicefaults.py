@@ -1,0 +1,285 @@
+"""What happens to a cell PC: the power goes, the disk fills or breaks, the clock is set.
+
+Each is done to a real daemon process (`smallcell.DaemonProcess`) while a witness polls it;
+`tools/bench_service.py` reports what the PLC saw, the tests do it in small.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import os
+import random
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from edged.errors import FileFormatError
+from edged.files import recording
+from edged.plc.registers import StatusBit
+from helpers.plcwitness import Report
+from helpers.smallcell import DaemonProcess, SmallCell
+
+FAKETIME = Path(f"/usr/lib/{os.uname().machine}-linux-gnu/faketime/libfaketime.so.1")
+
+
+# --- kill -9 --------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True)
+class Killed:
+    """What many kills left behind.
+
+    torn : unfinished files that kills left.  swept, children : of the start after the last kill, whether none
+    of them is left and which processes it has started.
+    """
+
+    kills: int = 0
+    recordings: int = 0
+    torn: int = 0
+    corrupt: list[str] = field(default_factory=list)
+    changed: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+    children: list[int] = field(default_factory=list)
+    swept: bool = False
+
+
+def kill_often(cell: SmallCell, kills: int, rng: random.Random, longest_s: float = 1.5) -> Killed:
+    """Start the daemon and kill it, again and again: while it measures, every fourth time while it starts."""
+    assert cell.recordings is not None
+    found, checked = Killed(), set[str]()
+    before, start_s = _digests(cell), 2.0
+    for number in range(kills):
+        daemon = DaemonProcess(cell.config)
+        try:
+            if number % 4 == 3:
+                time.sleep(rng.uniform(0.0, start_s))
+            else:
+                start_s = daemon.wait_ready()
+                time.sleep(rng.uniform(0.0, longest_s))
+        finally:
+            daemon.kill()
+        found.kills += 1
+        found.torn += len(_torn(cell.recordings))
+        found.corrupt += _corrupt(cell.recordings, checked)
+        found.complaints += _complaints(daemon)
+    daemon = DaemonProcess(cell.config)
+    try:
+        daemon.wait_ready()
+        found.children = daemon.children()
+        found.swept = not _torn(cell.recordings) or comes_true(lambda: not _torn(cell.recordings or Path()))
+    finally:
+        daemon.stop()
+    found.complaints += _complaints(daemon)
+    found.corrupt += _corrupt(cell.recordings, checked)
+    found.recordings = len(checked)
+    found.changed = [name for name, digest in _digests(cell).items() if before.get(name) != digest]
+    return found
+
+
+def _complaints(daemon: DaemonProcess) -> list[str]:
+    return [line for line in daemon.log if "Traceback" in line or "ERROR" in line]
+
+
+def comes_true(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+    """Whether it comes true; a running recorder always has one file that is not finished yet."""
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            return False
+        time.sleep(0.001)
+    return True
+
+
+def _torn(folder: Path) -> list[Path]:
+    return [*(folder / "cycles").glob(".*"), *(folder / "setups").glob(".*")]
+
+
+def _corrupt(folder: Path, checked: set[str]) -> list[str]:
+    """Recordings that cannot be read, and setups that are not whole, since the last look."""
+    problems = []
+    for entry in recording.entries(folder):
+        if entry.path.name in checked:
+            continue
+        try:
+            recording.load(entry.path)
+        except FileFormatError as error:
+            problems.append(str(error))
+        if not (recording.setup_folder(folder, entry.fingerprint) / "rig.json").is_file():
+            problems.append(f"{entry.path.name}: its setup is missing")
+        checked.add(entry.path.name)
+    return problems
+
+
+def _digests(cell: SmallCell) -> dict[str, str]:
+    """Of every file of the configuration."""
+    files = [cell.config, cell.folder / "rig.json", *(cell.folder / "jobs").rglob("*")]
+    return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()}
+
+
+# --- what may break -------------------------------------------------------------------------------
+
+
+@contextmanager
+def tmpfs(folder: Path, mib: int = 16) -> Iterator[Path]:
+    """A small disk of its own; needs a mount name space in which we are root (`unshare -rm`)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={mib}m", "tmpfs", str(folder)], check=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@contextmanager
+def full(disk: Path) -> Iterator[None]:
+    """Another program takes whatever is free, again and again, until the context ends."""
+    stop = threading.Event()
+    ballast = disk / "ballast"
+
+    def fill() -> None:
+        with ballast.open("ab", buffering=0) as file:
+            while not stop.wait(0.02):
+                with contextlib.suppress(OSError):
+                    while True:
+                        file.write(bytes(65536))
+
+    filler = threading.Thread(target=fill)
+    filler.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        filler.join()
+        ballast.unlink()
+
+
+@contextmanager
+def read_only(disk: Path) -> Iterator[None]:
+    """As a disk becomes when the kernel finds it damaged. An open file forbids it: try between two writes."""
+
+    def remount(option: str) -> bool:
+        command = ["mount", "-o", f"remount,{option}", str(disk)]
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+    assert comes_true(lambda: remount("ro"), 20)
+    try:
+        yield
+    finally:
+        assert remount("rw")
+
+
+@contextmanager
+def overloaded(factor: int = 2) -> Iterator[None]:
+    """So many busy processes on each processor."""
+    busy = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"])
+        for _ in range(factor * (os.cpu_count() or 1))
+    ]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+class FakeClock:
+    """UTC of a daemon process, set from outside by libfaketime; its monotonic clock stays as it is."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.set(0)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What the process needs."""
+        return {
+            "LD_PRELOAD": str(FAKETIME),
+            "FAKETIME_TIMESTAMP_FILE": str(self._file),
+            "FAKETIME_CACHE_DURATION": "1",
+            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+        }
+
+    def set(self, offset_s: int) -> None:
+        """Set the clock so far off the true time."""
+        draft = self._file.with_suffix(".new")
+        draft.write_text(f"{offset_s:+d}s\n")
+        draft.replace(self._file)
+
+    @contextmanager
+    def jumped(self, offset_s: int) -> Iterator[None]:
+        """Set for a time."""
+        self.set(offset_s)
+        try:
+            yield
+        finally:
+            self.set(0)
+
+
+# --- what the PLC saw -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A time in which something was broken, by the witness's clock."""
+
+    name: str
+    start_s: float
+    end_s: float
+
+
+def live_through(faults: list[tuple[str, AbstractContextManager[None]]], each_s: float) -> list[Phase]:
+    """One after the other, with as much time to heal after each."""
+    phases = []
+    for name, fault in faults:
+        start_s = time.monotonic()
+        with fault:
+            time.sleep(each_s)
+        phases.append(Phase(name, start_s, time.monotonic()))
+        time.sleep(each_s / 2)
+        phases.append(Phase(f"after {name}", phases[-1].end_s, time.monotonic()))
+    return phases
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A phase as the PLC saw it.
+
+    ready, valid : share of polls.  without_s : longest time without a new result.  errors : register ERROR.
+    """
+
+    polls: int
+    slowest_s: float
+    ready: float
+    valid: float
+    results_hz: float
+    without_s: float
+    errors: set[int]
+
+
+def seen(report: Report, phase: Phase) -> Seen:
+    """Sum up the polls of a phase."""
+    sights = report.between(phase.start_s, phase.end_s)
+    news = [
+        sight.at_s
+        for before, sight in itertools.pairwise(sights)
+        if sight.exposed_ns not in (0, before.exposed_ns)
+    ]
+    edges = [phase.start_s, *news, phase.end_s]
+    count = max(len(sights), 1)
+    return Seen(
+        polls=len(sights),
+        slowest_s=max((sight.answer_s for sight in sights), default=0.0),
+        ready=sum(StatusBit.READY in sight.bits for sight in sights) / count,
+        valid=sum(sight.valid for sight in sights) / count,
+        results_hz=len(news) / (phase.end_s - phase.start_s),
+        without_s=max(after - before for before, after in itertools.pairwise(edges)),
+        errors={sight.error for sight in sights} - {0},
+    )

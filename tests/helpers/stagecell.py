@@ -1,0 +1,78 @@
+"""A stage: the virtual cell that is to be set up, beside its daemon, and a browser's session with it."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from edged.app.cell import load_any_cell
+from edged.app.daemon import Daemon
+from edged.app.stage import StageRoutes
+from edged.commands.stage import USER, write_cell
+from edged.domain.arrays import SIDES, Image
+from edged.sim.world import VirtualWorld
+from helpers.browsersession import PASSWORD, BrowserSession, Visitor, browsing
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Newcomer(Visitor):
+    """Somebody at a stage."""
+
+    def __init__(self, browser: BrowserSession, world: VirtualWorld, daemon: Daemon) -> None:
+        super().__init__(browser)
+        self.world, self.daemon = world, daemon
+
+    async def picture(self) -> dict[str, Image]:
+        """A fresh pair."""
+        taken = await self.ask("POST", "captures", self.token, 201)
+        images = {}
+        for side in SIDES:
+            async with self.session.get(taken[side]) as answer:
+                images[side] = cv2.imdecode(
+                    np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_UNCHANGED
+                )
+        return images
+
+
+def run(folder: Path, test: Callable[[Newcomer], Awaitable[None]], *, gige: bool = True) -> None:
+    """A test beside a running stage, bounded. gige : cameras on the network, not inside the process."""
+
+    async def bounded() -> None:
+        async with asyncio.timeout(60), staged(folder, gige=gige) as newcomer:
+            await test(newcomer)
+
+    asyncio.run(bounded())
+
+
+@asynccontextmanager
+async def staged(folder: Path, *, gige: bool = True) -> AsyncIterator[Newcomer]:
+    """A running stage, and a session that has logged in and taken the cell."""
+    ports = free_port(), free_port(), free_port()
+    with VirtualWorld(gige=gige, staged=True) as world:
+        assert world.stage is not None
+        path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=gige)
+        routes = StageRoutes(world.stage)
+        loaded = load_any_cell(path)
+        daemon = Daemon(path, loaded, observers=[routes], world=world, rooms=[routes.add_to])
+        running = asyncio.create_task(daemon.run())
+        try:
+            async with browsing(f"http://127.0.0.1:{ports[0]}") as session:
+                newcomer = Newcomer(BrowserSession(session), world, daemon)
+                await newcomer.browser.log_in_once_it_listens(USER, PASSWORD, lambda: not running.done())
+                await newcomer.take()
+                yield newcomer
+        finally:
+            daemon.stop()
+            await running

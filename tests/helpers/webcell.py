@@ -1,0 +1,130 @@
+"""A cell in memory with its page, and a browser that speaks /api/v1."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import aiohttp
+import pytest
+from argon2 import PasswordHasher
+
+from edged.adapters.modbus import ModbusPublisher, ModbusSettings
+from edged.adapters.web import Overview, Sources, WebPublisher, WebSettings
+from edged.cycle import Cycle
+from edged.files.users import RoleName, User, UserFile
+from edged.robot.orientations import Convention
+from edged.workshop.plcroutes import PlcRoutes
+from helpers.browsersession import PASSWORD, BrowserSession, browsing
+from helpers.scriptedhead import Ear, Head, make_setup
+
+HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
+"""Cheap to check: many tests log in."""
+USERS: dict[str, RoleName] = {"Anna": "engineer", "Ben": "engineer", "Otto": "operator", "Vera": "viewer"}
+"""All with the same password."""
+
+
+class Cell(BrowserSession):
+    """A cycle with its page, and a browser."""
+
+    def __init__(
+        self,
+        cycle: Cycle,
+        web: WebPublisher,
+        head: Head,
+        ear: Ear,
+        session: aiohttp.ClientSession,
+        asleep_s: list[float],
+        state: Path,
+    ) -> None:
+        super().__init__(session)
+        self.cycle, self.web, self.head, self.ear, self.state = cycle, web, head, ear, state
+        self.asleep_s = asleep_s
+        self.plant = Overview()
+        self.modbus: ModbusPublisher | None = None
+        self.runs_by = ""
+
+    def sleep(self, seconds: float) -> None:
+        """Nobody does anything for so long."""
+        self.asleep_s[0] += seconds
+
+
+def run(
+    test: Callable[[Cell], Awaitable[None]],
+    *,
+    commissioning: bool = True,
+    users: Mapping[str, RoleName] | None = USERS,
+) -> Ear:
+    """A test's coroutine beside a running cell, bounded. users : None: their file cannot be used."""
+    ear = Ear()
+
+    async def bounded() -> None:
+        async with asyncio.timeout(30), running(ear, commissioning, users) as cell:
+            await test(cell)
+
+    asyncio.run(bounded())
+    return ear
+
+
+@asynccontextmanager
+async def running(
+    ear: Ear,
+    commissioning: bool,
+    users: Mapping[str, RoleName] | None = USERS,
+    modbus: ModbusSettings | None = None,
+) -> AsyncIterator[Cell]:
+    """A cell with a head in memory, its page on a free port, and a browser's session with it.
+
+    modbus : what it also serves, with the page of it.
+    """
+    with TemporaryDirectory() as folder:
+        state = Path(folder)
+        if users is None:
+            (state / "users.json").write_text("{")
+        for name, role in (users or {}).items():
+            UserFile(state / "users.json").put(User(name=name, role=role, password_hash=HASH))
+        seen = list[Cell]()
+        head = Head()
+        cycle = Cycle(head, make_setup())
+        sources = Sources(
+            rectification=lambda: pytest.fail("no cycle has made a picture"),
+            jobs=list,
+            facts=dict,
+            registers=list,
+            metrics=bytes,
+            convention=lambda: Convention.FIXED_XYZ,
+            overview=lambda: seen[0].plant if seen else Overview(),
+            fingerprint=lambda: seen[0].runs_by if seen else "",
+        )
+        settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning, state=state)
+        asleep_s = [0.0]
+        plc = None if modbus is None else ModbusPublisher(modbus, cycle)
+        web = WebPublisher(
+            "cell1",
+            settings,
+            sources,
+            commissioner=cycle,
+            clock_s=lambda: time.monotonic() + asleep_s[0],
+            rooms=[] if plc is None else [PlcRoutes(lambda: plc).add_to],
+        )
+        await web.start()
+        if plc is not None:
+            await plc.start()
+        cycle.set_publishers([ear, web, *([] if plc is None else [plc])])
+        task = asyncio.create_task(cycle.run())
+        try:
+            async with browsing(f"http://127.0.0.1:{web.port}") as session:
+                cell = Cell(cycle, web, head, ear, session, asleep_s, state)
+                cell.modbus = plc
+                seen.append(cell)
+                yield cell
+        finally:
+            cycle.stop()
+            await task
+            await web.close()
+            if plc is not None:
+                await plc.close()
