@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from helpers.cells import small_rig
 
-from edged.cellfiles import read_any_cell, read_cell
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.commissioning.releases import archive as releases
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
 from edged.config.reading import load
 from edged.errors import ConfigError
+from edged.setup.cellfiles import read_any_cell, read_cell
+from edged.setup.releases import archive as releases
 from edged.sim.cell import VirtualCell, demo_part
 
 

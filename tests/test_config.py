@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from edged.cellfiles import fingerprint
 from edged.config.reading import load
 from edged.errors import ConfigError
+from edged.setup.cellfiles import fingerprint
 
 GOOD = """
 [cell]

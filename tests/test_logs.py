@@ -74,7 +74,7 @@ def journald(tmp_path: Path) -> Iterator[Journald]:
 @pytest.fixture
 def log(journald: Journald) -> Iterator[logging.Logger]:
     """A logger that writes to it."""
-    logger = logging.Logger("edged.cycle")
+    logger = logging.Logger("edged.cell.cycle")
     handler = JournalHandler(journald.path, "cell1")
     logger.addHandler(handler)
     yield logger
@@ -98,7 +98,7 @@ def test_an_entry_has_fields_to_search_for(journald: Journald, log: logging.Logg
     log.error("camera %s: unplugged", "left", extra=fields(fault=101))
     cycle_number.reset(token)
     (entry,) = journald.entries()
-    expected = {"MESSAGE": "camera left: unplugged", "PRIORITY": "3", "LOGGER": "edged.cycle"}
+    expected = {"MESSAGE": "camera left: unplugged", "PRIORITY": "3", "LOGGER": "edged.cell.cycle"}
     expected |= {"EDGED_CELL": "cell1", "EDGED_CYCLE": "4711", "EDGED_FAULT": "101"}
     assert expected.items() <= entry.items()
     assert (Path(__file__).name, "edged") == (Path(entry["CODE_FILE"]).name, entry["SYSLOG_IDENTIFIER"])
@@ -239,7 +239,7 @@ def test_a_loose_plug_does_not_fill_the_log() -> None:
 
 def test_the_loop_logs_a_fault_with_its_cycle_and_once(caplog: pytest.LogCaptureFixture) -> None:
     """The real loop: many failed cycles are one error, and one recovery with their number."""
-    with LiveCell(period_s=0.0) as cell, caplog.at_level(logging.INFO, "edged.cycle"):
+    with LiveCell(period_s=0.0) as cell, caplog.at_level(logging.INFO, "edged.cell.cycle"):
         plc = Plc(cell.port)
 
         def wait_for(code: int) -> None:
@@ -251,7 +251,7 @@ def test_the_loop_logs_a_fault_with_its_cycle_and_once(caplog: pytest.LogCapture
         cell.head.broken = False
         wait_for(0)
         plc.close()
-    told = [record for record in caplog.records if record.name == "edged.cycle"]
+    told = [record for record in caplog.records if record.name == "edged.cell.cycle"]
     assert ["ERROR", "INFO"] == [record.levelname for record in told]
     assert "camera left: unplugged" in told[0].getMessage()
     assert 104 == told[0].edged["fault"]

@@ -41,12 +41,12 @@ from rich.console import Console
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from edged.commands.progress import shown_on
-from edged.commissioning.calibration.views import Views
-from edged.commissioning.pairs import Pair
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import CalibrationError, UserError
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs
+from edged.setup.calibration.views import Views
+from edged.setup.pairs import Pair
 from edged.vision.boards.board import Chessboard, Detection, NotDetected, StereoView, parse_board
 from edged.vision.boards.chessboard import remeasure_chessboard
 from edged.vision.boards.deformation import nominal

@@ -22,12 +22,12 @@ import numpy as np
 from rich.console import Console
 
 from edged.commands.progress import shown_on
-from edged.commissioning.calibration.views import Views
-from edged.commissioning.pairs import Pair
 from edged.domain.arrays import SIDES, FloatArray
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs
 from edged.files.rig import load_rig
+from edged.setup.calibration.views import Views
+from edged.setup.pairs import Pair
 from edged.vision.boards.board import Chessboard, Detection, StereoView, parse_board
 from edged.vision.boards.deformation import nominal
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo

@@ -39,7 +39,7 @@ from helpers.snapshots import make_target
 from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.adapters.modbus import ModbusSettings
 from edged.app.cameras import head_of
-from edged.capture.stereohead import StereoHead
+from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CamerasSection, TriggerSection
 from edged.domain.arrays import SIDES
 from edged.domain.frames import FramePair

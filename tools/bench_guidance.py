@@ -17,11 +17,11 @@ import sys
 import numpy as np
 from computedmarks import Compared, compared, is_whole, seen_by, views_at
 
-from edged.commissioning.calibration.guidance import Ghost, first_ghosts, guide, held_share, nearness
-from edged.commissioning.calibration.shown import IN_GHOST, Seen, Watched, is_same
-from edged.commissioning.calibration.views import Looked, Views
-from edged.commissioning.pairs import Pair, Picture
 from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.setup.calibration.guidance import Ghost, first_ghosts, guide, held_share, nearness
+from edged.setup.calibration.shown import IN_GHOST, Seen, Watched, is_same
+from edged.setup.calibration.views import Looked, Views
+from edged.setup.pairs import Pair, Picture
 from edged.sim.cell import VirtualCell, calibration_poses, demo_part, demo_rig
 from edged.sim.showing import Thing
 from edged.sim.stage import BOARD, Stage, stage_board

@@ -25,13 +25,13 @@ import numpy as np
 from argon2 import PasswordHasher
 from benchcell import BenchCell, free_port
 
-from edged.cellfiles import read_cell
 from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.files import recording
 from edged.files.statefolder import state_folder
-from edged.files.users import User, UserFile
+from edged.identity.users import User, UserFile
 from edged.pipeline import PreparedRig, locate
+from edged.setup.cellfiles import read_cell
 from edged.sim.cell import SIDES, VirtualCell, demo_part, demo_rig
 from edged.sim.exposure import ExposureRequest
 

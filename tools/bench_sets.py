@@ -30,12 +30,12 @@ from plainopencv import corners
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from edged.commissioning.calibration.views import Views, solve
-from edged.commissioning.pairs import Pair
 from edged.domain.arrays import Side
 from edged.errors import CalibrationError
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair
+from edged.setup.calibration.views import Views, solve
+from edged.setup.pairs import Pair
 from edged.vision.boards.board import Chessboard, Detection, StereoView
 from edged.vision.calibration.calibrate import epipolar_errors_px, marks_in_both
 from edged.vision.calibration.crossvalidation import HeldOutView

@@ -36,13 +36,13 @@ from helpers.browser import Browser, browser
 from helpers.setuppage import log_in, take
 from pagecost import viewer
 
-from edged.capture.tasks import cancel_and_await
-from edged.commissioning.calibration.drafts import Drafts, keep_pair
+from edged.cell.tasks import cancel_and_await
 from edged.domain.arrays import SIDES
 from edged.files.images import load_image
 from edged.files.statefolder import state_folder
-from edged.files.users import User, UserFile
-from edged.passwords import hash_password
+from edged.identity.passwords import hash_password
+from edged.identity.users import User, UserFile
+from edged.setup.calibration.drafts import Drafts, keep_pair
 from edged.sim.cell import calibration_views, demo_rig
 from edged.sim.stage import stage_board
 

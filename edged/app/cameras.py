@@ -18,13 +18,13 @@ from edged.adapters.aravis import (
     Trigger,
 )
 from edged.adapters.replay import replay_cameras
-from edged.capture.stereohead import StereoHead
+from edged.cell.lease.cameras import CameraChanges
+from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CameraSection, CamerasSection, TriggerSection
 from edged.domain.arrays import SIDES, Side
 from edged.errors import ConfigError
 from edged.payload import Json, said
 from edged.ports import Camera
-from edged.session.cameras import CameraChanges
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 from edged.app.cameras import Size, head_of, with_tried
 from edged.app.cell import LoadedCell
 from edged.app.discovery import CameraInfo, aravis_missing, list_cameras
+from edged.cell.cycle import Cycle
+from edged.cell.lease.cameras import CameraChanges
+from edged.cell.lease.judging import PictureJudge
+from edged.cell.lease.live import LivePictures
+from edged.cell.lease.notices import Notices
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
-from edged.cycle import Cycle
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.pictures.change import changed_most, changed_share
-from edged.session.cameras import CameraChanges
-from edged.session.judging import PictureJudge
-from edged.session.live import LivePictures
-from edged.session.notices import Notices
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from edged.cellfiles import CellFiles, UnfinishedCell, fingerprint, read_any_cell, read_cell
+from edged.cell.drift import DriftLimits
+from edged.cell.loaded import LoadedJob, Setup
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Outcome
-from edged.drift import DriftLimits
 from edged.errors import UserError
 from edged.files.rig import read_rig, rig_of
-from edged.loop.loaded import LoadedJob, Setup
 from edged.pipeline import PreparedRig, locate
+from edged.setup.cellfiles import CellFiles, UnfinishedCell, fingerprint, read_any_cell, read_cell
 from edged.vision.kernels.jit import load_called
 from edged.vision.part.job import Job
 

@@ -18,22 +18,22 @@ from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_r
 from edged.app.registrar import CellRegistrar, check_unchanged
 from edged.app.servers import START_S, Room, Servers, close_within, start_within
 from edged.app.status import Running, figures
-from edged.capture.stereohead import StereoHead
-from edged.cellfiles import exposed_secrets
-from edged.cycle import Cycle
+from edged.cell.cycle import Cycle
+from edged.cell.lease.live import LivePictures
+from edged.cell.lease.notices import Notices
+from edged.cell.loaded import Setup
+from edged.cell.stereohead import StereoHead
 from edged.errors import EdgedError, TookTooLong, UserError
 from edged.files.setupnote import SetupNote
 from edged.files.statefolder import state_folder
 from edged.logs import fields
-from edged.loop.loaded import Setup
 from edged.ports import Publisher
-from edged.session.jobuse import JobUse
-from edged.session.live import LivePictures
-from edged.session.notices import Notices
+from edged.setup.cellfiles import exposed_secrets
+from edged.setup.releases.jobuse import JobUse
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation, one without the page without both
     from edged.app.workshop import Workshop
-    from edged.commissioning.registration.registering import Registered
+    from edged.setup.registration.registering import Registered
     from edged.sim.world import VirtualWorld
 
 log = logging.getLogger(__name__)
@@ -211,7 +211,7 @@ class Daemon:
 
     async def _take_registration(self, base: LoadedCell, solved: Registered) -> Setup:
         """Save the rig that a robot's program has registered, and measure by it. Raises as `activate`."""
-        from edged.commissioning.registration.registering import save
+        from edged.setup.registration.registering import save
 
         async with self._reloading:
             if self._loaded is not base:

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from edged.app.cell import LoadedCell
+from edged.cell.loaded import Setup
 from edged.domain.arrays import FloatArray
 from edged.domain.events import Command, CommandKind, Registered
 from edged.domain.frames import FramePair
 from edged.domain.registration import Method, Obstacle
 from edged.errors import UserError
-from edged.loop.loaded import Setup
 
 if TYPE_CHECKING:  # a cell that measures does not load what calibrates
-    from edged.commissioning.registration.drafts import Kind, Mount
-    from edged.commissioning.registration.registering import Registered as Solved
-    from edged.commissioning.registration.sampling import Sampling, Step
+    from edged.setup.registration.drafts import Kind, Mount
+    from edged.setup.registration.registering import Registered as Solved
+    from edged.setup.registration.sampling import Sampling, Step
 
 
 class Witness(Protocol):
@@ -71,7 +71,7 @@ class CellRegistrar:
 
     def begin(self, command: Command) -> Registered:
         """Forget what was taken before."""
-        from edged.commissioning.registration.sampling import Sampling
+        from edged.setup.registration.sampling import Sampling
 
         self._base, self._solved = self._running(), None
         allowed, rig = self._base.cell.config.registration, self._base.rig
@@ -92,7 +92,7 @@ class CellRegistrar:
 
     def add(self, command: Command, pair: FramePair) -> Registered:
         """One pose or point, with its pictures."""
-        from edged.commissioning.registration.sampling import Step
+        from edged.setup.registration.sampling import Step
 
         sampling, _ = self._under_way
         try:
@@ -102,7 +102,7 @@ class CellRegistrar:
         return _told(command, step)
 
     def _added(self, command: Command, pair: FramePair) -> Step:
-        from edged.commissioning.pairs import Pair
+        from edged.setup.pairs import Pair
 
         sampling, base = self._under_way
         assert command.robot_from_flange is not None  # it is refused without

@@ -34,6 +34,8 @@ from edged.app.status import (
     register_rows,
     sigma_limits,
 )
+from edged.cell.lease.live import LivePictures
+from edged.cell.lease.notices import Notices
 from edged.config.cell import RecorderSection
 from edged.config.configuration import Config
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
@@ -42,8 +44,6 @@ from edged.errors import EdgedError, ListenError, TookTooLong
 from edged.files.private import read_shared_key
 from edged.ports import Commander, Commissioner, Publisher
 from edged.robot.orientations import Brand, Convention
-from edged.session.live import LivePictures
-from edged.session.notices import Notices
 from edged.vision.geometry.rectification import Rectification
 
 if TYPE_CHECKING:

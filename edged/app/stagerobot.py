@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from edged.adapters.web.routes import Answer, Body, Call, Problem, RouteTable
-from edged.adapters.web.visitors import Role
+from edged.identity.visitors import Role
 from edged.robot.orientations import Brand, pose_of
 from edged.robot.pendant import PENDANTS, mm_per_unit
 from edged.sim.robot import VirtualRobot

@@ -14,12 +14,12 @@ from edged.adapters.modbus import ModbusPublisher
 from edged.adapters.recorder import Recorder
 from edged.app.cameras import camera_facts, camera_figures
 from edged.app.cell import LoadedCell
-from edged.capture.stereohead import StereoHead
-from edged.cellfiles import CellFiles, UnfinishedCell
-from edged.cycle import Cycle
+from edged.cell.cycle import Cycle
+from edged.cell.stereohead import StereoHead
 from edged.payload import Json, said
 from edged.plc.registers import Number, Register
 from edged.ports import Publisher
+from edged.setup.cellfiles import CellFiles, UnfinishedCell
 from edged.vision.geometry.uncertainty import calibration_covariance
 
 if TYPE_CHECKING:  # a cell without the page does not load it

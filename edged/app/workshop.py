@@ -10,38 +10,39 @@ from typing import TYPE_CHECKING
 
 from edged.adapters.modbus import ModbusPublisher
 from edged.app.status import Running
-from edged.capture.tasks import cancel_and_await
-from edged.cellfiles import CellFiles
-from edged.commissioning.releases.shelf import Shelf
-from edged.cycle import Cycle
+from edged.cell.cycle import Cycle
+from edged.cell.lease.live import LivePictures
+from edged.cell.lease.notices import Notices
+from edged.cell.tasks import cancel_and_await
 from edged.domain.events import Command, CommandKind
 from edged.domain.frames import FramePair
 from edged.errors import SetupRefused
 from edged.files.statefolder import state_folder
 from edged.robot.orientations import Brand, Convention
-from edged.session.jobuse import JobUse
-from edged.session.live import LivePictures
-from edged.session.notices import Notices
+from edged.setup.calibration import service as calibrations
+from edged.setup.calibration.checks import Checks, RigInUse
+from edged.setup.calibration.service import Calibrations
+from edged.setup.cellfiles import CellFiles
+from edged.setup.jobs.tasks import Tasks
+from edged.setup.jobs.worker import Worker
+from edged.setup.recordings import regressions
+from edged.setup.recordings import service as cycles
+from edged.setup.recordings.candidates import Candidates
+from edged.setup.recordings.regressions import Active, Regressions
+from edged.setup.recordings.service import Cycles, JobsNow
+from edged.setup.registration import service as registrations
+from edged.setup.registration.program import WHOSE, RobotProgram
+from edged.setup.registration.service import Registrations
+from edged.setup.releases.jobs import Jobs
+from edged.setup.releases.jobsinuse import JobsInUse, lines_in
+from edged.setup.releases.jobuse import JobUse
+from edged.setup.releases.service import Activation, CellNow
+from edged.setup.releases.shelf import Shelf
+from edged.setup.teaching import service as teachings
+from edged.setup.teaching.service import Teachings
+from edged.setup.trials import service as trials
+from edged.setup.trials.service import CellSettings, Trials
 from edged.vision.part.job import Job
-from edged.workshop.calibration import drafts as calibrations
-from edged.workshop.calibration.checks import Checks, RigInUse
-from edged.workshop.calibration.drafts import Calibrations
-from edged.workshop.cycles import cycles, regressions
-from edged.workshop.cycles.candidates import Candidates
-from edged.workshop.cycles.cycles import Cycles, JobsNow
-from edged.workshop.cycles.regressions import Active, Regressions
-from edged.workshop.registration import drafts as registrations
-from edged.workshop.registration.drafts import Registrations
-from edged.workshop.registration.program import WHOSE, RobotProgram
-from edged.workshop.releases.activating import Activation, CellNow
-from edged.workshop.releases.jobs import Jobs
-from edged.workshop.releases.jobsinuse import JobsInUse, lines_in
-from edged.workshop.tasks import Tasks
-from edged.workshop.teaching import drafts as teachings
-from edged.workshop.teaching.drafts import Teachings
-from edged.workshop.trying import trials
-from edged.workshop.trying.trials import CellSettings, Trials
-from edged.workshop.worker import Worker
 
 if TYPE_CHECKING:
     from edged.adapters.web.routes import RouteTable
@@ -192,16 +193,16 @@ class Workshop:
 
     def rooms(self) -> Sequence[Callable[[RouteTable], None]]:
         """What adds the routes of all this."""
-        from edged.workshop.calibration.checkroutes import CheckRoutes
-        from edged.workshop.calibration.routes import CalibrationRoutes  # aiohttp: only with a page
-        from edged.workshop.cycles.regressionroutes import RegressionRoutes
-        from edged.workshop.cycles.routes import CycleRoutes
-        from edged.workshop.plcroutes import PlcRoutes
-        from edged.workshop.registration.routes import RegistrationRoutes
-        from edged.workshop.releases.jobroutes import JobRoutes
-        from edged.workshop.releases.routes import ReleaseRoutes
-        from edged.workshop.teaching.routes import TeachingRoutes
-        from edged.workshop.trying.routes import TrialRoutes
+        from edged.setup.calibration.checkroutes import CheckRoutes
+        from edged.setup.calibration.routes import CalibrationRoutes  # aiohttp: only with a page
+        from edged.setup.plcroutes import PlcRoutes
+        from edged.setup.recordings.regressionroutes import RegressionRoutes
+        from edged.setup.recordings.routes import CycleRoutes
+        from edged.setup.registration.routes import RegistrationRoutes
+        from edged.setup.releases.jobroutes import JobRoutes
+        from edged.setup.releases.routes import ReleaseRoutes
+        from edged.setup.teaching.routes import TeachingRoutes
+        from edged.setup.trials.routes import TrialRoutes
 
         return [
             CalibrationRoutes(self._calibrations, self._tasks).add_to,

@@ -106,7 +106,7 @@ def verify(
     from rich.console import Console
 
     from edged.commands.verify import verify as command
-    from edged.commissioning.calibration.checking import Limits
+    from edged.setup.calibration.checking import Limits
 
     limits = Limits(max_epipolar, max_length_error)
     raise typer.Exit(command(rig, left, right, board, job, length or [], limits, as_json, Console()))

@@ -8,9 +8,9 @@ from pathlib import Path
 from rich.console import Console
 
 from edged.errors import FileFormatError
-from edged.files.audit import LINES, AuditFile, shown
 from edged.files.owners import as_owner
 from edged.files.statefolder import state_folder
+from edged.identity.audit import LINES, AuditFile, shown
 
 
 def audit(config: Path, console: Console, *, as_json: bool, last: int) -> int:

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.cellfiles import read_cell
-from edged.commissioning.releases.archive import REGISTERS, Backup, fits_map, make, read
-from edged.commissioning.releases.archive import restore as put_back
 from edged.errors import ConfigError, UserError
 from edged.files.atomic import write_file
 from edged.files.outputs import check_outputs
+from edged.setup.cellfiles import read_cell
+from edged.setup.releases.archive import REGISTERS, Backup, fits_map, make, read
+from edged.setup.releases.archive import restore as put_back
 
 
 def backup(config: Path, output: Path, console: Console, *, force: bool = False) -> int:

@@ -14,14 +14,14 @@ from rich.table import Table
 
 from edged import __version__
 from edged.commands.progress import shown_on
-from edged.commissioning.calibration.boards import boards_in, stated_boards
-from edged.commissioning.calibration.views import Views, report_of, solve
-from edged.commissioning.pairs import Pair
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.atomic import write_file
 from edged.files.outputs import check_outputs
 from edged.files.pairs import find_pairs
 from edged.files.rig import keep_old_rig, load_rig, save_rig
+from edged.setup.calibration.boards import boards_in, stated_boards
+from edged.setup.calibration.views import Views, report_of, solve
+from edged.setup.pairs import Pair
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.imaging import Finding
 from edged.vision.calibration.lenschoice import LensWish, choice_in_words

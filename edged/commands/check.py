@@ -6,8 +6,8 @@ import json
 import sys
 from pathlib import Path
 
-from edged.cellfiles import UnfinishedCell, exposed_secrets, read_any_cell
 from edged.errors import ConfigError
+from edged.setup.cellfiles import UnfinishedCell, exposed_secrets, read_any_cell
 
 
 def check(path: Path, *, as_json: bool) -> int:

@@ -6,7 +6,7 @@ import getpass
 import sys
 
 from edged.errors import UserError
-from edged.passwords import hash_password
+from edged.identity.passwords import hash_password
 
 MIN_LENGTH = 8
 

@@ -8,8 +8,8 @@ from contextlib import ExitStack, contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from edged.commissioning.pairs import Progress as Told
-from edged.commissioning.pairs import silent
+from edged.setup.pairs import Progress as Told
+from edged.setup.pairs import silent
 
 
 @contextmanager

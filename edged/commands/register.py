@@ -14,15 +14,6 @@ from rich.progress import track
 from rich.table import Table
 
 from edged.commands.progress import shown_on
-from edged.commissioning.calibration.boards import Stated, boards_in, check_board_shown, stated_boards
-from edged.commissioning.pairs import Pair, Picture
-from edged.commissioning.registration.registering import (
-    from_points,
-    from_poses,
-    rig_from_board,
-    save,
-    which_convention,
-)
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import MAX_DOCUMENT_BYTES, read_bytes
@@ -34,6 +25,15 @@ from edged.files.tables import number_of, read_table
 from edged.robot.handeye import HandEye, Mount
 from edged.robot.orientations import POSE_FIELDS, Brand, transform_of
 from edged.robot.touch import PointRegistration
+from edged.setup.calibration.boards import Stated, boards_in, check_board_shown, stated_boards
+from edged.setup.pairs import Pair, Picture
+from edged.setup.registration.registering import (
+    from_points,
+    from_poses,
+    rig_from_board,
+    save,
+    which_convention,
+)
 from edged.vision.boards.board import NominalBoard, NotDetected
 from edged.vision.geometry.camera import StereoRig
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.outputs import make_folder
-from edged.plc.texts import SEVERAL, render
+from edged.robots.texts import SEVERAL, render
 
 
 def registers(fmt: str, folder: Path | None) -> int:

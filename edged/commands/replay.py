@@ -11,14 +11,14 @@ import cv2
 from rich.console import Console
 from rich.progress import track
 
-from edged.commissioning.cycles.regression import COMPARED, compare, decided, drawn, inspected
-from edged.commissioning.cycles.setups import Setups
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
 from edged.files.atomic import read_bytes, write_file
 from edged.files.outputs import check_folder, make_folder
 from edged.files.secrettext import without_secrets
 from edged.payload import Json
+from edged.setup.recordings.regression import COMPARED, compare, decided, drawn, inspected
+from edged.setup.recordings.setups import Setups
 
 SHOWN = 12
 

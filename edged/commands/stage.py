@@ -16,8 +16,8 @@ from edged.files.outputs import make_folder
 from edged.files.owners import as_owner
 from edged.files.private import write_private
 from edged.files.statefolder import state_folder
-from edged.files.users import User, UserFile
-from edged.passwords import hash_password
+from edged.identity.passwords import hash_password
+from edged.identity.users import User, UserFile
 from edged.sim.world import VirtualWorld
 
 CELL = "stage"

@@ -12,7 +12,18 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from edged.commissioning.teaching.proposal import (
+from edged.errors import TeachError, UserError
+from edged.files.atomic import write_file
+from edged.files.dxf import read_contour, read_dxf
+from edged.files.images import load_image
+from edged.files.jobs import check_job_folder
+from edged.files.outputs import check_outputs
+from edged.files.rig import load_rig
+from edged.files.step import read_step
+from edged.files.stl import read_stl
+from edged.pipeline import prepare
+from edged.report.teaching import inspection_to_json, teaching_report
+from edged.setup.teaching.proposal import (
     PartModel,
     Proposal,
     Wanted,
@@ -25,17 +36,6 @@ from edged.commissioning.teaching.proposal import (
     propose_from_model,
     propose_from_pair,
 )
-from edged.errors import TeachError, UserError
-from edged.files.atomic import write_file
-from edged.files.dxf import read_contour, read_dxf
-from edged.files.images import load_image
-from edged.files.jobs import check_job_folder
-from edged.files.outputs import check_outputs
-from edged.files.rig import load_rig
-from edged.files.step import read_step
-from edged.files.stl import read_stl
-from edged.pipeline import prepare
-from edged.report.teaching import inspection_to_json, teaching_report
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import SOLID_MM, Job
 from edged.vision.part.tilt import reach_of, tilted_views

@@ -13,13 +13,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from edged.commissioning.calibration.boards import boards_in, stated_boards
-from edged.commissioning.calibration.checking import Finding, Limits, by_board, by_part, check_sizes
-from edged.commissioning.pairs import Picture
 from edged.errors import UserError
 from edged.files.images import load_image
 from edged.files.jobs import load_job
 from edged.files.rig import load_rig
+from edged.setup.calibration.boards import boards_in, stated_boards
+from edged.setup.calibration.checking import Finding, Limits, by_board, by_part, check_sizes
+from edged.setup.pairs import Picture
 from edged.vision.calibration.verification import COVERAGE
 from edged.vision.geometry.camera import StereoRig
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from edged.config.reading import load
 from edged.errors import UserError
-from edged.files.audit import AuditFile, Deed
-from edged.files.invite import VALID_S, Invite
 from edged.files.owners import as_owner
 from edged.files.statefolder import state_folder
+from edged.identity.audit import AuditFile, Deed
+from edged.identity.invite import VALID_S, Invite
 
 
 def invite(config: Path) -> int:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from edged.cellfiles import exposed_secrets, read_cell
 from edged.config.reading import load
 from edged.doctor.cameras import look_at_cameras
 from edged.doctor.findings import Check, Verdict
 from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
 from edged.doctor.pictures import take_pictures
 from edged.errors import ConfigError
+from edged.setup.cellfiles import exposed_secrets, read_cell
 from edged.vision.geometry.camera import StereoRig
 
 

@@ -27,12 +27,12 @@ from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.locate import locate as locate_command
 from edged.commands.replay import replay
-from edged.commissioning.cycles.regression import compare
 from edged.domain.events import Event, ExposureDone, Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss, Status
 from edged.errors import FileFormatError
 from edged.files import recording
+from edged.setup.recordings.regression import compare
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.world import VirtualWorld
 

@@ -6,7 +6,7 @@ import pytest
 
 from edged.adapters.aravis import Action, AravisCamera, AravisSettings, FreeRun, Line, Output, Software
 from edged.app.cameras import Triggering, camera_facts, triggering_of
-from edged.capture.stereohead import StereoHead
+from edged.cell.stereohead import StereoHead
 from edged.config.cameras import TriggerSection
 from edged.domain.arrays import SIDES
 

@@ -12,7 +12,7 @@ from helpers.smallcell import SmallCell
 
 from edged.app.cell import load_cell
 from edged.app.status import Running, overview
-from edged.cycle import Cycle
+from edged.cell.cycle import Cycle
 from edged.files.jobs import load_job
 from edged.files.rig import load_rig, save_rig
 from edged.vision.geometry.projection import project_with_jacobians

@@ -73,7 +73,7 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
         "edged.report.calibration",
         "edged.vision.calibration.calibrate",
         "edged.vision.boards.chessboard",
-        "edged.plc.clients",
+        "edged.robots",
     )
     assert [] == [name for name in loaded if name.startswith(others)]
 
@@ -92,7 +92,7 @@ def test_a_check_and_a_status_need_no_compiler() -> None:
     """Nor the networks of the daemon: who edits a configuration has the answer at once."""
     loaded = _modules_after("edged.cli.main, edged.commands.check, edged.commands.status")
 
-    assert "edged.cellfiles" in loaded
+    assert "edged.setup.cellfiles" in loaded
     others = ("numba", "llvmlite", "zenoh", "pymodbus", "aiohttp", "gi", "edged.adapters")
     assert [] == [name for name in loaded if name.startswith(others)]
 

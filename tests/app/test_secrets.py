@@ -16,7 +16,6 @@ from rich.console import Console
 from edged.app.cell import load_cell
 from edged.app.daemon import Daemon
 from edged.app.status import config_summary
-from edged.cellfiles import exposed_secrets, read_cell
 from edged.commands.check import check
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.replay import replay
@@ -26,8 +25,9 @@ from edged.errors import ConfigError
 from edged.files import private, recording
 from edged.files.private import write_private
 from edged.files.secrettext import without_secrets
-from edged.passwords import hash_password
+from edged.identity.passwords import hash_password
 from edged.payload import encode
+from edged.setup.cellfiles import exposed_secrets, read_cell
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.world import VirtualWorld
 

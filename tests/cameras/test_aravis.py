@@ -36,7 +36,7 @@ from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, 
 from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate, translated
 from edged.adapters.aravis.stream import BLOCK_IDS, FrameCounter
-from edged.capture.stereohead import StereoHead
+from edged.cell.stereohead import StereoHead
 from edged.domain.frames import Frame
 from edged.errors import (
     CameraBusy,

@@ -11,12 +11,12 @@ from helpers.gigecell import Cell, left_camera, run, running, shoot
 from helpers.scriptedhead import Ear, make_setup, until
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
-from edged.capture.stereohead import StereoHead
-from edged.cycle import Cycle
+from edged.cell.cycle import Cycle
+from edged.cell.lease.cameras import CameraChanges
+from edged.cell.stereohead import StereoHead
 from edged.domain.cell import CellPhase
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import CameraSetupError, CaptureError
-from edged.session.cameras import CameraChanges
 from edged.sim.gige import genicam as g
 from edged.sim.gige.faults import Quirk
 

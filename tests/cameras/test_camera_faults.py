@@ -15,7 +15,7 @@ import pytest
 from helpers.gigecell import LEFT, RIGHT, Cell, Sensor, gige_camera, run, running
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
-from edged.capture.stereohead import REOPEN_AFTER, StereoHead
+from edged.cell.stereohead import REOPEN_AFTER, StereoHead
 from edged.errors import (
     CameraBusy,
     CameraRestarted,

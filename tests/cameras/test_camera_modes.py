@@ -14,8 +14,8 @@ from helpers.gigecell import LEFT, RIGHT, Cell, left_camera, run, running, shoot
 from edged.adapters.aravis import AravisCamera, Output, aravis_missing
 from edged.adapters.aravis.clock import CLOCK_DRIFT
 from edged.app.cameras import head_of
-from edged.capture.pairing import Pairing
-from edged.capture.stereohead import StereoHead
+from edged.cell.pairing import Pairing
+from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CamerasSection
 from edged.domain.frames import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout, FrameUnpaired

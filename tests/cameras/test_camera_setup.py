@@ -15,7 +15,7 @@ from helpers.gigecell import HEIGHT, LEFT, NOBODY, RIGHT, WIDTH, Cell, left_came
 from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
 from edged.adapters.aravis.library import library
 from edged.app.cameras import camera_facts, camera_figures, head_of
-from edged.capture.stereohead import StereoHead
+from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CamerasSection
 from edged.domain.frames import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera

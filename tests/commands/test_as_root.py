@@ -19,15 +19,15 @@ from edged.commands.audit import audit
 from edged.commands.backup import backup, restore
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.web import invite
-from edged.commissioning.releases.archive import read
 from edged.errors import UserError
 from edged.files.atomic import write_file
-from edged.files.audit import AuditFile, Deed
-from edged.files.invite import Invite
 from edged.files.jobs import load_job, save_job
 from edged.files.owners import as_owner
-from edged.files.users import User, UserFile
-from edged.passwords import hash_password
+from edged.identity.audit import AuditFile, Deed
+from edged.identity.invite import Invite
+from edged.identity.passwords import hash_password
+from edged.identity.users import User, UserFile
+from edged.setup.releases.archive import read
 from edged.sim.cell import VirtualCell, demo_part
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be led to write what is root's")

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from edged.__main__ import main
-from edged.files.audit import LINES, AuditFile, Deed
 from edged.files.statefolder import state_folder
+from edged.identity.audit import LINES, AuditFile, Deed
 
 
 def test_the_chain_is_printed_and_verified(

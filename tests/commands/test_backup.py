@@ -18,15 +18,15 @@ from hypothesis import strategies as st
 from rich.console import Console
 from typer.testing import CliRunner
 
-from edged.cellfiles import read_cell
 from edged.cli.main import app
 from edged.commands.backup import backup, restore
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.commissioning.releases import archive as module
-from edged.commissioning.releases.archive import Backup, pack, unpack
 from edged.config.reading import load
 from edged.errors import ConfigError, FileFormatError, UserError
-from edged.passwords import hash_password
+from edged.identity.passwords import hash_password
+from edged.setup.cellfiles import read_cell
+from edged.setup.releases import archive as module
+from edged.setup.releases.archive import Backup, pack, unpack
 from edged.sim.cell import VirtualCell, demo_part
 
 QUIET = Console(quiet=True)

@@ -337,7 +337,7 @@ def test_an_interrupt_leaves_no_file(folder: Path, tmp_path: Path, monkeypatch: 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("edged.commissioning.calibration.views.detect_board", interrupted)
+    monkeypatch.setattr("edged.setup.calibration.views.detect_board", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(folder, tmp_path / "rig.json")
     assert [path.name for path in tmp_path.iterdir()] == ["pictures"]

@@ -16,11 +16,11 @@ from helpers.rigs import make_rig
 from rich.console import Console
 
 from edged.commands.verify import verify
-from edged.commissioning.calibration.checking import Limits
 from edged.domain.arrays import FloatArray
 from edged.errors import ImageError, UserError
 from edged.files.jobs import save_job
 from edged.files.rig import save_rig
+from edged.setup.calibration.checking import Limits
 from edged.vision.boards.board import Chessboard, NotDetected, parse_board
 from edged.vision.calibration.verification import Length, check_board, pose_of_board
 from edged.vision.geometry.camera import StereoRig

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from edged.__main__ import main
-from edged.files.invite import Invite
 from edged.files.statefolder import state_folder
+from edged.identity.invite import Invite
 
 CELL = "[cell]\nname = 'c'\nrig = 'rig.json'\njobs = 'jobs'\njob = 'a'\n[cameras]\nsource = 'virtual'\n"
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from edged.adapters.replay import ReplayCamera, replay_cameras
-from edged.capture.stereohead import StereoHead
+from edged.cell.stereohead import StereoHead
 from edged.domain.arrays import Image
 from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
 

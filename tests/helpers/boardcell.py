@@ -14,7 +14,7 @@ from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
 from edged.domain.arrays import SIDES, Image
 from edged.files.statefolder import state_folder
-from edged.files.users import User, UserFile
+from edged.identity.users import User, UserFile
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
 from helpers.boardpairs import pairs

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from edged.commissioning.releases import archive
 from edged.config import reading
 from edged.errors import UserError
 from edged.files import images, recording
@@ -23,6 +22,7 @@ from edged.files.rigformats import opencv
 from edged.files.rigformats.files import DEFAULTS
 from edged.files.stl import read_stl
 from edged.files.tables import read_table
+from edged.setup.releases import archive
 
 ROOM_BYTES = 300 << 20
 """Of addresses, more than the process has when it begins to read."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from edged.adapters.aravis import AravisCamera, AravisSettings
-from edged.capture.stereohead import StereoHead
+from edged.cell.stereohead import StereoHead
 from edged.domain.arrays import Image
 from edged.domain.frames import Frame
 from edged.errors import CaptureError

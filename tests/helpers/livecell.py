@@ -13,13 +13,13 @@ from typing import TypeVar
 import numpy as np
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
-from edged.cycle import Cycle
+from edged.cell.cycle import Cycle
+from edged.cell.loaded import LoadedJob, Setup
+from edged.cell.registering import Registrar
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Outcome, Status, Target
 from edged.domain.picking import Grasp, Picking
 from edged.errors import FrameTimeout
-from edged.loop.loaded import LoadedJob, Setup
-from edged.loop.registering import Registrar
 from helpers.snapshots import make_target, make_transform
 
 T = TypeVar("T")

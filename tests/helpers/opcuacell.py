@@ -15,7 +15,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from edged.adapters.modbus import ModbusSettings
 from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings
-from edged.passwords import hash_password
+from edged.identity.passwords import hash_password
 from helpers.livecell import LiveCell
 
 PASSWORD = "a password for tests"

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from edged.cellfiles import CellFiles
 from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Status
 from edged.files import recording
 from edged.files.statefolder import state_folder
-from edged.files.users import User, UserFile
+from edged.identity.users import User, UserFile
 from edged.pipeline import PreparedRig, locate
+from edged.setup.cellfiles import CellFiles
 from edged.sim.cell import SIDES, VirtualCell
 from edged.sim.exposure import ExposureRequest
 from helpers.boardcell import BoardCell

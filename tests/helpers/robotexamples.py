@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.plc.clients.karel import karel_files
-from edged.plc.clients.krl import krl_files
-from edged.plc.clients.val3 import val3_files
-from edged.plc.texts import render
 from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.robots.karel import karel_files
+from edged.robots.krl import krl_files
+from edged.robots.texts import render
+from edged.robots.val3 import val3_files
 from edged.vision.geometry.rigid import transform
 from helpers import drl, karel, kawasaki, krl, rapid, spel, val3
 from helpers import robotsides as sides

@@ -19,15 +19,15 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 import pytest
 
-from edged.plc.clients.karel import karel_files
-from edged.plc.clients.krl import krl_files
-from edged.plc.clients.melfa import melfa_files
-from edged.plc.clients.motoplus import motoplus_files
-from edged.plc.clients.robotlines import Failure
-from edged.plc.clients.val3 import val3_files
 from edged.plc.lines import answer_fields
-from edged.plc.texts import render
 from edged.robot.orientations import Brand
+from edged.robots.karel import karel_files
+from edged.robots.krl import krl_files
+from edged.robots.melfa import melfa_files
+from edged.robots.motoplus import motoplus_files
+from edged.robots.robotlines import Failure
+from edged.robots.texts import render
+from edged.robots.val3 import val3_files
 from helpers import drl, inform, karel, kawasaki, krl, melfa, rapid, spel, val3
 from helpers.robotlanguage import Program
 from helpers.robotlink import Link

@@ -5,7 +5,7 @@ The table is the generators' own; where a name is declared, each interpreter fin
 
 from __future__ import annotations
 
-from edged.plc.clients.grammar import grammar
+from edged.robots.grammar import grammar
 
 
 class Declared:

@@ -9,12 +9,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from edged.cell.loaded import LoadedJob, Setup
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Command, CommandFailed, CommandKind, Event, JobChanged, Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Outcome, Status
 from edged.errors import FrameTimeout
-from edged.loop.loaded import LoadedJob, Setup
 
 
 class Head:

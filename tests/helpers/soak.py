@@ -45,7 +45,8 @@ from edged.adapters.modbus.pdu import RequestRefused, respond
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings
 from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings
 from edged.adapters.zenoh.triggers import Triggers
-from edged.cycle import Cycle
+from edged.cell.cycle import Cycle
+from edged.cell.loaded import LoadedJob, Setup
 from edged.domain.events import (
     Command,
     CommandFailed,
@@ -59,14 +60,13 @@ from edged.domain.measurement import Outcome, Reject, Status, Target
 from edged.domain.picking import Grasp, Picking
 from edged.domain.registration import Method, Obstacle, Registration
 from edged.errors import CommandRefused, FrameTimeout
-from edged.loop.loaded import LoadedJob, Setup
 from edged.plc import answers
 from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
-from edged.plc.clients import structured_text_source
 from edged.plc.lines import Answer
 from edged.robot.orientations import Brand
+from edged.robots import structured_text_source
 from helpers import structured_text
 from helpers.snapshots import make_target
 

@@ -13,15 +13,15 @@ import numpy as np
 from rich.console import Console
 
 from edged.adapters.recorder import Recorder, RecorderSettings
-from edged.cellfiles import read_cell
 from edged.commands.backup import backup, restore
-from edged.commissioning.releases.archive import unpack
 from edged.domain.events import Event, ExposureDone
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Status
 from edged.files import atomic, recording
 from edged.files.jobs import load_job, save_job
 from edged.files.rig import keep_old_rig, load_rig, save_rig
+from edged.setup.cellfiles import read_cell
+from edged.setup.releases.archive import unpack
 from helpers.powercuts import Record, cut, read_disk
 from helpers.snapshots import make_snapshot
 

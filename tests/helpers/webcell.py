@@ -15,10 +15,10 @@ from argon2 import PasswordHasher
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.adapters.web import Overview, Sources, WebPublisher, WebSettings
-from edged.cycle import Cycle
-from edged.files.users import RoleName, User, UserFile
+from edged.cell.cycle import Cycle
+from edged.identity.users import RoleName, User, UserFile
 from edged.robot.orientations import Convention
-from edged.workshop.plcroutes import PlcRoutes
+from edged.setup.plcroutes import PlcRoutes
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
 from helpers.scriptedhead import Ear, Head, make_setup
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edged.commissioning.pairs import Progress
 from edged.errors import CalibrationError
+from edged.setup.pairs import Progress
 
 
 def about(_progress: Progress) -> dict[str, int]:

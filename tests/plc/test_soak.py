@@ -11,9 +11,9 @@ from helpers.soak import Soak
 
 from edged.adapters.modbus.cell import NOBODYS, CellRegisters
 from edged.adapters.zenoh.triggers import Triggers
-from edged.cycle import Cycle
+from edged.cell.cycle import Cycle
+from edged.cell.loaded import LoadedJob
 from edged.domain.events import PLC_SOURCE
-from edged.loop.loaded import LoadedJob
 from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
 

@@ -16,14 +16,14 @@ from helpers.snapshots import make_target, make_transform
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
-from edged.cycle import Cycle
+from edged.cell.cycle import Cycle
+from edged.cell.loaded import LoadedJob, Setup
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellPhase
 from edged.domain.events import Command, CommandKind, Event
 from edged.domain.measurement import Outcome, Status
 from edged.errors import CommandRefused, FileFormatError
 from edged.files.rig import load_rig, save_rig
-from edged.loop.loaded import LoadedJob, Setup
 from edged.payload import command_to_json
 from edged.plc import registers as reg
 from edged.plc.answers import Reason

@@ -13,7 +13,7 @@ from helpers.webcell import Cell, run
 from edged.adapters.web.auditing import REFUSED_BURST, RUN, Auditor
 from edged.domain.cell import CellPhase
 from edged.domain.events import Idle
-from edged.files.audit import AuditFile
+from edged.identity.audit import AuditFile
 
 
 def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptureFixture) -> None:

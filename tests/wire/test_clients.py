@@ -30,8 +30,8 @@ from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.picking import Bounds, Box
 from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
-from edged.plc.texts import render
 from edged.robot.orientations import Brand, Convention, transform_of
+from edged.robots.texts import render
 from edged.vision.geometry.rigid import rotation_vector
 
 WAIT_S = 20.0

@@ -15,7 +15,7 @@ from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, log_in
 from helpers.webcell import Cell, run, running
 
 from edged.adapters.web.assets import read_assets
-from edged.files.invite import Invite
+from edged.identity.invite import Invite
 
 NEW = {"code": "abcd-efgh-jkmn", "name": "Erna", "password": "battery staple", "again": "battery staple"}
 SPEAK = "Emulation.setUserAgentOverride"
@@ -34,7 +34,7 @@ PROBLEM = (
 @pytest.fixture(autouse=True)
 def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hashes that are made here cost little: what they must cost is tested elsewhere."""
-    monkeypatch.setattr("edged.passwords.HASHER", PasswordHasher(time_cost=1, memory_cost=512, parallelism=1))
+    monkeypatch.setattr("edged.identity.passwords.HASHER", PasswordHasher(1, 512, 1))
 
 
 def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_best() -> None:

@@ -16,7 +16,7 @@ from helpers.browsersession import browsing
 from yarl import URL
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings
-from edged.passwords import hash_password
+from edged.identity.passwords import hash_password
 
 SCRIPT = "let theme = 1 < 2"
 FILES = {

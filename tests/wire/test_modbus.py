@@ -37,7 +37,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from rich.console import Console
 
-from edged import door
+from edged import connections as door
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings, tcp
 from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role

@@ -11,10 +11,10 @@ from argon2 import PasswordHasher
 from helpers.browsersession import PASSWORD
 from helpers.webcell import HASH, Cell, run
 
-from edged.adapters.web.access import IDLE_S, Access
-from edged.adapters.web.visitors import Role
-from edged.files.invite import Invite
-from edged.files.users import User, UserFile
+from edged.identity.access import IDLE_S, Access
+from edged.identity.invite import Invite
+from edged.identity.users import User, UserFile
+from edged.identity.visitors import Role
 
 NEW = "battery staple"
 
@@ -22,7 +22,7 @@ NEW = "battery staple"
 @pytest.fixture(autouse=True)
 def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hashes that are made here cost little: what they must cost is tested elsewhere."""
-    monkeypatch.setattr("edged.passwords.HASHER", PasswordHasher(time_cost=1, memory_cost=512, parallelism=1))
+    monkeypatch.setattr("edged.identity.passwords.HASHER", PasswordHasher(1, 512, 1))
 
 
 async def me(cell: Cell) -> tuple[str, str]:

@@ -14,8 +14,8 @@ from edged.domain.events import CommandKind
 from edged.domain.registration import Method
 from edged.plc import registers as reg
 from edged.plc.answers import Reason
-from edged.plc.clients.cell_client import CommandRefused, EdgedCell
 from edged.robot.orientations import ANGLES_DEG, Brand, Convention
+from edged.robots.cell_client import CommandRefused, EdgedCell
 from edged.vision.geometry.rigid import apply, transform
 
 GOOD_MM = 0.03

@@ -20,8 +20,8 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Target
 from edged.domain.picking import Grasp, Picking
 from edged.plc.registers import StatusBit
-from edged.plc.texts import FORMATS, SEVERAL, render
 from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.robots.texts import FORMATS, SEVERAL, render
 from edged.vision.geometry.rigid import transform
 
 PART_FROM_TOOL = make_transform((0.1, 0.05, -1.0), (30.0, -10.0, 5.0))

@@ -31,10 +31,10 @@ from helpers.snapshots import make_target
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.measurement import Target
-from edged.plc.clients.robotlines import Failure
 from edged.plc.lines import LineStatus
 from edged.plc.registers import StatusBit
 from edged.robot.orientations import Brand, transform_of
+from edged.robots.robotlines import Failure
 from edged.vision.geometry.rigid import rotation_matrix, transform
 
 WAIT_S = 20.0

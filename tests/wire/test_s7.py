@@ -18,8 +18,8 @@ from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
 from edged.adapters.modbus import ModbusSettings
-from edged.plc.texts import render
 from edged.robot.orientations import Convention
+from edged.robots.texts import render
 
 CYCLES_BUSY = 3
 DONE, BUSY, ERROR = "DONE", "BUSY", "ERROR"

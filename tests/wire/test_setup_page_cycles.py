@@ -17,13 +17,13 @@ from helpers.recordedcell import RecordingCell, exposures, record
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
 from helpers.smallcell import SmallCell
 
-from edged.cellfiles import read_cell
-from edged.commissioning.calibration.drafts import Drafts, Solution
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.files.images import load_image
 from edged.files.recording import find, load_picture
 from edged.files.rig import rig_text
+from edged.setup.calibration.drafts import Drafts, Solution
+from edged.setup.cellfiles import read_cell
 
 pytestmark = [
     pytest.mark.slow,

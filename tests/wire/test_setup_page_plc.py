@@ -20,8 +20,8 @@ from helpers.webcell import Cell, running
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.domain.cell import CellPhase
 from edged.plc.registers import MAP_VERSION, WordOrder
-from edged.plc.texts import FORMATS, SEVERAL
-from edged.workshop.plcroutes import FILES
+from edged.robots.texts import FORMATS, SEVERAL
+from edged.setup.plcroutes import FILES
 
 pytestmark = pytest.mark.slow
 CLIENT = 4711

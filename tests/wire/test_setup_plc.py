@@ -27,8 +27,8 @@ from edged.domain.cell import SetupSource
 from edged.domain.events import CommandKind
 from edged.errors import SetupRefused
 from edged.files.statefolder import state_folder
-from edged.files.users import User, UserFile
-from edged.passwords import hash_password
+from edged.identity.passwords import hash_password
+from edged.identity.users import User, UserFile
 from edged.plc import registers as reg
 from edged.plc.answers import Reason
 from edged.plc.registers import StatusBit, Warn

@@ -15,7 +15,7 @@ from helpers.scriptedhead import until
 from helpers.webcell import Cell, run
 
 from edged.adapters.web import Overview, server, sockets
-from edged.adapters.web.access import IDLE_S
+from edged.identity.access import IDLE_S
 
 PLACE = "/api/v1/ws"
 
@@ -179,7 +179,7 @@ def test_only_an_engineer_lets_cameras_run() -> None:
 
 def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.MonkeyPatch) -> None:
     """AUTO_LOCK changes nothing of a cell that is ready: when it is idle it is looked at, too."""
-    monkeypatch.setattr("edged.cycle.IDLE_CHECK_S", 0.05)
+    monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 0.05)
 
     async def test(cell: Cell) -> None:
         await cell.log_in()

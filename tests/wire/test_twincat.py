@@ -17,8 +17,8 @@ from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
 from edged.adapters.modbus import ModbusSettings
-from edged.plc.clients import twincat_files
 from edged.robot.orientations import Convention
+from edged.robots import twincat_files
 
 CYCLES_BUSY = 3
 

@@ -21,10 +21,10 @@ from helpers.walkedcell import (
 )
 
 from edged.plc.answers import Reason
-from edged.plc.clients.karel import karel_files
-from edged.plc.clients.krl import krl_files
-from edged.plc.texts import render
 from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.robots.karel import karel_files
+from edged.robots.krl import krl_files
+from edged.robots.texts import render
 from edged.vision.geometry.rigid import transform
 
 GOOD_MM = 0.03

@@ -28,7 +28,6 @@ from helpers.snapshots import make_snapshot, make_target, make_transform
 from rich.console import Console
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings, login, page, server, viewers
-from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.assets import read_assets
 from edged.adapters.web.marks import outlines
 from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, picture
@@ -39,7 +38,8 @@ from edged.domain.events import ExposureDone, Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Reject, Status
 from edged.errors import ListenError
-from edged.passwords import hash_password
+from edged.identity.access import Access, TooManyAttempts
+from edged.identity.passwords import hash_password
 from edged.payload import said
 from edged.plc.registers import Kind, Register
 from edged.plc.registers.values import measured
@@ -676,7 +676,7 @@ def test_log_ins_at_once_cost_one_hash(monkeypatch: pytest.MonkeyPatch) -> None:
         started.set()
         return may_end.wait(20) and password == PASSWORD
 
-    monkeypatch.setattr("edged.adapters.web.access.is_password", slow)
+    monkeypatch.setattr("edged.identity.access.is_password", slow)
 
     async def test() -> None:
         access = Access(HASH)
@@ -706,7 +706,7 @@ def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch)
         hashed.append(password)
         looked_at.release()
 
-    monkeypatch.setattr("edged.adapters.web.access.is_password", check)
+    monkeypatch.setattr("edged.identity.access.is_password", check)
 
     async def test() -> None:
         access = Access(HASH, lambda: 0.0)
@@ -727,7 +727,7 @@ def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch)
 
 def test_who_has_to_wait_is_told_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """429 with Retry-After in whole seconds, never 0; over the form and over HTTP Basic."""
-    monkeypatch.setattr("edged.adapters.web.access.is_password", lambda *_: False)
+    monkeypatch.setattr("edged.identity.access.is_password", lambda *_: False)
 
     async def test() -> None:
         async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from edged.commissioning.releases import archive
 from edged.config.tomltext import MAX_KEY_PARTS, MAX_TOML_BYTES
 from edged.files import atomic, dxf, images, step, stl, tables
 from edged.files.jobs.schema import JobFile
 from edged.files.rigformats.files import MAX_NODES, MAX_TEXT_BYTES
+from edged.setup.releases import archive
 from edged.vision.geometry.camera import DISTORTION_NAMES
 from edged.vision.part.job import MEASURES
 from referencepages.configuration import HEAD, body, heading, rows, sections

@@ -15,7 +15,7 @@ import numpy as np
 
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
-from edged.ages import ExposureClock
+from edged.cell.ages import ExposureClock
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import (

@@ -30,11 +30,11 @@ from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
 from edged.adapters.modbus.tcp import SILENT_S
+from edged.connections import Door, Guest
 from edged.domain.arrays import FloatArray
 from edged.domain.events import REGISTERING, CommandKind
 from edged.domain.measurement import Reject
 from edged.domain.numerals import decimal, whole
-from edged.door import Door, Guest
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc import registers as reg

@@ -23,7 +23,7 @@ from edged.adapters.modbus.pdu import WRITES, respond
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.security import certificate_role, server_context
 from edged.adapters.modbus.settings import ModbusSettings, address_of, contains
-from edged.door import Door, Guest, Rate
+from edged.connections import Door, Guest, Rate
 from edged.errors import ListenError
 from edged.logs import LogLimit
 

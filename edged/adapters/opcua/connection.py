@@ -18,7 +18,7 @@ from asyncua.ua.ua_binary import header_from_binary, struct_from_binary
 
 from edged.adapters.opcua.security import TrustList
 from edged.adapters.opcua.session import Processor, Server
-from edged.door import Guest, Rate
+from edged.connections import Guest, Rate
 from edged.logs import LogLimit
 
 FRAME = struct.Struct("<3scI")

@@ -21,10 +21,10 @@ from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
 from edged.adapters.opcua.settings import OpcUaSettings
-from edged.door import Rate
+from edged.connections import Rate
 from edged.errors import ListenError
 from edged.files.atomic import write_atomically
-from edged.passwords import is_password
+from edged.identity.passwords import is_password
 
 MAX_TRUSTED, MAX_REJECTED = 256, 16
 MAX_CERTIFICATE_BYTES = 16 * 1024

@@ -32,7 +32,7 @@ from edged.adapters.opcua.security import Identity, TrustList, Users
 from edged.adapters.opcua.session import MAX_NODES, Server
 from edged.adapters.opcua.settings import OpcUaSettings
 from edged.adapters.opcua.space import Space
-from edged.door import Door, Guest, Rate
+from edged.connections import Door, Guest, Rate
 from edged.errors import EdgedError, ListenError, TookTooLong
 from edged.logs import LogLimit
 

@@ -12,9 +12,9 @@ from aiohttp import web
 from pydantic import Field
 
 from edged.adapters.web.routes import BASE, Answer, Body, Call, Route, RouteTable
-from edged.door import Rate
+from edged.connections import Rate
 from edged.errors import FileFormatError
-from edged.files.audit import AuditFile, Deed, shown
+from edged.identity.audit import AuditFile, Deed, shown
 from edged.logs import LogLimit, fields
 
 log = logging.getLogger(__name__)

@@ -20,10 +20,8 @@ from typing import Any
 from aiohttp import web
 from pydantic import BaseModel, ValidationError
 
-from edged.adapters.web.access import TooManyAttempts
 from edged.adapters.web.repeats import Repeats
 from edged.adapters.web.routes import BASE, Call, Given, Problem, Route, RouteTable
-from edged.adapters.web.visitors import Role, Visitor
 from edged.domain.numerals import decimal
 from edged.errors import (
     CalibrationError,
@@ -39,6 +37,8 @@ from edged.errors import (
     TeachError,
     UserError,
 )
+from edged.identity.access import TooManyAttempts
+from edged.identity.visitors import Role, Visitor
 from edged.ports import Commissioner
 
 log = logging.getLogger(__name__)

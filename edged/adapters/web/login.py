@@ -11,13 +11,13 @@ from aiohttp import web
 from markupsafe import Markup
 from pydantic import TypeAdapter, ValidationError
 
-from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.auditing import Auditor
 from edged.adapters.web.people import MIN_LENGTH, Password
 from edged.adapters.web.texts import Texts, language_of
 from edged.errors import FileFormatError
-from edged.files.invite import Invite
-from edged.files.users import UserFile, UserName
+from edged.identity.access import Access, TooManyAttempts
+from edged.identity.invite import Invite
+from edged.identity.users import UserFile, UserName
 from edged.report.page import render
 
 log = logging.getLogger(__name__)

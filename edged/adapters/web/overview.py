@@ -13,8 +13,8 @@ from pydantic import Field
 from edged.adapters.web.openapi import document_of
 from edged.adapters.web.page import Overview, Page
 from edged.adapters.web.routes import Answer, Call, RouteTable
-from edged.adapters.web.visitors import Role
 from edged.domain.cell import SetupSource
+from edged.identity.visitors import Role
 
 
 class SetupNow(Answer):

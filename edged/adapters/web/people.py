@@ -8,10 +8,10 @@ from typing import Annotated
 
 from pydantic import Field, StringConstraints
 
-from edged.adapters.web.access import Access
 from edged.adapters.web.routes import Answer, Body, Call, Problem, RouteTable
-from edged.adapters.web.visitors import Role
-from edged.files.users import Language, LastEngineer, RoleName, User, UserFile, UserName
+from edged.identity.access import Access
+from edged.identity.users import Language, LastEngineer, RoleName, User, UserFile, UserName
+from edged.identity.visitors import Role
 
 MIN_LENGTH = 8
 Password = Annotated[str, StringConstraints(min_length=MIN_LENGTH, max_length=256, strip_whitespace=False)]

@@ -15,7 +15,7 @@ from aiohttp import web
 from pydantic import BaseModel
 
 from edged.adapters.web.routes import Problem
-from edged.adapters.web.visitors import Visitor
+from edged.identity.visitors import Visitor
 
 HEADER = "Idempotency-Key"
 MAX_LETTERS = 64

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Generic, TypeVar
 from aiohttp import web
 from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints
 
-from edged.adapters.web.visitors import Role, Visitor
+from edged.identity.visitors import Role, Visitor
 from edged.payload import Json
 
 BASE = "/api/v1"

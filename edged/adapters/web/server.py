@@ -20,7 +20,6 @@ from typing import Any
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from edged.adapters.web.access import Access, TooManyAttempts
 from edged.adapters.web.assets import modules, read_assets, run_modules, type_of
 from edged.adapters.web.auditing import Auditor
 from edged.adapters.web.gate import Gate
@@ -34,22 +33,23 @@ from edged.adapters.web.settings import WebSettings, is_loopback, page_context
 from edged.adapters.web.setup import SetupRoutes
 from edged.adapters.web.sockets import Sockets
 from edged.adapters.web.viewers import Viewers, foremost
-from edged.adapters.web.visitors import Visitor
+from edged.cell.lease.live import LivePictures
+from edged.cell.lease.notices import Notices
+from edged.connections import Door, Guest, Rate, Rates
 from edged.domain.arrays import Side
 from edged.domain.cell import CellState
 from edged.domain.events import Event, Idle
 from edged.domain.measurement import Nearest
-from edged.door import Door, Guest, Rate, Rates
 from edged.errors import ListenError
-from edged.files.audit import AuditFile, Deed
-from edged.files.invite import Invite
-from edged.files.users import UserFile
+from edged.identity.access import Access, TooManyAttempts
+from edged.identity.audit import AuditFile, Deed
+from edged.identity.invite import Invite
+from edged.identity.users import UserFile
+from edged.identity.visitors import Visitor
 from edged.logs import LogLimit
 from edged.payload import Json
 from edged.ports import Commissioner
 from edged.report.page import render
-from edged.session.live import LivePictures
-from edged.session.notices import Notices
 
 log = logging.getLogger(__name__)
 

@@ -13,10 +13,10 @@ from aiohttp import web
 from pydantic import Field, model_validator
 
 from edged.adapters.web.routes import BASE, Answer, Body, Call, Leased, Name, Problem, RouteTable, Token
-from edged.adapters.web.visitors import Role
 from edged.domain.arrays import Image
 from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.frames import FramePair
+from edged.identity.visitors import Role
 from edged.ports import Commissioner
 
 log = logging.getLogger(__name__)

@@ -21,16 +21,16 @@ from pydantic import Field, ValidationError
 
 from edged.adapters.web.overview import CellNow
 from edged.adapters.web.routes import WEBSOCKET, Body, Call, Problem, RouteTable, Token
-from edged.adapters.web.visitors import Role, Visitor
-from edged.capture.tasks import cancel_and_await
+from edged.cell.lease.live import LivePictures
+from edged.cell.lease.notices import Notices
+from edged.cell.tasks import cancel_and_await
+from edged.connections import Guest, Rate
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
-from edged.door import Guest, Rate
 from edged.errors import SetupRefused
+from edged.identity.visitors import Role, Visitor
 from edged.logs import LogLimit
 from edged.payload import Json
-from edged.session.live import LivePictures
-from edged.session.notices import Notices
 
 MAX_SOCKETS = 32
 MESSAGE_BYTES = 1024

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from aiohttp import web
 
-from edged.door import Guest
+from edged.connections import Guest
 from edged.payload import Json
 
 PERIOD_S = 0.2

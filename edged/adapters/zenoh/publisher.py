@@ -32,8 +32,8 @@ from edged.adapters.zenoh.session import ZenohSettings, configured, open_session
 from edged.adapters.zenoh.triggerquery import parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
 from edged.adapters.zenoh.worker import Worker
-from edged.ages import ExposureClock
-from edged.bounded import bounded
+from edged.cell.ages import ExposureClock
+from edged.cell.bounded import bounded
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import (
     Basis,

@@ -10,8 +10,8 @@ from helpers.boards import board_poses, synthetic_views
 from helpers.htmlpages import HtmlPage
 from helpers.rigs import make_rig
 
-from edged.commissioning.calibration.views import quality_figures
 from edged.report.calibration import calibration_report
+from edged.setup.calibration.views import quality_figures
 from edged.vision.boards.board import Chessboard, NotDetected
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.calibration.coverage import coverage_in_words, coverage_of

@@ -1,0 +1,1 @@
+"""SETUP: one person at a time has the cell and its cameras."""

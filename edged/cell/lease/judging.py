@@ -1,0 +1,109 @@
+"""Light and focus of the live pictures, once a second at most, beside the loop."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from edged.cell.lease.notices import Notices
+from edged.domain.arrays import SIDES, Image, Side
+from edged.domain.frames import FramePair
+from edged.pictures.light import Advice, Light, light_of
+from edged.vision.edges.sharpness import Sharpness, cost_of_spread, sharpness
+
+log = logging.getLogger(__name__)
+
+PERIOD_S = 1.0
+"""A pair takes a quarter of a second of one core."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureQuality:
+    """Of one picture. exposure_factor : for what `advice` says."""
+
+    light: Light
+    sharpness: Sharpness
+    advice: Advice
+    exposure_factor: float
+
+    def to_json(self) -> dict[str, Any]:
+        """By the names of the API; null where there are too few edges to tell."""
+        spread_px = self.sharpness.spread_px
+        return {
+            "clipped_share": self.light.clipped_share,
+            "dark_share": self.light.dark_share,
+            "noise_grey": self.light.noise_grey,
+            "contrast_grey": self.light.contrast_grey,
+            "bright_grey": self.light.bright_grey,
+            "edge_spread_px": {
+                "median": _known(spread_px),
+                "map": [[_known(field) for field in row] for row in self.sharpness.fields_px.tolist()],
+            },
+            "sigma_z_factor": None if math.isnan(spread_px) else cost_of_spread(spread_px),
+            "advice": {"code": str(self.advice), "exposure_factor": self.exposure_factor},
+        }
+
+
+def judge(image: Image, gain_db: float | None) -> PictureQuality:
+    """The figures of a picture (H, W) uint8 that was taken with this gain."""
+    light = light_of(image)
+    advice, factor = light.advice(gain_db)
+    return PictureQuality(light, sharpness(image, light.noise_grey), advice, factor)
+
+
+class PictureJudge:
+    """Looks at live pairs; used on the event loop only.
+
+    notices : told as "quality". gains : of the cameras, dB, as far as they are known.
+    """
+
+    def __init__(
+        self,
+        notices: Notices,
+        gains: Callable[[], Mapping[Side, float]],
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._notices = notices
+        self._gains = gains
+        self._clock_s = clock_s
+        self._next_s = -math.inf
+        self._task: asyncio.Task[None] | None = None
+        self.latest: dict[str, Any] | None = None
+
+    def look(self, number: int, pair: FramePair) -> None:
+        """Judge this pair, unless the last one is still being judged or was only just; returns at once."""
+        if self._task is not None or self._clock_s() < self._next_s:
+            return
+        self._next_s = self._clock_s() + PERIOD_S
+        self._task = asyncio.create_task(self._judge(number, pair), name="judge pictures")
+
+    async def judged(self, number: int, pair: FramePair) -> dict[str, Any]:
+        """The figures of both pictures of a pair, as JSON."""
+        gains = self._gains()
+        images = {"left": pair.left.image, "right": pair.right.image}
+        document: dict[str, Any] = {"number": number}
+        for side in SIDES:
+            quality = await asyncio.to_thread(judge, images[side], gains.get(side))
+            document[side] = quality.to_json()
+        return document
+
+    async def close(self) -> None:
+        """Nothing is judged any more when this returns."""
+        if self._task is not None:
+            await asyncio.wait({self._task})
+
+    async def _judge(self, number: int, pair: FramePair) -> None:
+        try:
+            self.latest = await self.judged(number, pair)
+            self._notices.publish("quality", self.latest)
+        finally:
+            self._task = None
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value

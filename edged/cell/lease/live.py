@@ -1,0 +1,136 @@
+"""Live pictures: exposures one after another, while somebody who has the cell wants them and looks.
+
+Each goes to whoever listens: pages, and what judges board, light and focus.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+from edged.cell.lease.notices import Notices
+from edged.cell.tasks import cancel_and_await
+from edged.domain.frames import FramePair
+from edged.errors import CaptureError, SetupRefused
+from edged.ports import Commissioner
+
+PERIOD_S = 0.05
+"""From one exposure to the next at least: nobody sees more, and other requests come in between."""
+REST_S = 1.0
+"""After a fault of the cameras."""
+UNSEEN_S = 10.0
+"""Who has seen no picture for so long does not look: a tablet that sleeps must not keep the cell taken."""
+Listener = Callable[[int, FramePair], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Want:
+    """Of somebody who has the cell; until_s : unless a picture is seen before."""
+
+    token: str
+    until_s: float
+
+
+class LivePictures:
+    """Used on the event loop only. notices : told as "live" when it begins, ends, or the cameras fail."""
+
+    def __init__(
+        self,
+        commissioner: Commissioner,
+        notices: Notices,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._commissioner = commissioner
+        self._notices = notices
+        self._clock_s = clock_s
+        self._wants: dict[Hashable, _Want] = {}
+        self._listeners: dict[object, Listener] = {}
+        self._task: asyncio.Task[None] | None = None
+        self._number = 0
+        self._fault = ""
+
+    @property
+    def is_on(self) -> bool:
+        """Whether pictures are being taken."""
+        return self._task is not None
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Get each pair with its number from now on. Returns what ends it.
+
+        Called on the event loop: what takes longer than a glance is done elsewhere, and who is busy leaves
+        the pair; no exposure waits for a listener.
+        """
+        key = object()
+        self._listeners[key] = listener
+
+        def stop() -> None:
+            self._listeners.pop(key, None)
+
+        return stop
+
+    def want(self, who: Hashable, token: str) -> None:
+        """Take pictures, for who has the cell. Raises `SetupRefused`."""
+        self._commissioner.renew_setup(token)
+        self._wants[who] = _Want(token, self._clock_s() + UNSEEN_S)
+        if self._task is None:
+            self._fault = ""
+            self._tell(on=True)
+            self._task = asyncio.create_task(self._run(), name="live")
+
+    def seen(self, who: Hashable) -> None:
+        """Somebody has seen a picture, and still looks."""
+        if who in self._wants:
+            self._wants[who] = _Want(self._wants[who].token, self._clock_s() + UNSEEN_S)
+
+    def unwant(self, who: Hashable) -> None:
+        """Take none any more for somebody; nothing to do for who wanted none."""
+        self._wants.pop(who, None)
+
+    async def close(self) -> None:
+        """Take none any more."""
+        self._wants.clear()
+        if self._task is not None:
+            await cancel_and_await(self._task)
+
+    async def _run(self) -> None:
+        code, detail = "", ""
+        try:
+            while self._wants:
+                want = next(reversed(self._wants.values()))
+                token, begun_s = want.token, self._clock_s()
+                if begun_s >= want.until_s:
+                    self._forget(token)
+                    code, detail = "unseen", f"nobody has looked for {UNSEEN_S:g} s"
+                    continue
+                try:
+                    pair = await self._commissioner.capture(token)
+                except SetupRefused as error:
+                    self._forget(token)
+                    code, detail = "setup_refused", str(error)
+                    continue
+                except CaptureError as error:
+                    self._tell_fault(error)
+                    await asyncio.sleep(REST_S)
+                    continue
+                self._fault = ""
+                self._number += 1
+                for listener in tuple(self._listeners.values()):
+                    listener(self._number, pair)
+                await asyncio.sleep(max(0.0, PERIOD_S - (self._clock_s() - begun_s)))
+        finally:
+            self._task = None
+            self._tell(on=False, code=code, detail=detail)
+
+    def _forget(self, token: str) -> None:
+        self._wants = {who: want for who, want in self._wants.items() if want.token != token}
+
+    def _tell_fault(self, error: CaptureError) -> None:
+        """Once, not with every try."""
+        if self._fault != str(error):
+            self._fault = str(error)
+            self._tell(on=True, code=f"camera_{error.code}", detail=self._fault)
+
+    def _tell(self, *, on: bool, code: str = "", detail: str = "") -> None:
+        self._notices.publish("live", {"on": on, "code": code or None, "detail": detail or None})

@@ -1,0 +1,99 @@
+"""What the loop measures by: jobs in memory, and all else that a reload exchanges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from edged.cell.drift import DriftLimits
+from edged.domain.arrays import FloatArray
+from edged.domain.cell import SetupSource
+from edged.domain.events import Command, CommandKind
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome
+from edged.domain.picking import Bounds, Picking
+from edged.robot.covariance import moved_frame
+from edged.robot.picking import RobotFrame, narrowed, within
+
+Locate = Callable[[FramePair, Callable[[str], None]], Outcome]
+"""The pipeline with job and rig bound; calls the second argument at the end of each stage."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedJob:
+    """A job that is in memory and warm.
+
+    witness : its measurement whose size is known, for the drift. picking : what of its parts a robot gets.
+    """
+
+    name: str
+    number: int
+    locate: Locate
+    witness: str | None = None
+    picking: Picking = field(default_factory=Picking)
+
+
+def _no_job(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
+    raise RuntimeError("measured by a cell that has no job")
+
+
+NO_JOB = LoadedJob("", 0, _no_job)
+"""The active job of a cell that lacks calibration or jobs: it is in SETUP, and never measures."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """Everything that a reload may exchange between two cycles.
+
+    jobs : by number. period_s : None means "only on command".
+    lacks : why a cell that has nothing to measure by is in SETUP; its jobs are none.
+    listens : others trigger the cameras, and each of their exposures is measured.
+    flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
+    registration_covariance : of robot_from_rig, or of flange_from_rig.
+    bounds : where the robot may go, whatever the job.
+    """
+
+    jobs: Mapping[int, LoadedJob]
+    active_job: int
+    period_s: float | None
+    calibration_id: str
+    fingerprint: str
+    simulated: bool
+    robot_from_rig: FloatArray | None
+    registration_covariance: FloatArray | None = None
+    flange_from_rig: FloatArray | None = None
+    drift: DriftLimits = field(default_factory=DriftLimits)
+    listens: bool = False
+    lacks: SetupSource = SetupSource.NONE
+    bounds: Bounds = field(default_factory=Bounds)
+
+    def problem(self, command: Command) -> str:
+        """Why it cannot carry a command out; "" when it can."""
+        if command.kind is CommandKind.NEXT_PART:
+            return "NEXT_PART goes on with a list of parts: whoever keeps one answers it"
+        if command.job and command.job not in self.jobs:
+            known = ", ".join(f"{job.number} ({job.name})" for job in self.jobs.values())
+            return f"unknown job {command.job}, there are {known}"
+        if command.kind is CommandKind.CHANGE_JOB and not command.job:
+            return "a job change needs a job number"
+        if command.box > len(self.bounds.boxes):
+            return f"no box {command.box}, the cell's limits have {len(self.bounds.boxes)}"
+        carried = self.flange_from_rig is not None and command.kind is CommandKind.LOCATE
+        if carried and command.robot_from_flange is None:
+            return "the robot carries the cameras: LOCATE needs the pose of the flange"
+        return ""
+
+    def frame(self, command: Command | None) -> tuple[RobotFrame, FloatArray | None]:
+        """Where the coordinates of a cycle are told, and the covariance (6, 6) of that frame."""
+        robot_from_rig, registration = self.robot_from_rig, self.registration_covariance
+        if self.flange_from_rig is None:
+            return RobotFrame(robot_from_rig), registration
+        robot_from_flange = command.robot_from_flange if command is not None else None
+        if robot_from_flange is None:
+            return RobotFrame(robot_from_rig, robot_from_rig is not None), registration
+        moved = None if registration is None else moved_frame(registration, robot_from_flange)
+        return RobotFrame(robot_from_flange @ self.flange_from_rig), moved
+
+    def picking(self, job: LoadedJob, command: Command | None) -> Picking:
+        """The job's, within what the cell and the command allow."""
+        return within(job.picking, narrowed(self.bounds, command.box if command is not None else 0))

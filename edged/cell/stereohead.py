@@ -1,0 +1,379 @@
+"""The stereo head: two cameras that answer as one.
+
+Responsible for: opening both, triggering both at once, one deadline for everything, the proof
+that two frames are one exposure, and reopening what broke. Not responsible for: how a camera is
+reached (`adapters`, `sim`), when it is triggered (`cycle`).
+
+A fault is a `CaptureError` at once, never a wait: cameras are opened by a task beside the cycle,
+and between two attempts the last error is all there is to say.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any, TypeVar
+
+from edged.cell.pairing import Pairing
+from edged.cell.side import Side
+from edged.cell.tasks import both, cancel_and_await
+from edged.domain.arrays import SIDES
+from edged.domain.arrays import Side as Which
+from edged.domain.exposure import CameraLimits, CameraValues
+from edged.domain.frames import Frame, FramePair
+from edged.errors import (
+    CameraBusy,
+    CameraSetupError,
+    CameraUnreachable,
+    CaptureError,
+    FrameTimeout,
+    FrameUnpaired,
+    PairingError,
+    StreamStalled,
+)
+from edged.ports import Adjustable, Camera
+
+REOPEN_AFTER = 3
+"""Exposures in a row that one camera failed to deliver, before it is closed and opened again.
+
+A single lost frame is the network's; a camera that was switched off and on accepts triggers on the
+old connection for ever and never sends an image.
+"""
+
+LISTEN_AGAIN_S = 0.1
+"""Pause before a camera is listened to again that gave up waiting: most wait for seconds."""
+
+T = TypeVar("T")
+
+
+class StereoHead:
+    """Two cameras that are triggered together.
+
+    timeout_s : from trigger to both images.
+    max_skew_s, max_arrival_skew_s : see `Pairing`.
+    follower : the camera that exposes when the other one does, and so must be armed before that is triggered.
+    free_running : both expose all the time: a frame without a partner is followed by another.
+    by_others : somebody else triggers them: when nothing comes from either, nothing is wrong with them.
+    open_timeout_s : for one attempt to open both cameras.
+    min_backoff_s, max_backoff_s : pause after a failed attempt, or after a fault that closed a
+        camera; doubles with each one until a pair has been captured.
+    detect_frozen : an image that equals the one before it in every pixel is a fault; False for
+        sources without noise that may repeat themselves (a folder with one pair).
+    clock : monotonic seconds, for the back-off.
+    """
+
+    def __init__(
+        self,
+        left: Camera,
+        right: Camera,
+        *,
+        timeout_s: float = 1.0,
+        max_skew_s: float = 0.005,
+        max_arrival_skew_s: float = 0.05,
+        follower: str = "",
+        free_running: bool = False,
+        by_others: bool = False,
+        open_timeout_s: float = 15.0,
+        min_backoff_s: float = 0.5,
+        max_backoff_s: float = 5.0,
+        detect_frozen: bool = True,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._sides = (Side(left), Side(right))
+        self._timeout_s = timeout_s
+        self._pairing = Pairing(max_skew_s, max_arrival_skew_s)
+        self._follower = follower
+        self._free_running = free_running
+        self._by_others = by_others
+        self._open_timeout_s = open_timeout_s
+        self._min_backoff_s = min_backoff_s
+        self._max_backoff_s = max_backoff_s
+        self._detect_frozen = detect_frozen
+        self._clock = clock
+        self._backoff_s = min_backoff_s
+        self._retry_at_s = 0.0
+        self._missed = 0
+        self._error: CaptureError | None = None
+        self._attempt: asyncio.Task[None] | None = None
+
+    @property
+    def cameras(self) -> tuple[Camera, Camera]:
+        """Left and right."""
+        left, right = self._sides
+        return left.camera, right.camera
+
+    async def open(self) -> None:
+        """Connect both cameras, and look after those that are connected.
+
+        Raises the `CaptureError` that keeps a camera closed. The first time it waits for the attempt
+        to end; while there is a known fault, for one capture time-out at most: the attempt goes on.
+        """
+        await self._ready(look=True)
+
+    async def capture(self) -> FramePair:
+        """One exposure of both cameras. Raises `CaptureError`.
+
+        Takes one time-out at most while both are open, and one more where they have to be opened.
+        """
+        await self._ready(look=any(side.suspect for side in self._sides))
+        listening = [side.coming for side in self._sides if side.coming is not None]
+        self._taken("left", "right")
+        await cancel_and_await(*listening)
+        return await self._judged(self._expose())
+
+    async def listen(self) -> FramePair:
+        """The next exposure of both cameras, which somebody else triggers. Raises `CaptureError`.
+
+        Waits for it as long as it takes; may be cancelled and called again, and no frame is lost.
+        """
+        await self._ready(look=any(side.suspect for side in self._sides))
+        pair = await self._judged(self._come())
+        return FramePair(pair.left, pair.right, missed=self._missed)
+
+    async def _judged(self, frames: Coroutine[Any, Any, FramePair]) -> FramePair:
+        """The frames, if they are a new pair; else the fault has been noted."""
+        try:
+            pair = await frames
+            self._check_pair(pair)
+        except CaptureError as error:
+            raise self._note(error) from None
+        steps = []
+        for side, frame in zip(self._sides, (pair.left, pair.right), strict=True):
+            steps.append(frame.frame_id - side.paired_id if side.paired_id is not None else 1)
+            side.paired_id, side.faults = frame.frame_id, 0
+        self._missed = min(steps) - 1
+        self._pairing.accept(pair.left, pair.right)
+        self._backoff_s = self._min_backoff_s
+        return pair
+
+    # --- exposure and gain, tried -----------------------------------------------------------
+
+    async def adjust(self, side: Which, values: CameraValues) -> CameraValues:
+        """Set what is stated of one camera until `restore`; returns what is in force.
+
+        Raises `CameraSetupError` for what it does not take, and what keeps the cameras closed.
+        """
+        return await self._asked(side, lambda camera: camera.adjust(values))
+
+    async def limits(self, side: Which) -> CameraLimits:
+        """What one camera can be set to now. Raises `CaptureError`."""
+        return await self._asked(side, lambda camera: camera.limits())
+
+    async def restore(self) -> None:
+        """Undo what was adjusted; a camera that does not answer is closed, and gets it when it is opened."""
+        for side in self._sides:
+            if isinstance(side.camera, Adjustable):
+                try:
+                    await side.camera.restore()
+                except CaptureError:
+                    side.close_soon()
+
+    async def _asked(self, name: Which, question: Callable[[Adjustable], Awaitable[T]]) -> T:
+        await self._ready(look=False)
+        camera = self.cameras[SIDES.index(name)]
+        if not isinstance(camera, Adjustable):
+            raise CameraSetupError(name, "its exposure cannot be adjusted")
+        try:
+            return await question(camera)
+        except CameraSetupError:
+            raise  # it refuses, and is well
+        except CaptureError as error:
+            raise self._note(error) from None
+
+    async def close(self) -> None:
+        """Release both cameras and end an attempt to open them; safe to call twice."""
+        attempt, self._attempt = self._attempt, None
+        if attempt is not None:
+            await cancel_and_await(attempt)
+        self._error, self._retry_at_s = None, 0.0
+        for side in self._sides:
+            side.close_soon()
+        for side in self._sides:
+            await side.closed()
+
+    # --- opening -----------------------------------------------------------------------------
+
+    async def _ready(self, *, look: bool) -> None:
+        """Return when both cameras are open, or raise why they are not.
+
+        look : ask open cameras as well (`Camera.open` of an open camera says whether it is alive).
+        """
+        if self._attempt is None:
+            if not look and all(side.open for side in self._sides):
+                return
+            if self._error is not None and self._clock() < self._retry_at_s:
+                raise self._error.with_traceback(None)  # or every raise would make it longer
+            self._attempt = asyncio.create_task(self._open_both(), name="open cameras")
+        attempt = self._attempt
+        wait_s = self._open_timeout_s + 1.0 if self._error is None else self._timeout_s
+        await asyncio.wait({attempt}, timeout=wait_s)
+        if not attempt.done():
+            error = self._error or CameraUnreachable("both", "still being opened")
+            raise error.with_traceback(None)
+        if self._attempt is attempt:
+            self._attempt = None
+        attempt.result()  # a bug in an adapter is not a fault of the camera
+        if self._error is not None:
+            raise self._error.with_traceback(None)
+
+    async def _open_both(self) -> None:
+        """One attempt; leaves its verdict in `_error`. A camera that is well stays open meanwhile."""
+        left, right = self._sides
+        limit_s = self._open_timeout_s + 5.0  # each side has its own limit: this one is never met
+        errors = [e for e in await both(self._open(left), self._open(right), limit_s) if e is not None]
+        if errors:
+            self._fail(_merge(errors))
+        else:
+            self._error = None
+
+    async def _open(self, side: Side) -> CaptureError | None:
+        try:
+            async with asyncio.timeout(self._open_timeout_s):
+                await side.closed()
+                await side.camera.open()
+        except TimeoutError:
+            error: CaptureError = CameraUnreachable(side.name, f"not open after {self._open_timeout_s:g} s")
+        except CaptureError as refused:
+            error = refused
+        else:
+            side.open, side.suspect = True, False
+            return None
+        side.close_soon()
+        return error
+
+    def _fail(self, error: CaptureError) -> None:
+        """No camera is touched before the back-off has passed."""
+        self._error = error
+        self._retry_at_s = self._clock() + self._backoff_s
+        self._backoff_s = min(2 * self._backoff_s, self._max_backoff_s)
+
+    # --- one exposure ------------------------------------------------------------------------
+
+    async def _expose(self) -> FramePair:
+        """Trigger and fetch both within `timeout_s`; both triggers leave in one turn of the event loop."""
+        waiting = [side.name for side in self._sides]
+        armed = asyncio.Event()
+        deadline_s = asyncio.get_running_loop().time() + self._timeout_s
+
+        async def shoot(camera: Camera) -> Frame:
+            if self._follower and camera.name != self._follower:
+                await armed.wait()
+            await camera.trigger()
+            armed.set()
+            frame = await camera.frame()
+            waiting.remove(camera.name)
+            return frame
+
+        left, right = (side.camera for side in self._sides)
+        try:
+            pair = FramePair(*await both(shoot(left), shoot(right), self._timeout_s))
+            async with asyncio.timeout_at(deadline_s):
+                return await self._nearest(pair) if self._free_running else pair
+        except TimeoutError:
+            if not waiting:
+                raise FrameUnpaired("both", f"no two frames fit within {self._timeout_s:g} s") from None
+            name = waiting[0] if len(waiting) == 1 else "both"
+            if self._by_others and name == "both":
+                raise FrameTimeout(name, f"nobody triggered them within {self._timeout_s:g} s") from None
+            raise FrameTimeout(name, f"no image within {self._timeout_s:g} s of the trigger") from None
+
+    async def _nearest(self, pair: FramePair) -> FramePair:
+        """Let the camera whose frame is older give another one until two fit."""
+        while not (skew := self._pairing.skew(pair.left, pair.right)).is_one_exposure:
+            left, right = (side.camera for side in self._sides)
+            if skew.ns < 0:
+                pair = FramePair(await left.frame(), pair.right)
+            else:
+                pair = FramePair(pair.left, await right.frame())
+        return pair
+
+    async def _come(self) -> FramePair:
+        """Wait for two frames that others triggered; one without a partner is a `FrameUnpaired`."""
+        while True:
+            tasks = [side.listen() for side in self._sides]
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            given_up = [side for side in self._sides if side.has_given_up()]
+            if not given_up:
+                break
+            await asyncio.sleep(LISTEN_AGAIN_S)
+            for side in given_up:
+                if side.has_given_up():
+                    side.listen_again()
+        # this may be cancelled and called again for as long as a camera is silent: its time runs on from when
+        # the first frame was there and both were listened to
+        now_s = asyncio.get_running_loop().time()
+        frames_s = (side.heard_s for side, task in zip(self._sides, tasks, strict=True) if _has_frame(task))
+        first_s = min(frames_s, default=now_s)
+        due_s = max(first_s, *(side.since_s for side in self._sides)) + self._timeout_s
+        await asyncio.wait(tasks, timeout=max(0.0, due_s - now_s))
+        came = {side.name: side.coming for side in self._sides if side.coming and side.coming.done()}
+        frames = {name: task.result() for name, task in came.items() if task.exception() is None}
+        if len(frames) == 2:
+            pair = FramePair(frames["left"], frames["right"])
+            skew = self._pairing.skew(pair.left, pair.right)
+            if skew.is_one_exposure:
+                self._taken("left", "right")
+                return pair
+            # the later frame may be the first of the next exposure: only the older one has no partner
+            older, newer = ("left", "right") if skew.ns < 0 else ("right", "left")
+            self._taken(older)
+            raise FrameUnpaired(newer, f"no partner for frame {frames[older].frame_id} of {older}: {skew}")
+        self._taken(*came)
+        for task in came.values():
+            task.result()  # the fault of who gave no frame
+        (name,) = {"left", "right"} - frames.keys()
+        (other,) = frames.values()
+        raise FrameUnpaired(
+            name, f"no partner for frame {other.frame_id} of {other.camera} within {self._timeout_s:g} s"
+        )
+
+    def _taken(self, *names: str) -> None:
+        for side in self._sides:
+            if side.name in names:
+                side.coming = None
+
+    def _check_pair(self, pair: FramePair) -> None:
+        """Raise `PairingError` unless both frames are new and show one instant."""
+        errors = [
+            side.look_at(frame, detect_frozen=self._detect_frozen)
+            for side, frame in zip(self._sides, (pair.left, pair.right), strict=True)
+        ]
+        for error in errors:
+            if error is not None:
+                raise error
+        if problem := self._pairing.problem(pair.left, pair.right):
+            raise PairingError("both", problem)
+
+    def _note(self, error: CaptureError) -> CaptureError:
+        """Close cameras that an error says are gone, or that failed too often; what is to be said of it."""
+        at_fault = [side for side in self._sides if error.camera in (side.name, "both")]
+        if self._by_others and isinstance(error, FrameTimeout) and len(at_fault) == 2:
+            return error
+        for side in at_fault:
+            side.faults += 1
+            side.suspect = isinstance(error, FrameTimeout)
+        gone = isinstance(error, CameraUnreachable | CameraBusy | CameraSetupError)
+        broken = [side for side in at_fault if gone or side.faults >= REOPEN_AFTER]
+        if broken:
+            if isinstance(error, FrameTimeout):
+                # it was asked after each of them, and said that it was well
+                error = StreamStalled(
+                    error.camera, f"no image of {REOPEN_AFTER} exposures, though it answers: opened again"
+                )
+            self._fail(error)
+            self._pairing.forget()
+            for side in broken:
+                side.close_soon()
+        return error
+
+
+def _has_frame(task: asyncio.Task[Frame]) -> bool:
+    return task.done() and not task.cancelled() and task.exception() is None
+
+
+def _merge(errors: list[CaptureError]) -> CaptureError:
+    """One error for what both cameras say; of two kinds, the left camera's."""
+    if len(errors) == 1:
+        return errors[0]
+    return type(errors[0])("both", "; ".join(str(error).removeprefix("camera ") for error in errors))

@@ -1,1 +1,0 @@
-"""Recorded cycles: looked at again, measured by what may come, and compared."""

@@ -1,1 +1,0 @@
-"""What a cell stands on, as archives to go back to."""

@@ -1,1 +1,0 @@
-"""From a pair that shows a part to a job."""

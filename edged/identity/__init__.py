@@ -1,0 +1,1 @@
+"""Users: passwords, roles, invitations, sessions, and the audit of what they did."""

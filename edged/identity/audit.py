@@ -1,0 +1,328 @@
+"""Who did what to the cell: lines of JSON, each with the hash of the one before; the newest in one file.
+
+A file that is full makes room for the next, in which the chain goes on; the oldest is let go when there are
+many, and a record says so. A changed, missing or inserted line breaks the chain, in whichever file. That
+lines are missing at the end is told by the head, which holds number and hash of the last one; and at the
+beginning, for it knows the first that is kept. A line that a crash tore is neither, and is said so. Whoever
+may write all files can write another history: its hashes are not those that the journal has.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from edged.errors import FileFormatError
+from edged.files.atomic import give_like, make_folders, open_folder, write_atomically
+from edged.files.owners import open_plain
+from edged.identity.auditchain import START, Chain, Head, end_of, head_in, line_of
+
+LINES, HEAD = "audit.jsonl", "audit.head"
+FULL = re.compile(r"audit\.([0-9]{9,})\.jsonl")
+"""An older file, by the number of its last record."""
+FULL_BYTES = 4 * 1024 * 1024
+KEPT = 15
+"""Full files, with the newest 64 MiB: at 400 bytes each some 160,000 deeds, which are verified in seconds."""
+TAIL_BYTES = 64 * 1024
+"""A line is shorter."""
+MAX_TEXT = 300
+
+
+@dataclass(frozen=True, slots=True)
+class Deed:
+    """What somebody did, or tried to.
+
+    before, after : hash of what was changed, where there is one. outcome : "ok", or why not, as a code.
+    """
+
+    user: str
+    role: str
+    address: str
+    verb: str
+    object: str
+    outcome: str
+    before: str | None = None
+    after: str | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Of a chain. records : that were wanted.  first, count : numbers of the oldest kept, and of the newest.
+
+    hash : of the last. problem : "" for one that holds. torn_bytes : of a line that a crash tore, at the end.
+    """
+
+    records: tuple[dict[str, Any], ...]
+    first: int = 1
+    count: int = 0
+    hash: str = START
+    problem: str = ""
+    torn_bytes: int = 0
+
+
+Wanted = Callable[[dict[str, Any]], bool]
+
+
+class AuditFile:
+    """The chain of a cell; processes may add to it at the same time.
+
+    called : how messages name the folder. None of its files is opened where a link is in its place.
+    """
+
+    def __init__(
+        self, folder: Path, utc_s: Callable[[], float] = time.time, *, called: Path | None = None
+    ) -> None:
+        self._folder = folder
+        self._called = called or folder
+        self._utc_s = utc_s
+
+    def add(self, deed: Deed) -> dict[str, Any]:
+        """Keep a deed, on the disc when this returns; its number and hash. Raises `OSError`."""
+        make_folders(self._folder)
+        while True:
+            with open_folder(self._folder) as folder, _locked(folder) as file:
+                number, digest, torn_bytes = self._end(file)
+                if torn_bytes:
+                    end = file.seek(0, os.SEEK_END) - torn_bytes
+                    file.truncate(end)
+                    torn = Deed(
+                        "", "", "", "mend", LINES, "ok", reason=f"a line of {torn_bytes} bytes was torn"
+                    )
+                    number, digest = self._write(file, torn, number, digest)
+                if file.seek(0, os.SEEK_END) >= FULL_BYTES:
+                    self._note_end(number, digest)  # first: a crash leaves nothing else that knows the end
+                    turn_over(folder, number)
+                    continue  # another process may have begun the next file by now
+                number, digest = self._write(file, deed, number, digest)
+                self._note_end(number, digest)
+                self._let_go(folder, file, number, digest)
+                return {"number": number, "hash": digest}
+
+    def _write(self, file: BinaryIO, deed: Deed, number: int, digest: str) -> tuple[int, str]:
+        """One line; returns its number and hash."""
+        body = {
+            "number": number + 1,
+            "time": datetime.fromtimestamp(self._utc_s(), UTC).isoformat(timespec="milliseconds"),
+            **{name: _short(getattr(deed, name)) for name in Deed.__slots__},
+            "previous": digest,
+        }
+        line, digest = line_of(body)
+        start = file.seek(0, os.SEEK_END)
+        try:
+            file.write(line)
+            file.flush()
+            os.fsync(file.fileno())
+        except OSError:
+            with suppress(OSError):
+                file.truncate(start)
+            raise
+        return number + 1, digest
+
+    def _note_end(self, number: int, digest: str) -> None:
+        """In the head, which keeps where the chain begins."""
+        before = self._head() or Head(0, START)
+        self._put_head(Head(number, digest, before.first, before.previous))
+
+    def _put_head(self, head: Head) -> None:
+        write_atomically(self._folder / HEAD, head.to_bytes(), mode=0o600, is_state=True)
+
+    def _let_go(self, folder: int, file: BinaryIO, number: int, digest: str) -> None:
+        """Of full files, those that are too many; and those of which a crash left the name."""
+        head, full = self._head(), _full(folder)
+        if head is None:
+            return
+        old = full[: max(len(full) - KEPT, 0)]
+        if old and old[-1][0] >= head.first:
+            last, name = old[-1]
+            with os.fdopen(open_plain(name, os.O_RDONLY, folder), "rb") as oldest:
+                found = _tail(oldest)[0]
+            told = Deed(
+                "",
+                "",
+                "",
+                "let go",
+                LINES,
+                "ok",
+                reason=f"records {head.first} to {last}: there is no room for all",
+            )
+            number, digest = self._write(file, told, number, digest)
+            # first: a file whose records are before the first one counts no more
+            self._put_head(Head(number, digest, last + 1, "" if found is None else found[1]))
+        for _, name in old:
+            with suppress(FileNotFoundError):
+                os.unlink(name, dir_fd=folder)
+
+    def _head(self) -> Head | None:
+        try:
+            with open_folder(self._folder) as folder:
+                data = _read_head(folder)
+        except OSError:
+            return None
+        return None if data is None else head_in(data)
+
+    def _end(self, file: BinaryIO) -> tuple[int, str, int]:
+        """Number and hash that the next line follows, and bytes of a line that was torn.
+
+        Of the line or of the head, whichever is later: where lines are missing, who verifies sees the gap.
+        """
+        last, torn_bytes = _tail(file)
+        head = self._head()
+        ends = [(0, START) if last is None else last]
+        if head is not None:
+            ends.append((head.number, head.hash))
+        number, digest = max(ends, key=lambda end: end[0])
+        return number, digest, torn_bytes
+
+    def verify(self, wanted: Wanted = lambda _record: True, last: int | None = None) -> Verdict:
+        """Read all of it. wanted : of the records, and of those the last ones. Raises `FileFormatError`."""
+        with ExitStack() as opened:
+            try:
+                data, full, head_data = self._opened(opened)
+                head = None if head_data is None else head_in(head_data)
+                chain = Chain(head)
+                kept = deque[dict[str, Any]](maxlen=last)
+                at_head = ""
+                torn = b""
+                for lines in self._lines(full, chain.first, data):
+                    *whole, torn = lines
+                    for record in chain.follow(whole):
+                        if head is not None and chain.number == head.number:
+                            at_head = chain.digest
+                        if wanted(record):
+                            kept.append(record)
+                    if chain.problem:
+                        break
+            except OSError as error:
+                where = self._called / LINES
+                raise FileFormatError(f"{where}: cannot read the audit: {error.strerror or error}") from error
+        problem = chain.problem or _ends(chain, head, at_head, has_head=head_data is not None)
+        if problem and data is None and not chain.problem and head is not None:
+            problem = f"{LINES} is missing, with {head.number - chain.number} records"
+        return Verdict(tuple(kept), chain.first, chain.number, chain.digest, problem, len(torn))
+
+    def _opened(self, opened: ExitStack) -> tuple[bytes | None, list[tuple[int, BinaryIO]], bytes | None]:
+        """All files of one moment: the newest, None for none; the full ones, which nobody writes; the head.
+
+        Who wants to add waits no longer than this.
+        """
+        with ExitStack() as held:
+            try:
+                folder = held.enter_context(open_folder(self._folder))
+            except FileNotFoundError:
+                return None, [], None
+            try:
+                data = held.enter_context(_locked(folder, make=False)).read()
+            except FileNotFoundError:
+                data = None
+            full: list[tuple[int, BinaryIO]] = []
+            for number, name in _full(folder):
+                file = os.fdopen(open_plain(name, os.O_RDONLY, folder), "rb")
+                full.append((number, opened.enter_context(file)))
+            return data, full, _read_head(folder)
+
+    def _lines(
+        self, full: list[tuple[int, BinaryIO]], first: int, data: bytes | None
+    ) -> Iterator[list[bytes]]:
+        """Of each file in its turn, and behind them what has no end: of a full one it is a line, too."""
+        for number, file in full:
+            if number >= first:  # else it was let go, and a crash left it
+                lines = file.read().split(b"\n")
+                yield lines if not lines[-1] else [*lines, b""]
+        yield (data or b"").split(b"\n")
+
+
+def shown(text: str) -> str:
+    """A text that a stranger chose, a wrong name for example, as it may be printed."""
+    return "".join(letter if letter.isprintable() else "�" for letter in text)
+
+
+def _ends(chain: Chain, head: Head | None, at_head: str, *, has_head: bool) -> str:
+    """Why a chain that holds does not end where it should; "" when it does."""
+    if head is None:
+        if has_head:
+            return f"{HEAD} cannot be read"
+        # the first line is on the disc before the head is
+        return f"{HEAD} is missing: lines at the end may be, too" if chain.number > 1 else ""
+    if head.number > chain.number:
+        return f"cut off: the last {head.number - chain.number} of {head.number} records are missing"
+    if head.number < chain.first or at_head != head.hash:
+        return f"record {head.number} is not the one that {HEAD} names"
+    return ""
+
+
+def _full(folder: int) -> list[tuple[int, str]]:
+    """The older files of a folder, by their last number."""
+    found = (FULL.fullmatch(name) for name in os.listdir(folder))
+    return sorted((int(name[1]), name[0]) for name in found if name)
+
+
+def turn_over(folder: int, number: int) -> None:
+    """Make room for the next file."""
+    os.rename(LINES, f"audit.{number:09}.jsonl", src_dir_fd=folder, dst_dir_fd=folder)
+    os.fsync(folder)
+
+
+def _read_head(folder: int) -> bytes | None:
+    """None where there is none. Raises `OSError`."""
+    try:
+        with os.fdopen(open_plain(HEAD, os.O_RDONLY, folder), "rb") as file:
+            return file.read()
+    except FileNotFoundError:
+        return None
+
+
+def _tail(file: BinaryIO) -> tuple[tuple[int, str] | None, int]:
+    """Number and hash of the last whole line, and bytes of one that was torn behind it."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - TAIL_BYTES))
+    whole, newline, torn = file.read().rpartition(b"\n")
+    return end_of(whole.rpartition(b"\n")[2]) if newline else None, len(torn)
+
+
+def _short(text: str | None) -> str | None:
+    """Lines are short, whatever somebody gave as a reason."""
+    return None if text is None else text[:MAX_TEXT]
+
+
+@contextmanager
+def _locked(folder: int, *, make: bool = True) -> Iterator[BinaryIO]:
+    """The newest file, that no other process reads or writes meanwhile. Raises `OSError`."""
+    while True:
+        with os.fdopen(_open_lines(folder, make=make), "r+b" if make else "rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX if make else fcntl.LOCK_SH)
+            if _is_at(file, folder):
+                yield file
+                return
+
+
+def _open_lines(folder: int, *, make: bool) -> int:
+    """The newest file; a new one belongs to who the folder belongs to. Raises `OSError`."""
+    while True:
+        try:
+            return open_plain(LINES, os.O_RDWR if make else os.O_RDONLY, folder)
+        except FileNotFoundError:
+            if not make:
+                raise
+        with suppress(FileExistsError):  # another process was quicker
+            handle = open_plain(LINES, os.O_RDWR | os.O_CREAT | os.O_EXCL, folder)
+            give_like(handle, folder)
+            return handle
+
+
+def _is_at(file: BinaryIO, folder: int) -> bool:
+    """Whether an open file still has its name: another process may have turned it over meanwhile."""
+    try:
+        there = os.stat(LINES, dir_fd=folder, follow_symlinks=False)
+        return os.path.samestat(os.fstat(file.fileno()), there)
+    except FileNotFoundError:
+        return False

@@ -1,1 +1,0 @@
-"""SETUP: who has the cell, and its cameras meanwhile."""

@@ -1,0 +1,1 @@
+"""Setting a cell up: what people and pages do before, and beside, its measuring."""

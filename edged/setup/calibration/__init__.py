@@ -1,0 +1,1 @@
+"""Calibration of a rig: boards, views, solution, check."""

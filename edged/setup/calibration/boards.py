@@ -1,0 +1,135 @@
+"""Which board the pictures show: as stated, or recognised in them. How large it is they do not show."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from edged.errors import CalibrationError
+from edged.setup.pairs import Picture, Progress, silent, work_on
+from edged.vision.boards.board import Charuco, Chessboard, CircleGrid, NominalBoard, parse_boards
+from edged.vision.boards.detection import agreed_board, in_words, of_size, recognise_board
+
+LOOKED_AT = 6
+"""Pictures in which a board is searched that was not stated: enough to outvote one that is cut."""
+_LENGTH = re.compile(r"(\d+(?:[.,]\d+)?)\s*(?:mm)?", re.IGNORECASE)
+
+Stated = tuple[NominalBoard, ...] | float | None
+"""Boards in full; the length alone of the board that the pictures show, mm; nothing."""
+
+
+def stated_boards(text: str | None) -> Stated:
+    """What --board says. Raises `CalibrationError` that names the part that is wrong."""
+    if text is None:
+        return None
+    length = _LENGTH.fullmatch(text.strip())
+    return parse_boards(text) if length is None else float(length[1].replace(",", "."))
+
+
+def boards_in(
+    stated: Stated, pictures: Sequence[Picture], progress: Progress = silent
+) -> tuple[tuple[NominalBoard, ...], str]:
+    """The stated boards, or the one that the pictures show, and what is to be said of that, or "".
+
+    Raises `CalibrationError`: without a length it says what is seen, and how --board has to be written.
+    """
+    if isinstance(stated, tuple):
+        return stated, ""
+    some = _spread(pictures)
+    seen = work_on([partial(_recognise, one) for one in some], "looking for the board", progress)
+    board = _agreed(some, seen)
+    where = f"{sum(one is not None for one in seen)} of {len(some)} pictures looked at"
+    if stated is None:
+        raise CalibrationError(
+            f"--board: the pictures show {in_words(board)} ({where}), but not how large it is. Measure "
+            f"{_what_to_measure(board)} and state it in mm: --board {_with_mm(board)}, or --board MM alone"
+        )
+    (whole,) = parse_boards(str(of_size(board, stated)))
+    return (whole,), f"board {whole}: {in_words(board)} ({where})"
+
+
+def check_board_shown(pictures: Sequence[Picture], board: NominalBoard, progress: Progress = silent) -> None:
+    """Raises `CalibrationError` if most pictures in which a board was not found agree on another one."""
+    some = _spread(pictures)
+    looked = work_on([partial(_recognise, one) for one in some], "looking for another board", progress)
+    known = [one for one in looked if one is not None]
+    seen = agreed_board(known) if 2 * len(known) > len(some) else None
+    if seen is None or may_be(board, seen):
+        return
+    fits = of_size(seen, board.pitch_mm)
+    if isinstance(board, Chessboard) and isinstance(fits, Chessboard):
+        raise CalibrationError(
+            f"--board {board}: the pictures show {fits.columns}x{fits.rows} inner corners, not "
+            f"{board.columns}x{board.rows}; count where four squares meet, not the squares: --board {fits}",
+            "other_board",
+            stated=str(board),
+            seen=str(fits),
+        )
+    raise CalibrationError(
+        f"--board {board}: the pictures show {in_words(seen)}: --board {fits}",
+        "other_board",
+        stated=str(board),
+        seen=str(fits),
+    )
+
+
+def _recognise(picture: Picture) -> NominalBoard | None:
+    return recognise_board(picture.read())
+
+
+def may_be(board: NominalBoard, seen: NominalBoard) -> bool:
+    """Whether the stated board looks like what is seen."""
+    if isinstance(board, Charuco) and isinstance(seen, Charuco):
+        kinds = [one.dictionary.rpartition("_")[0] for one in (board, seen)]
+        return board.columns == seen.columns and board.rows >= seen.rows and kinds[0] == kinds[1]
+    if isinstance(board, CircleGrid) and isinstance(seen, CircleGrid):  # 4x10 and 5x8 are the same circles
+        return {2 * board.columns, board.rows} == {2 * seen.columns, seen.rows}
+    return type(board) is type(seen) and {board.columns, board.rows} == {seen.columns, seen.rows}
+
+
+def _spread(pictures: Sequence[Picture]) -> list[Picture]:
+    """Some of the pictures, from the first to the last."""
+    chosen = np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), LOOKED_AT)).round().astype(int))
+    return [pictures[index] for index in chosen]
+
+
+def _agreed(pictures: Sequence[Picture], seen: Sequence[NominalBoard | None]) -> NominalBoard:
+    """The board of most pictures. Raises `CalibrationError` where none is seen, or they disagree."""
+    known = [board for board in seen if board is not None]
+    names = [picture.label for picture in pictures]
+    if not known:
+        raise CalibrationError(
+            f"--board: no board was recognised in {', '.join(names)}; state it, for example "
+            "chessboard:11x8:4.0 (inner corners, square in mm)"
+        )
+    board = agreed_board(known)
+    if board is None:
+        lines = [
+            f"  {name}: {in_words(one) if one is not None else 'no board recognised'}"
+            for name, one in zip(names, seen, strict=True)
+        ]
+        raise CalibrationError(
+            "--board: the pictures do not agree on one board; state it, or several separated by commas:\n"
+            + "\n".join(lines)
+        )
+    return board
+
+
+def _with_mm(board: NominalBoard) -> str:
+    """The specification with MM where the length belongs."""
+    kind = str(board).partition(":")[0]
+    size = f"{kind}:{board.columns}x{board.rows}"
+    if isinstance(board, Charuco):
+        return f"{size}:MM:MARKER_MM:{board.dictionary}"
+    return f"{size}:MM"
+
+
+def _what_to_measure(board: NominalBoard) -> str:
+    if isinstance(board, Chessboard | Charuco):
+        return "the side of a square (over ten squares, a tenth of that)"
+    if isinstance(board, CircleGrid):
+        return "the distance from one row of circles to the next"
+    return "the distance from the middle of a dot to the next"

@@ -1,0 +1,175 @@
+"""Where to hold the board next: as an outline in both pictures, with what it would be worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.errors import CalibrationError, EdgedError
+from edged.setup.calibration.shown import IN_GHOST, Watched, in_ghost, is_new, is_same
+from edged.setup.calibration.views import Views
+from edged.setup.pairs import Progress, silent
+from edged.vision.boards.board import Board, Detection, NotDetected, outline_mm
+from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
+from edged.vision.calibration.lenschoice import LensWish
+from edged.vision.calibration.nextbestview import TILT_DEG, TILTS, Suggestion, plan_views
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rigid import apply, rotation_matrix, transform
+
+SUGGESTED, LOOKED_AT = 3, 12
+FLOOR_PX, FLOOR_VIEWS = 0.01, 3
+"""Of a mark's sigma: few boards are printed, and few lenses are as their model, to less. What so few views
+leave over says too little of that; it is believed the more of them there are, and sigma falls with each."""
+FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.6, 0.35, 0.8
+"""Of the picture's height, that a board's diagonal fills while nothing is known of the cameras: as where
+somebody holds it at first, between these. What is calibrated is the volume that the boards were held in."""
+_NOMINAL_FOCAL = (
+    2.0  # times the picture's width: 16 mm before a sensor of 1/1.8"; outlines hardly depend on it
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ghost:
+    """An outline to bring the board to. left, right (4, 2) px; right is None while nothing is known of it.
+
+    sigma_um (3,) : of X, Y, Z, with this view; None while there is no calibration.
+    code, text : the view for programs and for people.
+    """
+
+    left: FloatArray
+    right: FloatArray | None
+    sigma_um: FloatArray | None
+    code: str
+    text: str
+
+    @property
+    def outlines(self) -> FloatArray:
+        """(S, 4, 2) of the pictures in which it is known."""
+        return np.array([self.left] if self.right is None else [self.left, self.right])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guided:
+    """What the views so far give. trouble : why they give no calibration yet; None when they do.
+
+    rms_px, excluded : by the name of a view.  sigma_um (3,) : of X, Y, Z in the working volume.
+    ghosts : the best first.  more_views : to the goal; None: none stated, or out of reach.
+    """
+
+    trouble: EdgedError | None
+    ghosts: Sequence[Ghost]
+    rms_px: dict[str, float] = field(default_factory=dict)
+    excluded: dict[str, str] = field(default_factory=dict)
+    sigma_um: FloatArray | None = None
+    more_views: int | None = None
+
+
+def guide(
+    views: Views,
+    lens: LensWish,
+    goal_um: float | None = None,
+    taken: Sequence[FloatArray] = (),
+    progress: Progress = silent,
+    *,
+    share: float = FIRST_SHARE,
+) -> Guided:
+    """Calibrate from the marks as they were found, and plan what comes next.
+
+    taken (2, 4, 2) : outlines of the views.  share : as `held_share` says.
+    """
+    sizes = views.sizes
+    progress("bundle adjustment", 0, 0)
+    floor_px = FLOOR_PX * float(np.sqrt(FLOOR_VIEWS / max(len(views.pairs), FLOOR_VIEWS)))
+    found = [
+        replace(view, left=_floored(view.left, floor_px), right=_floored(view.right, floor_px))
+        for view in views.found
+    ]
+    try:
+        calibration = calibrate_stereo(found, *sizes, lens)
+    except CalibrationError as error:
+        return Guided(error, first_ghosts(views.boards[0], sizes[0], len(views.pairs), share))
+    progress("the next view", 0, 0)
+    plan = plan_views(calibration, LOOKED_AT, None if goal_um is None else 1e-3 * goal_um)
+    rms = {fit.name: fit.rms_px for fit in calibration.views}
+    if plan is None:
+        return Guided(None, (), rms, dict(calibration.excluded))
+    ghosts = [
+        _ghost(calibration, suggestion, 1e3 * sigma_mm)
+        for suggestion, sigma_mm in zip(plan.suggestions, plan.sigmas_mm, strict=True)
+    ]
+    # where a view is already, though the solution left it out, another one would fare no better
+    ghosts = [ghost for ghost in ghosts if not is_same(ghost.outlines, taken)][:SUGGESTED]
+    return Guided(None, ghosts, rms, dict(calibration.excluded), 1e3 * plan.sigma_mm, plan.more_views)
+
+
+def waits_for(
+    watched: Watched | None, *, still: bool, ghost: Ghost | None, others: Sequence[FloatArray]
+) -> str:
+    """Why a pair is not taken by itself: for programs; "" when it is to be taken.
+
+    others (2, 4, 2) : outlines of the views in use.
+    """
+    if watched is None or not watched.is_seen:
+        found = [] if watched is None else [one.outline is not None for one in (watched.left, watched.right)]
+        return "no_board" if not any(found) else "no_board_right" if found[0] else "no_board_left"
+    if not still:
+        return "moving"
+    if is_same(watched.outlines, others):
+        return "same"
+    near = 0.0 if ghost is None else nearness(watched, ghost)
+    return "" if near >= IN_GHOST or is_new(watched.outlines, others) else "elsewhere"
+
+
+def nearness(watched: Watched, ghost: Ghost) -> float:
+    """How far the board is in the ghost, 0 to 1; in those pictures where the ghost is known."""
+    if not watched.is_seen:
+        return 0.0
+    return in_ghost(watched.outlines[: len(ghost.outlines)], ghost.outlines)
+
+
+def held_share(watched: Watched) -> float:
+    """Of the picture's height, that the diagonal of the board fills where it is held now."""
+    if not watched.is_seen:
+        return FIRST_SHARE
+    left = watched.outlines[0]
+    # a tilt shortens one of both diagonals
+    longest = max(np.linalg.norm(left[2] - left[0]), np.linalg.norm(left[3] - left[1]))
+    return float(np.clip(longest / watched.size[1], LEAST_SHARE, MOST_SHARE))
+
+
+def first_ghosts(board: Board, size: tuple[int, int], views: int, share: float = FIRST_SHARE) -> list[Ghost]:
+    """Before there is a calibration: one tilt after the other in the middle of the left picture.
+
+    share : of the picture's height, for the diagonal of the board.
+    """
+    width, height = size
+    focal = _NOMINAL_FOCAL * width
+    camera = CameraModel("division", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, (0.0,))
+    corners = outline_mm(board)
+    middle = corners.mean(axis=0)
+    depth = focal * float(np.linalg.norm(corners[2] - corners[0])) / (share * height)
+    words, code, axis = TILTS[1:][views % (len(TILTS) - 1)]
+    rotation = rotation_matrix(np.radians(TILT_DEG) * np.array([*axis, 0.0]))
+    pose = transform(rotation, np.array([0.0, 0.0, depth]) - rotation @ middle)
+    text = f"board in the middle of the left image, {words} by {TILT_DEG:.0f}°"
+    return [Ghost(camera.project(apply(pose, corners)), None, None, f"middle-middle.any.{code}", text)]
+
+
+def _floored(found: Detection | NotDetected, floor_px: float) -> Detection | NotDetected:
+    if isinstance(found, NotDetected):
+        return found
+    return replace(found, sigma_px=np.hypot(found.sigma_px, floor_px))
+
+
+def _ghost(calibration: Calibration, suggestion: Suggestion, sigma_um: FloatArray) -> Ghost:
+    left, right = outlines_of(calibration.rig, suggestion.board, suggestion.left_from_board)
+    return Ghost(left, right, sigma_um, suggestion.code, suggestion.where)
+
+
+def outlines_of(rig: StereoRig, board: Board, left_from_board: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A board's outline (4, 2) in the left and in the right picture, px."""
+    corners = apply(left_from_board, outline_mm(board))
+    return rig.left.project(corners), rig.right.project(apply(rig.right_from_left, corners))

@@ -1,0 +1,88 @@
+"""What a calibration's draft keeps on disc: values, read with suspicion; pictures lie beside them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, JsonValue, model_validator
+
+from edged.errors import CalibrationError
+from edged.setup.history import MOST_OPERATIONS, History, Kept, Text
+from edged.vision.boards.board import NominalBoard, parse_boards
+from edged.vision.calibration.lenschoice import LensWish
+
+MOST_VIEWS = MOST_OPERATIONS // 4
+ViewName = Annotated[str, Field(pattern=r"^view_[0-9]{3}$")]
+Corner = tuple[float, float]
+
+
+class PictureState(Kept):
+    """A board in a picture that was kept. outline : four corners, px; None: not found, with the reason."""
+
+    outline: tuple[Corner, Corner, Corner, Corner] | None
+    reason: Text = ""
+    clipped: bool = False
+
+
+class ViewState(Kept):
+    """A pair that was kept."""
+
+    left: PictureState
+    right: PictureState
+
+
+class Operation(Kept):
+    """Something that can be undone."""
+
+    what: Literal["add", "remove"]
+    view: ViewName
+
+
+class Solved(Kept):
+    """A rig from the views in use. digest : SHA-256 of its file; figures : what there is to say about it."""
+
+    calibration_id: Text
+    digest: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    figures: dict[str, JsonValue]
+
+
+class DraftState(History[Operation]):
+    """A draft. mm : pitch of a board that is to be recognised."""
+
+    format: Literal["edged-calibration-draft"] = "edged-calibration-draft"
+    version: Literal[1] = 1
+    boards: Annotated[tuple[Text, ...], Field(max_length=8)]
+    mm: Annotated[float, Field(gt=0, le=1e4)] | None = None
+    goal_um: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    lens: LensWish = "auto"
+    views: Annotated[dict[ViewName, ViewState], Field(max_length=MOST_VIEWS, default_factory=dict)]
+    solved: Solved | None = None
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> DraftState:
+        if unknown := {operation.view for operation in self.operations} - self.views.keys():
+            raise ValueError(f"operations on views that are not there: {', '.join(sorted(unknown))}")
+        if self.boards:
+            try:
+                parse_boards(",".join(self.boards))
+            except CalibrationError as error:
+                raise ValueError(str(error)) from error
+        return self
+
+    @property
+    def board_models(self) -> tuple[NominalBoard, ...]:
+        """As they were stated; none as long as they are to be recognised."""
+        return parse_boards(",".join(self.boards)) if self.boards else ()
+
+    @property
+    def taken(self) -> tuple[str, ...]:
+        """Views there are, in the order they came; those that were undone are not."""
+        return tuple(dict.fromkeys(one.view for one in self.holding if one.what == "add"))
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """Views that nobody left out."""
+        left_out: dict[str, bool] = {}
+        for operation in self.holding:
+            left_out[operation.view] = operation.what == "remove"
+        return tuple(name for name in self.taken if not left_out[name])

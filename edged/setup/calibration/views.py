@@ -1,0 +1,353 @@
+"""A rig from pairs that show a board: pairs come and go, and are solved when there are enough."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+
+from edged.domain.arrays import SIDES, Image, Side
+from edged.errors import CalibrationError
+from edged.report.calibration import calibration_report
+from edged.setup.calibration.boards import check_board_shown
+from edged.setup.pairs import Pair, Picture, Progress, silent, work_on
+from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView
+from edged.vision.boards.deformation import nominal
+from edged.vision.boards.detection import detect_board, remeasure_board
+from edged.vision.calibration.calibrate import Calibration, ViewFit, calibrate_stereo
+from edged.vision.calibration.crossvalidation import HeldOutView, hold_out
+from edged.vision.calibration.imaging import (
+    Edges,
+    Finding,
+    Imaging,
+    edges_of,
+    findings,
+    imaging_of,
+    with_response,
+)
+from edged.vision.calibration.lenschoice import LensWish
+from edged.vision.calibration.nextbestview import depths_mm
+from edged.vision.calibration.plainopencv import plain_opencv
+from edged.vision.calibration.verdict import Verdict, judge_calibration
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import make_rectification
+
+THUMBNAIL_PX = 240
+"""Width of the pictures in the report: a few kB each."""
+
+Sizes = tuple[tuple[int, int], tuple[int, int]]
+"""(width, height) of the left and of the right images, px."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looked:
+    """What a picture shows of each board. size (w, h); digest : of the pixels, to tell copies.
+
+    small : the picture for people, THUMBNAIL_PX wide at most.
+    """
+
+    size: tuple[int, int]
+    digest: bytes
+    small: Image
+    results: Sequence[Detection | NotDetected]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remeasured:
+    """views : of all pairs, the marks of those that were used measured again.
+
+    edges : of these, what lies between the marks, by the name of the pair and the side.
+    """
+
+    views: list[StereoView]
+    edges: Mapping[tuple[str, Side], Edges | None]
+
+    def imaging(self, calibration: Calibration) -> tuple[Imaging, Imaging]:
+        """What the edges of the boards say of the left and of the right camera."""
+        left, right = (
+            imaging_of(
+                [
+                    replace(edges, view=np.full(len(edges.view), number))
+                    for number, fit in enumerate(calibration.views)
+                    if (edges := self.edges[fit.name, side]) is not None
+                ],
+                (camera.width, camera.height),
+            )
+            for side, camera in zip(SIDES, (calibration.rig.left, calibration.rig.right), strict=True)
+        )
+        return left, right
+
+
+class Views:
+    """The pairs of a calibration, in the order they came, and what each shows of the boards."""
+
+    def __init__(self, boards: Sequence[NominalBoard]) -> None:
+        self.boards = tuple(boards)
+        self._pairs: dict[str, tuple[Pair, Looked, Looked]] = {}
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """All of them."""
+        return [pair for pair, _, _ in self._pairs.values()]
+
+    def add(self, pairs: Sequence[Pair], progress: Progress = silent) -> None:
+        """Find one of the boards in each picture. Raises `ImageError`; then none of these pairs was added.
+
+        A pair of a name that is there already takes its place.
+        """
+        looked = look_at(pairs, self.boards, progress)
+        for pair, (left, right) in zip(pairs, looked, strict=True):
+            self.put(pair, left, right)
+
+    def put(self, pair: Pair, left: Looked, right: Looked) -> None:
+        """Add a pair of which it is known what its pictures show of these boards."""
+        self._pairs[pair.name] = pair, left, right
+
+    def remove(self, name: str) -> None:
+        """Take a pair out; `KeyError` when there is none of this name."""
+        del self._pairs[name]
+
+    @property
+    def found(self) -> list[StereoView]:
+        """One view for each pair; a copy of another pair counts for nothing."""
+        views: list[StereoView] = []
+        first_with: dict[bytes, str] = {}
+        for name, (_, left, right) in self._pairs.items():
+            twin = first_with.setdefault(left.digest, name)
+            if left.digest == right.digest:
+                missed = NotDetected("the left and the right picture are the same file twice")
+                views.append(StereoView(name, self.boards[0], missed, missed))
+            elif twin != name:
+                missed = NotDetected(f"the same picture as in {twin}: it would count twice")
+                views.append(StereoView(name, self.boards[0], missed, missed))
+            else:
+                views.append(_view(name, self.boards, left.results, right.results))
+        return views
+
+    @property
+    def sizes(self) -> Sizes:
+        """Of all images of each camera. Raises `CalibrationError` for images of different sizes."""
+        left, right = (
+            _one_size(
+                [pair.side(side).label for pair in self.pairs],
+                [looked[index].size for _, *looked in self._pairs.values()],
+            )
+            for index, side in enumerate(SIDES)
+        )
+        return left, right
+
+    def check_board(self, progress: Progress = silent) -> None:
+        """Where hardly a pair shows the stated board: raises `CalibrationError` if they show another."""
+        seen = [not isinstance(view.left, NotDetected) for view in self.found]
+        if len(self.boards) > 1 or 2 * sum(seen) > len(seen):
+            return
+        missed = [pair.left for pair, one in zip(self.pairs, seen, strict=True) if not one]
+        check_board_shown(missed, self.boards[0], progress)
+
+    @property
+    def thumbnails(self) -> dict[str, tuple[Image, Image]]:
+        """The left and the right picture of each pair, small."""
+        return {name: (left.small, right.small) for name, (_, left, right) in self._pairs.items()}
+
+    def remeasured(self, calibration: Calibration, progress: Progress = silent) -> Remeasured:
+        """The same as `found`, the marks of all views that were used measured with the lenses now known."""
+        rig = calibration.rig
+        keys = [(fit, side) for fit in calibration.views for side in SIDES]
+        tasks = [
+            partial(_remeasure, self._pairs[fit.name][0].side(side), fit, side, rig) for fit, side in keys
+        ]
+        done = {
+            (fit.name, side): one
+            for (fit, side), one in zip(
+                keys, work_on(tasks, "measuring the marks and edges", progress), strict=True
+            )
+        }
+        views = [
+            replace(view, left=done[view.name, "left"][0], right=done[view.name, "right"][0])
+            if (view.name, "left") in done
+            else view
+            for view in self.found
+        ]
+        return Remeasured(views, {key: edges for key, (_, edges) in done.items()})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A calibration and what it is worth.
+
+    views : of all pairs, also of those that were left out. found : what the boards' edges say of the cameras.
+    quality : what the rig file keeps of it. thumbnails : the pictures of all pairs, small.
+    """
+
+    calibration: Calibration
+    views: tuple[StereoView, ...]
+    held: tuple[HeldOutView, ...]
+    found: tuple[Finding, ...]
+    verdict: Verdict
+    quality: Mapping[str, Any]
+    thumbnails: Mapping[str, tuple[Image, Image]]
+
+    @property
+    def rig(self) -> StereoRig:
+        """The rig, which can be rectified."""
+        return self.calibration.rig
+
+
+def solve(
+    views: Views, lens: LensWish, *, plate_shape: bool = False, progress: Progress = silent
+) -> Calibrated:
+    """Calibrate from all pairs, and judge what came out. Raises `CalibrationError` when they give no rig.
+
+    plate_shape : measure how the board is bent and misprinted, too.
+    """
+    sizes = views.sizes
+    views.check_board(progress)
+    progress("bundle adjustment", 0, 0)
+    first = calibrate_stereo(views.found, *sizes, lens)
+    remeasured = views.remeasured(first, progress)
+    progress("bundle adjustment", 0, 0)
+    calibration = calibrate_stereo(remeasured.views, *sizes, lens, plate_shape=plate_shape)
+    progress("holding views out", 0, 0)
+    held = hold_out(calibration)
+    imaging = remeasured.imaging(calibration)
+    found = findings(imaging, calibration.rig, float(depths_mm(calibration)[1]))
+    calibration = replace(calibration, rig=with_response(calibration.rig, imaging))
+    # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
+    make_rectification(calibration.rig)
+    progress("the verdict", 0, 0)
+    verdict = judge_calibration(calibration, held, imaging)
+    quality = {
+        **quality_figures(calibration, held, views.boards),
+        "imaging": [asdict(one) for one in found],
+        "verdict": {"grade": verdict.grade, "why": list(verdict.why), "add": verdict.add},
+    }
+    return Calibrated(
+        calibration, tuple(remeasured.views), tuple(held), tuple(found), verdict, quality, views.thumbnails
+    )
+
+
+def report_of(calibrated: Calibrated, about: Mapping[str, str]) -> str:
+    """The report as a page. about : where the pictures come from, and when it was made."""
+    calibration = calibrated.calibration
+    sizes = [(camera.width, camera.height) for camera in (calibration.rig.left, calibration.rig.right)]
+    plain = plain_opencv([fit.view for fit in calibration.views], sizes[0], sizes[1])
+    return calibration_report(
+        calibration,
+        calibrated.held,
+        calibrated.views,
+        calibrated.quality,
+        about,
+        plain,
+        calibrated.found,
+        verdict=str(calibrated.verdict),
+        thumbnails=calibrated.thumbnails,
+    )
+
+
+def quality_figures(
+    calibration: Calibration, held: Sequence[HeldOutView], boards: Sequence[NominalBoard]
+) -> dict[str, Any]:
+    """What the rig file keeps about its calibration."""
+    return {
+        "board": ",".join(str(board) for board in boards),
+        "views": len(calibration.views),
+        "excluded": [{"view": name, "reason": reason} for name, reason in calibration.excluded],
+        "stereo_rms_px": round(calibration.rms_px, 5),
+        "left_rms_px": round(calibration.rms_left_px, 5),
+        "right_rms_px": round(calibration.rms_right_px, 5),
+        "epipolar_rms_px": round(calibration.epipolar_rms_px, 5),
+        "held_out": _held_out_figures(held),
+        "model_error_px": [round(value, 5) for value in calibration.model_error_px],
+        "outliers": calibration.outliers,
+        "lenses": {one.name: round(one.weight, 4) for one in calibration.lenses},
+        "notes": list(calibration.notes),
+    }
+
+
+def _held_out_figures(held: Sequence[HeldOutView]) -> dict[str, Any] | None:
+    """Root mean squares over the views; None where no view could be held out."""
+    if not held:
+        return None
+
+    def rms(values: Sequence[float]) -> float:
+        return round(float(np.sqrt(np.mean(np.square(values)))), 6)
+
+    scales = np.array([view.scale for view in held])
+    return {
+        "reprojection_rms_px": rms([view.reprojection_rms_px for view in held]),
+        "epipolar_rms_px": rms([view.epipolar_rms_px for view in held]),
+        "board_size": round(float(scales.mean()), 7),
+        "board_size_std": round(float(scales.std()), 7),
+        "length_error_rms_mm": rms([view.length_error_mm for view in held]),
+        "flatness_rms_mm": rms([view.flatness_mm for view in held]),
+    }
+
+
+def look_at(
+    pairs: Sequence[Pair], boards: Sequence[NominalBoard], progress: Progress = silent
+) -> list[tuple[Looked, Looked]]:
+    """What the left and the right picture of each pair show. Raises `ImageError`."""
+    tasks = [partial(_look, picture, boards) for pair in pairs for picture in (pair.left, pair.right)]
+    looked = work_on(tasks, "finding the board", progress)
+    return list(zip(looked[::2], looked[1::2], strict=True))
+
+
+def _look(picture: Picture, boards: Sequence[NominalBoard]) -> Looked:
+    """Look for every board; after one is found the others are not tried."""
+    image = picture.read()
+    results: list[Detection | NotDetected] = []
+    for board in boards:
+        seen_another = any(isinstance(result, Detection) for result in results)
+        results.append(NotDetected("shows another board") if seen_another else detect_board(image, board))
+    size = image.shape[1], image.shape[0]
+    return Looked(size, hashlib.sha256(image.tobytes()).digest(), _small(image), results)
+
+
+def _small(image: Image) -> Image:
+    shrink = max(1.0, image.shape[1] / THUMBNAIL_PX)
+    size = round(image.shape[1] / shrink), max(1, round(image.shape[0] / shrink))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _view(
+    name: str,
+    boards: Sequence[NominalBoard],
+    left: Sequence[Detection | NotDetected],
+    right: Sequence[Detection | NotDetected],
+) -> StereoView:
+    """The view of the board that both pictures show, or of the first board with what was missed."""
+    choices = [StereoView(name, *each) for each in zip(boards, left, right, strict=True)]
+    return min(
+        choices, key=lambda view: isinstance(view.left, NotDetected) + isinstance(view.right, NotDetected)
+    )
+
+
+def _remeasure(
+    picture: Picture, fit: ViewFit, side: Side, rig: StereoRig
+) -> tuple[Detection | NotDetected, Edges | None]:
+    """The marks, and the edges between them."""
+    board, camera, camera_from_board = nominal(fit.view.board), rig.left, fit.left_from_board
+    if side == "right":
+        camera, camera_from_board = rig.right, rig.right_from_left @ fit.left_from_board
+    image = picture.read()
+    marks = remeasure_board(image, board, fit.view.found(side), camera, camera_from_board)
+    return marks, None if isinstance(marks, NotDetected) else edges_of(image, board, marks)
+
+
+def _one_size(labels: Sequence[str], sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    if not sizes:
+        raise CalibrationError("no pairs")
+    usual, _ = Counter(sizes).most_common(1)[0]
+    others = [f"  {label}: {w} x {h}" for label, (w, h) in zip(labels, sizes, strict=True) if (w, h) != usual]
+    if others:
+        raise CalibrationError(
+            f"pictures of one camera have different sizes; most are {usual[0]} x {usual[1]}, but\n"
+            + "\n".join(others)
+        )
+    return usual

@@ -1,0 +1,1 @@
+"""Background jobs: a worker process, and how far its tasks are."""

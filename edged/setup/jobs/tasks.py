@@ -1,0 +1,148 @@
+"""Long work that somebody asked for: how far it is, how it ended, and its end before that."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+import time
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+from pydantic import BaseModel, ConfigDict
+
+from edged.adapters.web.gate import code_of
+from edged.cell.lease.notices import Notices
+from edged.cell.tasks import cancel_and_await
+from edged.errors import EdgedError, UserError
+from edged.setup.pairs import Progress
+
+log = logging.getLogger(__name__)
+
+KEPT = 20
+TELL_S = 1.0
+"""Also while nothing changes: who waits sees that it goes on."""
+
+
+class Problem(BaseModel):
+    """Why it failed. code, params : as those of a refused request."""
+
+    model_config = ConfigDict(frozen=True)
+    code: str
+    detail: str
+    params: dict[str, str | float] = {}
+
+
+class TaskDocument(BaseModel):
+    """A task. done : 0 to 1, of the stage that `text` names; None where that is not known. state : running,
+    done, failed, cancelled."""
+
+    model_config = ConfigDict(frozen=True)
+    id: str
+    what: str
+    done: float | None
+    text: str
+    seconds: int
+    state: str
+    problem: Problem | None
+
+
+@dataclass(eq=False, slots=True)
+class _Task:
+    id: str
+    what: str
+    begun_s: float
+    text: str = "waits for its turn"
+    done: float | None = None
+    state: str = "running"
+    ended_s: float | None = None
+    problem: Problem | None = None
+    running: asyncio.Task[None] | None = None
+
+    def document(self) -> TaskDocument:
+        seconds = int((self.ended_s or time.monotonic()) - self.begun_s)
+        return TaskDocument(
+            id=self.id,
+            what=self.what,
+            done=self.done,
+            text=self.text,
+            seconds=seconds,
+            state=self.state,
+            problem=self.problem,
+        )
+
+
+class Tasks:
+    """The last of them; used on the event loop only. notices : told of each, "task"."""
+
+    def __init__(self, notices: Notices) -> None:
+        self._notices = notices
+        self._tasks: OrderedDict[str, _Task] = OrderedDict()
+
+    def start(self, what: str, work: Callable[[Progress], Awaitable[None]]) -> str:
+        """Begin; returns its id. work : what it raises on purpose is how it failed."""
+        task = _Task(secrets.token_hex(6), what, time.monotonic())
+        self._tasks[task.id] = task
+        for old in [one for one in self._tasks.values() if one.state != "running"][: len(self._tasks) - KEPT]:
+            del self._tasks[old.id]
+        task.running = asyncio.create_task(self._run(task, work), name=f"task {what}")
+        self._tell(task)
+        return task.id
+
+    def document(self, identity: str) -> TaskDocument:
+        """How it is. Raises `KeyError`."""
+        return self._tasks[identity].document()
+
+    def is_running(self, identity: str | None) -> bool:
+        """Whether there is such a task, and it has not ended."""
+        return identity is not None and identity in self._tasks and self._tasks[identity].state == "running"
+
+    async def cancel(self, identity: str) -> None:
+        """End it; nothing to do for one that has ended. Raises `KeyError`."""
+        task = self._tasks[identity]
+        if task.running is not None:
+            await cancel_and_await(task.running)
+        if task.state == "running":  # before its first step
+            task.state = "cancelled"
+            self._tell(task)
+
+    async def close(self) -> None:
+        """End all."""
+        for identity in list(self._tasks):
+            await self.cancel(identity)
+
+    async def _run(self, task: _Task, work: Callable[[Progress], Awaitable[None]]) -> None:
+        def progress(stage: str, done: int, total: int) -> None:
+            task.text, task.done = stage, done / total if total else None
+            self._tell(task)
+
+        ticking = asyncio.create_task(self._tick(task))
+        try:
+            await work(progress)
+            task.state, task.done = "done", 1.0
+        except asyncio.CancelledError:
+            task.state = "cancelled"
+            raise
+        except EdgedError as error:
+            task.state, task.problem = "failed", _problem(error)
+        except Exception as error:
+            log.exception("the task %s failed", task.what)
+            task.state, task.problem = "failed", Problem(code="bug", detail=f"a bug, see the log: {error}")
+        finally:
+            ticking.cancel()
+            task.ended_s = time.monotonic()
+            self._tell(task)
+
+    async def _tick(self, task: _Task) -> None:
+        while True:
+            await asyncio.sleep(TELL_S)
+            self._tell(task)
+
+    def _tell(self, task: _Task) -> None:
+        self._notices.publish("task", task.document().model_dump(mode="json"))
+
+
+def _problem(error: EdgedError) -> Problem:
+    params = dict(error.params) if isinstance(error, UserError) else {}
+    return Problem(code=code_of(error), detail=str(error), params=params)

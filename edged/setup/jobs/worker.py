@@ -1,0 +1,222 @@
+"""The worker process from outside: started when it is needed, one task at a time, killed to cancel it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any
+
+from edged import errors
+from edged.errors import TaskFailed, TaskTooLarge, UserError
+from edged.setup.jobs.workerprocess import (
+    Answer,
+    Done,
+    Failed,
+    Order,
+    OutOfMemory,
+    Refused,
+    TaskLimits,
+    Told,
+    limits_here,
+)
+from edged.setup.pairs import Progress, silent
+
+log = logging.getLogger(__name__)
+
+IDLE_S = 300.0
+"""Without a task for so long, the process ends: it holds the memory of a second Python."""
+
+
+@dataclass(frozen=True, slots=True)
+class _OutOfTime:
+    """The kernel ended the process (SIGXCPU), as a task took too long."""
+
+
+class Worker:
+    """A process for long work, so that the loop's and the PLC's turns never wait for it.
+
+    functions : what it can do, by name: "module:function", called with a `Progress` and the arguments.
+    cpus : how many processors a task may use, asked when it begins. limits : what else it may take.
+
+    A plain process with a pipe of `multiprocessing`, whose own processes would import the daemon's main
+    module again, and keep a third one to look after both.
+    """
+
+    def __init__(
+        self,
+        functions: Mapping[str, str],
+        cpus: Callable[[], int] = lambda: 1,
+        limits: TaskLimits | None = None,
+    ) -> None:
+        self._functions = functions
+        self._cpus = cpus
+        self._limits = limits_here() if limits is None else limits
+        self._turn = asyncio.Lock()
+        self._pipe = ThreadPoolExecutor(1, thread_name_prefix="worker-pipe")
+        self._process: subprocess.Popen[bytes] | None = None
+        self._connection: Connection | None = None
+        self._retirement: asyncio.TimerHandle | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process; None while there is none."""
+        return None if self._process is None else self._process.pid
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a task runs."""
+        return self._turn.locked()
+
+    async def run(self, name: str, *arguments: Any, progress: Progress = silent) -> Any:
+        """The result of a function, after the tasks that were asked for before.
+
+        progress : told on the event loop. When this is cancelled, the process is killed. Raises the
+        `UserError` that the function raised, `TaskTooLarge` when it took more than it may, and `TaskFailed`
+        when it ended without a result otherwise.
+        """
+        loop = asyncio.get_running_loop()
+
+        def tell(told: Told) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(progress, told.stage, told.done, told.total)
+
+        async with self._turn:
+            self._keep(loop)
+            order = Order(self._functions[name], arguments, max(1, self._cpus()), self._limits)
+            cancelled = threading.Event()
+            try:
+                answer = await loop.run_in_executor(
+                    self._pipe, partial(self._exchange, order, tell, cancelled)
+                )
+            except asyncio.CancelledError:
+                cancelled.set()
+                self._kill()
+                self._pipe.submit(self._clear)
+                raise
+            finally:
+                self._keep(loop)
+        match answer:
+            case Done(result):
+                return result
+            case Refused():
+                raise _user_error(answer)
+            case OutOfMemory(trace):
+                log.error("the task %s ran out of memory:\n%s", name, trace)
+                raise _too_large(name, f"{self._limits.memory_bytes >> 20} MiB of memory")
+            case _OutOfTime():
+                raise _too_large(name, f"{self._limits.cpu_s} s of processor time")
+            case Failed(trace):
+                log.error("the task %s failed:\n%s", name, trace)
+                raise TaskFailed(f"{name}: a bug, see the log: {trace.splitlines()[-1]}")
+
+    async def close(self) -> None:
+        """End the process, whatever it does."""
+        if self._retirement is not None:
+            self._retirement.cancel()
+        self._kill()
+        await asyncio.get_running_loop().run_in_executor(self._pipe, self._clear)
+        self._pipe.shutdown()
+
+    # --- in the pipe's thread ----------------------------------------------------------------
+
+    def _exchange(
+        self, order: Order, tell: Callable[[Told], None], cancelled: threading.Event
+    ) -> Done | Refused | Failed | OutOfMemory | _OutOfTime:
+        """Send an order, and wait for what comes of it. Raises `TaskFailed` when the process ends."""
+        connection = self._connection
+        if connection is None or self._process is None or self._process.poll() is not None:
+            self._clear()
+            connection = self._start()
+        try:
+            if cancelled.is_set():  # before there was a process to kill
+                raise EOFError
+            connection.send(order)
+            while isinstance(answer := _received(connection), Told):
+                tell(answer)
+        except (EOFError, OSError) as error:
+            ended = self._clear()
+            if signal.SIGXCPU.name in ended:
+                return _OutOfTime()
+            raise TaskFailed(f"the worker process {ended}; ask again") from error
+        if isinstance(answer, OutOfMemory):
+            self._clear()
+        return answer
+
+    def _start(self) -> Connection:
+        ours, theirs = Pipe()
+        # one BLAS thread, as the daemon itself: on small matrices more of them only spin
+        environment = {
+            "OPENBLAS_NUM_THREADS": "1",
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        }
+        command = [sys.executable, "-m", "edged.setup.jobs.workerprocess", str(theirs.fileno())]
+        with theirs:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                env=environment,
+                start_new_session=True,
+            )
+        self._connection = ours
+        return ours
+
+    def _clear(self) -> str:
+        """Leave nothing of the process behind; how it ended, in words."""
+        if (connection := self._connection) is not None:
+            connection.close()
+            self._connection = None
+        if (process := self._process) is None:
+            return "was ended"
+        process.kill()
+        code = process.wait()
+        self._process = None
+        return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+
+    # --- on the loop -------------------------------------------------------------------------
+
+    def _kill(self) -> None:
+        """End it now; the pipe's thread sees that."""
+        if (process := self._process) is not None:
+            process.kill()
+
+    def _keep(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Let it wait for tasks from now on."""
+        if self._retirement is not None:
+            self._retirement.cancel()
+        self._retirement = loop.call_later(IDLE_S, self._retire)
+
+    def _retire(self) -> None:
+        if not self.is_busy:
+            self._pipe.submit(self._clear)
+
+
+def _too_large(name: str, most: str) -> TaskTooLarge:
+    expected = "expected fewer or smaller pictures, or a smaller drawing"
+    return TaskTooLarge(f"{name}: more than the {most} that it may take: {expected}")
+
+
+def _received(connection: Connection) -> Answer:
+    answer: Answer = connection.recv()
+    return answer
+
+
+def _user_error(refused: Refused) -> UserError:
+    """As it was raised there; one whose fields do not come through the pipe is a plain one."""
+    found = getattr(errors, refused.kind, UserError)
+    plain = found.__init__ is UserError.__init__
+    error: UserError = (found if plain else UserError)(refused.message, refused.code, **refused.params)
+    return error

@@ -1,0 +1,192 @@
+"""The worker process: waits for a task, imports what it needs only then, and tells how far it is.
+
+Whatever it does, cameras and PLC go first: it yields to every other program, and is the first to go when
+memory runs out. It ends with the process that started it, also when that was killed. What a task may take is
+bounded, as files come from anywhere: one that takes more is ended, and the next has a new process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import resource
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from multiprocessing.connection import Connection
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+NICENESS = 15
+OOM_SCORE = 500
+"""Above that of who started it, of 1000: where memory runs out, a task can be done again."""
+OPENCV_NO_MEMORY = -4
+"""`cv::Error::StsNoMem`."""
+TELL_S = 0.1
+"""Between two words on how far a stage is."""
+
+
+MIB = 1 << 20
+MOST_MEMORY_BYTES = 8192 * MIB
+"""Of addresses: it begins with 1.1 GiB for all libraries, to find boards in 65 megapixels takes 0.3
+more, and 64 bytes a pixel to rectify them, 4 GiB, where their views turn most."""
+LEAST_MEMORY_BYTES = 2048 * MIB
+"""On the smallest PC: cameras of 12 megapixels."""
+MOST_CPU_S = 1800
+"""A calibration of 20 pairs takes 45 s (`tools/bench setup`): ten times as many, each four times as long."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskLimits:
+    """What a task may take. memory_bytes : of addresses, of the whole process. cpu_s : of all processors."""
+
+    memory_bytes: int
+    cpu_s: int
+
+
+def limits_here() -> TaskLimits:
+    """On this machine: no more than half of its memory, as the cell and the system need theirs."""
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return TaskLimits(max(LEAST_MEMORY_BYTES, min(MOST_MEMORY_BYTES, there // 2)), MOST_CPU_S)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Order:
+    """A task. function : "module:name", called with a `Progress` and the arguments; cpus : to use at most."""
+
+    function: str
+    arguments: tuple[Any, ...]
+    cpus: int
+    limits: TaskLimits
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """How far the task is, as `Progress` has it."""
+
+    stage: str
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Done:
+    """What the task gave."""
+
+    result: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A mistake in what it was given: kind of `UserError`, and what it holds."""
+
+    kind: str
+    message: str
+    code: str
+    params: Mapping[str, str | float]
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A bug: the traceback."""
+
+    trace: str
+
+
+@dataclass(frozen=True, slots=True)
+class OutOfMemory:
+    """There was no more of what it may take: the traceback. What is left of the process is not to be used."""
+
+    trace: str
+
+
+Answer = Told | Done | Refused | Failed | OutOfMemory
+
+
+def serve(connection: Connection) -> None:
+    """Carry out one order after the other, until whoever sends them is gone."""
+    orders: SimpleQueue[Order] = SimpleQueue()
+    all_cpus = sorted(os.sched_getaffinity(0))
+
+    def receive() -> None:
+        while True:
+            try:
+                orders.put(connection.recv())
+            except (EOFError, OSError):
+                os._exit(0)  # also in the middle of a task: nobody waits for it any more
+
+    threading.Thread(target=receive, name="orders", daemon=True).start()
+    while True:
+        order = orders.get()
+        _stay_on(all_cpus[-order.cpus :])
+        _bound(order.limits)
+        connection.send(_carry_out(order, connection))
+
+
+def _carry_out(order: Order, connection: Connection) -> Answer:
+    told_s, told_stage = 0.0, ""
+
+    def progress(stage: str, done: int, total: int) -> None:
+        nonlocal told_s, told_stage
+        if stage != told_stage or done == total or time.monotonic() - told_s >= TELL_S:
+            told_s, told_stage = time.monotonic(), stage
+            connection.send(Told(stage, done, total))
+
+    from edged.errors import UserError
+
+    module, _, name = order.function.partition(":")
+    try:
+        return Done(getattr(import_module(module), name)(progress, *order.arguments))
+    except UserError as error:
+        return Refused(type(error).__name__, str(error), error.code, error.params)
+    except Exception as error:  # noqa: BLE001  (a bug is told to who asked, who logs it: the next task may be well)
+        trace = traceback.format_exc()
+        return OutOfMemory(trace) if _is_of_memory(error) else Failed(trace)
+
+
+def _is_of_memory(error: BaseException | None) -> bool:
+    """Whether it, or what it came of, is that there was none; OpenCV says so by an error of its own."""
+    while error is not None:
+        if isinstance(error, MemoryError) or getattr(error, "code", None) == OPENCV_NO_MEMORY:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _bound(limits: TaskLimits) -> None:
+    """End the next task (SIGXCPU, MemoryError) where it takes more than it may."""
+    used_s = math.ceil(time.process_time())  # by the tasks before
+    bounds = (resource.RLIMIT_AS, limits.memory_bytes), (resource.RLIMIT_CPU, used_s + limits.cpu_s)
+    for what, most in bounds:
+        hard = resource.getrlimit(what)[1]
+        resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+
+
+def _stay_on(cpus: list[int]) -> None:
+    """All threads of this process, also those that OpenCV keeps, on these processors alone."""
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            os.sched_setaffinity(int(thread.name), cpus)
+
+
+def _stand_back() -> None:
+    """Last in turn, first to go."""
+    os.nice(NICENESS)
+    score = Path("/proc/self/oom_score_adj")
+    with contextlib.suppress(OSError):
+        score.write_text(str(min(1000, int(score.read_text()) + OOM_SCORE)))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C is for who started it
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # of gigabytes, where a task took too long
+
+
+if __name__ == "__main__":
+    _stand_back()
+    # under its own name: what comes through the pipe is pickled by it
+    import_module("edged.setup.jobs.workerprocess").serve(Connection(int(sys.argv[1])))

@@ -1,0 +1,220 @@
+"""The routes by which people see what PLC and cell say to each other, and get a client's source."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+from aiohttp import web
+
+from edged.adapters.modbus import ModbusPublisher
+from edged.adapters.web.routes import Answer, Call, Problem, RouteTable
+from edged.identity.visitors import Role
+from edged.plc.ladder import Exchange
+from edged.plc.registers import ADDRESS, constant_values
+from edged.ports import Publisher
+from edged.robots.texts import FORMATS, SEVERAL
+
+FILES = {
+    "st": "edged.st",
+    "scl": "edged.scl",
+    "plcopen": "edged.xml",
+    "twincat": "edged-twincat.zip",
+    "urscript": "edged.script",
+    "krl": "edged-kuka.zip",
+    "karel": "edged-fanuc.zip",
+    "rapid": "EDGED.mod",
+    "motoplus": "edged-yaskawa.zip",
+    "val3": "edged-staubli.zip",
+    "as": "edged.as",
+    "drl": "edged.drl",
+    "melfa": "edged-mitsubishi.zip",
+    "spel": "Edged.prg",
+    "python": "edged_cell.py",
+    "csv": "edged.csv",
+}
+"""What can be fetched, by the name of its format, and the file that it becomes."""
+EPOCH = (2026, 1, 1, 0, 0, 0)
+"""In archives: the same source is the same file."""
+
+
+class RungDocument(Answer):
+    """One thing that was said; see `edged.plc.ladder.Rung`. by : "plc" or "cell"."""
+
+    after_ms: float
+    by: str
+    what: str
+    detail: str
+    valid: bool
+
+
+class ExchangeDocument(Answer):
+    """A command and what became of it. hint : "bytes" or "words" of the client look exchanged, or null."""
+
+    number: int
+    at: str
+    client: str
+    sequence: int
+    code: int
+    command: str
+    job: int
+    hint: str | None
+    times: int
+    rungs: list[RungDocument]
+
+
+class Exchanges(Answer):
+    """The youngest first."""
+
+    exchanges: list[ExchangeDocument]
+
+
+class ProbeDocument(Answer):
+    """A register whose value is known. address : as the client has to ask, base address included."""
+
+    name: str
+    address: int
+    value: float
+
+
+class ClientDocument(Answer):
+    """A source to fetch."""
+
+    kind: str
+    file: str
+
+
+class PlcDocument(Answer):
+    """How PLCs reach the cell. listening : Modbus is on; else nothing of it is known."""
+
+    listening: bool
+    host: str | None
+    port: int | None
+    unit_id: int | None
+    word_order: str | None
+    base_address: int | None
+    convention: str | None
+    connected: int
+    owner: str | None
+    refused: list[str]
+    probes: list[ProbeDocument]
+    clients: list[ClientDocument]
+
+
+class PlcRoutes:
+    """The routes. server : of Modbus, as it is then; None where it is off."""
+
+    def __init__(self, server: Callable[[], Publisher | None]) -> None:
+        self._server = server
+
+    @property
+    def _modbus(self) -> ModbusPublisher | None:
+        server = self._server()
+        return server if isinstance(server, ModbusPublisher) else None
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add them."""
+        see = Role.VIEWER
+        table.route("GET", "/plc", self._plc, "How PLCs reach the cell", role=see, answer=PlcDocument)
+        table.route(
+            "GET",
+            "/plc/exchanges",
+            self._exchanges,
+            "The last commands of PLC or robot, and what became of them",
+            role=see,
+            answer=Exchanges,
+            is_by_itself=True,
+        )
+        table.route(
+            "GET",
+            "/plc/clients/{kind:[a-z0-9]{2,20}}",
+            self._client,
+            "The source of a client: structured text, URScript, Python and others",
+            role=see,
+            answer="application/octet-stream",
+        )
+
+    async def _plc(self, _call: Call[None]) -> PlcDocument:
+        modbus = self._modbus
+        clients = [ClientDocument(kind=kind, file=file) for kind, file in FILES.items()]
+        if modbus is None:
+            return PlcDocument(
+                listening=False,
+                host=None,
+                port=None,
+                unit_id=None,
+                word_order=None,
+                base_address=None,
+                convention=None,
+                connected=0,
+                owner=None,
+                refused=[],
+                probes=[],
+                clients=clients,
+            )
+        now = modbus.settings
+        known = constant_values(now.convention, 0, 0)
+        return PlcDocument(
+            listening=True,
+            host=now.host,
+            port=modbus.port,
+            unit_id=now.unit_id,
+            word_order=now.word_order,
+            base_address=now.base_address,
+            convention=now.convention.name.lower(),
+            connected=modbus.clients,
+            owner=modbus.owner or None,
+            refused=list(modbus.refused_writers),
+            probes=[
+                ProbeDocument(name=name, address=now.base_address + ADDRESS[name], value=known[name])
+                for name in ("MAGIC", "MAP_VERSION", "PROBE_U32", "PROBE_F32")
+            ],
+            clients=clients,
+        )
+
+    async def _exchanges(self, _call: Call[None]) -> Exchanges:
+        modbus = self._modbus
+        return Exchanges(exchanges=[] if modbus is None else [_document(one) for one in modbus.exchanges])
+
+    async def _client(self, call: Call[None]) -> web.Response:
+        kind = call.part("kind")
+        if kind not in FILES:
+            raise Problem(404, "unknown", f"expected one of {', '.join(FILES)}")
+        data = _packed(SEVERAL[kind]()) if kind in SEVERAL else FORMATS[kind]().encode()
+        headers = {"Content-Disposition": f'attachment; filename="{FILES[kind]}"'}
+        return web.Response(body=data, content_type="application/octet-stream", headers=headers)
+
+
+def _document(one: Exchange) -> ExchangeDocument:
+    at = datetime.fromtimestamp(one.began_ns / 1e9, UTC)
+    return ExchangeDocument(
+        number=one.number,
+        at=at.isoformat(timespec="milliseconds"),
+        client=one.client,
+        sequence=one.sequence,
+        code=one.code,
+        command=one.command,
+        job=one.job,
+        hint=one.hint or None,
+        times=one.times,
+        rungs=[
+            RungDocument(
+                after_ms=round(1e3 * rung.after_s, 1),
+                by="plc" if rung.what in ("command", "acknowledged", "taken_down") else "cell",
+                what=rung.what,
+                detail=rung.detail,
+                valid=rung.valid,
+            )
+            for rung in one.rungs
+        ],
+    )
+
+
+def _packed(files: dict[str, str]) -> bytes:
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in files.items():
+            archive.writestr(zipfile.ZipInfo(name, EPOCH), text, zipfile.ZIP_DEFLATED)
+    return data.getvalue()

@@ -1,0 +1,1 @@
+"""Recorded cycles: looked at, compared, measured again."""

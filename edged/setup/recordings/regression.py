@@ -1,0 +1,139 @@
+"""A recorded exposure measured again: by what it was measured by then, or by what may come."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from edged.cell.drift import refused
+from edged.domain.arrays import FloatArray
+from edged.domain.cell import Calibrated
+from edged.domain.events import Snapshot
+from edged.domain.measurement import Outcome, Status
+from edged.domain.picking import Picking
+from edged.files.recording import Recording
+from edged.payload import Json, snapshot_to_json
+from edged.pictures.lettering import Canvas
+from edged.pictures.overlay import draw_pair
+from edged.pipeline import Inspection, PreparedRig, inspect, judge
+from edged.robot.covariance import moved_frame
+from edged.robot.picking import RobotFrame, allowed, picked
+from edged.vision.part.job import Job
+
+COMPARED = ("status", "targets", "rejected")
+"""The pure result; times and identities of a cycle are of their own moment."""
+SHOWN = (*COMPARED, "dismissed", "nearest")
+"""Also what is told to people only."""
+
+
+def remeasure(taken: Recording, rig: PreparedRig, job: Job) -> Json:
+    """What of a published snapshot the same exposure decides, measured now by any rig and job."""
+    return decided(taken, inspected(taken, rig, job), rig, job)
+
+
+def inspected(taken: Recording, rig: PreparedRig, job: Job) -> Inspection | None:
+    """What the same exposure shows; None where nothing was measured then."""
+    command = taken.snapshot.get("command")
+    if taken.pair is None or (isinstance(command, dict) and command.get("kind") == "GRAB"):
+        return None
+    return inspect(taken.pair, job, rig)
+
+
+def decided(taken: Recording, inspection: Inspection | None, rig: PreparedRig, job: Job) -> Json:
+    """What of a published snapshot an inspection decides."""
+    if inspection is None:
+        return {key: taken.snapshot.get(key) for key in COMPARED}
+    told = shown(taken, inspection, rig, job)
+    return {key: told[key] for key in COMPARED}
+
+
+def shown(
+    taken: Recording, inspection: Inspection, rig: PreparedRig, job: Job, *, drifts: bool = True
+) -> Json:
+    """The same, with what was seen and not measured. drifts : what the rig then was worth counts."""
+    outcome = judge(inspection)
+    drift = taken.snapshot.get("drift")
+    if drifts and isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:
+        outcome = refused(outcome)  # that comes from the cycles before, not from this pair
+    return _json_of(outcome, rig, job.picking, _robot_from_flange(taken))
+
+
+def drawn(taken: Recording, inspection: Inspection, rig: PreparedRig, job: Job) -> Canvas:
+    """The pair with what was measured, as `edged locate --overlay` draws it."""
+    if taken.pair is None:
+        raise ValueError("a recording without images")
+    frame = _frame(rig, _robot_from_flange(taken))[0]
+    told = [replace(one, target=allowed(one.target, job.picking, frame)) for one in inspection.measured]
+    status = Status[decided(taken, inspection, rig, job)["status"]]
+    nearest = None if inspection.nearest is None else inspection.nearest.ask()
+    images = taken.pair.left.image, taken.pair.right.image
+    return draw_pair(*images, rig.rig, job, told, inspection.dismissed, status, nearest=nearest)
+
+
+def _robot_from_flange(taken: Recording) -> FloatArray | None:
+    """Where the robot that carries the rig said its flange was."""
+    command = taken.snapshot.get("command")
+    flange = command.get("robot_from_flange") if isinstance(command, dict) else None
+    return None if flange is None else np.array(flange, np.float64)
+
+
+def _frame(rig: PreparedRig, robot_from_flange: FloatArray | None) -> tuple[RobotFrame, FloatArray | None]:
+    """The robot's frame then, and the covariance of the registration in it."""
+    robot, registration = rig.rig.robot_from_rig, rig.rig.registration_covariance
+    if robot_from_flange is not None and rig.rig.flange_from_rig is not None:
+        robot = robot_from_flange @ rig.rig.flange_from_rig
+        registration = None if registration is None else moved_frame(registration, robot_from_flange)
+    return RobotFrame(robot, robot is not None or rig.rig.flange_from_rig is None), registration
+
+
+def _json_of(
+    outcome: Outcome, rig: PreparedRig, picking: Picking, robot_from_flange: FloatArray | None = None
+) -> Json:
+    """The part of a published snapshot that the outcome, and where the flange was, decide."""
+    frame, registration = _frame(rig, robot_from_flange)
+    outcome = picked(outcome, picking, frame)
+    document = snapshot_to_json(
+        Snapshot(
+            cycle=0,
+            status=outcome.status,
+            command=None,
+            job="",
+            job_number=0,
+            calibration_id=rig.rig.calibration_id,
+            fingerprint="",
+            simulated=False,
+            exposed_ns=0,
+            published_ns=0,
+            targets=outcome.targets,
+            dismissed=outcome.dismissed,
+            nearest=outcome.nearest,
+            robot_from_rig=frame.robot_from_rig,
+            registration_covariance=registration,
+        )
+    )
+    # through text, as the recorded one went
+    return dict(json.loads(json.dumps({key: document[key] for key in SHOWN})))
+
+
+def compare(place: str, old: Any, new: Any) -> Iterator[str]:
+    """One line for each value that is not the same, by its path."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(old.keys() | new.keys()):
+            yield from compare(f"{place}.{key}", old.get(key), new.get(key))
+    elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for index, (before, after) in enumerate(zip(old, new, strict=True)):
+            yield from compare(f"{place}[{index}]", before, after)
+    elif old != new:
+        numbers = all(isinstance(value, int | float) for value in (old, new))
+        apart = f" ({new - old:+.3g})" if numbers and math.isfinite(new - old) else ""
+        yield f"{place}: {_short(old)} -> {_short(new)}{apart}"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,230 @@
+"""What a regression came to, as it is kept and told."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from edged.domain.arrays import FloatArray
+from edged.setup.recordings.comparing import Compared, Comparison, Motion, Tried
+
+MOST_LISTED = 200
+"""Of each kind, worst first: whoever has looked at so many looks at the counts."""
+PLACE = "/api/v1/cycles"
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+
+class Candidate(_Document):
+    """What was tried. id : of the draft, the number of the release, or the job that was changed."""
+
+    kind: Literal["teaching", "calibration", "release", "change"]
+    id: str
+
+
+class RegressionPictures(_Document):
+    """Where the pictures of a cycle are, as long as its recording is kept."""
+
+    left: str
+    right: str
+
+
+class ChangedCycle(_Document):
+    """A cycle that comes out otherwise. before, after : status. reasons : why it is, or was, not good.
+
+    apart_sigmas : of both; null where a place has no sigma at all, or there is none to compare. apart_um : X,
+    Y, Z, after against before. lost : good parts that are not there any more.
+    """
+
+    number: int
+    at: str
+    job: str
+    before: str
+    after: str
+    reasons: list[str]
+    apart_sigmas: float | None
+    apart_um: list[float] | None
+    turned_deg: float | None
+    lost: int
+    pictures: RegressionPictures
+
+
+class SkippedCycle(_Document):
+    """A recording that was not tried: "damaged", "no_pictures", "grab", "no_job"."""
+
+    number: int
+    why: str
+    detail: str
+
+
+class FrameMotion(_Document):
+    """By how much a new rig moves all places: of X, Y, Z at about_mm, and about them. It was taken out."""
+
+    shift_um: list[float]
+    turn_deg: list[float]
+    about_mm: list[float]
+
+
+class Counts(_Document):
+    """Of cycles. apart, lost : of those that stay good."""
+
+    good_stay: int
+    bad_stay: int
+    good_to_bad: int
+    bad_to_good: int
+    apart: int
+    lost: int
+    skipped: int
+
+
+class Spread(_Document):
+    """Of the places of good cycles, after against before: rms and largest distance, and in both sigmas."""
+
+    rms_um: float
+    max_um: float
+    rms_sigmas: float | None
+    max_sigmas: float | None
+
+
+class RegressionLine(_Document):
+    """A regression in short. against : fingerprint of the cell then. cycles : that were tried."""
+
+    id: str
+    at: str
+    by: str
+    what: Candidate
+    against: str
+    cycles: int
+    passes: bool
+    counts: Counts
+    seconds: float
+
+
+class RegressionDocument(RegressionLine):
+    """All of it. The lists are worst first, of `counts` as many as are of use.
+
+    motion : of a new rig's frame, null for a job, or where too few places tell. digest : of what was tried,
+    digest_active : of what ran.
+    """
+
+    good_to_bad: list[ChangedCycle]
+    apart: list[ChangedCycle]
+    bad_to_good: list[ChangedCycle]
+    skipped: list[SkippedCycle]
+    motion: FrameMotion | None
+    spread: Spread | None
+    digest: str
+    digest_active: str
+
+
+def document_of(
+    comparison: Comparison,
+    *,
+    identity: str,
+    at: datetime,
+    by: str,
+    what: Candidate,
+    against: str,
+    digests: tuple[str, str],
+    seconds: float,
+) -> RegressionDocument:
+    """A comparison as it is kept. digests : of what ran, and of what was tried."""
+    all_of = comparison.compared
+    bad = [one for one in all_of if one.was_good and not one.is_good]
+    good = [one for one in all_of if one.is_good and not one.was_good]
+    stay = [one for one in all_of if one.was_good and one.is_good]
+    apart = sorted((one for one in stay if one.is_apart), key=_worst)
+    counts = Counts(
+        good_stay=len(stay),
+        bad_stay=len(all_of) - len(stay) - len(bad) - len(good),
+        good_to_bad=len(bad),
+        bad_to_good=len(good),
+        apart=len(apart),
+        lost=sum(one.lost for one in stay),
+        skipped=len(comparison.skipped),
+    )
+    return RegressionDocument(
+        id=identity,
+        at=at.isoformat(timespec="seconds"),
+        by=by,
+        what=what,
+        against=against,
+        cycles=len(all_of),
+        passes=not bad,
+        counts=counts,
+        seconds=round(seconds, 1),
+        good_to_bad=[_changed(one) for one in bad[:MOST_LISTED]],
+        apart=[_changed(one) for one in apart[:MOST_LISTED]],
+        bad_to_good=[_changed(one) for one in good[:MOST_LISTED]],
+        skipped=[_skipped(one) for one in comparison.skipped[:MOST_LISTED]],
+        motion=None if comparison.motion is None else _motion(comparison.motion),
+        spread=_spread(stay),
+        digest=digests[1],
+        digest_active=digests[0],
+    )
+
+
+def _worst(one: Compared) -> tuple[int, float]:
+    """Lost parts first, then by sigmas."""
+    return -one.lost, -(0.0 if one.apart is None else one.apart.sigmas)
+
+
+def _changed(one: Compared) -> ChangedCycle:
+    tried, apart = one.tried, one.apart
+    before, after = tried.before, tried.after
+    status = ["" if found is None else found.status for found in (before, after)]
+    why = before if one.is_good else after
+    left, right = (f"{PLACE}/{tried.number}/{side}.jpg" for side in ("left", "right"))
+    return ChangedCycle(
+        number=tried.number,
+        at=tried.at,
+        job=tried.job,
+        before=status[0],
+        after=status[1],
+        reasons=[] if why is None else list(why.reasons),
+        apart_sigmas=None if apart is None else _number(apart.sigmas, 2),
+        apart_um=None if apart is None else _micrometres(apart.by_mm),
+        turned_deg=None if apart is None else _number(apart.turned_deg, 4),
+        lost=one.lost,
+        pictures=RegressionPictures(left=left, right=right),
+    )
+
+
+def _skipped(one: Tried) -> SkippedCycle:
+    return SkippedCycle(number=one.number, why=one.skipped, detail=one.detail[:500])
+
+
+def _motion(motion: Motion) -> FrameMotion:
+    return FrameMotion(
+        shift_um=_micrometres(motion.shift_mm),
+        turn_deg=[round(math.degrees(float(one)), 5) for one in motion.turn_rad],
+        about_mm=[round(float(one), 1) for one in motion.centre_mm],
+    )
+
+
+def _spread(stay: list[Compared]) -> Spread | None:
+    apart = [one.apart for one in stay if one.apart is not None]
+    if not apart:
+        return None
+    far = 1e3 * np.array([np.linalg.norm(one.by_mm) for one in apart])
+    sigmas = np.array([one.sigmas for one in apart])
+    return Spread(
+        rms_um=round(float(np.sqrt(np.mean(far**2))), 2),
+        max_um=round(float(far.max()), 2),
+        rms_sigmas=_number(float(np.sqrt(np.mean(sigmas**2))), 2),
+        max_sigmas=_number(float(sigmas.max()), 2),
+    )
+
+
+def _micrometres(vector_mm: FloatArray) -> list[float]:
+    return [round(1e3 * float(one), 2) for one in vector_mm]
+
+
+def _number(value: float, digits: int) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None

@@ -1,0 +1,217 @@
+"""A new job or rig tried on the recorded cycles, and what came of it, kept; and the gate before it is used.
+
+The worker process measures, newest first, a few seconds at a time, so that others have their turn between.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from edged.errors import FileFormatError, RegressionNeeded, UserError
+from edged.files import recording
+from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.setup.jobs.tasks import Tasks
+from edged.setup.jobs.worker import Worker
+from edged.setup.pairs import Progress
+from edged.setup.recordings.comparing import Tried, compare
+from edged.setup.recordings.recorded import Line, Records
+from edged.setup.recordings.regressiondocuments import (
+    Candidate,
+    RegressionDocument,
+    RegressionLine,
+    document_of,
+)
+from edged.setup.recordings.setups import Contents, concerned, digest_of, facts_of_jobs, job_of_cycle
+from edged.setup.releases.shelf import Tested
+
+log = logging.getLogger(__name__)
+
+FUNCTIONS = {name: f"edged.setup.recordings.work:{name}" for name in ("try_recordings", "compare_releases")}
+KEPT = 30
+"""The last ones: one has a few hundred kB at most."""
+CHUNK_S = 2.0
+"""Of the worker's time: whoever tries a limit on one cycle meanwhile waits so long."""
+STAGE = "measuring recorded cycles"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Active:
+    """What the cell measures by now. is_complete : rig and jobs are there."""
+
+    contents: Contents
+    fingerprint: str
+    is_complete: bool
+
+
+class Regressions:
+    """Used on the event loop. kept : folder of results. folder : of the recordings now, or None."""
+
+    def __init__(
+        self,
+        kept: Path,
+        folder: Callable[[], Path | None],
+        active: Callable[[], Active],
+        worker: Worker,
+        tasks: Tasks,
+    ) -> None:
+        self._kept = kept
+        self._folder = folder
+        self._active = active
+        self._worker = worker
+        self._tasks = tasks
+        self._records: Records | None = None
+        self._turn = asyncio.Lock()
+
+    @property
+    def active(self) -> Active:
+        """What the cell measures by now."""
+        return self._active()
+
+    async def begin(self, candidate: Contents, what: Candidate, author: str) -> tuple[str, str]:
+        """Try it on all recordings that it concerns; ids of the task and of the result to be.
+
+        Raises `UserError` where nothing runs, nothing is recorded, or nothing would be measured otherwise.
+        """
+        active = self._active()
+        if not active.is_complete:
+            raise UserError("nothing runs yet that it could be compared with")
+        entries = await self._in_turn(lambda: self._concerned(active.contents, candidate))
+        if not entries:
+            raise UserError("no recorded cycle is measured by what it changes")
+        now = datetime.now(UTC)
+        identity = f"{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}"
+
+        async def work(progress: Progress) -> None:
+            begun_s = time.monotonic()
+            tried = await self._tried(entries, active.contents, candidate, progress)
+            document = document_of(
+                await asyncio.to_thread(compare, tried, of_rig=_is_other_rig(active.contents, candidate)),
+                identity=identity,
+                at=now,
+                by=author,
+                what=what,
+                against=active.fingerprint,
+                digests=(digest_of(active.contents), digest_of(candidate)),
+                seconds=time.monotonic() - begun_s,
+            )
+            await asyncio.to_thread(self._keep, document)
+
+        return self._tasks.start("regression", work), identity
+
+    async def listed(self) -> list[RegressionLine]:
+        """The kept ones, newest first."""
+        return await asyncio.to_thread(
+            lambda: [RegressionLine.model_validate(one, from_attributes=True) for one in self._all()]
+        )
+
+    async def get(self, identity: str) -> RegressionDocument:
+        """One of them. Raises `KeyError`, `FileFormatError`."""
+        return await asyncio.to_thread(self._read, identity)
+
+    async def check(self, candidate: Contents, signed: str | None) -> Tested | None:
+        """The gate: what is kept of it with the release; None where nothing recorded is concerned.
+
+        Raises `RegressionNeeded` unless all good cycles stay good, or somebody signs why they need not.
+        """
+        active = self._active()
+        if not active.is_complete or self._folder() is None:
+            return None
+        entries = await self._in_turn(lambda: self._concerned(active.contents, candidate))
+        if not entries:
+            return None
+        digests = digest_of(active.contents), digest_of(candidate)
+        done = await asyncio.to_thread(self._newest, *digests)
+        good_to_bad = None if done is None else done.counts.good_to_bad
+        if signed is None and good_to_bad != 0:
+            raise RegressionNeeded(len(entries), good_to_bad, None if done is None else done.id)
+        return Tested(
+            regression=None if done is None else done.id,
+            cycles=len(entries) if done is None else done.cycles,
+            good_to_bad=good_to_bad,
+            signed=signed if good_to_bad != 0 else None,
+        )
+
+    # --- recordings -----------------------------------------------------------------------------
+
+    async def _in_turn(self, work: Callable[[], list[recording.Entry]]) -> list[recording.Entry]:
+        async with self._turn:
+            return await asyncio.to_thread(work)
+
+    def _concerned(self, active: Contents, candidate: Contents) -> list[recording.Entry]:
+        """Recordings, newest first, that it may measure otherwise. Raises `FileFormatError`."""
+        folder = self._folder()
+        if folder is None:
+            return []
+        if self._records is None or self._records.folder != folder:
+            self._records = Records(folder)
+        numbers, jobs = concerned(active, candidate), facts_of_jobs(active)
+        if numbers == set():
+            return []
+        found = []
+        for entry in self._records.entries():
+            line = self._records.line(entry)
+            if not isinstance(line, Line) or not line.has_pictures:
+                continue
+            job = job_of_cycle(jobs, line.job, line.job_number)
+            if numbers is None or (job is not None and job.number in numbers):
+                found.append(entry)
+        return found
+
+    async def _tried(
+        self, entries: Sequence[recording.Entry], active: Contents, candidate: Contents, progress: Progress
+    ) -> list[Tried]:
+        tried: list[Tried] = []
+        while len(tried) < len(entries):
+            progress(STAGE, len(tried), len(entries))
+            rest = entries[len(tried) :]
+            some: list[Tried] = await self._worker.run(
+                "try_recordings", rest, dict(active), dict(candidate), CHUNK_S
+            )
+            tried += some
+        progress(STAGE, len(tried), len(entries))
+        return tried
+
+    # --- results --------------------------------------------------------------------------------
+
+    def _keep(self, document: RegressionDocument) -> None:
+        make_folders(self._kept)
+        write_atomically(self._kept / f"{document.id}.json", document.model_dump_json().encode())
+        for old in sorted(self._kept.glob("*.json"))[:-KEPT]:
+            old.unlink(missing_ok=True)
+
+    def _read(self, identity: str) -> RegressionDocument:
+        file = self._kept / f"{identity}.json"
+        if not file.is_file():
+            raise KeyError(identity)
+        try:
+            return RegressionDocument.model_validate_json(read_bytes(file, "a regression"))
+        except ValidationError as error:
+            raise FileFormatError(
+                f"{file}: not what a regression was kept as: {error.errors()[0]}"
+            ) from error
+
+    def _all(self) -> list[RegressionDocument]:
+        found = []
+        for file in sorted(self._kept.glob("*.json"), reverse=True) if self._kept.is_dir() else []:
+            try:
+                found.append(self._read(file.stem))
+            except (KeyError, FileFormatError) as error:
+                log.warning("%s", error)
+        return found
+
+    def _newest(self, against: str, candidate: str) -> RegressionDocument | None:
+        fitting = (one for one in self._all() if (one.digest_active, one.digest) == (against, candidate))
+        return next(fitting, None)
+
+
+def _is_other_rig(active: Contents, candidate: Contents) -> bool:
+    return active.get("rig.json") != candidate.get("rig.json")

@@ -1,0 +1,298 @@
+"""Recorded cycles of a running cell, as they are looked at: listed, shown feature by feature, and tried.
+
+The disc is read in a thread of its own, and nothing is measured outside of the worker process.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+from pydantic import BaseModel, ConfigDict
+
+from edged.domain.arrays import Image, Side
+from edged.errors import FileFormatError
+from edged.files import recording
+from edged.files.images import load_image
+from edged.setup.jobs.worker import Worker
+from edged.setup.recordings.recorded import Damaged, Line, Records, Wanted
+from edged.setup.recordings.setups import Contents, Setups, facts_of_jobs, job_of_cycle
+from edged.setup.recordings.sight import PartSight, parts_of, taught_part
+from edged.setup.recordings.whatif import Change, WhatIf
+from edged.setup.teaching.drafts import TAUGHT
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.part.job import Job
+
+FUNCTIONS = {"what_if": "edged.setup.recordings.work:what_if"}
+PLACE = "/api/v1/cycles"
+JPEG_QUALITY = 90
+"""Pictures are looked at, edges of single pixels among them."""
+T = TypeVar("T")
+
+
+class CycleList(BaseModel):
+    """Newest first. recorder : whether the cell records at all. counts : of all recordings, by status.
+
+    damaged : those met on the way that cannot be read. has_more : ask again with `before`.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    recorder: bool
+    cycles: list[Line]
+    damaged: list[Damaged]
+    counts: dict[str, int]
+    has_more: bool
+
+
+class Pictures(BaseModel):
+    """Where the pictures of a pair are."""
+
+    model_config = ConfigDict(frozen=True)
+    left: str
+    right: str
+
+
+class Sight(BaseModel):
+    """A pair with what was seen in it, all in raw px.
+
+    kind : "now"; "taught", as the part lay at teaching; "good", another cycle that was good. number, at : of
+    the recording. pictures : null where none are kept.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    kind: str
+    number: int | None
+    at: str | None
+    width: int
+    height: int
+    pictures: Pictures | None
+    parts: list[PartSight]
+
+
+class JobLimits(BaseModel):
+    """What the job of a cycle allowed then; `contrast` and `min_score` are of its search."""
+
+    model_config = ConfigDict(frozen=True)
+    max_sigma_mm: float
+    max_rms_px: float
+    min_support: float
+    max_epipolar_px: float
+    radius_tolerance_mm: float | None
+    form_tolerance_mm: float | None
+    min_score: float
+    depth_mm: list[float]
+    contrast: float
+
+
+class CycleDocument(Line):
+    """A recorded cycle with its features. folder : of its job, as the cell has it now; null: not any more.
+
+    trouble : why there are none: "setup", its rig or job is not kept
+    or damaged; "snapshot", its own text is. beside : the newest good cycle of the job, if there is one.
+    """
+
+    trouble: str | None
+    trouble_text: str
+    reference: str
+    folder: str | None
+    limits: JobLimits | None
+    now: Sight | None
+    taught: Sight | None
+    beside: Sight | None
+
+
+@dataclass(frozen=True, slots=True)
+class JobsNow:
+    """The jobs that the cell has now. place : their folder. contents : of the files that it measures by."""
+
+    place: Path
+    contents: Contents
+
+    def folder_of(self, name: str, number: int, digest: str | None) -> tuple[str | None, bool]:
+        """The folder of the job that a recorded cycle is of, and whether that measures as it did then."""
+        job = job_of_cycle(facts_of_jobs(self.contents), name, number)
+        return (None, False) if job is None else (job.folder, job.digest == digest)
+
+
+class Cycles:
+    """Used on the event loop. folder : where the cell records now; None: it does not. jobs : that it has."""
+
+    def __init__(
+        self, folder: Callable[[], Path | None], worker: Worker, jobs: Callable[[], JobsNow]
+    ) -> None:
+        self._folder = folder
+        self._jobs = jobs
+        self._worker = worker
+        self._disc = ThreadPoolExecutor(1, thread_name_prefix="cycles")
+        # of that thread alone
+        self._records: Records | None = None
+        self._setups = Setups()
+
+    async def listed(self, wanted: Wanted) -> CycleList:
+        """Some of the recordings."""
+        return await self._on_disc(self._listed)(wanted)
+
+    async def document(self, number: int) -> CycleDocument:
+        """A recording with its features. Raises `KeyError`, `FileFormatError`."""
+        return await self._on_disc(self._document)(number)
+
+    async def picture(self, number: int, side: Side) -> bytes:
+        """A picture of it, JPEG. Raises `KeyError`, `FileFormatError`."""
+        return await self._on_disc(self._picture)(number, side)
+
+    async def taught_picture(self, number: int, side: Side) -> bytes:
+        """A picture of the pair that the job of a cycle was taught from. Raises as `picture`."""
+        return await self._on_disc(self._taught_picture)(number, side)
+
+    async def what_if(self, number: int, change: Change | None) -> WhatIf:
+        """By a change, or what would have helped. Raises `KeyError`, `UserError`, `TaskFailed`."""
+        file = await self.file(number)
+        told: WhatIf = await self._worker.run("what_if", file, change)
+        return told
+
+    async def file(self, number: int) -> Path:
+        """Of a recording. Raises `KeyError`."""
+        return await self._on_disc(lambda: self._known().entry(number).path)()
+
+    async def close(self) -> None:
+        """Let go of the disc."""
+        await asyncio.to_thread(self._disc.shutdown, wait=True, cancel_futures=True)
+
+    # --- in the disc's thread ----------------------------------------------------------------
+
+    def _on_disc(self, work: Callable[..., T]) -> Callable[..., asyncio.Future[T]]:
+        def begin(*arguments: object) -> asyncio.Future[T]:
+            return asyncio.get_running_loop().run_in_executor(self._disc, partial(work, *arguments))
+
+        return begin
+
+    def _known(self) -> Records:
+        """The recordings of the folder that is used now. Raises `KeyError` where none is."""
+        folder = self._folder()
+        if folder is None:
+            raise KeyError("the cell records nothing")
+        if self._records is None or self._records.folder != folder:
+            self._records = Records(folder)
+        return self._records
+
+    def _listed(self, wanted: Wanted) -> CycleList:
+        try:
+            page = self._known().page(wanted)
+        except KeyError:
+            return CycleList(recorder=False, cycles=[], damaged=[], counts={}, has_more=False)
+        return CycleList(
+            recorder=True,
+            cycles=list(page.lines),
+            damaged=list(page.damaged),
+            counts=page.counts,
+            has_more=page.has_more,
+        )
+
+    def _document(self, number: int) -> CycleDocument:
+        records = self._known()
+        entry = records.entry(number)
+        line = records.line(entry)
+        if isinstance(line, Damaged):
+            raise FileFormatError(line.why)
+        facts = {**line.model_dump(), "reference": ""}
+        nothing = dict.fromkeys(("folder", "limits", "now", "taught", "beside"))
+        snapshot, _ = recording.load_snapshot(entry.path)
+        try:
+            prepared, job = self._setups.of(entry.path, snapshot)
+            digest = self._setups.setup_of(entry.path, snapshot).job_digests[job.number]
+            folder, is_same = self._jobs().folder_of(line.job, line.job_number, digest)
+        except FileFormatError as error:
+            return CycleDocument(**facts, trouble="setup", trouble_text=str(error), **nothing)
+        rig = prepared.rig
+        try:
+            parts = parts_of(snapshot, rig, job, str(entry.path))
+        except FileFormatError as error:
+            return CycleDocument(
+                **facts, trouble="snapshot", trouble_text=str(error), reference="", **nothing
+            )
+        return CycleDocument(
+            **{**facts, "reference": job.reference},
+            trouble=None,
+            trouble_text="",
+            folder=folder,
+            limits=_limits(job),
+            now=_sight("now", rig, _pictures(line), parts, line),
+            taught=_sight("taught", rig, self._of_teaching(line, folder, is_same), [taught_part(rig, job)]),
+            beside=self._beside(records, line, job),
+        )
+
+    def _beside(self, records: Records, line: Line, job: Job) -> Sight | None:
+        """A good cycle; with the features of the job that it was measured by, which may be an older one."""
+        entry = records.newest_good(job.number, line.calibration, line.number)
+        good = None if entry is None else records.line(entry)
+        if entry is None or not isinstance(good, Line):
+            return None
+        try:
+            snapshot, _ = recording.load_snapshot(entry.path)
+            rig, its_job = self._setups.of(entry.path, snapshot)
+            parts = parts_of(snapshot, rig.rig, its_job, str(entry.path))
+            return _sight("good", rig.rig, _pictures(good), parts, good)
+        except FileFormatError:
+            return None
+
+    def _of_teaching(self, line: Line, folder: str | None, is_same: bool) -> Pictures | None:
+        """Of the pair that the job keeps; one that was taught again keeps another."""
+        if folder is None or not is_same or not self._taught_file(folder, "left").is_file():
+            return None
+        left, right = (f"{PLACE}/{line.number}/taught/{side}.jpg" for side in ("left", "right"))
+        return Pictures(left=left, right=right)
+
+    def _taught_file(self, folder: str, side: Side) -> Path:
+        return self._jobs().place / folder / TAUGHT / f"{side}.png"
+
+    def _picture(self, number: int, side: Side) -> bytes:
+        return _jpeg(recording.load_picture(self._known().entry(number).path, side))
+
+    def _taught_picture(self, number: int, side: Side) -> bytes:
+        line, folder = self._known().line(self._known().entry(number)), None
+        if not isinstance(line, Damaged):
+            folder, _ = self._jobs().folder_of(line.job, line.job_number, None)
+        if folder is None or not self._taught_file(folder, side).is_file():
+            raise KeyError(number)
+        return _jpeg(load_image(self._taught_file(folder, side)))
+
+
+def _jpeg(image: Image) -> bytes:
+    _, data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
+    return data.tobytes()
+
+
+def _limits(job: Job) -> JobLimits:
+    limits = asdict(job.limits)
+    return JobLimits(
+        **{**limits, "depth_mm": list(job.limits.depth_mm)},
+        min_score=job.search.min_score,
+        contrast=job.search.min_contrast,
+    )
+
+
+def _pictures(line: Line) -> Pictures | None:
+    if not line.has_pictures:
+        return None
+    left, right = (f"{PLACE}/{line.number}/{side}.jpg" for side in ("left", "right"))
+    return Pictures(left=left, right=right)
+
+
+def _sight(
+    kind: str, rig: StereoRig, pictures: Pictures | None, parts: list[PartSight], line: Line | None = None
+) -> Sight:
+    return Sight(
+        kind=kind,
+        number=None if line is None else line.number,
+        at=None if line is None else line.at,
+        width=rig.left.width,
+        height=rig.left.height,
+        pictures=pictures,
+        parts=parts,
+    )

@@ -1,0 +1,308 @@
+"""What of a recorded cycle would come out by another limit, without a feature, in another light.
+
+One look at one pair. What would have helped is found by trying: single changes, as small as they can be, and
+only those that make the cycle OK are told. None of them is free, so each carries the code of what it costs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from edged.domain.arrays import Image
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Reject, Status
+from edged.errors import UserError
+from edged.files.recording import Recording
+from edged.pipeline import Inspection, PreparedRig, inspect
+from edged.setup.pairs import Progress, silent
+from edged.setup.recordings.recorded import reasons_of
+from edged.setup.recordings.regression import shown
+from edged.setup.recordings.sight import PartSight, parts_of
+from edged.vision.part.acceptance import vaguest_mm
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Measured
+
+MOST_TRIES = 24
+MARGIN = 1.05
+"""A limit that is moved lets through what was seen, and not much more."""
+LIGHTS = (1.5, 2.0, 0.7)
+CONTRASTS = (0.5, 0.25)
+"""Of the job's least contrast."""
+MIN_CONTRAST = 0.5
+"""Grey values per px: below, noise of any camera is edges."""
+Features = dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")], bool]
+
+
+class LimitChange(BaseModel):
+    """Limits of a job as its file has them, and the least score; null: as they are."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    max_sigma_mm: float | None = Field(None, gt=0, le=100)
+    max_rms_px: float | None = Field(None, gt=0, le=100)
+    min_support: float | None = Field(None, ge=0, le=1)
+    max_epipolar_px: float | None = Field(None, gt=0, le=100)
+    radius_tolerance_mm: float | None = Field(None, gt=0, le=100)
+    form_tolerance_mm: float | None = Field(None, gt=0, le=100)
+    min_score: float | None = Field(None, ge=0.1, le=1)
+    depth_mm: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> LimitChange:
+        if self.depth_mm is not None and not 0 < self.depth_mm[0] < self.depth_mm[1] <= 100_000:
+            raise ValueError(f"depth_mm must be [nearest, farthest], both positive, got {self.depth_mm}")
+        return self
+
+
+class JobChange(BaseModel):
+    """Of a job. features : false leaves one out. contrast : grey values per px, less of which is no edge."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    limits: LimitChange = LimitChange()
+    features: Annotated[Features, Field(max_length=256)] = Field(default_factory=dict)
+    contrast: float | None = Field(None, gt=0, le=255)
+
+
+class Change(JobChange):
+    """Also of the pair. light : factor of all grey values.
+
+    What is brightened so has more noise than a brighter exposure, and what was clipped stays so.
+    """
+
+    light: float | None = Field(None, ge=0.1, le=10)
+
+
+class Verdict(BaseModel):
+    """What comes out. sigma_um : X, Y, Z of the first part that was measured."""
+
+    model_config = ConfigDict(frozen=True)
+    status: str
+    reasons: list[str]
+    sigma_um: list[float | None] | None
+    parts: list[PartSight]
+
+
+Cost = Literal["loosens", "leaves_out", "noise", "light"]
+
+
+class Remedy(BaseModel):
+    """A single change that makes the cycle OK.
+
+    code : what is changed: a limit's name, "contrast", "light", or "feature". before, after : its value.
+    cost : "loosens": worse results pass, too; "leaves_out": a feature counts no more; "noise": weaker edges
+    count; "light": nothing but light.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    code: str
+    name: str | None
+    before: list[float] | None
+    after: list[float] | None
+    cost: Cost
+    change: Change
+    sigma_um: list[float | None] | None
+
+
+class WhatIf(BaseModel):
+    """Both verdicts, and what would have helped; null where that was not asked."""
+
+    model_config = ConfigDict(frozen=True)
+    before: Verdict
+    after: Verdict | None
+    helped: list[Remedy] | None
+
+
+def what_if(
+    place: Path,
+    taken: Recording,
+    rig: PreparedRig,
+    job: Job,
+    change: Change | None,
+    progress: Progress = silent,
+) -> WhatIf:
+    """A recorded cycle measured again, and by a change; without one: what would have helped.
+
+    Raises `UserError` for a cycle without pictures, and for a change that leaves nothing to measure by.
+    """
+    if taken.pair is None:
+        raise UserError("this cycle has no pictures: the cameras gave none")
+
+    def look(changed: Change | None) -> tuple[Verdict, Inspection]:
+        return _look(place, taken, rig, job, changed)
+
+    before, seen = look(None)
+    if change is not None:
+        return WhatIf(before=before, after=look(change)[0], helped=None)
+    tries = [] if before.status == Status.OK else list(_tries(job, seen))[:MOST_TRIES]
+    helped: list[Remedy] = []
+    for number, remedy in enumerate(tries):
+        progress("what would have helped", number, len(tries))
+        after = look(remedy.change)[0]
+        is_further = not any(one.code == remedy.code and one.name == remedy.name for one in helped)
+        if after.status == Status.OK and is_further:
+            helped.append(remedy.model_copy(update={"sigma_um": after.sigma_um}))
+    return WhatIf(before=before, after=None, helped=helped)
+
+
+def changed_job(job: Job, change: JobChange) -> Job:
+    """The job by a change. Raises `UserError` where it leaves nothing to measure by."""
+    limits = {key: value for key, value in change.limits.model_dump().items() if value is not None}
+    search = job.search
+    if (score := limits.pop("min_score", None)) is not None:
+        search = replace(search, min_score=score)
+    if change.contrast is not None:
+        search = replace(search, min_contrast=change.contrast)
+    if "depth_mm" in limits:
+        nearest, farthest = limits["depth_mm"]
+        limits["depth_mm"] = nearest, farthest
+    if unknown := [name for name in change.features if name not in _names(job)]:
+        raise UserError(f"the job {job.name} has no feature {unknown[0]}")
+    without = {name for name, is_taken in change.features.items() if not is_taken}
+    changed = replace(job, limits=replace(job.limits, **limits), search=search)
+    return _without(changed, without) if without else changed
+
+
+def _names(job: Job) -> list[str]:
+    """Of all features but corners, which follow from edges."""
+    names = [one.name for one in job.circles]
+    return names + [one.name for one in job.slots] + [one.name for one in job.edges]
+
+
+def _without(job: Job, names: set[str]) -> Job:
+    """The job without some features, and without what needs them."""
+    corners = tuple(one for one in job.corners if not names & set(one.edges))
+    gone = names | {one.name for one in job.corners if one not in corners}
+    if job.reference in gone:
+        raise UserError(f"{job.reference} is the reference of the job {job.name}: it must stay")
+    sizes = tuple(one for one in job.measurements if not gone & set(one.of))
+    changed = replace(
+        job,
+        circles=tuple(one for one in job.circles if one.name not in names),
+        edges=tuple(one for one in job.edges if one.name not in names),
+        slots=tuple(one for one in job.slots if one.name not in names),
+        corners=corners,
+        measurements=sizes,
+        witness=job.witness if job.witness in {one.name for one in sizes} else None,
+    )
+    if not (changed.circles or changed.slots or len(changed.edges) > 1):
+        raise UserError("a job needs a circle, a slot or two edges: nothing else tells where a part lies")
+    return changed
+
+
+def brightened(pair: FramePair, factor: float) -> FramePair:
+    """The pair with other grey values; a picture has 8 bits, whatever the light."""
+
+    def image(one: Image) -> Image:
+        scaled = np.minimum(np.rint(one * np.float64(factor)), 255).astype(np.uint8)
+        scaled[one == 255] = 255  # nobody knows how bright it was
+        return scaled
+
+    left, right = (replace(one, image=image(one.image)) for one in (pair.left, pair.right))
+    return FramePair(left, right)
+
+
+def _look(
+    place: Path, taken: Recording, rig: PreparedRig, job: Job, change: Change | None
+) -> tuple[Verdict, Inspection]:
+    pair = taken.pair
+    if pair is None:
+        raise ValueError("a recording without images")
+    if change is not None:
+        job = changed_job(job, change)
+        pair = pair if change.light is None else brightened(pair, change.light)
+    seen = inspect(pair, job, rig)
+    if seen.nearest is not None:
+        seen.nearest.ask()
+    result = shown(taken, seen, rig, job)
+    parts = parts_of(result, rig.rig, job, str(place))
+    sigma = next((one.sigma_um for one in parts if one.measured), None)
+    verdict = Verdict(
+        status=str(result["status"]), reasons=list(reasons_of(result)), sigma_um=sigma, parts=parts
+    )
+    return verdict, seen
+
+
+# --- what may have helped ---------------------------------------------------------------------
+
+
+def _tries(job: Job, seen: Inspection) -> Iterator[Remedy]:
+    """Single changes that may help, those that loosen nothing first."""
+    for factor in LIGHTS:
+        yield _remedy("light", [1.0], [factor], "light", Change(light=factor))
+    least = job.search.min_contrast
+    for share in CONTRASTS:
+        if (contrast := round(share * least, 3)) >= MIN_CONTRAST:
+            yield _remedy("contrast", [least], [contrast], "noise", Change(contrast=contrast))
+    yield from _leaving_out(job, seen)
+    if seen.measured:
+        yield from _loosened(job, min(seen.measured, key=lambda one: bin(one.target.reject).count("1")))
+    elif seen.nearest is not None and (near := seen.nearest.ask()) is not None:
+        score = math.floor(100 * near.match.score / MARGIN) / 100
+        if score >= 0.1:
+            limits = LimitChange(min_score=score)
+            yield _remedy("min_score", [job.search.min_score], [score], "loosens", Change(limits=limits))
+
+
+def _leaving_out(job: Job, seen: Inspection) -> Iterator[Remedy]:
+    """Each feature that may go; first those that nobody saw."""
+    known = {fit.name for one in seen.measured for fit in one.fits}
+    for name in sorted(_names(job), key=lambda name: name in known):
+        change = Change(features={name: False})
+        try:
+            changed_job(job, change)
+        except UserError:
+            continue
+        yield _remedy("feature", None, None, "leaves_out", change, name)
+
+
+def _loosened(job: Job, one: Measured) -> Iterator[Remedy]:
+    """The limits that a measured part failed, each moved as far as it takes."""
+    limits, target, evidence = job.limits, one.target, one.evidence
+    radius_mm = math.nan
+    for circle in target.circles:
+        if circle.name == (job.reference_circle.name if job.circles else None):
+            radius_mm = abs(circle.radius_mm - job.reference_circle.radius_mm)
+    wanted: Mapping[str, tuple[float | None, float]] = {
+        "max_sigma_mm": (limits.max_sigma_mm, vaguest_mm(job, target)),
+        "max_rms_px": (limits.max_rms_px, evidence.rms_px),
+        "max_epipolar_px": (limits.max_epipolar_px, target.epipolar_rms_px),
+        "radius_tolerance_mm": (limits.radius_tolerance_mm, radius_mm),
+        "form_tolerance_mm": (limits.form_tolerance_mm, evidence.form_mm),
+    }
+    for name, (limit, value) in wanted.items():
+        if limit is not None and math.isfinite(value) and value > limit:
+            yield _limit(name, limit, _up(MARGIN * value))
+    if evidence.support < limits.min_support:
+        yield _limit("min_support", limits.min_support, math.floor(100 * evidence.support / MARGIN) / 100)
+    if target.reject & Reject.OUT_OF_VOLUME:
+        depth, (nearest, farthest) = float(target.position_mm[2]), limits.depth_mm
+        wider = [min(nearest, math.floor(depth / MARGIN)), max(farthest, math.ceil(depth * MARGIN))]
+        change = Change(limits=LimitChange(depth_mm=wider))
+        yield _remedy("depth_mm", [nearest, farthest], wider, "loosens", change)
+
+
+def _limit(name: str, before: float, after: float) -> Remedy:
+    return _remedy(name, [before], [after], "loosens", Change(limits=LimitChange(**{name: after})))
+
+
+def _up(value: float) -> float:
+    """Rounded up to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return round(math.ceil(value / unit) * unit, 9)
+
+
+def _remedy(
+    code: str,
+    before: list[float] | None,
+    after: list[float] | None,
+    cost: Cost,
+    change: Change,
+    name: str | None = None,
+) -> Remedy:
+    return Remedy(code=code, name=name, before=before, after=after, cost=cost, change=change, sigma_um=None)

@@ -1,0 +1,1 @@
+"""The rig registered to the robot's frame."""

@@ -1,0 +1,107 @@
+"""A registration by the robot's own program, as a draft that people see grow; it waits for none of it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+
+import numpy as np
+
+from edged.cell.tasks import cancel_and_await
+from edged.domain.arrays import FloatArray
+from edged.domain.frames import FramePair
+from edged.errors import EdgedError
+from edged.robot.orientations import Brand, Convention, pose_of
+from edged.setup.registration.drafts import Kind, Mount
+from edged.setup.registration.service import Given, Registrations
+
+log = logging.getLogger(__name__)
+
+WHOSE = {
+    Convention.FIXED_XYZ: Brand.FANUC,
+    Convention.KUKA_ABC: Brand.KUKA,
+    Convention.UR_ROTATION_VECTOR: Brand.UR,
+    Convention.STAUBLI_XYZ: Brand.STAUBLI,
+    Convention.KAWASAKI_OAT: Brand.KAWASAKI,
+    Convention.ABB_ZYX: Brand.ABB,
+}
+"""Whose pendant shows poses as the registers hold them, of several the first."""
+MOST_WAITING = 20
+"""Pairs of pictures; with more, one that came is left out."""
+
+
+class RobotProgram:
+    """Hears of what a robot's program registers; from any thread, and never makes it wait.
+
+    brand : how the draft writes poses.
+    """
+
+    def __init__(self, registrations: Registrations, brand: Callable[[], Brand]) -> None:
+        self._registrations = registrations
+        self._brand = brand
+        self._loop = asyncio.get_running_loop()
+        self._heard: asyncio.Queue[Callable[[], Awaitable[None]]] = asyncio.Queue()
+        self._draft: str | None = None
+        self._writing = asyncio.create_task(self._write(), name="robot's program")
+
+    async def close(self) -> None:
+        """What was not written by now is not written."""
+        await cancel_and_await(self._writing)
+
+    def begun(self, mount: Mount, kind: Kind, board: str, limit_mm: float) -> None:
+        """It has begun anew."""
+
+        async def work() -> None:
+            self._draft = None
+            self._draft = await self._registrations.adopt(mount, kind, self._brand(), board, limit_mm)
+
+        self._tell(work)
+
+    def posed(self, pair: FramePair, robot_from_flange: FloatArray) -> None:
+        """It has added a pose of the flange."""
+
+        async def work() -> None:
+            if self._draft is not None:
+                images = pair.left.image, pair.right.image
+                await self._registrations.adopt_pose(self._draft, images, self._shown(robot_from_flange))
+
+        self._tell(work)
+
+    def touched(self, pair: FramePair, job: str, rig_mm: FloatArray, robot_from_tip: FloatArray) -> None:
+        """It has added a point: the reference point of a job's part."""
+
+        async def work() -> None:
+            if self._draft is not None:
+                images = pair.left.image, pair.right.image
+                shown = self._shown(robot_from_tip)
+                await self._registrations.adopt_point(self._draft, images, job, np.asarray(rig_mm), shown)
+
+        self._tell(work)
+
+    def activated(self) -> None:
+        """The cell runs by what it has registered."""
+
+        async def work() -> None:
+            if self._draft is not None:
+                await self._registrations.adopt_solved(self._draft)
+
+        self._tell(work)
+
+    def _shown(self, pose: FloatArray) -> Given:
+        return Given(pose_of(self._brand(), pose))
+
+    def _tell(self, work: Callable[[], Awaitable[None]]) -> None:
+        self._loop.call_soon_threadsafe(self._put, work)
+
+    def _put(self, work: Callable[[], Awaitable[None]]) -> None:
+        if self._heard.qsize() < MOST_WAITING:
+            self._heard.put_nowait(work)
+
+    async def _write(self) -> None:
+        while True:
+            work = await self._heard.get()
+            try:
+                await work()
+            except (EdgedError, OSError, KeyError) as error:
+                log.warning("what the robot's program registers is not shown: %s", error)

@@ -1,0 +1,182 @@
+"""Where the rig stands to the robot: solved and judged here, saved as a step of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from edged.domain.arrays import SIDES, FloatArray
+from edged.errors import UserError
+from edged.files.rig import keep_old_rig, load_rig_quality, save_rig
+from edged.robot.handeye import HandEye, Mount, hand_eye
+from edged.robot.orientations import LENGTH_UNITS_MM, READINGS
+from edged.robot.readings import Reading, rank_readings
+from edged.robot.touch import PointRegistration, register_points
+from edged.setup.pairs import Pair
+from edged.vision.boards.board import NominalBoard, NotDetected, StereoView
+from edged.vision.boards.detection import detect_board
+from edged.vision.calibration.verification import pose_of_board
+from edged.vision.geometry.camera import StereoRig
+
+DECIDED = 3.0
+"""A reading that fits so many times better than the next is the right one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registered:
+    """A rig that knows the robot, not saved yet. how : what the rig file keeps of the way it was found."""
+
+    rig: StereoRig
+    how: Mapping[str, object]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FromPoints:
+    """What touched points say.
+
+    worst_mm : farthest of a point from where the others expect it; where they expect nothing, how far the
+    distances between points disagree.  checked : the others expect something.  good : within the limit.
+    doubt : the robot's lengths are not the rig's.
+    """
+
+    found: PointRegistration
+    worst_mm: float
+    checked: bool
+    good: bool
+    doubt: bool
+    registered: Registered
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FromPoses:
+    """What poses of the flange say. held_out_rms_mm : of those that were used; good : within the limit."""
+
+    found: HandEye
+    held_out_rms_mm: float
+    good: bool
+    registered: Registered
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """Which way to read the poses fits, best first.
+
+    stands_out : the first one does.  alike : those that mean the same for these poses as the first.
+    agrees : the stated reading is among them; True when none was stated.
+    """
+
+    ranked: tuple[Reading, ...]
+    stands_out: bool
+    alike: int
+    agrees: bool
+
+
+def from_points(rig: StereoRig, rig_mm: FloatArray, robot_mm: FloatArray, limit_mm: float) -> FromPoints:
+    """Register from touched points, (N, 3) mm in both frames. Raises `CalibrationError`.
+
+    Three points have no others: there the distances between them must agree within the limit.
+    """
+    found = register_points(rig_mm, robot_mm)
+    checked = bool(np.isfinite(found.held_out_mm).any())
+    worst_mm = float(np.nanmax(found.held_out_mm)) if checked else found.lengths_mm
+    doubt = abs(found.scale - 1) > max(3 * found.sigma_scale, 0.002) if len(rig_mm) > 3 else False
+    registered = replace(rig, robot_from_rig=found.robot_from_rig, flange_from_rig=None)
+    how = {"how": "touched points", "points": len(rig_mm), "rms_mm": round(found.rms_mm, 4)}
+    return FromPoints(
+        found, worst_mm, checked, worst_mm <= limit_mm, doubt, _known(registered, found.covariance, how)
+    )
+
+
+def rig_from_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> FloatArray | NotDetected:
+    """Where one pair shows the board, (4, 4). Raises `UserError` for pictures of another size."""
+    placed = pose_of_board(rig, view_of_board(rig, pair, board))
+    return placed if isinstance(placed, NotDetected) else placed[1]
+
+
+def view_of_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> StereoView:
+    """The board in both pictures, found or not. Raises `UserError` for pictures of another size."""
+    sides = []
+    for side in SIDES:
+        picture = pair.side(side)
+        image = picture.read()
+        camera = rig.left if side == "left" else rig.right
+        if image.shape != (camera.height, camera.width):
+            raise UserError(f"{picture.label}: not of the size the rig was calibrated for")
+        sides.append(detect_board(image, board))
+    return StereoView(pair.name, board, sides[0], sides[1])
+
+
+def from_poses(
+    rig: StereoRig,
+    robot_from_flange: Mapping[str, FloatArray],
+    views: Mapping[str, FloatArray],
+    board: NominalBoard,
+    mount: Mount,
+    limit_mm: float,
+) -> FromPoses:
+    """Register from poses of the flange and rig_from_board, by the same names. Raises `CalibrationError`."""
+    transforms = [robot_from_flange[name] for name in views]
+    found = hand_eye(transforms, list(views.values()), board.points_mm, mount)
+    # a rejected pose says nothing about the registration, which does not use it
+    held = found.held_out_mm[found.used & np.isfinite(found.held_out_mm)]
+    rms_mm = float(np.sqrt(np.mean(held**2))) if len(held) else math.inf
+    fixed = mount == "eye-to-hand"
+    registered = replace(
+        rig, robot_from_rig=found.rig if fixed else None, flange_from_rig=None if fixed else found.rig
+    )
+    how = {
+        "how": f"hand-eye, {mount}",
+        "poses": int(found.used.sum()),
+        "rejected": [name for name, used in zip(views, found.used, strict=True) if not used],
+        "held_out_rms_mm": round(rms_mm, 4),
+    }
+    return FromPoses(found, rms_mm, rms_mm <= limit_mm, _known(registered, found.covariance, how))
+
+
+def which_convention(
+    numbers: Sequence[Sequence[float]],
+    views: Sequence[FloatArray],
+    board: NominalBoard,
+    stated: Sequence[FloatArray] | None = None,
+) -> Readings:
+    """Try every reading of the poses as the controller shows them. Raises `CalibrationError` when none fits.
+
+    views : rig_from_board at each. stated : the poses as somebody says that they are to be read.
+    """
+    ranked = rank_readings(numbers, views, board.points_mm, READINGS, LENGTH_UNITS_MM)
+    best = ranked[0]
+    rival = next((one for one in ranked[1:] if one.rms_mm > 1.0001 * best.rms_mm), None)
+    agrees = True
+    if stated is not None:
+        rms_mm = min(
+            hand_eye(stated, views, board.points_mm, mount).rms_mm for mount in ("eye-to-hand", "eye-in-hand")
+        )
+        agrees = rms_mm <= 1.01 * best.rms_mm + 1e-9
+    return Readings(
+        tuple(ranked),
+        rival is None or rival.rms_mm > DECIDED * best.rms_mm,
+        sum(one.rms_mm <= 1.0001 * best.rms_mm for one in ranked),
+        agrees,
+    )
+
+
+def save(source: Path, registered: Registered, output: Path) -> Path | None:
+    """Write the registered rig; what stood there before is kept beside it. Returns that copy.
+
+    source : the rig file that was registered, for what it keeps of its calibration.
+    """
+    when = datetime.now(UTC).isoformat(timespec="seconds")
+    quality = {**load_rig_quality(source), "registration": {**registered.how, "when": when}}
+    kept = keep_old_rig(output)
+    save_rig(output, registered.rig, quality)
+    return kept
+
+
+def _known(rig: StereoRig, covariance: FloatArray, how: Mapping[str, object]) -> Registered:
+    known = covariance if np.isfinite(covariance).all() else None
+    return Registered(replace(rig, registration_covariance=known), how)

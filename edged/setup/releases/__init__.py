@@ -1,0 +1,1 @@
+"""Releases of rig, cameras and jobs, and their activation."""

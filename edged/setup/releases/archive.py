@@ -1,0 +1,450 @@
+"""All that a cell stands on in one file, and back again.
+
+    manifest.json     what this is, and size and SHA-256 of every other member
+    cell.toml         the configuration under its own name; paths in it lead to the members
+    rig.json, jobs/   calibration and jobs; Zenoh's own file if there is one
+    registers.csv     the Modbus map of the version that wrote it: what the PLC's program was made for
+
+Certificates and keys belong to a machine and are not in it, nor are recordings. The hash of the status page's
+password is, so that a restored cell works, and perhaps secrets in Zenoh's own file: an archive is its
+owner's alone (mode 0600).
+
+A backup is restored once into a temporary folder before it counts: the cell in it must load, and have the
+fingerprint that its results carry. An archive may come from anywhere: nothing is written before all of it has
+been checked. A folder may hold several cells: only files of the one in the archive are replaced.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import json
+import os
+import re
+import tarfile
+import tempfile
+import tomllib
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from edged import __version__
+from edged.config.chosencameras import chosen_file
+from edged.config.configuration import Config
+from edged.config.tomltext import toml_of
+from edged.errors import FileFormatError, UserError
+from edged.files.atomic import read_bytes, replace_folder
+from edged.files.owners import as_owner, by_name, unlinked
+from edged.files.replacing import replace_files
+from edged.robots.texts import render
+from edged.setup.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
+from edged.setup.releases.jobsfolder import Jobs, jobs_in, without_pictures
+
+FORMAT = "edged-backup"
+VERSION = 1
+MANIFEST, REGISTERS = "manifest.json", "registers.csv"
+MAX_BYTES = 256 * 1024 * 1024
+"""Unpacked. A cell of a hundred jobs has a tenth of it; more is a wrong file, or one made to fill memory."""
+MAX_MEMBERS = 10_000
+PART = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_. +@=-]{0,127}")
+"""What may be between two slashes of a member's name: nothing that leads elsewhere, nothing hidden."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Backup:
+    """What an archive holds.
+
+    config : the member that is the configuration.  files : content by name, without the manifest.
+    left_out : files that the configuration names and a backup does not hold, by dotted path.
+    """
+
+    created: datetime
+    version: str
+    cell: str
+    config: str
+    fingerprint: str
+    files: Mapping[str, bytes]
+    left_out: Mapping[str, str]
+
+
+# --- what the callers want --------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Made:
+    """A backup and its archive. holds_password : the hash of a password is in it."""
+
+    backup: Backup
+    archive: bytes
+    holds_password: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigFiles:
+    """A rig's file, and that of the cameras that were chosen for it; None: they are as configured."""
+
+    rig: bytes
+    cameras: bytes | None
+
+
+def make(config: Path, rig: RigFiles | None = None, jobs: Jobs | None = None) -> Made:
+    """The cell of a configuration as an archive, proven by restoring it once. Raises `UserError`.
+
+    rig, jobs : instead of the configuration's; with another rig there need not be jobs yet.
+    """
+    cell = read_cell(config, elsewhere=True) if rig is None else read_any_cell(config, elsewhere=True)
+    files, left_out = _collect(config, cell.config, rig, jobs)
+    if sum(map(len, files.values())) > MAX_BYTES // 2:
+        files, left_out = _without_pairs(files, left_out)
+    taken = Backup(
+        datetime.now(UTC).replace(microsecond=0),
+        __version__,
+        cell.config.cell.name,
+        config.name,
+        cell.fingerprint,
+        files,
+        left_out,
+    )
+    if rig is not None:
+        taken = replace(taken, fingerprint=restored(taken).fingerprint)
+    data = pack(taken)
+    if restored(unpack(data, config.name)).fingerprint != taken.fingerprint:
+        raise UserError(f"{config}: it changed while the backup was made; try again")
+    return Made(taken, data, bool(cell.config.password_hashes()))
+
+
+def _without_pairs(
+    files: Mapping[str, bytes], left_out: Mapping[str, str]
+) -> tuple[dict[str, bytes], dict[str, str]]:
+    """Members without the pairs that jobs were taught from: better than none of the cell."""
+    smaller = without_pictures(files)
+    if len(smaller) == len(files):
+        return dict(files), dict(left_out)
+    told = f"{len(files) - len(smaller)} pictures that jobs were taught from, too large for an archive"
+    return smaller, {**left_out, "cell.jobs": told}
+
+
+def restored(taken: Backup) -> CellFiles | UnfinishedCell:
+    """The cell in a backup, as it is read where it is restored. Raises `UserError`."""
+    with tempfile.TemporaryDirectory(prefix="edged-backup-") as place:
+        replace_folder(Path(place) / "cell", taken.files)
+        return read_any_cell(Path(place) / "cell" / taken.config, elsewhere=True)
+
+
+def rig_in(taken: Backup) -> RigFiles:
+    """The rig in a backup. Raises `FileFormatError` when there is none."""
+    name = _named(taken.files[taken.config], taken.config).get("cell.rig", "")
+    if name not in taken.files:
+        raise FileFormatError(f"{taken.config} of the backup: cell.rig: {name!r} is not in it")
+    return RigFiles(taken.files[name], taken.files.get(_chosen_member(name)))
+
+
+def jobs_of(taken: Backup) -> dict[str, bytes]:
+    """The jobs in a backup."""
+    folder = _named(taken.files[taken.config], taken.config).get("cell.jobs", "")
+    inside = f"{folder}/"
+    return {name.removeprefix(inside): data for name, data in taken.files.items() if name.startswith(inside)}
+
+
+def read(archive: Path) -> Backup:
+    """What an archive holds, every checksum checked. Raises `FileFormatError`."""
+    return unpack(_read(archive), str(archive))
+
+
+def fits_map(taken: Backup) -> bool:
+    """Whether the PLC's program for that cell reads this version's Modbus map."""
+    return taken.files.get(REGISTERS) == render("csv").encode()
+
+
+# --- what belongs to a cell -------------------------------------------------------------------
+
+
+def _collect(
+    path: Path, config: Config, rig: RigFiles | None = None, of_jobs: Jobs | None = None
+) -> tuple[dict[str, bytes], dict[str, str]]:
+    """Members by name, and what is left out."""
+    path = path.resolve()
+    text = read_bytes(path, "a configuration").decode()
+    files = {REGISTERS: render("csv").encode()}
+    member, text = _placed(path, text, "rig", config.cell.rig)
+    chosen = chosen_file(config.cell.rig)
+    _add(files, member, config.cell.rig, None if rig is None else rig.rig)
+    if os.path.lexists(chosen) if rig is None else rig.cameras is not None:
+        _add(files, _chosen_member(member), chosen, None if rig is None else rig.cameras)
+    jobs, text = _placed(path, text, "jobs", config.cell.jobs)
+    for place, data in (jobs_in(config.cell.jobs) if of_jobs is None else of_jobs).items():
+        _add(files, f"{jobs}/{place}", config.cell.jobs / place, data)
+    if config.zenoh.config_file is not None:
+        member, text = _placed(path, text, "config_file", config.zenoh.config_file)
+        _add(files, member, config.zenoh.config_file)
+    if path.name in files:
+        raise UserError(f"{path}: has the name of another file of the cell: {path.name}")
+    files[path.name] = text.encode()
+    left_out = {place: str(file) for place, file in config.machine_files().items()}
+    if config.cameras.folder is not None:
+        left_out["cameras.folder"] = str(config.cameras.folder)
+    return files, left_out
+
+
+def _chosen_member(rig: str) -> str:
+    """Of the cameras that were chosen for a rig."""
+    return chosen_file(Path(rig)).as_posix()
+
+
+def _add(files: dict[str, bytes], member: str, path: Path, data: bytes | None = None) -> None:
+    problem = _wrong_name(member)
+    if problem or member in files or member == MANIFEST:
+        raise UserError(f"{path}: cannot be {member!r} in a backup: {problem or 'the name is taken'}")
+    files[member] = read_bytes(path, "a file of a backup") if data is None else data
+
+
+def _placed(config: Path, text: str, key: str, target: Path) -> tuple[str, str]:
+    """Member for a file or folder that the configuration names, and the configuration's text to go with it.
+
+    What lies beside the configuration keeps its place; what lies elsewhere moves there.
+    """
+    folder, target = config.parent, Path(os.path.abspath(target))  # noqa: PTH100  (a link keeps its own name)
+    if target.is_relative_to(folder) and target != folder:
+        member = target.relative_to(folder).as_posix()
+    else:
+        member = target.name
+    section = "zenoh" if key == "config_file" else "cell"
+    wanted = toml_of(text)
+    if wanted[section][key] == member:
+        return member, text
+    wanted[section][key] = member
+    # only this value: the comments beside it are the integrator's
+    begins = rf"[ \t]*(?:{section}[ \t]*\.[ \t]*)?{key}[ \t]*=[ \t]*"
+    line = re.compile(rf"^({begins})(\"[^\"\\]*\"|'[^']*')", re.MULTILINE)
+    for found in line.finditer(text):
+        edited = f'{text[: found.start(2)]}"{member}"{text[found.end(2) :]}'
+        if toml_of(edited) == wanted:
+            return member, edited
+    raise UserError(f'{config}: {section}.{key}: expected on a line of its own, as {key} = "{target}"')
+
+
+# --- the archive ------------------------------------------------------------------------------
+
+
+def pack(taken: Backup) -> bytes:
+    """The archive as bytes. Raises `UserError` when there is too much for one."""
+    manifest = {
+        "format": FORMAT,
+        "version": VERSION,
+        "edged": taken.version,
+        "created": taken.created.isoformat(),
+        "cell": taken.cell,
+        "config": taken.config,
+        "fingerprint": taken.fingerprint,
+        "left_out": dict(taken.left_out),
+        "files": {
+            name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+            for name, data in sorted(taken.files.items())
+        },
+    }
+    if len(taken.files) >= MAX_MEMBERS or sum(map(len, taken.files.values())) > MAX_BYTES // 2:
+        raise UserError(
+            f"{taken.cell}: more than {MAX_MEMBERS} files or {MAX_BYTES // 2**21} MiB: not a cell"
+        )
+    members = {MANIFEST: json.dumps(manifest, indent=1).encode(), **dict(sorted(taken.files.items()))}
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
+        for name, data in members.items():
+            info = tarfile.TarInfo(name)
+            info.size, info.mtime, info.mode = len(data), int(taken.created.timestamp()), 0o644
+            archive.addfile(info, io.BytesIO(data))
+    return gzip.compress(buffer.getvalue(), mtime=0)
+
+
+def unpack(data: bytes, place: str) -> Backup:
+    """Read an archive and check all of it. Raises `FileFormatError` that names place and member."""
+    members = _members(data, place)
+    try:
+        manifest = json.loads(members.pop(MANIFEST))
+    except KeyError:
+        raise FileFormatError(f"{place}: not a backup: {MANIFEST} is missing") from None
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{place}: {MANIFEST}: {error}") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise FileFormatError(f'{place}: {MANIFEST}: expected "format": "{FORMAT}"')
+    if manifest.get("version") != VERSION:
+        raise FileFormatError(f"{place}: version {manifest.get('version')!r}, this edged reads {VERSION}")
+    listed = _table(manifest, "files", place)
+    for name in sorted(listed.keys() | members.keys()):
+        if name not in members or name not in listed:
+            where = "the archive" if name not in members else MANIFEST
+            raise FileFormatError(f"{place}: {name}: missing in {where}")
+        content = members[name]
+        stated = listed[name] if isinstance(listed[name], dict) else {}
+        if (stated.get("bytes"), stated.get("sha256")) != (len(content), hashlib.sha256(content).hexdigest()):
+            raise FileFormatError(f"{place}: {name}: checksum does not match: the archive is damaged")
+    texts = {key: manifest.get(key) for key in ("edged", "cell", "config", "fingerprint", "created")}
+    for key, text in texts.items():
+        if not isinstance(text, str) or not text.isprintable() or len(text) > 200:
+            raise FileFormatError(f"{place}: {MANIFEST}: {key}: expected a short text")
+    if texts["config"] not in members:
+        raise FileFormatError(f"{place}: {MANIFEST}: config: {texts['config']!r} is not in the archive")
+    try:
+        created = datetime.fromisoformat(str(texts["created"])).astimezone(UTC)
+    except (ValueError, OverflowError) as error:
+        raise FileFormatError(f"{place}: {MANIFEST}: created: {error}") from error
+    left_out = {str(key): str(file) for key, file in _table(manifest, "left_out", place).items()}
+    return Backup(
+        created,
+        str(texts["edged"]),
+        str(texts["cell"]),
+        str(texts["config"]),
+        str(texts["fingerprint"]),
+        members,
+        left_out,
+    )
+
+
+def _members(data: bytes, place: str) -> dict[str, bytes]:
+    """Content of the archive by name; only plain files with harmless names."""
+    found: dict[str, bytes] = {}
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+            plain = packed.read(MAX_BYTES + 1)
+        if len(plain) > MAX_BYTES:
+            raise FileFormatError(f"{place}: unpacks to more than {MAX_BYTES // 2**20} MiB: not a backup")
+        with tarfile.open(fileobj=io.BytesIO(plain), mode="r:") as archive:
+            for info in archive:
+                problem = _wrong_name(info.name)
+                if info.name in found:
+                    problem = "it is there twice"
+                elif not info.isreg() or info.issparse():
+                    problem = "expected a plain file"
+                elif len(found) >= MAX_MEMBERS:
+                    problem = f"more than {MAX_MEMBERS} files"
+                if problem:
+                    raise FileFormatError(f"{place}: {info.name!r}: {problem}")
+                file = archive.extractfile(info)
+                found[info.name] = b"" if file is None else file.read()
+    except (tarfile.TarError, EOFError, OSError, zlib.error, ValueError) as error:
+        raise FileFormatError(f"{place}: not a backup, or damaged: {error}") from error
+    return found
+
+
+def _wrong_name(name: str) -> str:
+    """Why a member must not be called so; "" when it may."""
+    if all(PART.fullmatch(part) for part in name.split("/")) and len(name) <= 1000:
+        return ""
+    return "expected a relative path without .. and hidden parts, of letters, digits and _ . + @ = -"
+
+
+def _table(manifest: dict[str, Any], key: str, place: str) -> dict[str, Any]:
+    value = manifest.get(key)
+    if not isinstance(value, dict):
+        raise FileFormatError(f"{place}: {MANIFEST}: {key}: expected an object")
+    return value
+
+
+def _read(archive: Path) -> bytes:
+    try:
+        with archive.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise FileFormatError(f"{archive}: cannot read a backup: {error.strerror or error}") from error
+    if len(data) > MAX_BYTES:
+        raise FileFormatError(f"{archive}: larger than {MAX_BYTES // 2**20} MiB: not a backup")
+    return data
+
+
+# --- into the folder --------------------------------------------------------------------------
+
+
+def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
+    """Let `output` hold the restored cell, in one step; returns where its former files are kept.
+
+    force : files of this cell that are there make room; others stay as they are. Raises `UserError`; then
+    nothing has changed.
+    """
+    output = by_name(output)
+    try:
+        if output.exists() and not output.is_dir():
+            raise UserError(f"{output}: exists and is no folder")
+        if output.is_dir() and any(output.iterdir()) and not force:
+            raise UserError(
+                f"{output}: is not empty; choose another folder, or --force to replace this cell's "
+                "files in it"
+            )
+        with as_owner(output.parent) as above:
+            place = unlinked(above / output.name)
+            keep = _unused(place.with_name(f"{place.name}.before-restore"))
+            is_kept = _put(taken, place, output, keep)
+        return unlinked(output).with_name(keep.name) if is_kept else None
+    except OSError as error:
+        raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
+
+
+def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:
+    """Exchange the files; returns whether any is kept. output : how messages name the place."""
+    names = _named(taken.files[taken.config], f"{taken.config} of the backup")
+    replaced = _replaced(taken, place, names.get("cell.jobs", ""))
+    chosen = _chosen_member(names["cell.rig"]) if "cell.rig" in names else ""
+    if not _wrong_name(chosen) and os.path.lexists(place / chosen):
+        replaced.add(chosen)  # or another rig's cameras would be this one's
+    _leave_others_alone(taken, place, output, replaced)
+    private = {taken.config, names.get("zenoh.config_file", taken.config)}
+    return replace_files(place, taken.files, replaced, keep, private=private)
+
+
+def _replaced(taken: Backup, output: Path, jobs: str) -> set[str]:
+    """Names of what has to make room in the folder: members, links that lead there, and all former jobs."""
+    replaced = {name for name in taken.files if os.path.lexists(output / name)}
+    parents = {str(parent) for name in taken.files for parent in PurePosixPath(name).parents}
+    replaced |= {parent for parent in parents if (output / parent).is_symlink()}
+    if not _wrong_name(jobs) and (output / jobs).is_dir():
+        replaced |= {
+            file.relative_to(output).as_posix()
+            for file in (output / jobs).rglob("*")
+            if file.is_symlink() or not file.is_dir()
+        }
+    return replaced
+
+
+def _leave_others_alone(taken: Backup, place: Path, output: Path, replaced: set[str]) -> None:
+    """Raise `UserError` where another cell of the folder stands on a file that would change."""
+    changed = [
+        (place / name).resolve()
+        for name in replaced | taken.files.keys()
+        if name != REGISTERS and not _is_same(place / name, taken.files.get(name))
+    ]
+    for other in sorted(place.glob("*.toml")):
+        if other.name == taken.config or not other.is_file():
+            continue
+        for option, name in _named(read_bytes(other, "a configuration"), str(output / other.name)).items():
+            used = (place / name).resolve()
+            if any(file.is_relative_to(used) for file in changed):
+                raise UserError(
+                    f"{output}: {option} of {other.name} is {name}, too, and would become another one; "
+                    "restore into another folder"
+                )
+
+
+def _is_same(file: Path, data: bytes | None) -> bool:
+    return data is not None and file.is_file() and read_bytes(file, "a file of the cell") == data
+
+
+def _named(text: bytes, place: str) -> dict[str, str]:
+    """What a configuration names, by dotted path. Raises `UserError` where that cannot be told."""
+    try:
+        document = toml_of(text)
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise UserError(f"{place}: what it stands on cannot be told: not TOML: {error}") from error
+    found = {}
+    for section, key in (("cell", "rig"), ("cell", "jobs"), ("zenoh", "config_file")):
+        table = document.get(section)
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            found[f"{section}.{key}"] = table[key]
+    return found
+
+
+def _unused(path: Path) -> Path:
+    names = (path.with_name(f"{path.name}-{number}") for number in range(1, 10_000))
+    return next(name for name in names if not name.exists())

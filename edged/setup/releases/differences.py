@@ -1,0 +1,293 @@
+"""What is other in one release than in another: jobs, rig, cameras and settings, as codes with values."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, JsonValue
+
+from edged.domain.arrays import FloatArray
+from edged.errors import UserError
+from edged.setup.cellfiles import CellFiles, UnfinishedCell
+from edged.setup.releases.archive import Backup, restored
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.triangulation import triangulate_raw
+from edged.vision.part.job import CircleFeature, EdgeFeature, Job, MeasurementSpec, SlotFeature
+
+GRID = 7
+"""Points across the left picture, at each of `DEPTHS`."""
+DEPTHS = (0.9, 1.0, 1.1)
+"""Of where the job's part lay at teaching."""
+SAME_MM = 1e-6
+Feature = CircleFeature | EdgeFeature | SlotFeature
+Cell = CellFiles | UnfinishedCell
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+
+class Difference(_Document):
+    """Something that is other. code : what it is. name : of the limit, the feature, the size or the setting.
+
+    before, after : null: it was, or is, not there.
+    """
+
+    code: str
+    name: str | None = None
+    before: JsonValue = None
+    after: JsonValue = None
+
+
+class ChangedJobDocument(_Document):
+    """A job that is in both."""
+
+    name: str
+    changes: list[Difference]
+
+
+class JobsDifference(_Document):
+    """By name."""
+
+    added: list[str]
+    removed: list[str]
+    changed: list[ChangedJobDocument]
+
+
+class Moved(_Document):
+    """How far places lie from where the former rig saw them, µm: distance, and mean of X, Y, Z."""
+
+    rms_um: float
+    max_um: float
+    mean_um: list[float]
+
+
+class RigDifference(_Document):
+    """Calibration ids. moved : null where the cameras' pictures are of other sizes, or there is no job.
+
+    robot : where the robot stands to the rig is other.
+    """
+
+    before: str
+    after: str
+    moved: Moved | None
+    robot: bool
+
+
+class ReleaseDifference(_Document):
+    """All that is other. rig : null: it is the same file. cameras, settings : by dotted names of options."""
+
+    jobs: JobsDifference
+    rig: RigDifference | None
+    cameras: list[Difference]
+    settings: list[Difference]
+
+
+def difference(before: Backup, after: Backup) -> ReleaseDifference:
+    """What is other in the second. Raises `UserError` for a backup that this version cannot read."""
+    return difference_of(restored(before), restored(after))
+
+
+def difference_of(before: Cell, after: Cell) -> ReleaseDifference:
+    """The same of cells that were read."""
+    old, new = (_options(cell.config.model_dump()) for cell in (before, after))
+    changed = [
+        Difference(code="option", name=name, before=old.get(name), after=new.get(name))
+        for name in sorted(old.keys() | new.keys())
+        if old.get(name) != new.get(name)
+    ]
+    return ReleaseDifference(
+        jobs=_jobs(before, after),
+        rig=_rig(before, after),
+        cameras=[one for one in changed if (one.name or "").startswith("cameras.")],
+        settings=[one for one in changed if not (one.name or "").startswith("cameras.")],
+    )
+
+
+# --- jobs ---------------------------------------------------------------------------------------
+
+
+def _jobs(before: Cell, after: Cell) -> JobsDifference:
+    old, new = ({job.name: job for job in _jobs_of(cell)} for cell in (before, after))
+    both = [(name, list(changes_of(old[name], new[name]))) for name in sorted(old.keys() & new.keys())]
+    return JobsDifference(
+        added=sorted(new.keys() - old.keys()),
+        removed=sorted(old.keys() - new.keys()),
+        changed=[ChangedJobDocument(name=name, changes=changes) for name, changes in both if changes],
+    )
+
+
+def _jobs_of(cell: Cell) -> tuple[Job, ...]:
+    return cell.jobs if isinstance(cell, CellFiles) else ()
+
+
+def changes_of(before: Job, after: Job) -> Iterator[Difference]:
+    """What is other in a job."""
+    for code in ("number", "reference", "witness", "report"):
+        yield from _other(code, None, getattr(before, code), getattr(after, code))
+    for code, old, new in (
+        ("limit", before.limits, after.limits),
+        ("search", before.search, after.search),
+    ):
+        for name in old.__dataclass_fields__:
+            yield from _other(code, name, getattr(old, name), getattr(new, name))
+    yield from _other("tilt", None, _degrees(before.tilt_rad), _degrees(after.tilt_rad))
+    yield from _features(before, after)
+    yield from _sizes(before, after)
+    if [one.name for one in before.picking.grasps] != [one.name for one in after.picking.grasps] or any(
+        not np.allclose(one.part_from_tcp, other.part_from_tcp)
+        for one, other in zip(before.picking.grasps, after.picking.grasps, strict=False)
+    ):
+        names = [[one.name for one in job.picking.grasps] for job in (before, after)]
+        yield Difference(code="gripping", before=[*names[0]], after=[*names[1]])
+    yield from _other("picking", None, str(before.picking.order), str(after.picking.order))
+    if before.picking.bounds != after.picking.bounds:
+        yield Difference(code="bounds")
+    if not _same_shape(before, after):
+        yield Difference(code="shape")
+
+
+def _features(before: Job, after: Job) -> Iterator[Difference]:
+    old, new = ({one.name: one for one in _features_of(job)} for job in (before, after))
+    for name in sorted(old.keys() | new.keys()):
+        first, second = old.get(name), new.get(name)
+        if first is None or second is None:
+            code = "feature_added" if first is None else "feature_removed"
+            yield Difference(code=code, name=name, before=_size(first), after=_size(second))
+            continue
+        moved = float(np.linalg.norm(_place(second) - _place(first)))
+        if type(first) is not type(second) or moved > SAME_MM or _size(first) != _size(second):
+            yield Difference(code="feature", name=name, before=_size(first), after=_size(second))
+        if moved > SAME_MM:
+            yield Difference(code="feature_moved", name=name, after=round(1e3 * moved, 1))
+
+
+def _features_of(job: Job) -> tuple[Feature, ...]:
+    return (*job.circles, *job.slots, *job.edges)
+
+
+def _size(one: Feature | None) -> JsonValue:
+    """Millimetres."""
+    if one is None:
+        return None
+    if isinstance(one, CircleFeature):
+        return [round(2 * one.radius_mm, 4)]
+    if isinstance(one, SlotFeature):
+        return [round(one.length_mm, 4), round(one.width_mm, 4)]
+    return [round(one.length_mm, 4)]
+
+
+def _place(one: Feature) -> FloatArray:
+    return 0.5 * (one.start_mm + one.end_mm) if isinstance(one, EdgeFeature) else one.centre_mm
+
+
+def _sizes(before: Job, after: Job) -> Iterator[Difference]:
+    old, new = ({one.name: _wanted(one) for one in job.measurements} for job in (before, after))
+    for name in sorted(old.keys() | new.keys()):
+        yield from _other("size", name, old.get(name), new.get(name))
+
+
+def _wanted(one: MeasurementSpec) -> list[JsonValue]:
+    """Nominal value and tolerance, mm or degrees."""
+    values = one.nominal, one.tolerance
+    told = [_degrees(value) if one.kind == "angle" else value for value in values]
+    return [None if value is None else round(value, 5) for value in told]
+
+
+def _same_shape(before: Job, after: Job) -> bool:
+    old, new = before.shape.to_arrays(), after.shape.to_arrays()
+    return old.keys() == new.keys() and all(np.array_equal(old[key], new[key]) for key in old)
+
+
+# --- rig and settings -----------------------------------------------------------------------------
+
+
+def _rig(before: Cell, after: Cell) -> RigDifference | None:
+    if before.contents.get("rig.json") == after.contents.get("rig.json"):
+        return None
+    old, new = (cell.rig if isinstance(cell, CellFiles) else None for cell in (before, after))
+    ids = [_calibration_id(cell) for cell in (before, after)]
+    robots = [None if one is None else (one.robot_from_rig, one.flange_from_rig) for one in (old, new)]
+    moved = None if old is None or new is None else moved_between(old, new, _depth_mm(after))
+    return RigDifference(
+        before=ids[0],
+        after=ids[1],
+        moved=moved,
+        robot=json.dumps(robots[0], default=_listed) != json.dumps(robots[1], default=_listed),
+    )
+
+
+def _calibration_id(cell: Cell) -> str:
+    try:
+        return str(json.loads(cell.contents.get("rig.json", b"{}")).get("calibration_id", ""))
+    except (ValueError, AttributeError) as error:
+        raise UserError(f"the rig of a release: {error}") from error
+
+
+def _depth_mm(cell: Cell) -> float | None:
+    """Where parts lay at teaching."""
+    depths = [float(job.rig_from_part[2, 3]) for job in _jobs_of(cell)]
+    return float(np.median(depths)) if depths else None
+
+
+def moved_between(before: StereoRig, after: StereoRig, depth_mm: float | None) -> Moved | None:
+    """How far a rig sees points from where another one saw them in the same pixels."""
+    sizes = [[(one.width, one.height) for one in (rig.left, rig.right)] for rig in (before, after)]
+    if sizes[0] != sizes[1] or depth_mm is None:
+        return None
+    x, y = (np.linspace(0.05, 0.95, GRID) * (length - 1) for length in sizes[1][0])
+    pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    rays = np.column_stack([after.left.normalise(pixels), np.ones(len(pixels))])
+    points = np.concatenate([share * depth_mm * rays for share in DEPTHS])
+    seen = after.right.project(apply(after.right_from_left, points))
+    width, height = sizes[1][1]
+    inside = np.isfinite(seen).all(axis=1) & (seen >= 0).all(axis=1) & (seen < (width, height)).all(axis=1)
+    if not inside.any():
+        return None
+    left = np.tile(pixels, (len(DEPTHS), 1))[inside]
+    moved = 1e3 * (points[inside] - triangulate_raw(before, left, seen[inside]))
+    moved = moved[np.isfinite(moved).all(axis=1)]
+    if not len(moved):
+        return None
+    far = np.linalg.norm(moved, axis=1)
+    return Moved(
+        rms_um=round(float(np.sqrt(np.mean(far**2))), 1),
+        max_um=round(float(far.max()), 1),
+        mean_um=[round(float(one), 1) for one in moved.mean(axis=0)],
+    )
+
+
+def _options(tree: Mapping[str, Any], place: str = "") -> dict[str, JsonValue]:
+    """Every option by its dotted name; of a path its name, of a secret nothing."""
+    found: dict[str, JsonValue] = {}
+    for key, value in tree.items():
+        name = f"{place}{key}"
+        if isinstance(value, Mapping):
+            found |= _options(value, f"{name}.")
+        else:
+            found[name] = json.loads(json.dumps(value, default=_told))
+    return found
+
+
+def _told(value: object) -> str:
+    return value.name if isinstance(value, PurePath) else ""
+
+
+def _listed(value: FloatArray) -> Any:
+    return value.tolist()
+
+
+def _other(code: str, name: str | None, before: Any, after: Any) -> Iterator[Difference]:
+    if before != after:
+        old, new = (list(one) if isinstance(one, tuple) else one for one in (before, after))
+        yield Difference(code=code, name=name, before=old, after=new)
+
+
+def _degrees(angle_rad: float | None) -> float | None:
+    return None if angle_rad is None else round(math.degrees(angle_rad), 4)

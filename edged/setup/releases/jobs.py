@@ -1,0 +1,272 @@
+"""The jobs of a running cell: listed with their use, renamed, renumbered, retired and brought back."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from edged.errors import FileFormatError, UserError
+from edged.files.atomic import make_folders, write_atomically
+from edged.setup.calibration.documents import Document
+from edged.setup.history import Kept, Text
+from edged.setup.releases.jobsfolder import Jobs as Files
+from edged.setup.releases.jobsfolder import of_job, renamed, with_job, without_job
+from edged.setup.releases.jobsinuse import JobLine, JobsInUse
+from edged.setup.releases.jobuse import JobUse
+from edged.setup.releases.service import Activation
+from edged.setup.releases.shelf import Release, Shelf
+from edged.setup.teaching.drafts import keeps_pair
+from edged.setup.teaching.model import JobName, Number
+
+log = logging.getLogger(__name__)
+
+
+class JobDocument(Document):
+    """A job. active : the one that is measured by now.  last_used, cycles, ok_share : since the start.
+
+    editable : it keeps the pair that it was taught from.  retired : it is kept in a release, and not used.
+    """
+
+    folder: str
+    name: str
+    number: int
+    features: int
+    last_used: str | None
+    cycles: int
+    ok_share: float | None
+    active: bool
+    editable: bool
+    retired: bool
+    retired_by: str | None
+    retired_at: str | None
+
+
+class JobList(Document):
+    """By their numbers; those that are retired after the others."""
+
+    jobs: list[JobDocument]
+
+
+class VersionDocument(Document):
+    """A release in which a job was another than in the one before. active : it is now as it was then."""
+
+    release: int
+    created: str
+    author: str
+    note: str
+    active: bool
+
+
+class VersionList(Document):
+    """The youngest first."""
+
+    versions: list[VersionDocument]
+
+
+class Retired(Kept):
+    """A job that was taken out of use."""
+
+    name: JobName
+    number: Number
+    features: Annotated[int, Field(ge=0)]
+    by: Text
+    at: Text
+
+
+_KEPT = TypeAdapter(dict[str, Retired])
+
+
+class Jobs:
+    """Used on the event loop only. retired : file of those that were taken out of use."""
+
+    def __init__(
+        self,
+        retired: Path,
+        shelf: Shelf,
+        activation: Activation,
+        jobs: Callable[[], JobsInUse],
+        use: JobUse,
+    ) -> None:
+        self._retired = retired
+        self._shelf = shelf
+        self._activation = activation
+        self._jobs = jobs
+        self._use = use
+
+    async def listed(self) -> JobList:
+        """All of them."""
+        return await asyncio.to_thread(self._listed)
+
+    def number_of(self, job: str) -> int:
+        """Raises `KeyError` for a job that is not in use."""
+        return self._jobs().line(job).number
+
+    async def change(
+        self, job: str, author: str, note: str, signed: str | None, *, name: str | None, number: int | None
+    ) -> Release:
+        """Rename it, or give it another number. Raises `KeyError`, `UserError`; then nothing has changed."""
+        jobs = self._jobs()
+        line, folder = jobs.line(job), jobs.line(job).folder
+        if name is not None and name != line.name:
+            _check_unnamed(line, jobs)
+        wanted_name, wanted_number = name or line.name, number or line.number
+        jobs.check_free(wanted_name, wanted_number, folder)
+        place = wanted_name if folder == line.name else folder
+
+        def changed(there: Files) -> Files:
+            files = renamed(of_job(there, folder), name=wanted_name, number=wanted_number)
+            return with_job(there, place, files, folder)
+
+        return await self._activation.activate_jobs(changed, author, note, signed)
+
+    async def copy(
+        self, job: str, author: str, note: str, signed: str | None, *, name: str, number: int | None
+    ) -> Release:
+        """The same job once more, under another name and number. Raises as `change`."""
+        folder = self._jobs().line(job).folder
+        wanted = number or self._jobs().free_number
+        self._jobs().check_free(name, wanted, None)
+
+        def copied(there: Files) -> Files:
+            return with_job(there, name, renamed(of_job(there, folder), name=name, number=wanted), None)
+
+        return await self._activation.activate_jobs(copied, author, note, signed)
+
+    async def versions(self, job: str) -> VersionList:
+        """Of a job in use, as far as releases that were active know."""
+        folder = self._jobs().line(job).folder
+        releases, active = await self._activation.listed()
+        now = next((one.digests.get(folder) for one in releases if one.number == active), None)
+        found, before = list[VersionDocument](), None
+        for one in reversed([release for release in releases if release.activated]):
+            digest = one.digests.get(folder)
+            if digest is not None and digest != before:
+                fields = one.model_dump(include={"created", "author", "note"})
+                found.append(VersionDocument(release=one.number, active=digest == now, **fields))
+            before = digest
+        return VersionList(versions=found[::-1])
+
+    async def retire(self, job: str, author: str, note: str, signed: str | None) -> Release:
+        """Take it out of use; its release keeps it. Raises `KeyError`, `UserError` for the last one."""
+        jobs = self._jobs()
+        line, folder = jobs.line(job), jobs.line(job).folder
+        _check_unnamed(line, jobs)
+        if len(jobs.lines) == 1:
+            raise UserError("it is the only job: a cell without any measures nothing", "last_job")
+        kept = Retired(
+            name=line.name,
+            number=line.number,
+            features=line.features,
+            by=author,
+            at=datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+        # first: what is in use counts as in use, whatever is noted of it
+        await asyncio.to_thread(self._note, folder, kept)
+        return await self._activation.activate_jobs(
+            lambda there: without_job(there, folder), author, note, signed
+        )
+
+    async def bring_back(
+        self, job: str, author: str, note: str, signed: str | None, *, number: int | None
+    ) -> Release:
+        """As it was when it was retired; number : another one than it had. Raises as `change`."""
+        retired = await asyncio.to_thread(self._kept)
+        folder = job if job in retired else {one.name: name for name, one in retired.items()}[job]
+        kept = retired[folder]
+        wanted = number or kept.number
+        self._jobs().check_free(kept.name, wanted, None)
+        files = await asyncio.to_thread(self._files, folder)
+        if number is not None:
+            files = renamed(files, name=None, number=number)
+        release = await self._activation.activate_jobs(
+            lambda there: with_job(there, folder, files, None), author, note, signed
+        )
+        await asyncio.to_thread(self._note, folder, None)
+        return release
+
+    def _listed(self) -> JobList:
+        jobs = self._jobs()
+        found = [self._document(line, jobs) for line in sorted(jobs.lines, key=lambda line: line.number)]
+        for folder, kept in sorted(self._kept().items(), key=lambda item: item[1].number):
+            found.append(
+                JobDocument(
+                    folder=folder,
+                    name=kept.name,
+                    number=kept.number,
+                    features=kept.features,
+                    last_used=None,
+                    cycles=0,
+                    ok_share=None,
+                    active=False,
+                    editable=False,
+                    retired=True,
+                    retired_by=kept.by,
+                    retired_at=kept.at,
+                )
+            )
+        return JobList(jobs=found)
+
+    def _document(self, line: JobLine, jobs: JobsInUse) -> JobDocument:
+        use = self._use.of(line.number)
+        last = datetime.fromtimestamp(use.last_ns * 1e-9, UTC) if use.last_ns else None
+        return JobDocument(
+            folder=line.folder,
+            name=line.name,
+            number=line.number,
+            features=line.features,
+            last_used=None if last is None else last.isoformat(timespec="seconds"),
+            cycles=use.cycles,
+            ok_share=use.good_share,
+            active=line.number == self._use.active,
+            editable=keeps_pair(jobs.folder / line.folder),
+            retired=False,
+            retired_by=None,
+            retired_at=None,
+        )
+
+    def _files(self, folder: str) -> dict[str, bytes]:
+        """Of a retired job, from the youngest release that has it. Raises `UserError` when none has."""
+        for release in self._shelf.all():
+            if folder in release.jobs:
+                try:
+                    return of_job(self._shelf.jobs(release.number), folder)
+                except FileFormatError as error:
+                    log.warning("release %d: %s", release.number, error)
+        raise UserError(f"no release has the job {folder} any more")
+
+    def _kept(self) -> Mapping[str, Retired]:
+        """The retired ones, but those that are in use again."""
+        try:
+            kept = _KEPT.validate_json(self._retired.read_bytes())
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValidationError) as error:
+            log.warning("%s cannot be read, as if no job were retired: %s", self._retired, error)
+            return {}
+        in_use = {line.folder for line in self._jobs().lines}
+        return {folder: one for folder, one in kept.items() if folder not in in_use}
+
+    def _note(self, folder: str, kept: Retired | None) -> None:
+        others = {name: one for name, one in self._kept().items() if name != folder}
+        if kept is not None:
+            others[folder] = kept
+        make_folders(self._retired.parent)
+        text = json.dumps({name: one.model_dump(mode="json") for name, one in others.items()}, indent=1)
+        write_atomically(self._retired, text.encode())
+
+
+def _check_unnamed(line: JobLine, jobs: JobsInUse) -> None:
+    """Raises `UserError` for the job that the configuration names."""
+    if line.name == jobs.wanted:
+        raise UserError(
+            f"cell.job of the configuration names {line.name}: the cell begins with it. Take that line out, "
+            "or let it name another job",
+            "named",
+        )

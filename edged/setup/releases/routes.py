@@ -1,0 +1,149 @@
+"""The routes by which a draft becomes what the cell runs by, and by which it goes back to a release."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import AfterValidator, StringConstraints
+
+from edged.adapters.web.routes import Answer, Body, Call, RouteTable, Token
+from edged.identity.visitors import Role
+from edged.setup.calibration.routes import DRAFT, known
+from edged.setup.calibration.service import Calibrations
+from edged.setup.jobs.worker import Worker
+from edged.setup.releases.differences import ReleaseDifference
+from edged.setup.releases.service import Activation
+from edged.setup.releases.shelf import Release, Tested
+
+
+def _of_one_line(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("expected letters that can be printed, in one line")
+    return text
+
+
+Reason = Annotated[str, StringConstraints(min_length=1, max_length=500), AfterValidator(_of_one_line)]
+
+
+class Activating(Body):
+    """Why; and the token, while somebody has the cell.
+
+    signed : why it may become active though recorded cycles get worse by it, or were not tried.
+    """
+
+    token: Token | None = None
+    note: Reason
+    signed: Reason | None = None
+
+
+class Returning(Body):
+    """The same, of an older release."""
+
+    token: Token | None = None
+    reason: Reason
+
+
+class ReleaseDocument(Answer):
+    """A release. active : the cell runs by it. rig : its calibration id. tested : on recorded cycles."""
+
+    number: int
+    created: str
+    author: str
+    note: str
+    parent: int | None
+    fingerprint: str
+    rig: str
+    jobs: list[str]
+    active: bool
+    was_active: bool
+    tested: Tested | None
+
+
+class ReleaseList(Answer):
+    """The youngest first."""
+
+    releases: list[ReleaseDocument]
+
+
+class ReleaseRoutes:
+    """The routes."""
+
+    def __init__(self, calibrations: Calibrations, activation: Activation, worker: Worker) -> None:
+        self._calibrations = calibrations
+        self._activation = activation
+        self._worker = worker
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add them."""
+        table.route(
+            "POST",
+            f"{DRAFT}/activate",
+            self._activate,
+            "Let the cell run by what the draft was solved to",
+            body=Activating,
+            answer=ReleaseDocument,
+            audit=True,
+        )
+        table.route("GET", "/releases", self._list, "All releases", role=Role.VIEWER, answer=ReleaseList)
+        table.route(
+            "GET",
+            "/releases/{before:[0-9]{1,6}}..{after:[0-9]{1,6}}",
+            self._compare,
+            "What is other in one release than in another: jobs, rig, cameras, settings",
+            role=Role.VIEWER,
+            answer=ReleaseDifference,
+        )
+        table.route(
+            "POST",
+            "/releases/{number:[0-9]{1,6}}/activate",
+            self._return,
+            "Let the cell run by rig, cameras and jobs of a release again; settings stay",
+            body=Returning,
+            answer=ReleaseDocument,
+            audit=True,
+        )
+
+    async def _activate(self, call: Call[Activating]) -> ReleaseDocument:
+        self._activation.check(call.body.token)
+        _, rig = await known(self._calibrations.solution(call.part("id")))
+        call.trail.before = self._activation.fingerprint
+        signed = signature(call)
+        release = await self._activation.activate(rig, call.visitor.name, call.body.note, signed)
+        call.trail.after = release.fingerprint
+        await self._calibrations.tell(call.part("id"))
+        return document_of_release(release, is_active=True)
+
+    async def _return(self, call: Call[Returning]) -> ReleaseDocument:
+        self._activation.check(call.body.token)
+        number, body = int(call.part("number")), call.body
+        call.trail.before = self._activation.fingerprint
+        release = await known(self._activation.activate_again(number, call.visitor.name, body.reason))
+        call.trail.after = release.fingerprint
+        return document_of_release(release, is_active=True)
+
+    async def _compare(self, call: Call[None]) -> ReleaseDifference:
+        numbers = (int(call.part(one)) for one in ("before", "after"))
+        archives = await known(self._activation.archives(*numbers))
+        told: ReleaseDifference = await self._worker.run("compare_releases", *archives)
+        return told
+
+    async def _list(self, _call: Call[None]) -> ReleaseList:
+        releases, active = await self._activation.listed()
+        return ReleaseList(
+            releases=[document_of_release(one, is_active=one.number == active) for one in releases]
+        )
+
+
+def document_of_release(release: Release, *, is_active: bool) -> ReleaseDocument:
+    """As it is told."""
+    fields = release.model_dump(exclude={"format", "version", "activated", "digests", "pictures"})
+    was_active = bool(release.activated) or is_active
+    return ReleaseDocument(**{**fields, "jobs": list(release.jobs)}, active=is_active, was_active=was_active)
+
+
+def signature(call: Call[Activating]) -> str | None:
+    """Why recorded cycles may get worse, if somebody signs for it; the audit has it beside the note."""
+    body = call.body
+    if body.signed is not None:
+        call.trail.reason = f"{body.note}; signed: {body.signed}"
+    return body.signed

@@ -1,0 +1,333 @@
+"""Another rig or other jobs for a running cell, as a release. A failure leaves the cell as it was."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from edged.config.chosencameras import chosen_file, read_chosen, with_changes
+from edged.domain.arrays import Side
+from edged.errors import EdgedError, FileFormatError, SetupRefused, UserError
+from edged.files.atomic import make_folders, sync, write_atomically
+from edged.files.rig import read_rig, rig_of
+from edged.files.statefolder import state_folder
+from edged.setup.recordings.setups import RIG, Contents
+from edged.setup.releases.archive import Made, RigFiles, make, rig_in
+from edged.setup.releases.jobsfolder import (
+    Jobs,
+    contents_with,
+    jobs_in,
+    pictures_in,
+    without_pictures,
+    write_jobs,
+)
+from edged.setup.releases.shelf import Release, Shelf, Tested
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class CellNow:
+    """The cell as it runs. rig, jobs : where they lie.  is_complete : it has both.
+
+    cameras : what is tried of them in SETUP.
+    locked : the plant forbids changes. holder : who has the cell, or "".
+    contents : of the files that it measures by, as `CellFiles` has them.
+    """
+
+    rig: Path
+    fingerprint: str
+    is_complete: bool
+    cameras: Mapping[Side, Mapping[str, str | float]]
+    locked: bool
+    holder: str
+    jobs: Path
+    contents: Contents = field(default_factory=dict)
+
+
+Gate = Callable[[Contents, str | None], Awaitable[Tested | None]]
+"""Told what the cell would measure by, and why that may make recorded cycles worse, if somebody signs for it.
+
+Returns what is kept of it; raises `RegressionNeeded`.
+"""
+
+
+async def _open(_contents: Contents, _signed: str | None) -> None:
+    """The gate of a cell that records nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Parts:
+    """What is exchanged of a cell: content of its files; None: there is none."""
+
+    rig: bytes | None
+    cameras: bytes | None
+    jobs: Jobs
+
+
+class Activation:
+    """What makes rigs and jobs active, one after the other; used on the cell's event loop.
+
+    config : the cell's file.  running : the cell, as it is then.
+    renew : raises `SetupRefused` for a token that is not that of who has the cell.
+    reload : reads the configuration again; returns why it was refused, or "".
+    gate : asked before anything is written.
+    """
+
+    def __init__(
+        self,
+        shelf: Shelf,
+        config: Path,
+        running: Callable[[], CellNow],
+        renew: Callable[[str], None],
+        reload: Callable[[], Awaitable[str]],
+        gate: Gate = _open,
+    ) -> None:
+        self._shelf = shelf
+        self._config = config
+        self._running = running
+        self._renew = renew
+        self._reload = reload
+        self._gate = gate
+        self._turn = asyncio.Lock()
+
+    @property
+    def fingerprint(self) -> str:
+        """Of what the cell runs by."""
+        return self._running().fingerprint
+
+    @property
+    def active(self) -> int | None:
+        """The release that the cell runs by; None for one that was changed by hand since."""
+        fingerprint = self._running().fingerprint
+        found = (one.number for one in self._shelf.all() if one.activated and one.fingerprint == fingerprint)
+        return next(found, None)
+
+    async def listed(self) -> tuple[list[Release], int | None]:
+        """All releases, the youngest first, and which of them is active."""
+        return await asyncio.to_thread(lambda: (self._shelf.all(), self.active))
+
+    async def archives(self, *numbers: int) -> list[Path]:
+        """Of releases. Raises `KeyError`, `FileFormatError`."""
+        return await asyncio.to_thread(lambda: [self._shelf.file(number) for number in numbers])
+
+    def check(self, token: str | None) -> None:
+        """Raises `SetupRefused` when nothing may be changed now, by somebody without or with a token."""
+        if token is not None:
+            self._renew(token)
+        elif holder := self._running().holder:
+            raise SetupRefused(f"{holder} has the cell")
+        self._check_unlocked()
+
+    def _check_unlocked(self) -> None:
+        if self._running().locked:
+            raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
+
+    async def activate(self, rig: bytes, author: str, note: str, signed: str | None = None) -> Release:
+        """Let the cell run by another rig, and by the cameras that are tried with it; jobs stay.
+
+        signed : why it may make recorded cycles worse. Raises `EdgedError`, `OSError`; then it runs by the
+        former ones.
+        """
+        rig_of(rig, Path("the new rig"))
+
+        def wanted(there: _Parts) -> _Parts:
+            running, cameras = self._running(), there.cameras
+            if running.cameras:
+                cameras = with_changes(cameras, chosen_file(running.rig), running.cameras)
+            return replace(there, rig=rig, cameras=cameras)
+
+        return await self._activate(wanted, author, note, signed)
+
+    async def activate_jobs(
+        self, change: Callable[[Jobs], Jobs], author: str, note: str, signed: str | None = None
+    ) -> Release:
+        """Let the cell have other jobs. change : of those it has; may refuse. Raises as `activate`."""
+        return await self._activate(
+            lambda there: replace(there, jobs=change(there.jobs)), author, note, signed
+        )
+
+    async def activate_again(self, number: int, author: str, reason: str) -> Release:
+        """The same by rig, cameras and jobs of a release; settings stay. Raises `KeyError`, too.
+
+        A release of before the first job says nothing of jobs. The way back is never barred: its reason is
+        the signature.
+        """
+        files = rig_in(await asyncio.to_thread(self._shelf.open, number))
+        jobs = await asyncio.to_thread(self._shelf.jobs, number)
+
+        def wanted(there: _Parts) -> _Parts:
+            return _Parts(files.rig, files.cameras, jobs or there.jobs)
+
+        return await self._activate(wanted, author, f"what release {number} has: {reason}", reason)
+
+    async def finish(self) -> None:
+        """Do what a kill or a power cut has interrupted: rig and cameras are of one release again."""
+        if await asyncio.to_thread(self._finish):
+            log.warning("a release was being activated when the daemon ended: that is finished now")
+            await self._reload()
+
+    async def _activate(
+        self, wanted: Callable[[_Parts], _Parts], author: str, note: str, signed: str | None
+    ) -> Release:
+        # whoever asked may go away: half done it must not stay
+        return await asyncio.shield(
+            asyncio.create_task(self._in_turn(wanted, author, note, signed), name="activate")
+        )
+
+    async def _in_turn(
+        self, change: Callable[[_Parts], _Parts], author: str, note: str, signed: str | None
+    ) -> Release:
+        async with self._turn:
+            self._check_unlocked()
+            former = await asyncio.to_thread(self._there)
+            wanted = await asyncio.to_thread(change, former)
+            made, again = await asyncio.to_thread(self._proven, wanted)
+            tested = await self._gate(self._contents(wanted), signed)
+            self._check_unlocked()
+            release = again
+            if release is None:
+                release = await asyncio.to_thread(self._keep, made, wanted, former, author, note)
+            await asyncio.to_thread(self._exchange, release, wanted, former, again is None, tested)
+            refused = await self._reload()
+            if refused:
+                await asyncio.to_thread(self._put_back, release, former, again is None)
+                raise UserError(f"the cell does not run by it, and runs on as before: {refused}")
+            await asyncio.to_thread(self._shelf.prune)
+            log.info("release %d is active: %s, by %s", release.number, note, author)
+            return await asyncio.to_thread(self._shelf.get, release.number)
+
+    def _contents(self, wanted: _Parts) -> Contents:
+        """What the cell would measure by."""
+        contents = contents_with(self._running().contents, wanted.jobs)
+        return contents if wanted.rig is None else {**contents, RIG: wanted.rig}
+
+    def _there(self) -> _Parts:
+        """What is exchanged, as it is now."""
+        running = self._running()
+        rig = read_rig(running.rig) if running.rig.exists() else None
+        return _Parts(rig, read_chosen(running.rig), jobs_in(running.jobs))
+
+    def _proven(self, wanted: _Parts) -> tuple[Made, Release | None]:
+        """The cell to be, proven to load, beside the cell as it is; and the release that it is already."""
+        if wanted.rig is None:
+            raise UserError("there is no calibration: calibrate first")
+        made = make(self._config, RigFiles(wanted.rig, wanted.cameras), without_pictures(wanted.jobs))
+        if made.backup.fingerprint == self._running().fingerprint:
+            raise UserError("the cell runs by this already")
+        all_of_it = self._shelf.all()
+        return made, next((one for one in all_of_it if one.fingerprint == made.backup.fingerprint), None)
+
+    def _keep(self, made: Made, wanted: _Parts, former: _Parts, author: str, note: str) -> Release:
+        """A release of the cell to be; and one of the cell as it is, if it is none: there is a way back."""
+        if self._running().is_complete and self.active is None:
+            found = make(self._config, jobs=without_pictures(former.jobs))
+            kept = self._add(found, former, "edged", "as it was found", None)
+            self._shelf.note_active(kept.number, datetime.now(UTC))
+        return self._add(made, wanted, author, note, self.active)
+
+    def _add(self, made: Made, parts: _Parts, author: str, note: str, parent: int | None) -> Release:
+        return self._shelf.add(
+            made,
+            rig=_rig_id(made),
+            author=author,
+            note=note,
+            parent=parent,
+            now=datetime.now(UTC),
+            pictures=pictures_in(parts.jobs),
+        )
+
+    def _exchange(
+        self, release: Release, wanted: _Parts, former: _Parts, is_new: bool, tested: Tested | None
+    ) -> None:
+        """Write all of it where the configuration has it."""
+        try:
+            # first: what is cut off here is finished by the release, which must be known to have been active
+            self._shelf.note_active(release.number, datetime.now(UTC), tested)
+            if _count(wanted, former) > 1:
+                self._shelf.note_underway(release.number)
+            self._write(wanted, former)
+            self._shelf.note_underway(None)
+        except (EdgedError, OSError):
+            with contextlib.suppress(EdgedError, OSError):  # where nothing can be written, nothing was
+                self._write(former, self._there())
+            self._withdraw(release, is_new)
+            raise
+
+    def _put_back(self, release: Release, former: _Parts, is_new: bool) -> None:
+        """As before, in each byte."""
+        self._write(former, self._there())
+        self._withdraw(release, is_new)
+
+    def _withdraw(self, release: Release, is_new: bool) -> None:
+        """It never was active."""
+        self._shelf.note_underway(None)
+        if is_new:
+            self._shelf.forget(release.number)
+        else:
+            self._shelf.restore(release)
+
+    def _write(self, wanted: _Parts, there: _Parts) -> None:
+        """Let the files of rig, cameras and jobs hold this. there : what they hold.
+
+        Each by itself is in one step, and every mixture loads: a daemon that starts amid them ends it.
+        """
+        running = self._running()
+        try:
+            make_folders(running.rig.parent)
+            if wanted.cameras != there.cameras:
+                _put(chosen_file(running.rig), wanted.cameras)
+            if wanted.rig != there.rig:
+                _put(running.rig, wanted.rig)
+        except OSError as error:
+            raise self._refused("cell.rig", running.rig, error) from error
+        try:
+            write_jobs(running.jobs, wanted.jobs, there.jobs)
+        except OSError as error:
+            raise self._refused("cell.jobs", running.jobs, error) from error
+
+    def _refused(self, key: str, place: Path, error: OSError) -> FileFormatError:
+        kind = "a file in" if key == "cell.rig" else "a folder in"
+        return FileFormatError(
+            f"{place}: the daemon cannot write there ({error.strerror or error}): let {key} of "
+            f"{self._config} name {kind} its state directory, for example "
+            f"{state_folder(self._config) / place.name}, and reload"
+        )
+
+    def _finish(self) -> bool:
+        number = self._shelf.underway
+        if number is None:
+            return False
+        try:
+            files, there = rig_in(self._shelf.open(number)), self._there()
+            jobs = self._shelf.jobs(number) or there.jobs
+            self._write(_Parts(files.rig, files.cameras, jobs), there)
+        except (KeyError, EdgedError, OSError) as error:
+            # the message names the file: a traceback says no more
+            log.error("release %d was being activated, and cannot be: %s", number, error)  # noqa: TRY400
+            return False
+        self._shelf.note_underway(None)
+        return True
+
+
+def _rig_id(made: Made) -> str:
+    """Of the calibration."""
+    return rig_of(rig_in(made.backup).rig, Path("the rig of a release")).calibration_id
+
+
+def _count(one: _Parts, other: _Parts) -> int:
+    """How many of the parts differ."""
+    return (one.rig != other.rig) + (one.cameras != other.cameras) + (dict(one.jobs) != dict(other.jobs))
+
+
+def _put(file: Path, content: bytes | None) -> None:
+    if content is not None:
+        write_atomically(file, content)
+    elif file.exists():
+        file.unlink()
+        sync(file.parent)

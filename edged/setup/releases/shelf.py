@@ -1,0 +1,249 @@
+"""The releases of a cell: each an archive as `edged backup` makes it, and who made it, when, and why.
+
+    0007.tar.gz     the cell, proven to load; its owner's alone, as every backup
+    0007.json       written after it: an archive without is no release
+pictures/       pairs that jobs were taught from, by their SHA-256: many releases have the same
+
+What was ever active stays; of the others the last ones.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from edged.config.reading import problem_of
+from edged.errors import FileFormatError
+from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
+from edged.setup.history import Kept, Text
+from edged.setup.releases.archive import Backup, Made, jobs_of, read
+
+KEPT = 50
+"""The last ones, beside those that were ever active: one has some ten kB, and a few hundred for each job; the
+pairs of jobs, a few MB each, are kept once.
+"""
+PICTURES = "pictures"
+UNDERWAY = "activating"
+"""Holds the number of a release while several files are exchanged for it."""
+_FILE = re.compile(r"([0-9]{4,6})\.(json|tar\.gz)")
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Number = Annotated[int, Field(ge=1, le=999_999)]
+
+
+class Tested(Kept):
+    """What recorded cycles said before a release became active. regression : its id; None: none was made.
+
+    cycles : that it was, or would have been, tried on. signed : why it became active all the same.
+    """
+
+    regression: Text | None
+    cycles: int
+    good_to_bad: int | None
+    signed: Text | None
+
+
+class Release(Kept):
+    """What is known of one. parent : the release that was active before.  rig : its calibration id.
+
+    activated : each time.  tested : before the last time; None: no recorded cycle was concerned.
+    digests : of what each job measures by, by its folder.  pictures : SHA-256 of those that its archive
+    leaves out, by their places among the jobs.
+    """
+
+    format: Literal["edged-release"] = "edged-release"
+    version: Literal[1] = 1
+    number: Number
+    created: Text
+    author: Text
+    note: Text
+    parent: Number | None
+    fingerprint: Text
+    rig: Text
+    jobs: tuple[Text, ...]
+    activated: tuple[Text, ...] = ()
+    tested: Tested | None = None
+    digests: dict[Text, Text] = Field(default_factory=dict)
+    pictures: dict[Text, Digest] = Field(default_factory=dict)
+
+
+class Shelf:
+    """Releases in a folder. Whatever writes raises `OSError` where the disc refuses."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def add(
+        self,
+        made: Made,
+        *,
+        rig: str,
+        author: str,
+        note: str,
+        parent: int | None,
+        now: datetime,
+        pictures: Mapping[str, bytes] | None = None,
+    ) -> Release:
+        """Keep a cell. rig : its calibration id.  pictures : of its jobs, which are not in its archive."""
+        digests = {place: hashlib.sha256(data).hexdigest() for place, data in (pictures or {}).items()}
+        taken = [int(found[1]) for found in map(_FILE.fullmatch, self._names()) if found is not None]
+        release = Release(
+            number=max(taken, default=0) + 1,
+            created=_text(now),
+            author=author,
+            note=note,
+            parent=parent,
+            fingerprint=made.backup.fingerprint,
+            rig=rig,
+            jobs=tuple(_jobs(made.backup)),
+            digests=_digests(made.backup),
+            pictures=digests,
+        )
+        make_folders(self._folder / PICTURES)
+        for place, data in (pictures or {}).items():
+            if not self._picture(digests[place]).exists():
+                write_atomically(self._picture(digests[place]), data)
+        write_atomically(self._archive(release.number), made.archive, mode=0o600)
+        self._write(release)
+        return release
+
+    def note_active(self, number: int, now: datetime, tested: Tested | None = None) -> Release:
+        """It becomes active: from now on it stays, whatever comes of it. Raises `KeyError`."""
+        release = self.get(number)
+        noted = {"activated": (*release.activated, _text(now)), "tested": tested}
+        release = release.model_copy(update=noted)
+        self._write(release)
+        return release
+
+    @property
+    def underway(self) -> int | None:
+        """The release that was being activated when the daemon ended."""
+        try:
+            text = (self._folder / UNDERWAY).read_text(encoding="ascii")
+        except (OSError, ValueError):
+            return None
+        return int(text) if re.fullmatch("[0-9]{1,6}", text.strip()) else None
+
+    def note_underway(self, number: int | None) -> None:
+        """One is being activated; None: none any more."""
+        if number is not None:
+            write_atomically(self._folder / UNDERWAY, f"{number}\n".encode())
+        elif (self._folder / UNDERWAY).exists():
+            (self._folder / UNDERWAY).unlink()
+            sync(self._folder)
+
+    def restore(self, release: Release) -> None:
+        """Let be known of it what was known before."""
+        self._write(release)
+
+    def forget(self, number: int) -> None:
+        """Take one away; nothing to do for one that is not there."""
+        # what is a release only with it goes first
+        for file in (self._about(number), self._archive(number)):
+            file.unlink(missing_ok=True)
+            if self._folder.is_dir():
+                sync(self._folder)
+
+    def prune(self) -> None:
+        """Take away what is old and never was active."""
+        never = [release for release in self.all() if not release.activated]
+        for release in never[KEPT:]:
+            self.forget(release.number)
+        self._sweep()
+
+    def _sweep(self) -> None:
+        """Take away pictures that no release has; none, while there is a release that cannot be read."""
+        if not (self._folder / PICTURES).is_dir():
+            return
+        known = self.all()
+        if len(known) < sum(name.endswith(".json") for name in self._names()):
+            return
+        used = {digest for release in known for digest in release.pictures.values()}
+        for file in (self._folder / PICTURES).iterdir():
+            if file.stem not in used:
+                file.unlink(missing_ok=True)
+
+    def all(self) -> list[Release]:
+        """The youngest first; without those whose files are damaged."""
+        found = []
+        for name in self._names():
+            match = _FILE.fullmatch(name)
+            if match is None or match[2] != "json":
+                continue
+            try:
+                found.append(self.get(int(match[1])))
+            except (KeyError, FileFormatError):
+                continue
+        return sorted(found, key=lambda release: -release.number)
+
+    def get(self, number: int) -> Release:
+        """What is known of one. Raises `KeyError` when there is none, `FileFormatError` for a damaged one."""
+        file = self._about(number)
+        if not file.is_file() or not self._archive(number).is_file():
+            raise KeyError(number)
+        try:
+            release = Release.model_validate_json(read_bytes(file, "a release"))
+        except ValidationError as error:
+            raise FileFormatError(f"{file}: {problem_of(error.errors()[0], Release)}") from error
+        if release.number != number:
+            raise FileFormatError(f"{file}: number: is {release.number}, the file's is {number}")
+        return release
+
+    def open(self, number: int) -> Backup:
+        """The cell in it, every checksum checked. Raises `KeyError`, `FileFormatError`."""
+        self.get(number)
+        return read(self._archive(number))
+
+    def jobs(self, number: int) -> dict[str, bytes]:
+        """The jobs in it, by place; those without their pair whose pictures are gone. Raises as `open`."""
+        found = jobs_of(self.open(number))
+        for place, digest in self.get(number).pictures.items():
+            file = self._picture(digest)
+            data = read_bytes(file, "a picture") if file.is_file() else b""
+            if hashlib.sha256(data).hexdigest() == digest:
+                found[place] = data
+        return found
+
+    def _picture(self, digest: str) -> Path:
+        return self._folder / PICTURES / f"{digest}.png"
+
+    def file(self, number: int) -> Path:
+        """The archive of one. Raises `KeyError`, `FileFormatError`."""
+        self.get(number)
+        return self._archive(number)
+
+    def _names(self) -> list[str]:
+        return [file.name for file in self._folder.iterdir()] if self._folder.is_dir() else []
+
+    def _write(self, release: Release) -> None:
+        write_atomically(self._about(release.number), release.model_dump_json(indent=1).encode())
+
+    def _about(self, number: int) -> Path:
+        return self._folder / f"{number:04}.json"
+
+    def _archive(self, number: int) -> Path:
+        return self._folder / f"{number:04}.tar.gz"
+
+
+def _jobs(cell: Backup) -> list[str]:
+    """Folders of its jobs."""
+    return sorted({Path(name).parent.name for name in cell.files if name.endswith("/job.toml")})
+
+
+def _digests(cell: Backup) -> dict[str, str]:
+    """SHA-256 of the files that each job measures by, by its folder."""
+    found = {}
+    for name in cell.files:
+        if name.endswith("/job.toml"):
+            data = cell.files[name] + cell.files.get(f"{name.removesuffix('job.toml')}shape.npz", b"")
+            found[Path(name).parent.name] = hashlib.sha256(data).hexdigest()
+    return found
+
+
+def _text(time: datetime) -> str:
+    return time.isoformat(timespec="seconds")

@@ -1,0 +1,1 @@
+"""Jobs taught from pictures and drawings."""

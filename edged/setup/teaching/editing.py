@@ -1,0 +1,182 @@
+"""A taught job as people want it: features left out, another reference, a gripping point, sizes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.domain.picking import Grasp
+from edged.errors import FileFormatError, TeachError
+from edged.files.jobs import check_text
+from edged.setup.teaching.model import Content, Gripping, Mark, Size, nearest
+from edged.vision.geometry.rigid import invert, transform
+from edged.vision.part.job import Job, MeasurementSpec, known_radius, nominal_size, usual_limits
+
+NOTHING_LEFT = (
+    "a job needs a circle, a slot or two edges that meet: nothing else tells where the part lies. "
+    "Leave more of its features in"
+)
+
+
+def edited(
+    taught: Job,
+    content: Content,
+    marks: Mapping[str, Mark],
+    pixel_mm: float,
+    moved: FloatArray | None = None,
+) -> Job:
+    """The job that is wanted. marks : of the taught job's features, by name.  pixel_mm : at its depth.
+
+    moved : as `lying` has it.
+    What nobody asked for stays as taught. Raises `TeachError` for what no job can be.
+    """
+    left_out = {name for mark in content.left_out if (name := nearest(mark, marks)) is not None}
+    job = _without(taught, left_out) if left_out else taught
+    wanted = None if content.reference is None else nearest(content.reference, marks)
+    if left_out or wanted is not None:
+        job = _referred_to(job, job.reference if wanted is None or wanted in left_out else wanted, pixel_mm)
+    if content.sizes is not None:
+        job = _with_sizes(job, content.sizes, marks)
+    if content.gripping is not None:
+        grasps = (grasp_of(content.gripping, job, moved), *job.picking.grasps[1:])
+        job = replace(job, picking=replace(job.picking, grasps=grasps))
+    if job is not taught:
+        try:
+            check_text(job)
+        except FileFormatError as error:
+            raise TeachError(str(error)) from error
+    return job
+
+
+def _without(job: Job, left_out: set[str]) -> Job:
+    """Without some features, and without what is of them. Raises `TeachError` when nothing remains."""
+    circles = tuple(one for one in job.circles if one.name not in left_out)
+    slots = tuple(one for one in job.slots if one.name not in left_out)
+    edges = tuple(one for one in job.edges if one.name not in left_out)
+    gone = left_out & {one.name for one in job.edges}
+    corners = tuple(one for one in job.corners if one.name not in left_out and not gone & set(one.edges))
+    places = [circle.name for circle in circles] + [slot.name for slot in slots]
+    places += [corner.name for corner in corners]
+    if not places:
+        raise TeachError(NOTHING_LEFT, "nothing_left")
+    kept = {*places, *(edge.name for edge in edges)}
+    sizes = tuple(size for size in job.measurements if set(size.of) <= kept)
+    witness = job.witness if job.witness in {size.name for size in sizes} else None
+    return replace(
+        job,
+        circles=circles,
+        slots=slots,
+        edges=edges,
+        corners=corners,
+        measurements=sizes,
+        witness=witness,
+        reference=job.reference if job.reference in places else places[0],
+    )
+
+
+def _referred_to(job: Job, reference: str, pixel_mm: float) -> Job:
+    """With another reference, and what follows from it: the known size, and by how much it may differ."""
+    if job.kind_of(reference) in {None, "edge"}:
+        raise TeachError(f"{reference}: a circle, a slot or a corner can be the reference")
+    if np.any(job.place_of(reference)):
+        job = _moved(job, job.place_of(reference))
+    of_witness = {one.of for one in job.measurements if one.name == job.witness}
+    is_circle = job.kind_of(reference) == "circle"
+    if reference == job.reference and (of_witness == {(reference,)} or not is_circle):
+        return job
+    usual = usual_limits(job.limits.depth_mm[0], pixel_mm, job.shape, job.circles, reference)
+    limits = replace(
+        job.limits,
+        radius_tolerance_mm=usual.radius_tolerance_mm,
+        form_tolerance_mm=usual.form_tolerance_mm,
+    )
+    sizes, witness = known_radius(job.circles, reference)
+    stated = {one.name: one for one in job.measurements}
+    others = tuple(one for one in job.measurements if one.name not in {witness, job.witness})
+    return replace(
+        job,
+        reference=reference,
+        limits=limits,
+        measurements=(*(stated.get(one.name, one) for one in sizes), *others),
+        witness=witness,
+    )
+
+
+def _moved(job: Job, place: FloatArray) -> Job:
+    """The same part at the same place, in a frame with its origin at a place (3,) of the former one."""
+    there = transform(np.eye(3), -place)
+    grasps = tuple(replace(one, part_from_tcp=there @ one.part_from_tcp) for one in job.picking.grasps)
+    model = None if job.part_from_model is None else there @ job.part_from_model
+    return replace(
+        job,
+        circles=tuple(replace(one, centre_mm=one.centre_mm - place) for one in job.circles),
+        slots=tuple(replace(one, centre_mm=one.centre_mm - place) for one in job.slots),
+        edges=tuple(
+            replace(one, start_mm=one.start_mm - place, end_mm=one.end_mm - place) for one in job.edges
+        ),
+        rig_from_part=job.rig_from_part @ transform(np.eye(3), place),
+        picking=replace(job.picking, grasps=grasps),
+        part_from_model=model,
+    )
+
+
+def _with_sizes(job: Job, sizes: tuple[Size, ...], marks: Mapping[str, Mark]) -> Job:
+    """With these sizes, and that which the rig is watched by; without those of features that are gone."""
+    known = [one for one in job.measurements if one.name == job.witness]
+    found: list[MeasurementSpec] = []
+    for size in sizes:
+        of = tuple(name for mark in size.of if (name := nearest(mark, marks)) is not None)
+        if len(of) < len(size.of) or any(job.kind_of(name) is None for name in of):
+            continue
+        spec = _spec(job, size, of)
+        if known and (spec.kind, spec.of) == (known[0].kind, known[0].of):
+            nominal = spec.nominal if size.nominal is not None else known[0].nominal
+            known = [replace(known[0], nominal=nominal, tolerance=spec.tolerance)]
+            continue
+        if spec.name in {one.name for one in (*known, *found)}:
+            raise TeachError(f"sizes: two have the name {spec.name}")
+        found.append(spec)
+    return replace(job, measurements=(*known, *found))
+
+
+def _spec(job: Job, size: Size, of: tuple[str, ...]) -> MeasurementSpec:
+    scale = math.radians(1.0) if size.kind == "angle" else 1.0
+    nominal = None if size.nominal is None else size.nominal * scale
+    if nominal is None and size.tolerance is not None and size.kind != "flatness":
+        nominal = nominal_size(job, size.kind, of)
+    tolerance = None if size.tolerance is None else size.tolerance * scale
+    return MeasurementSpec(size.name or "_".join((size.kind, *of)), size.kind, of, nominal, tolerance)
+
+
+def lying(job: Job, moved: FloatArray | None) -> Job:
+    """The job of a part as it lies in the pair. moved : (4, 4) in the rig's frame, from where it was taught;
+    None: it was taught there.
+    """
+    return job if moved is None else replace(job, rig_from_part=moved @ job.rig_from_part)
+
+
+def grasp_of(gripping: Gripping, job: Job, moved: FloatArray | None = None) -> Grasp:
+    """How the tool takes the part of a job. gripping : as the part lies in the pair; moved : of `lying`."""
+    rig_from_tcp = np.eye(4)
+    rig_from_tcp[:3, :3] = gripping.rotation
+    rig_from_tcp[:3, 3] = gripping.position_mm
+    part_from_tcp = invert(lying(job, moved).rig_from_part) @ rig_from_tcp
+    # what a person has typed is not to come back with a tail
+    part_from_tcp = np.round(part_from_tcp, 9)
+    if moved is not None:
+        rig_from_tcp = job.rig_from_part @ part_from_tcp
+    retreat_mm = gripping.approach_mm if gripping.retreat_mm is None else gripping.retreat_mm
+    return Grasp(
+        gripping.name, part_from_tcp, rig_from_tcp, gripping.approach_mm, retreat_mm, gripping.symmetry
+    )
+
+
+def gripping_at(job: Job, position_mm: FloatArray, rotation: FloatArray, base: Gripping) -> Gripping:
+    """A gripping point in the frame of a job's part. position_mm (3,), rotation (3, 3) : of the tool."""
+    x, y, z = (float(value) for value in job.rig_from_part[:3, :3] @ position_mm + job.rig_from_part[:3, 3])
+    a, b, c = (job.rig_from_part[:3, :3] @ rotation).tolist()
+    return base.model_copy(update={"position_mm": (x, y, z), "rotation": (tuple(a), tuple(b), tuple(c))})

@@ -1,0 +1,247 @@
+"""What a draft of a job keeps on disc beside its pair: what people want, and each step to that.
+
+Features are named anew whenever the region changes; what people said of one is kept by where it is in the
+left picture, and holds for whatever lies there.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, JsonValue, model_validator
+
+from edged.domain.arrays import Image
+from edged.errors import TeachError
+from edged.setup.history import History, Kept, Text
+from edged.vision.part.job import MAX_TILT_DEG, MeasurementKind
+from edged.vision.teaching.region import (
+    MAX_BRUSH_PX,
+    MAX_CORNERS,
+    MAX_STROKE,
+    MIN_BRUSH_PX,
+    Area,
+    Circle,
+    Painted,
+    Polygon,
+    Region,
+    Stroke,
+)
+
+MOST_SHAPES = 200
+NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+JobName = Annotated[str, Field(pattern=NAME)]
+FeatureName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+Number = Annotated[int, Field(ge=1, le=65535)]
+Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
+Length = Annotated[float, Field(gt=0, le=1e6)]
+Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
+Point = tuple[Pixels, Pixels]
+Row = tuple[float, float, float]
+MOST_DRAWN_POINTS = 20_000
+MOST_OUTLINES = 500
+"""Of a drawing: a face of one part."""
+FeatureKind = Literal["circle", "slot", "edge", "corner"]
+
+
+class Rectangle(Kept):
+    """x, y : its upper left corner, px of the raw left image. add : it is of the part, else not."""
+
+    kind: Literal["rectangle"]
+    add: bool = True
+    x: Pixels
+    y: Pixels
+    width: Length
+    height: Length
+
+    def area(self) -> Area:
+        """As a region."""
+        return Region(self.x, self.y, self.width, self.height)
+
+
+class Disc(Kept):
+    """x, y : its centre."""
+
+    kind: Literal["circle"]
+    add: bool = True
+    x: Pixels
+    y: Pixels
+    radius: Length
+
+    def area(self) -> Area:
+        """As a region."""
+        return Circle(self.x, self.y, self.radius)
+
+
+class Corners(Kept):
+    """points : in order, either way round."""
+
+    kind: Literal["polygon"]
+    add: bool = True
+    points: Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_CORNERS)]
+
+    def area(self) -> Area:
+        """As a region."""
+        return Polygon(np.array(self.points, dtype=np.float64))
+
+
+class Brush(Kept):
+    """points : the way of a round brush; they may cross their own way."""
+
+    kind: Literal["brush"]
+    add: bool = False
+    points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=MAX_STROKE)]
+    radius: Annotated[float, Field(ge=MIN_BRUSH_PX, le=MAX_BRUSH_PX)]
+
+    def area(self) -> Area:
+        """As a region."""
+        return Stroke(np.array(self.points, dtype=np.float64), self.radius)
+
+
+AnyShape = Rectangle | Disc | Corners | Brush
+Shape = Annotated[AnyShape, Field(discriminator="kind")]
+Shapes = Annotated[tuple[Shape, ...], Field(max_length=MOST_SHAPES)]
+
+
+class Mark(Kept):
+    """A feature by its place: its middle and half its extent, px of the raw left image."""
+
+    kind: FeatureKind
+    x: Pixels
+    y: Pixels
+    size: Annotated[float, Field(ge=0, le=1e6)]
+
+
+class Size(Kept):
+    """A size to measure. nominal, tolerance : mm, of an angle degrees."""
+
+    kind: MeasurementKind
+    of: Annotated[tuple[Mark, ...], Field(max_length=2)]
+    name: FeatureName | None = None
+    nominal: Annotated[float, Field(ge=-1e5, le=1e5)] | None = None
+    tolerance: Annotated[float, Field(gt=0, le=1e5)] | None = None
+
+
+class Gripping(Kept):
+    """How a tool takes the part, rig frame, as it lies in the pair. rotation : rows of rig_from_tcp."""
+
+    name: Text = "grip"
+    position_mm: tuple[Millimetres, Millimetres, Millimetres]
+    rotation: tuple[Row, Row, Row]
+    approach_mm: Annotated[float, Field(ge=0, le=1e4)] = 50.0
+    retreat_mm: Annotated[float, Field(ge=0, le=1e4)] | None = None
+    symmetry: Annotated[int, Field(ge=0, le=360)] = 1
+
+
+class Drawing(Kept):
+    """The face of the part as it is drawn. outlines : closed, x to the right, y up, mm, as cameras see it.
+
+    depth_mm : nominal distance of the face from the left camera.
+    """
+
+    name: Text
+    depth_mm: Length
+    outlines: Annotated[
+        tuple[Annotated[tuple[tuple[float, float], ...], Field(min_length=3)], ...],
+        Field(min_length=1, max_length=MOST_OUTLINES),
+    ]
+
+    @model_validator(mode="after")
+    def _is_of_one_part(self) -> Self:
+        if sum(len(one) for one in self.outlines) > MOST_DRAWN_POINTS:
+            raise ValueError(f"more than {MOST_DRAWN_POINTS} points")
+        return self
+
+
+class Content(Kept):
+    """What the job is to be. shapes : the region; None: not proposed yet; (): the whole picture.
+
+    drawing : what it is learnt from instead; the pair then shows where its part lies.
+    sizes, gripping : None: as taught, and as in the job that it replaces.
+    """
+
+    name: JobName
+    number: Number
+    shapes: Shapes | None = None
+    left_out: Annotated[tuple[Mark, ...], Field(max_length=1000)] = ()
+    reference: Mark | None = None
+    gripping: Gripping | None = None
+    sizes: Annotated[tuple[Size, ...], Field(max_length=200)] | None = None
+    tilt_deg: Annotated[float, Field(gt=0, le=MAX_TILT_DEG)] | None = None
+    drawing: Drawing | None = None
+
+    def with_(self, sets: Mapping[str, JsonValue]) -> Content:
+        """With other fields, as JSON has them."""
+        return Content.model_validate_json(json.dumps({**self.model_dump(mode="json"), **sets}))
+
+
+class TeachOperation(Kept):
+    """Something that can be undone. sets : fields of the content."""
+
+    what: Literal["region", "tap", "features", "about", "drawing"]
+    sets: dict[str, JsonValue]
+
+    @model_validator(mode="after")
+    def _is_content(self) -> Self:
+        Content(name="a", number=1).with_(self.sets)
+        return self
+
+
+class TeachState(History[TeachOperation]):
+    """A draft of a job. job : folder of the one that it replaces.  width, height : px of the left picture.
+
+    is_same_pair : that one was taught from the same pair.  start : before the first operation.
+    activated : SHA-256 of the job's text that came of it, as long as nothing was changed since.
+    """
+
+    format: Literal["edged-teaching-draft"] = "edged-teaching-draft"
+    version: Literal[1] = 1
+    job: Text | None
+    width: Annotated[int, Field(ge=1, le=100_000)]
+    height: Annotated[int, Field(ge=1, le=100_000)]
+    start: Content
+    is_same_pair: bool = False
+    activated: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+
+    @property
+    def content(self) -> Content:
+        """What is wanted now."""
+        sets: dict[str, JsonValue] = {}
+        for operation in self.holding:
+            sets |= operation.sets
+        return self.start.with_(sets) if sets else self.start
+
+
+def region_of(shapes: Sequence[AnyShape], width: int, height: int) -> tuple[Area | None, list[Area]]:
+    """Shapes as a region, and what is left out of it; None: the whole picture.
+
+    One shape with what is erased of it is what `edged teach` takes; of more the later lies over the earlier.
+    Raises `TeachError` for what cannot be a region.
+    """
+    if not shapes:
+        return None, []
+    if sum(one.add for one in shapes) == 1 and shapes[0].add:
+        return shapes[0].area(), [one.area() for one in shapes[1:]]
+    if not any(one.add for one in shapes):
+        return None, [one.area() for one in shapes]
+    mask: Image = np.zeros((height, width), np.uint8)
+    for one in shapes:
+        mask[one.area().painted(width, height) > 0] = 255 if one.add else 0
+    if not mask.any():
+        raise TeachError("region: all of it is erased", "small_region")
+    return Painted(mask), []
+
+
+def nearest(wanted: Mark, marks: Mapping[str, Mark]) -> str | None:
+    """The name of the feature that lies where one was; None: none does."""
+    reach = max(3.0, 0.02 * wanted.size)
+    apart = {
+        name: math.dist((one.x, one.y, one.size), (wanted.x, wanted.y, wanted.size))
+        for name, one in marks.items()
+        if one.kind == wanted.kind
+    }
+    best = min(apart, key=lambda name: apart[name], default=None)
+    return best if best is not None and apart[best] <= reach else None

@@ -1,0 +1,63 @@
+"""Where the pair of a new draft of a job comes from: the cameras, a recorded cycle, or the job itself."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+from edged.domain.frames import FramePair
+from edged.errors import SetupRefused, TeachError
+from edged.files.recording import load
+from edged.setup.calibration.checks import RigInUse
+from edged.setup.releases.jobsinuse import JobLine, JobsInUse
+from edged.setup.teaching.drafts import KeptPair, kept_pair
+
+
+class Sources:
+    """capture : an exposure, for the token of who has the cell.  rig, jobs : those in use.
+
+    recorded : the file of a recorded cycle; raises `KeyError`.
+    """
+
+    def __init__(
+        self,
+        capture: Callable[[str], Awaitable[FramePair]],
+        rig: Callable[[], RigInUse | None],
+        jobs: Callable[[], JobsInUse],
+        recorded: Callable[[int], Awaitable[Path]],
+    ) -> None:
+        self._capture = capture
+        self._rig = rig
+        self._jobs = jobs
+        self._recorded = recorded
+
+    async def take(self, token: str | None, cycle: int | None, replaced: JobLine | None) -> KeptPair:
+        """The pair of a recorded cycle, else a fresh one, else that which a job keeps.
+
+        Raises `TeachError`, `SetupRefused`, `CaptureError`, `FileFormatError`, and `KeyError` for a cycle
+        that there is not.
+        """
+        if cycle is not None:
+            file, rig = await self._recorded(cycle), self._rig()
+            if rig is None:
+                raise SetupRefused("there is no calibration: calibrate first")
+            return await asyncio.to_thread(recorded_pair, file, rig.calibration_id)
+        if token is not None:
+            pair = await self._capture(token)
+            return KeptPair(pair.left.image, pair.right.image)
+        if replaced is None:
+            raise TeachError("a job is taught from a fresh pair, a recorded one, or that which a job keeps")
+        return await asyncio.to_thread(kept_pair, self._jobs().folder / replaced.folder)
+
+
+def recorded_pair(file: Path, calibration_id: str) -> KeptPair:
+    """Of a cycle that the rig in use measured. Raises `TeachError`, `FileFormatError`."""
+    cycle = load(file)
+    if cycle.pair is None:
+        raise TeachError("that cycle has no pictures: the cameras gave none", "no_pictures")
+    if cycle.snapshot.get("calibration") != calibration_id:
+        raise TeachError(
+            "that cycle was measured by another rig: what its pictures show is elsewhere by now", "other_rig"
+        )
+    return KeptPair(cycle.pair.left.image, cycle.pair.right.image)

@@ -1,0 +1,53 @@
+"""What the worker process can do for drafts of jobs: by name, with a `Progress` before the arguments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from edged.errors import FileFormatError, TeachError
+from edged.files.dxf import read_dxf
+from edged.files.images import load_image
+from edged.setup.outlines import Line, line
+from edged.setup.pairs import Progress
+from edged.setup.teaching import proposing
+from edged.setup.teaching.model import MOST_DRAWN_POINTS, MOST_OUTLINES
+from edged.setup.teaching.proposing import Order
+from edged.vision.teaching.foreground import parts_at
+
+
+def propose_region(_progress: Progress, pictures: Path) -> Line | None:
+    """Around what is most likely the part of a draft's pair."""
+    return proposing.propose_region(pictures)
+
+
+def regions_at(_progress: Progress, pictures: Path, x: float, y: float) -> tuple[Line, ...]:
+    """Around each thing that a point of the left picture is inside of, the largest first."""
+    return tuple(line(one) for one in parts_at(load_image(pictures / "left.png"), x, y))
+
+
+def read_drawing(
+    _progress: Progress, data: bytes, name: str, units: str | None, layers: tuple[str, ...]
+) -> tuple[tuple[tuple[float, float], ...], ...]:
+    """Closed outlines of a DXF drawing, mm. name : of it, for messages.
+
+    Raises `TeachError` that says where in the drawing it is, and what.
+    """
+    with TemporaryDirectory(prefix="edged-drawing-") as folder:
+        path = Path(folder) / "drawing.dxf"
+        path.write_bytes(data)
+        try:
+            outlines = read_dxf(path, layers, units, MOST_DRAWN_POINTS)
+        except FileFormatError as error:
+            code = f"drawing_{error.code}" if error.code else "drawing"
+            raise TeachError(str(error).replace(str(path), name), code, **error.params) from error
+    if len(outlines) > MOST_OUTLINES:
+        raise TeachError(
+            f"{name}: more than {MOST_OUTLINES} outlines: not the drawing of one part", "drawing_large"
+        )
+    return tuple(tuple((float(x), float(y)) for x, y in one) for one in outlines)
+
+
+def see_part(progress: Progress, order: Order) -> proposing.Seen:
+    """What a draft's pair and region teach."""
+    return proposing.see(order, progress)

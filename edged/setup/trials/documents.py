@@ -1,0 +1,136 @@
+"""What is told of a job that is tried: of the newest pair, of the still test, of the working volume."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from edged.setup.calibration.documents import Trouble
+from edged.setup.trials.sigmamap import SigmaMap
+from edged.setup.trials.stilltest import Stillness, StillVerdict
+from edged.setup.trials.tried import Sigma, TriedPart, sigma_of
+
+
+class TrialDocument(BaseModel):
+    """The trial as it stands. number : of the live pair. status : OK, LOW_QUALITY, NO_TARGET; null: none yet.
+
+    words_code : the first of the reasons, or OK. trouble : why the pair could not be measured at all.
+    covered : places in the rig's frame, mm, where a part was good, as x, y, z; covered_share : of the working
+    volume, null while its map is not known.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    on: bool
+    job: str | None
+    teaching: str | None
+    name: str
+    number: int
+    status: str | None
+    words_code: str | None
+    reasons: list[str]
+    targets: list[TriedPart]
+    limit_um: float | None
+    covered: list[list[float]]
+    covered_share: float | None
+    trouble: Trouble | None
+
+
+class StillDocument(BaseModel):
+    """A still test. edges_um : what the edges' share of the sigma states; noise_um : what of it is noise.
+
+    chi2 : scatter over the variance that the noise explains, or over the stated one where the noise is not
+    known; expected : where it should lie. larger, smaller : the scatter than that, or than what is stated.
+    covers : what is stated the scatter; null where nothing is judged. moving, vanished : the part did.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    at: str
+    by: str
+    name: str
+    calibration: str
+    n: int
+    scatter_um: Sigma | None
+    edges_um: Sigma | None
+    noise_um: Sigma | None = None
+    chi2: float | None
+    expected: tuple[float, float]
+    verdict: StillVerdict
+    covers: bool | None = None
+
+
+class Stills(BaseModel):
+    """The last still test, if there was one."""
+
+    model_config = ConfigDict(frozen=True)
+    last: StillDocument | None
+
+
+class MapPoint(BaseModel):
+    """A place of the reference point, mm, rig frame. sigma_um : null where it is not in both pictures.
+
+    left : raw px of the left picture; null for what its lens does not show.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    x: float
+    y: float
+    z: float
+    sigma_um: Sigma | None
+    left: list[float] | None
+
+
+class MapDocument(BaseModel):
+    """The sigma to be expected, of edges and calibration, X, Y, Z of the rig's frame; the part as taught.
+
+    points : x runs fastest, then y, then z. measured : by edges as clear as in the last pair, else as usual.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    name: str
+    columns: int
+    rows: int
+    layers: int
+    measured: bool
+    limit_um: float = Field(description="of each coordinate: beyond it a part is refused")
+    points: list[MapPoint]
+
+
+def map_document(name: str, found: SigmaMap, *, measured: bool) -> MapDocument:
+    """A map as it is told."""
+    columns, rows, layers = (len(axis) for axis in found.axes)
+    points = []
+    for place, sigma, left in zip(found.places_mm.tolist(), found.sigma_mm, found.left_px, strict=True):
+        x, y, z = (round(value, 3) for value in place)
+        shown = [round(value, 1) for value in left.tolist()] if np.isfinite(left).all() else None
+        known = sigma_of(sigma) if np.isfinite(sigma).all() else None
+        points.append(MapPoint(x=x, y=y, z=z, sigma_um=known, left=shown))
+    return MapDocument(
+        name=name,
+        columns=columns,
+        rows=rows,
+        layers=layers,
+        measured=measured,
+        limit_um=1e3 * found.limit_mm,
+        points=points,
+    )
+
+
+def still_document(found: Stillness, name: str, calibration: str, at: str, by: str) -> StillDocument:
+    """A still test as it is told."""
+    low, high = found.expected
+    return StillDocument(
+        at=at,
+        by=by,
+        name=name,
+        calibration=calibration,
+        n=found.pictures,
+        scatter_um=None if found.scatter_mm is None else sigma_of(found.scatter_mm),
+        edges_um=None if found.edges_mm is None else sigma_of(found.edges_mm),
+        noise_um=None if found.noise_mm is None else sigma_of(found.noise_mm),
+        chi2=None if found.chi2 is None or not math.isfinite(found.chi2) else round(found.chi2, 3),
+        expected=(round(low, 3), round(high, 3)),
+        verdict=found.verdict,
+        covers=found.covers,
+    )

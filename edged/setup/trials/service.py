@@ -1,0 +1,353 @@
+"""A job is tried on live pairs: measured in the worker process, shown at once, never waited for.
+
+While a job is tried, no board is looked for in the same pairs. A pair that comes while the worker is busy is
+left out, so that the newest is always the one that is shown.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import pickle
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from edged.cell.lease.notices import Notices
+from edged.cell.tasks import cancel_and_await
+from edged.domain.arrays import FloatArray
+from edged.domain.frames import FramePair
+from edged.domain.picking import Bounds
+from edged.errors import EdgedError, SetupRefused, UserError
+from edged.files.atomic import make_folders, write_atomically
+from edged.robot.orientations import Convention
+from edged.setup.calibration.checks import RigInUse
+from edged.setup.calibration.documents import trouble_in
+from edged.setup.jobs.tasks import Tasks
+from edged.setup.jobs.worker import Worker
+from edged.setup.pairs import Progress
+from edged.setup.trials.documents import (
+    MapDocument,
+    StillDocument,
+    TrialDocument,
+    map_document,
+    still_document,
+)
+from edged.setup.trials.sigmamap import SigmaMap
+from edged.setup.trials.stilltest import Stand, Stillness
+from edged.setup.trials.tried import Tried
+from edged.setup.trials.work import TrialSetup
+from edged.vision.part.expected import Scatters
+from edged.vision.part.job import Job
+
+log = logging.getLogger(__name__)
+
+FUNCTIONS = {name: f"edged.setup.trials.work:{name}" for name in ("try_pair", "stand", "still", "sigmas")}
+MOST_COVERED = 2000
+"""Places that are told: a trail of many minutes."""
+MOST_KNOWN = 4
+"""Jobs whose trail and map are kept."""
+APART_MM = 0.5
+"""A part that lies still leaves one place in the trail."""
+
+
+@dataclass(frozen=True, slots=True)
+class What:
+    """What is tried: a job of the cell by its name, or the draft of one by its id."""
+
+    job: str | None = None
+    teaching: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CellSettings:
+    """Of the cell that a trial is judged by. bounds : where its robot may go; convention : of A, B, C."""
+
+    bounds: Bounds
+    convention: Convention
+
+
+@dataclass(eq=False, slots=True)
+class _Trial:
+    """What is known of a job with a rig. content : the job, pickled."""
+
+    what: What
+    job: Job
+    content: bytes
+    calibration: str
+    number: int = 0
+    tried: Tried | None = None
+    trouble: EdgedError | OSError | None = None
+    scatters: Scatters = field(default_factory=dict)
+    places: list[FloatArray] = field(default_factory=list)
+    visited: set[int] = field(default_factory=set)
+    map: SigmaMap | None = None
+    map_measured: bool = False
+
+    @property
+    def covered_share(self) -> float | None:
+        """Of the places of the map where it can be measured; None while there is no map."""
+        if self.map is None or not self.map.seen.any():
+            return None
+        return len(self.visited & set(np.flatnonzero(self.map.seen).tolist())) / int(self.map.seen.sum())
+
+    def document(self, *, on: bool) -> TrialDocument:
+        """As it is told."""
+        tried = self.tried
+        return TrialDocument(
+            on=on,
+            job=self.what.job,
+            teaching=self.what.teaching,
+            name=self.job.name,
+            number=self.number,
+            status=None if tried is None else tried.status,
+            words_code=None if tried is None else next(iter(tried.reasons), "OK"),
+            reasons=[] if tried is None else list(tried.reasons),
+            targets=[] if tried is None else list(tried.parts),
+            limit_um=1e3 * self.job.limits.max_sigma_mm,
+            covered=[[round(float(one), 2) for one in place] for place in self.places],
+            covered_share=self.covered_share,
+            trouble=trouble_in(self.trouble),
+        )
+
+    def note(self, number: int, tried: Tried) -> None:
+        """A pair was measured."""
+        self.number, self.tried, self.trouble = number, tried, None
+        self.scatters = tried.scatters or self.scatters
+        for place in tried.places_mm:
+            self._visit(place)
+            near = (float(np.linalg.norm(place - one)) < APART_MM for one in reversed(self.places))
+            if len(self.places) < MOST_COVERED and not any(near):
+                self.places.append(place)
+
+    def chart(self, found: SigmaMap, *, measured: bool) -> None:
+        """What is to be expected is known; places from before count."""
+        self.map, self.map_measured = found, measured
+        self.visited.clear()
+        for place in self.places:
+            self._visit(place)
+
+    def _visit(self, place: FloatArray) -> None:
+        cell = None if self.map is None else self.map.cell_of(place)
+        if cell is not None:
+            self.visited.add(cell)
+
+
+NOTHING = TrialDocument(
+    on=False,
+    job=None,
+    teaching=None,
+    name="",
+    number=0,
+    status=None,
+    words_code=None,
+    reasons=[],
+    targets=[],
+    limit_um=None,
+    covered=[],
+    covered_share=None,
+    trouble=None,
+)
+
+
+class Trials:
+    """Used on the event loop only.
+
+    kept : file of the last still test. capture : an exposure, for the token of who has the cell. renew :
+    raises `SetupRefused` for another token. rig : the one in use; None without. jobs : of the cell, by name.
+    draft : the job of a teaching draft by its id; raises `KeyError`.
+    """
+
+    def __init__(
+        self,
+        kept: Path,
+        worker: Worker,
+        tasks: Tasks,
+        notices: Notices,
+        capture: Callable[[str], Awaitable[FramePair]],
+        renew: Callable[[str], None],
+        rig: Callable[[], RigInUse | None],
+        jobs: Callable[[], Mapping[str, Job]],
+        draft: Callable[[str], Awaitable[Job]],
+        settings: Callable[[], CellSettings],
+    ) -> None:
+        self._kept = kept
+        self._worker = worker
+        self._tasks = tasks
+        self._notices = notices
+        self._capture = capture
+        self._renew = renew
+        self._rig = rig
+        self._jobs = jobs
+        self._draft = draft
+        self._settings = settings
+        self._known: dict[What, _Trial] = {}  # asked for last at the end
+        self._tried = What()  # what is tried, or was last
+        self._token: str | None = None  # of who has the cell, while it is
+        self._trying: asyncio.Task[None] | None = None
+        self._still: str | None = None
+
+    @property
+    def is_on(self) -> bool:
+        """Whether live pairs are measured by a job: then nothing else looks at them."""
+        return self._token is not None
+
+    async def close(self) -> None:
+        """Nothing is tried any more."""
+        if self._trying is not None:
+            await cancel_and_await(self._trying)
+
+    # --- what is asked -----------------------------------------------------------------------
+
+    async def turn(self, token: str, what: What, *, on: bool) -> TrialDocument:
+        """Measure each live pair by a job from now on, or none.
+
+        Raises `SetupRefused`, `UserError`, and `KeyError` for a draft that there is not.
+        """
+        self._renew(token)
+        if on:
+            self._tried = (await self._trial_of(what)).what
+        self._token = token if on else None
+        return self._tell()
+
+    async def document(self) -> TrialDocument:
+        """How it stands."""
+        return self._document()
+
+    async def map(self, what: What) -> MapDocument:
+        """What is to be expected of a job in its working volume. Raises as `turn`, and `TaskFailed`."""
+        trial = await self._trial_of(what)
+        measured = bool(trial.scatters)
+        if trial.map is None or measured != trial.map_measured:
+            found = await self._worker.run("sigmas", self._setup(trial), trial.scatters)
+            trial.chart(found, measured=measured)
+        assert trial.map is not None
+        return map_document(trial.job.name, trial.map, measured=trial.map_measured)
+
+    async def hold_still(self, token: str, what: What, pictures: int, author: str) -> str:
+        """Begin the still test; returns the task. Raises as `turn`."""
+        self._renew(token)
+        if self._tasks.is_running(self._still):
+            raise SetupRefused("a still test is running")
+        trial = await self._trial_of(what)
+        self._still = self._tasks.start("still", partial(self._hold_still, trial, token, pictures, author))
+        return self._still
+
+    async def last_still(self) -> StillDocument | None:
+        """The last still test; None while there was none."""
+        return await asyncio.to_thread(self._read)
+
+    # --- live pairs ------------------------------------------------------------------------------
+
+    def offer(self, number: int, pair: FramePair) -> None:
+        """Measure a live pair, unless something else is being done."""
+        busy = self._worker.is_busy or self._tasks.is_running(self._still)
+        if self._token is not None and self._trying is None and not busy:
+            self._trying = asyncio.create_task(
+                self._try(self._tried, self._token, number, pair), name="trial"
+            )
+
+    async def _try(self, what: What, token: str, number: int, pair: FramePair) -> None:
+        trial = self._known.get(what)
+        try:
+            self._renew(token)
+            trial = await self._trial_of(what)
+            images = pair.left.image, pair.right.image
+            trial.note(number, await self._worker.run("try_pair", self._setup(trial), images))
+        except (SetupRefused, KeyError):  # somebody else has the cell by now, or the draft is gone
+            self._token = None
+        except (EdgedError, OSError) as error:
+            if trial is not None:
+                if str(trial.trouble) != str(error):  # once, not with every pair
+                    log.warning("a live pair cannot be tried: %s", error)
+                trial.number, trial.tried, trial.trouble = number, None, error
+        finally:
+            self._trying = None
+        if what == self._tried:
+            self._tell()
+
+    async def _trial_of(self, what: What) -> _Trial:
+        """The trial of what is asked for, else of what is tried; begun anew where job or rig have changed."""
+        what = self._tried if what == What() else what
+        job, rig = await self._job(what), self._in_use()
+        trial = self._known.pop(what, None)
+        if trial is None or trial.calibration != rig.calibration_id:
+            trial = _Trial(what, job, _packed(job), rig.calibration_id)
+        elif trial.job is not job and trial.content != (content := _packed(job)):
+            before, trial = trial, _Trial(what, job, content, rig.calibration_id)
+            trial.scatters = before.scatters  # the light is the same
+        self._known[what] = trial
+        while len(self._known) > MOST_KNOWN:
+            oldest = next(one for one in self._known if one != self._tried)
+            del self._known[oldest]
+        return trial
+
+    async def _job(self, what: What) -> Job:
+        if what.teaching is not None:
+            return await self._draft(what.teaching)
+        if what.job is None:
+            raise UserError("which job is to be tried?")
+        job = self._jobs().get(what.job)
+        if job is None:
+            raise UserError(f"there is no job {what.job}", "no_job", name=what.job)
+        return job
+
+    def _in_use(self) -> RigInUse:
+        rig = self._rig()
+        if rig is None:
+            raise SetupRefused("there is no calibration: nothing can be measured")
+        return rig
+
+    def _setup(self, trial: _Trial) -> TrialSetup:
+        rig, settings = self._in_use(), self._settings()
+        return TrialSetup(rig.content, rig.path, trial.content, settings.bounds, settings.convention)
+
+    def _document(self) -> TrialDocument:
+        trial = self._known.get(self._tried)
+        return NOTHING if trial is None else trial.document(on=self.is_on)
+
+    def _tell(self) -> TrialDocument:
+        document = self._document()
+        self._notices.publish("trial", document.model_dump(mode="json"))
+        return document
+
+    # --- still test ------------------------------------------------------------------------------
+
+    async def _hold_still(
+        self, trial: _Trial, token: str, pictures: int, author: str, progress: Progress
+    ) -> None:
+        stands: list[Stand | None] = []
+        for number in range(pictures):
+            progress(f"picture {number + 1} of {pictures}", number, pictures)
+            pair = await self._capture(token)
+            images = pair.left.image, pair.right.image
+            stands.append(await self._worker.run("stand", self._setup(trial), images))
+            if stands[-1] is None:
+                break
+        judged: Stillness = await self._worker.run("still", self._setup(trial), stands)
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        found = still_document(judged, trial.job.name, trial.calibration, now, author)
+        await asyncio.to_thread(self._write, found)
+        self._notices.publish("still", {"id": "last", **found.model_dump(mode="json")})
+
+    def _write(self, document: StillDocument) -> None:
+        make_folders(self._kept.parent)
+        write_atomically(self._kept, document.model_dump_json(indent=1).encode())
+
+    def _read(self) -> StillDocument | None:
+        try:
+            return StillDocument.model_validate_json(self._kept.read_bytes())
+        except FileNotFoundError:
+            return None
+        except (OSError, ValidationError) as error:
+            log.warning("the last still test cannot be read, as if there were none: %s", error)
+            return None
+
+
+def _packed(job: Job) -> bytes:
+    return pickle.dumps(job, protocol=pickle.HIGHEST_PROTOCOL)

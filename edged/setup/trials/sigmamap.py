@@ -1,0 +1,78 @@
+"""The working volume of a job: what its sigma will be in it, and how much of it has been proved by a part.
+
+Places of the reference point, rig frame, on a grid across the left picture at the nearest, the middle and the
+farthest depth that the job allows; the part lies there as it did at teaching.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.pipeline import PreparedRig
+from edged.setup.pairs import Progress, silent
+from edged.vision.part.expected import Scatters, expected_target
+from edged.vision.part.job import Job
+
+ACROSS, DOWN, DEEP = 9, 7, 3
+"""Places in each direction."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SigmaMap:
+    """places_mm (N, 3), rig frame; x runs fastest, then y, then z; axes : their values in each direction.
+
+    sigma_mm (N, 3) : of X, Y, Z, edges and calibration; NaN where both pictures do not hold the part.
+    left_px (N, 2) : raw.  limit_mm : the job's, for each of them.
+    """
+
+    axes: tuple[FloatArray, FloatArray, FloatArray]
+    places_mm: FloatArray
+    sigma_mm: FloatArray
+    left_px: FloatArray
+    limit_mm: float
+
+    @property
+    def seen(self) -> FloatArray:
+        """(N,) bool: where a part can be measured at all."""
+        return np.asarray(np.isfinite(self.sigma_mm).all(axis=1))
+
+    def cell_of(self, place_mm: FloatArray) -> int | None:
+        """The number of the place that is nearest to one (3,); None outside of the volume."""
+        number, stride = 0, 1
+        for axis, value in zip(self.axes, place_mm, strict=True):
+            step = float(axis[1] - axis[0])
+            index = round(float(value - axis[0]) / step)
+            if not 0 <= index < len(axis):
+                return None
+            number, stride = number + stride * index, stride * len(axis)
+        return number
+
+
+def sigma_map(rig: PreparedRig, job: Job, scatters: Scatters, progress: Progress = silent) -> SigmaMap:
+    """What is to be expected of a job. scatters : as `expected_target` has them."""
+    axes = _axes(rig, job)
+    x, y, z = axes
+    places = np.array([(a, b, c) for c in z for b in y for a in x])
+    sigma = np.full_like(places, np.nan)
+    for number, place in enumerate(places):
+        pose = job.rig_from_part.copy()
+        pose[:3, 3] = place
+        target = expected_target(rig.rectification, job, pose, scatters)
+        if target is not None:
+            sigma[number] = target.as_reported.sigma_mm
+        progress("sigma", number + 1, len(places))
+    return SigmaMap(axes, places, sigma, rig.rig.left.project(places), job.limits.max_sigma_mm)
+
+
+def _axes(rig: PreparedRig, job: Job) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """As wide as the left picture is at the middle depth."""
+    left = rig.rig.left
+    near, far = job.limits.depth_mm
+    z = np.linspace(near, far, DEEP)
+    corners = np.array([(x, y) for x in (0, left.width - 1) for y in (0, left.height - 1)], np.float64)
+    rays = left.normalise(corners) * float(z[DEEP // 2])
+    (low_x, low_y), (high_x, high_y) = rays.min(axis=0), rays.max(axis=0)
+    return np.linspace(low_x, high_x, ACROSS), np.linspace(low_y, high_y, DOWN), z

@@ -1,0 +1,253 @@
+"""What a job makes of one pair, as somebody sees it who pushes the part around: verdict, outlines, whiskers.
+
+As the cell itself would judge the pair, with the job's picking and the cell's bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Reject, Status, Target
+from edged.domain.picking import Bounds
+from edged.payload import reject_names
+from edged.pictures.evidence import Feature, features_of, missing_outlines, residuals
+from edged.pictures.view import View
+from edged.pipeline import PreparedRig, inspect, judge
+from edged.robot.budget import budget_of
+from edged.robot.orientations import Convention
+from edged.robot.picking import frame_of, picked, within
+from edged.robot.reading import Reading, frame_name, reading_of
+from edged.setup.recordings.recorded import NOT_FOUND
+from edged.setup.recordings.sight import Points, outline_in
+from edged.setup.trials.stilltest import Stand, Stillness, judged, noises_of
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.part.expected import Scatters, expected_target, scatters_of
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Measured
+
+MOST_PARTS = 8
+MOST_WHISKERS = 400
+"""In one picture: more cannot be told apart, and each goes over the network."""
+UNKNOWN_DEG = 60.0
+"""Of an angle about an axis that looks the same from all sides, no less is stated."""
+
+
+class PlaceMm(BaseModel):
+    """A pose: mm, and the angles of the cell's convention, degrees."""
+
+    model_config = ConfigDict(frozen=True)
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    a_deg: float
+    b_deg: float
+    c_deg: float
+
+
+class Sigma(BaseModel):
+    """One sigma of X, Y, Z, µm."""
+
+    model_config = ConfigDict(frozen=True)
+    x: float
+    y: float
+    z: float
+
+
+class SigmaAngles(BaseModel):
+    """One sigma of A, B, C, degrees; null for what is not known: the turn of a round part."""
+
+    model_config = ConfigDict(frozen=True)
+    a: float | None
+    b: float | None
+    c: float | None
+
+
+class Terms(BaseModel):
+    """Where the sigma comes from, µm: the squares add up to that of the sigma."""
+
+    model_config = ConfigDict(frozen=True)
+    edges: Sigma
+    calibration: Sigma
+    registration: Sigma
+    doubt: Sigma
+
+
+class Lines(BaseModel):
+    """Outlines in raw px of both pictures."""
+
+    model_config = ConfigDict(frozen=True)
+    left: list[Points]
+    right: list[Points]
+
+
+class Whiskers(BaseModel):
+    """Edges beside their outlines: x, y of the outline's point, and from there to the edge; raw px."""
+
+    model_config = ConfigDict(frozen=True)
+    left: Points
+    right: Points
+
+
+class TriedPart(BaseModel):
+    """A part. status : OK, or LOW_QUALITY with the reasons. left : its reference, raw px of the left picture.
+
+    frame : robot or rig, of the pose. missing : taught features that were not measured, where they should be.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    status: str
+    reasons: list[str]
+    score: float
+    frame: str
+    pose: PlaceMm
+    sigma_um: Sigma
+    sigma_deg: SigmaAngles
+    budget_um: Terms | None
+    outlines: Lines
+    missing: Lines
+    residuals: Whiskers
+    rms_px: float | None
+    left: list[float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tried:
+    """What a pair gave. reasons : of all its parts, or why there is none; parts : good ones first.
+
+    places_mm (N, 3) : of the good parts, rig frame.  scatters : of the best part's features, empty without.
+    """
+
+    status: str
+    reasons: tuple[str, ...]
+    parts: tuple[TriedPart, ...]
+    places_mm: FloatArray
+    scatters: Scatters
+
+
+def try_pair(rig: PreparedRig, job: Job, pair: FramePair, bounds: Bounds, convention: Convention) -> Tried:
+    """Locate the job's part. Raises `ImageError` for pictures that do not fit the rig."""
+    inspection = inspect(pair, job, rig)
+    outcome = picked(judge(inspection), within(job.picking, bounds), frame_of(rig.rig))
+    # the reported pose stands in for the reference point's: by the match each is told again
+    measured = {id(one.target.match): one for one in inspection.measured}
+    shown = [(one, measured[id(one.match)]) for one in outcome.targets if _is_finite(one)]
+    parts = tuple(_part(rig.rig, job, one, of, convention) for one, of in shown[:MOST_PARTS])
+    good = [of.target.position_mm for one, of in shown if not one.reject]
+    return Tried(
+        str(outcome.status),
+        _reasons(outcome.status, (one.reject for one in outcome.targets)),
+        parts,
+        np.array(good).reshape(-1, 3),
+        scatters_of(shown[0][1].fits) if shown else {},
+    )
+
+
+def _is_finite(target: Target) -> bool:
+    return bool(np.isfinite(target.rig_from_part).all() and np.isfinite(target.covariance).all())
+
+
+def _reasons(status: Status, rejects: Iterable[Reject]) -> tuple[str, ...]:
+    if status is Status.OK:
+        return ()
+    seen = Reject.NONE
+    for reject in rejects:
+        seen |= reject
+    return tuple(reject_names(seen)) or (NOT_FOUND,)
+
+
+def _part(rig: StereoRig, job: Job, target: Target, measured: Measured, convention: Convention) -> TriedPart:
+    reading = reading_of(target, rig.robot_from_rig, rig.registration_covariance, convention)
+    features = features_of(measured)
+    outlines = [outline_in(rig, one.outline_mm) for one in features]
+    missing = [outline_in(rig, one) for one in missing_outlines(job, measured.target).values()]
+    rms = measured.evidence.rms_px
+    reference = rig.left.project(target.position_mm[None])[0]
+    left, right = (_whiskers(rig, features, side) for side in range(len(SIDES)))
+    return TriedPart(
+        status=str(Status.LOW_QUALITY if target.reject else Status.OK),
+        reasons=reject_names(target.reject),
+        score=round(target.match.score, 3),
+        frame=frame_name(rig.robot_from_rig),
+        pose=_place(reading),
+        sigma_um=sigma_of(reading.sigma_mm),
+        sigma_deg=_angles(target, reading),
+        budget_um=terms_of(rig, target),
+        outlines=Lines(left=[one.left for one in outlines], right=[one.right for one in outlines]),
+        missing=Lines(left=[one.left for one in missing], right=[one.right for one in missing]),
+        residuals=Whiskers(left=left, right=right),
+        rms_px=round(rms, 3) if math.isfinite(rms) else None,
+        left=[round(float(value), 2) for value in reference],
+    )
+
+
+def _whiskers(rig: StereoRig, features: list[Feature], side: int) -> Points:
+    """Of the edges that count, evenly thinned."""
+    camera, from_rig = (rig.left, np.eye(4)) if side == 0 else (rig.right, rig.right_from_left)
+    view = View(np.zeros((0, 0, 3), np.uint8), camera, from_rig, (0, 0, camera.width, camera.height), 1.0)
+    step = 1 + sum(len(one.weights[side]) for one in features) // MOST_WHISKERS
+    whiskers: list[FloatArray] = []
+    for one in features:
+        left, right = (edges[::step] for edges in one.edges_px)
+        first, second = (weights[::step] for weights in one.weights)
+        found = residuals(view, replace(one, edges_px=(left, right), weights=(first, second)), side)
+        across = found.normals * found.across_px[:, None]
+        whiskers.append(np.hstack([found.feet, across])[found.used])
+    told = np.concatenate(whiskers) if whiskers else np.zeros((0, 4))
+    # the feet to a tenth of a pixel, what lies across them as fine as it is measured
+    return [[round(x, 1), round(y, 1), round(dx, 4), round(dy, 4)] for x, y, dx, dy in told.tolist()]
+
+
+def _place(reading: Reading) -> PlaceMm:
+    x, y, z = (round(float(value), 4) for value in reading.position_mm)
+    a, b, c = (round(float(value), 4) for value in reading.angles_deg)
+    return PlaceMm(x_mm=x, y_mm=y, z_mm=z, a_deg=a, b_deg=b, c_deg=c)
+
+
+def sigma_of(sigma_mm: FloatArray) -> Sigma:
+    """Of X, Y, Z (3,)."""
+    x, y, z = (round(1e3 * float(value), 3) for value in sigma_mm)
+    return Sigma(x=x, y=y, z=z)
+
+
+def _angles(target: Target, reading: Reading) -> SigmaAngles:
+    a, b, c = (round(float(value), 5) for value in reading.sigma_deg)
+    if target.free_axis is None:
+        return SigmaAngles(a=a, b=b, c=c)
+    known = [value if value < UNKNOWN_DEG else None for value in (a, b, c)]
+    return SigmaAngles(a=known[0], b=known[1], c=known[2])
+
+
+def terms_of(rig: StereoRig, target: Target) -> Terms | None:
+    """Where the sigma of a target comes from, in the frame that it is told in; None: that is not known."""
+    budget = budget_of(target, rig.robot_from_rig, rig.registration_covariance)
+    if budget is None:
+        return None
+    edges, calibration, registration, doubt = (sigma_of(np.sqrt(term[:3])) for term in budget.terms)
+    return Terms(edges=edges, calibration=calibration, registration=registration, doubt=doubt)
+
+
+def stand_of(measured: Measured) -> Stand | None:
+    """A part in one of many pictures of it; None where it is not known what its edges are worth."""
+    target = measured.target
+    if target.by_edges is None or not _is_finite(target):
+        return None
+    seen = {one.name: (one.points, one.weights) for one in measured.fits}
+    place, edges = target.position_mm, target.by_edges[:3, :3]
+    return Stand(place, edges, seen, scatters_of(measured.fits), target.rig_from_part)
+
+
+def still_part(rig: PreparedRig, job: Job, stands: Sequence[Stand | None]) -> Stillness:
+    """The verdict over pictures of a part that lay still."""
+    seen = [one for one in stands if one is not None]
+    noises, expected = noises_of(seen), None
+    if noises and (first := seen[0]).pose is not None:
+        known = replace(job, sigma_mm=0.0)  # what nobody knows of its features does not scatter
+        expected = expected_target(rig.rectification, known, first.pose, first.scatters, noises)
+    return judged(stands, None if expected is None else expected.covariance[:3, :3])

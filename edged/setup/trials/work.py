@@ -1,0 +1,81 @@
+"""What the worker process does with a job that is tried: by name, with a `Progress` before the arguments."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from edged.domain.arrays import Image
+from edged.domain.frames import Frame, FramePair
+from edged.domain.picking import Bounds
+from edged.files.rig import rig_of
+from edged.pipeline import PreparedRig, inspect, prepare
+from edged.robot.orientations import Convention
+from edged.setup.pairs import Progress
+from edged.setup.trials import tried as trying
+from edged.setup.trials.sigmamap import SigmaMap, sigma_map
+from edged.setup.trials.stilltest import Stand, Stillness
+from edged.setup.trials.tried import Tried
+from edged.vision.part.expected import Scatters
+from edged.vision.part.job import Job
+from edged.vision.part.measured import Measured
+
+
+@dataclass(frozen=True, slots=True)
+class TrialSetup:
+    """By what pictures are measured. rig, path : its file; job : pickled, so that it is known again.
+
+    bounds : where the cell's robot may go.  convention : of A, B, C.
+    """
+
+    rig: bytes
+    path: Path
+    job: bytes
+    bounds: Bounds
+    convention: Convention
+
+
+@lru_cache(maxsize=1)  # of one trial at a time, the rectification is worth keeping
+def _prepared(rig: bytes, path: Path) -> PreparedRig:
+    return prepare(rig_of(rig, path))
+
+
+@lru_cache(maxsize=1)
+def _job(content: bytes) -> Job:
+    job: Job = pickle.loads(content)  # as the daemon that started this process has sent it
+    return job
+
+
+def _pair(images: tuple[Image, Image]) -> FramePair:
+    left, right = images
+    return FramePair(Frame("left", 0, left, 0, 0), Frame("right", 0, right, 0, 0))
+
+
+def try_pair(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -> Tried:
+    """A live pair."""
+    rig = _prepared(setup.rig, setup.path)
+    return trying.try_pair(rig, _job(setup.job), _pair(images), setup.bounds, setup.convention)
+
+
+def stand(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -> Stand | None:
+    """Where the best part lies in a pair, and how well the edges say so; None without one."""
+    inspection = inspect(_pair(images), _job(setup.job), _prepared(setup.rig, setup.path))
+    best = max(inspection.measured, key=_rank, default=None)
+    return None if best is None else trying.stand_of(best)
+
+
+def _rank(measured: Measured) -> tuple[bool, float]:
+    return not measured.target.reject, measured.target.match.score
+
+
+def still(_progress: Progress, setup: TrialSetup, stands: Sequence[Stand | None]) -> Stillness:
+    """What came of many pictures of a part."""
+    return trying.still_part(_prepared(setup.rig, setup.path), _job(setup.job), stands)
+
+
+def sigmas(progress: Progress, setup: TrialSetup, scatters: Scatters) -> SigmaMap:
+    """What is to be expected in the working volume."""
+    return sigma_map(_prepared(setup.rig, setup.path), _job(setup.job), scatters, progress)

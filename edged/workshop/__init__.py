@@ -1,1 +1,0 @@
-"""Beside the loop: one process for long work, and what people draw up with it."""

@@ -1,1 +1,0 @@
-"""Recorded cycles of a running cell, and what is tried on them before it is used."""

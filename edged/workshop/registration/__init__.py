@@ -1,1 +1,0 @@
-"""Drafts of registrations in a running cell."""

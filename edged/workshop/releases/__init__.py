@@ -1,1 +1,0 @@
-"""What a running cell measures by: exchanged as releases."""

@@ -1,1 +1,0 @@
-"""Drafts of jobs in a running cell."""

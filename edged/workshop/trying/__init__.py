@@ -1,1 +1,0 @@
-"""Jobs that are tried in a running cell."""

@@ -1,0 +1,126 @@
+"""Exposure and gain through the stereo head: tried, refused, undone; with cameras inside the process."""
+
+from __future__ import annotations
+
+import asyncio
+
+import numpy as np
+import pytest
+
+from edged.cell.lease.cameras import CameraChanges, SetupCameras
+from edged.cell.stereohead import StereoHead
+from edged.domain.arrays import Image
+from edged.domain.exposure import CameraLimits, CameraValues
+from edged.domain.frames import Frame
+from edged.errors import CameraSetupError, CameraUnreachable
+from edged.sim.exposure import ExposureRequest
+from edged.sim.inprocess import InProcessCamera
+
+
+class Film:
+    """What was exposed, and how."""
+
+    def __init__(self) -> None:
+        self.exposed: list[tuple[float, float]] = []
+
+    def __call__(self, request: ExposureRequest) -> Image:
+        self.exposed.append((request.exposure_us, request.gain_db))
+        return np.full((request.height, request.width), len(self.exposed), np.uint8)
+
+
+def head_with(
+    film: Film, backoff_s: float = 0.5
+) -> tuple[StereoHead, tuple[InProcessCamera, InProcessCamera]]:
+    """Two cameras; the left one's exposures are noted."""
+    size = {"width": 8, "height": 4}
+    left = InProcessCamera("left", film, **size)
+    right = InProcessCamera("right", Film(), **size)
+    return StereoHead(left, right, max_skew_s=0.05, min_backoff_s=backoff_s), (left, right)
+
+
+def test_what_is_adjusted_counts_until_it_is_undone() -> None:
+    """From the next picture on; what is refused changes nothing, and the cameras stay open."""
+    film = Film()
+    head, cameras = head_with(film)
+
+    async def script() -> None:
+        assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await head.limits("left")
+        assert CameraValues(500.0, 0.0) == await head.adjust("left", CameraValues(500.0))
+        assert CameraValues(2000.0, 0.0) == await head.adjust("right", CameraValues())
+        with pytest.raises(CameraSetupError, match="gain_db: 25 is outside 0 to 24"):
+            await head.adjust("left", CameraValues(700.0, 25.0))
+        await head.capture()
+        await head.restore()
+        await head.capture()
+        await head.close()
+
+    asyncio.run(script())
+    assert [(500.0, 0.0), (2000.0, 0.0)] == film.exposed
+    assert [1, 1] == [camera.opened for camera in cameras]
+
+
+def test_a_camera_that_is_gone_is_opened_again() -> None:
+    """It fails once, as with a picture, and not for ever."""
+    film = Film()
+    head, (left, _) = head_with(film, backoff_s=0.0)
+
+    async def script() -> None:
+        await head.open()
+        await left.close()
+        with pytest.raises(CameraUnreachable):
+            await head.adjust("left", CameraValues(500.0))
+        assert CameraValues(500.0, 0.0) == await head.adjust("left", CameraValues(500.0))
+        await head.close()
+
+    asyncio.run(script())
+    assert 2 == left.opened
+
+
+def test_a_camera_that_has_no_exposure_says_so() -> None:
+    """Pictures of a folder are as they are."""
+
+    class Picture:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        async def open(self) -> None: ...
+
+        async def trigger(self) -> None: ...
+
+        async def frame(self) -> Frame:
+            return Frame(self.name, 1, np.zeros((4, 4), np.uint8), 0, 0)
+
+        async def close(self) -> None: ...
+
+    async def script() -> None:
+        head = StereoHead(Picture("left"), Picture("right"))
+        with pytest.raises(CameraSetupError, match="camera right: its exposure cannot be adjusted"):
+            await head.limits("right")
+        await head.restore()
+        await head.close()
+
+    asyncio.run(script())
+
+
+def test_cameras_that_cannot_be_opened_leave_those_from_before() -> None:
+    """Tried for SETUP and silent: the next picture is of the others, and what was tried of them is gone."""
+    film = Film()
+    head, _ = head_with(film)
+    broken, (left, _) = head_with(Film())
+    left.faults.open_error = CameraUnreachable("left", "cable")
+    cameras = SetupCameras(lambda: True)
+
+    async def script() -> None:
+        await cameras.adjust(head, "left", CameraValues(500.0))
+        assert {"left": CameraChanges(exposure_us=500.0)} == cameras.changes
+        with pytest.raises(CameraUnreachable):
+            await cameras.exchange(head, broken, {"left": CameraChanges(device="X")})
+        assert {} == cameras.changes
+        await cameras.capture(head, listens=False)
+        await cameras.adjust(head, "left", CameraValues(gain_db=6.0))
+        await cameras.put_down(head)
+        await cameras.capture(head, listens=False)
+        await cameras.put_down(head)
+
+    asyncio.run(script())
+    assert [(2000.0, 0.0), (2000.0, 0.0)] == film.exposed

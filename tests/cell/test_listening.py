@@ -1,0 +1,237 @@
+"""The stereo head on cameras that expose by themselves: frames are paired by time, and none gets lost."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edged.cell.stereohead import REOPEN_AFTER, StereoHead
+from edged.domain.frames import Frame, FramePair, TimeBase
+from edged.errors import CaptureError, FrameIncomplete, FrameTimeout, FrameUnpaired
+
+
+class Streaming:
+    """A camera whose frames come when the test says; what nobody fetched waits."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.frames: asyncio.Queue[Frame | CaptureError] = asyncio.Queue()
+        self.number = 0
+        self.opened = 0
+
+    async def open(self) -> None:
+        self.opened += 1
+
+    async def trigger(self) -> None:
+        pass
+
+    async def frame(self) -> Frame:
+        frame = await self.frames.get()
+        if isinstance(frame, CaptureError):
+            raise frame
+        return frame
+
+    async def close(self) -> None:
+        pass
+
+    def expose(self, at_ms: float, *, skip: int = 0) -> None:
+        """A frame exposed at this time; skip : so many frames before it were lost."""
+        self.number += 1 + skip
+        image = np.full((2, 2), self.number % 200, np.uint8)
+        image[0, 0] = 255
+        at_ns = 10**18 + round(at_ms * 1e6)
+        self.frames.put_nowait(
+            Frame(self.name, self.number, image, round(at_ms * 1e6), at_ns, 100_000, TimeBase.CAMERA)
+        )
+
+    def damage(self) -> None:
+        """A frame that arrives with packets missing."""
+        self.number += 1
+        self.frames.put_nowait(FrameIncomplete(self.name, "packets missing"))
+
+
+def streaming(script: Callable[[StereoHead, Streaming, Streaming], Awaitable[Any]], **options: Any) -> Any:
+    """Run a script on a head with two such cameras; no task may survive."""
+
+    async def main() -> Any:
+        left, right = Streaming("left"), Streaming("right")
+        head = StereoHead(left, right, **{"timeout_s": 0.1, "max_skew_s": 0.005, **options})
+        before = asyncio.all_tasks()
+        try:
+            return await script(head, left, right)
+        finally:
+            await head.close()
+            assert before == asyncio.all_tasks(), "a task was left behind"
+
+    return asyncio.run(asyncio.wait_for(main(), 20))
+
+
+def numbers(pair: FramePair) -> tuple[int, int]:
+    """Frame ids of left and right."""
+    return pair.left.frame_id, pair.right.frame_id
+
+
+def test_free_running_cameras_are_paired_by_time() -> None:
+    """The older frame gives way until two fit; what never fits is a fault of its own."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        for at_ms in (0, 50, 100):
+            left.expose(at_ms)
+        for at_ms in (98, 148):
+            right.expose(at_ms)
+        assert (3, 1) == numbers(await head.capture())
+        left.expose(200)
+        with pytest.raises(FrameUnpaired, match="no two frames fit within"):
+            await head.capture()
+
+    streaming(script, free_running=True)
+
+
+def test_exposures_that_others_trigger_are_heard_in_order() -> None:
+    """However late one image is, and with none of them asked for."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> list[tuple[int, int]]:
+        left.expose(0)
+        left.expose(50)
+        right.expose(1)
+        asyncio.get_running_loop().call_later(0.02, right.expose, 51)
+        return [numbers(await head.listen()) for _ in range(2)]
+
+    assert [(1, 1), (2, 2)] == streaming(script)
+
+
+def test_an_exposure_that_one_camera_missed_is_a_fault_and_the_next_is_a_pair() -> None:
+    """Whether the partner is late or never comes; the cameras do not stay one exposure apart."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        left.expose(0)
+        with pytest.raises(FrameUnpaired, match=r"right: no partner for frame 1 of left within 0\.1 s"):
+            await head.listen()
+        left.expose(100)
+        left.expose(200)
+        right.expose(201)
+        with pytest.raises(
+            FrameUnpaired, match=r"right: no partner for frame 2 of left: exposures 101\.00 ms"
+        ):
+            await head.listen()
+        pair = await head.listen()
+        assert (3, 1) == numbers(pair)
+
+    streaming(script)
+
+
+def test_a_damaged_image_takes_its_partner_with_it() -> None:
+    """The fault is the damage, and the next exposure is a pair."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        left.expose(0)
+        right.damage()
+        with pytest.raises(FrameIncomplete, match="right"):
+            await head.listen()
+        left.expose(100)
+        right.expose(100)
+        assert (2, 2) == numbers(await head.listen())
+
+    streaming(script)
+
+
+def test_listening_can_be_interrupted_without_losing_a_frame() -> None:
+    """One image is there, the other not yet: who stops waiting and comes again gets both."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        await head.open()
+        left.expose(0)
+        listening = asyncio.create_task(head.listen())
+        await asyncio.sleep(0.01)
+        listening.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await listening
+        right.expose(0)
+        assert (1, 1) == numbers(await head.listen())
+
+    streaming(script, timeout_s=5.0)
+
+
+def test_a_silent_camera_shows_to_a_listener_that_looks_up_before_its_time_is_over() -> None:
+    """Interrupted again and again, each time for less than the partner's time: a fault all the same."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        left.expose(0)
+        for _ in range(1000):
+            listening = asyncio.create_task(head.listen())
+            await asyncio.wait({listening}, timeout=0.02)
+            if listening.done():
+                break
+            listening.cancel()
+            await asyncio.wait({listening})
+        with pytest.raises(FrameUnpaired, match="camera right: no partner for frame 1 of left"):
+            listening.result()
+        left.expose(50)
+        right.expose(50)
+        assert (2, 1) == numbers(await head.listen())
+
+    streaming(script)
+
+
+def test_exposures_that_nobody_had_time_for_are_counted() -> None:
+    """Both cameras skipped two numbers: two exposures were missed."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> list[int]:
+        missed = []
+        for at_ms, skip in ((0, 0), (100, 0), (400, 2)):
+            left.expose(at_ms, skip=skip)
+            right.expose(at_ms, skip=skip)
+            missed.append((await head.listen()).missed)
+        return missed
+
+    assert [0, 0, 2] == streaming(script)
+
+
+def test_a_camera_that_gives_up_waiting_is_listened_to_again() -> None:
+    """No trigger for a long time is no fault."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        left.frames.put_nowait(FrameTimeout("left", "no image within 10 s"))
+        listening = asyncio.create_task(head.listen())
+        await asyncio.sleep(0.15)
+        left.expose(0)
+        right.expose(0)
+        assert (1, 1) == numbers(await listening)
+
+    streaming(script, timeout_s=5.0)
+
+
+def test_a_command_while_listening_takes_over_the_cameras() -> None:
+    """The frame that comes after it belongs to the command."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        listening = asyncio.create_task(head.listen())
+        await asyncio.sleep(0.01)
+        listening.cancel()
+        await asyncio.wait({listening})
+        commanded = asyncio.create_task(head.capture())
+        await asyncio.sleep(0.01)
+        left.expose(0)
+        right.expose(0)
+        assert (1, 1) == numbers(await commanded)
+
+    streaming(script, timeout_s=5.0)
+
+
+def test_no_trigger_is_no_fault_of_the_cameras() -> None:
+    """Commanded, and the pulse never comes: a time-out each time, and nobody is opened again for it."""
+
+    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+        for _ in range(2 * REOPEN_AFTER):
+            with pytest.raises(
+                FrameTimeout, match=r"camera both: nobody triggered them within 0\.02 s"
+            ) as caught:
+                await head.capture()
+            assert FrameTimeout is type(caught.value)
+        assert (1, 1) == (left.opened, right.opened)
+
+    streaming(script, by_others=True, timeout_s=0.02)

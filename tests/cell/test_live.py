@@ -1,0 +1,134 @@
+"""Live pictures without a server: who wants them, who hears of them, and when they end."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+from helpers.scriptedhead import Head, make_setup, until
+
+from edged.cell.cycle import Cycle
+from edged.cell.lease import live as live_pictures
+from edged.cell.lease.live import UNSEEN_S, LivePictures
+from edged.cell.lease.notices import Notices
+from edged.errors import SetupRefused
+
+
+class Scene:
+    """A cell that somebody has, live pictures of it, and what was told of them."""
+
+    def __init__(self, cycle: Cycle, head: Head, token: str) -> None:
+        self.cycle, self.head, self.token = cycle, head, token
+        self.now_s = 0.0
+        self.told: list[dict[str, Any]] = []
+        notices = Notices()
+        notices.listen(lambda kind, document: self.told.append({"kind": kind, **document}))
+        self.live = LivePictures(cycle, notices, lambda: self.now_s)
+        self.numbers: list[int] = []
+        self.stop = self.live.listen(lambda number, _pair: self.numbers.append(number))
+
+
+def play(test: Callable[[Scene], Awaitable[None]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A test beside a running cell."""
+    monkeypatch.setattr(live_pictures, "PERIOD_S", 0.001)
+    monkeypatch.setattr(live_pictures, "REST_S", 0.001)
+
+    async def main() -> None:
+        head = Head()
+        cycle = Cycle(head, make_setup())
+        task = asyncio.create_task(cycle.run())
+        try:
+            async with asyncio.timeout(10):
+                scene = Scene(cycle, head, await cycle.enter_setup("Anna"))
+                await test(scene)
+                await scene.live.close()
+        finally:
+            cycle.stop()
+            await task
+
+    asyncio.run(main())
+
+
+def test_pictures_come_while_they_are_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numbered without a gap; with nobody who wants them the cameras rest."""
+
+    async def test(scene: Scene) -> None:
+        scene.live.want("tab", scene.token)
+        await until(lambda: len(scene.numbers) >= 5)
+        assert list(range(1, len(scene.numbers) + 1)) == scene.numbers
+        scene.live.unwant("tab")
+        await until(lambda: not scene.live.is_on)
+        taken = scene.head.captures
+        await scene.cycle.capture(scene.token)
+        assert taken + 1 == scene.head.captures
+        assert [True, False] == [one["on"] for one in scene.told]
+
+    play(test, monkeypatch)
+
+
+def test_only_who_has_the_cell_gets_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A token that is worth nothing is refused; taking the cell over ends them, and says why."""
+
+    async def test(scene: Scene) -> None:
+        with pytest.raises(SetupRefused):
+            scene.live.want("tab", "of nobody")
+        assert not scene.live.is_on
+        scene.live.want("tab", scene.token)
+        await until(lambda: scene.numbers)
+        await scene.cycle.enter_setup("Ben", take_over=True)
+        await until(lambda: not scene.live.is_on)
+        assert ("live", False, "setup_refused") == tuple(
+            scene.told[-1][name] for name in ("kind", "on", "code")
+        )
+        assert "Ben" in scene.told[-1]["detail"]
+
+    play(test, monkeypatch)
+
+
+def test_who_does_not_look_gets_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tablet that sleeps does not keep the cell taken; one that looks does."""
+
+    async def test(scene: Scene) -> None:
+        scene.live.want("tab", scene.token)
+        for _ in range(3):
+            scene.now_s += 0.7 * UNSEEN_S
+            scene.live.seen("tab")
+            before = len(scene.numbers)
+            await until(lambda before=before: len(scene.numbers) > before)
+        scene.now_s += UNSEEN_S
+        await until(lambda: not scene.live.is_on)
+        assert "unseen" == scene.told[-1]["code"]
+
+    play(test, monkeypatch)
+
+
+def test_a_dead_camera_is_told_once_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its code; when it answers, pictures go on."""
+
+    async def test(scene: Scene) -> None:
+        scene.head.broken = True
+        scene.live.want("tab", scene.token)
+        await until(lambda: len(scene.told) >= 2)
+        await asyncio.sleep(0.02)
+        assert [None, "camera_104"] == [one["code"] for one in scene.told]
+        scene.head.broken = False
+        await until(lambda: scene.numbers)
+
+    play(test, monkeypatch)
+
+
+def test_who_has_stopped_listening_hears_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also twice; others go on hearing."""
+
+    async def test(scene: Scene) -> None:
+        others: list[int] = []
+        scene.live.listen(lambda number, _pair: others.append(number))
+        scene.stop()
+        scene.stop()
+        scene.live.want("tab", scene.token)
+        await until(lambda: len(others) >= 2)
+        assert [] == scene.numbers
+
+    play(test, monkeypatch)

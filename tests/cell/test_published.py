@@ -1,0 +1,143 @@
+"""What was published of a cycle does not change any more, whatever is measured after it."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.cells import flange, frame_pair, pictures, pose, scene
+from helpers.scriptedhead import Ear, Head, until
+from helpers.snapshots import make_snapshot, make_transform
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edged.cell.cycle import Cycle
+from edged.cell.loaded import LoadedJob, Setup
+from edged.domain.events import Event, Snapshot
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome
+from edged.errors import FrameTimeout
+from edged.pipeline import PreparedRig, locate, prepare
+from edged.vision.part.job import Job
+from edged.vision.teaching.pair import teach
+
+PICTURES = ("straight", "turned", "tilted", "empty", "unplugged")
+
+
+@functools.cache
+def taught() -> tuple[PreparedRig, Job]:
+    """The flange and its rig."""
+    cell = flange()
+    rig = prepare(cell.rig)
+    return rig, teach(cell.left, cell.right, rig.rectification, cell.region, "flange")
+
+
+@functools.cache
+def exposure(picture: str) -> FramePair:
+    """A pair of it; each time the same arrays."""
+    cell = flange()
+    if picture == "empty":
+        return frame_pair(*pictures(cell.rig, scene()))
+    where = {"straight": pose(), "turned": pose(turn_deg=70.0), "tilted": pose(tilt_deg=8.0)}[picture]
+    return frame_pair(*pictures(cell.rig, scene((cell.part, where))))
+
+
+class _Recalling(Ear):
+    """Remembers each event, and every bit of it as it was announced."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bits: list[bytes] = []
+
+    def announce(self, event: Event) -> None:
+        super().announce(event)
+        self.bits.append(bits_of(event))
+
+
+def bits_of(event: Event) -> bytes:
+    """All of an event; what came nearest is a question, which holds no result until somebody asks."""
+    return pickle.dumps(replace(event, nearest=None) if isinstance(event, Snapshot) else event)
+
+
+class _Pictures(Head):
+    """Shows pictures one after the other, then the last one again and again."""
+
+    def __init__(self, shown: list[str]) -> None:
+        super().__init__()
+        self._shown = shown
+
+    async def capture(self) -> FramePair:
+        picture = self._shown[min(self.captures, len(self._shown) - 1)]
+        self.captures += 1
+        if picture == "unplugged":
+            raise FrameTimeout("left", "unplugged")
+        return exposure(picture)
+
+
+def published(shown: list[str]) -> _Recalling:
+    """What a cell with the whole pipeline announces of these pictures, in a free-running loop."""
+    rig, job = taught()
+
+    def locate_job(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
+        return locate(pair, job, rig, lap)
+
+    setup = Setup(
+        jobs={1: LoadedJob("flange", 1, locate_job)},
+        active_job=1,
+        period_s=0.0,
+        calibration_id="cal",
+        fingerprint="f00d",
+        simulated=True,
+        robot_from_rig=make_transform((0.1, 0.2, 0.3), (400.0, 0.0, 300.0)),
+        registration_covariance=1e-6 * np.eye(6),
+    )
+    ear = _Recalling()
+
+    async def main() -> None:
+        cycle = Cycle(_Pictures(shown), setup)
+        cycle.set_publishers([ear])
+        task = asyncio.create_task(cycle.run())
+        try:
+            await until(lambda: len(ear.snapshots()) >= len(shown), 60.0)
+        finally:
+            cycle.stop()
+            await asyncio.wait_for(task, 60.0)
+
+    asyncio.run(main())
+    return ear
+
+
+@settings(max_examples=4, deadline=None)
+@given(shown=st.lists(st.sampled_from(PICTURES), min_size=2, max_size=5))
+def test_later_cycles_leave_what_was_published_as_it_was(shown: list[str]) -> None:
+    """Results, images and states are the same bits after any other cycles; no buffer is shared with one."""
+    ear = published(shown)
+
+    assert ear.bits == [bits_of(event) for event in ear.events]
+
+
+def test_no_array_of_a_snapshot_can_be_written() -> None:
+    """A publisher that tries is told at once, and the others still read the truth."""
+    (snapshot, *_) = published(["straight"]).snapshots()
+    (target,) = snapshot.targets
+    arrays = [target.rig_from_part, target.covariance, target.circles[0].centre_mm, target.position_mm]
+
+    for array in (*arrays, snapshot.robot_from_rig, snapshot.registration_covariance):
+        assert array is not None
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+
+
+def test_features_of_every_kind_are_sealed() -> None:
+    """Also edges, slots and corners."""
+    snapshot: Snapshot = make_snapshot()
+    (target,) = snapshot.targets
+
+    parts = (*target.circles, *target.edges, *target.slots, *target.corners)
+    assert 4 == len(parts)
+    assert not any(part.covariance.flags.writeable for part in parts)

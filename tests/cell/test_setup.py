@@ -1,0 +1,392 @@
+"""SETUP: nobody is served, one person at a time has the cell, and it is never ready again by itself."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from helpers.scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup, until
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from edged.cell.cycle import Cycle
+from edged.cell.lease.lease import LEASE_S, SetupDesk
+from edged.cell.loaded import Setup
+from edged.domain.cell import CellPhase, CellState, SetupSource
+from edged.domain.events import CommandFailed, ExposureDone, Idle, Snapshot
+from edged.domain.measurement import Outcome, Status
+from edged.errors import BeingSetUp, FrameTimeout, ImageError, SetupRefused
+from edged.files.setupnote import SetupNote
+
+LACKING = replace(make_setup(), jobs={}, active_job=0, lacks=SetupSource.NO_CALIBRATION)
+
+
+def drive(setup: Setup, script, head: Head | None = None, note: SetupNote | None = None) -> Ear:
+    """Run a cycle beside `script(cycle, ear, head)`, then stop it; what it announced."""
+    head, ear = head or Head(), Ear()
+
+    async def main() -> None:
+        cycle = Cycle(head, setup, notebook=note)
+        cycle.set_publishers([ear])
+        task = asyncio.create_task(cycle.run())
+        try:
+            await script(cycle, ear, head)
+        finally:
+            cycle.stop()
+            await asyncio.wait_for(task, 5)
+
+    asyncio.run(main())
+    return ear
+
+
+def latest(ear: Ear) -> CellState:
+    """The state that was told last."""
+    return next(event for event in reversed(ear.events) if isinstance(event, CellState))
+
+
+def test_whoever_enters_has_the_cell_after_the_running_cycle() -> None:
+    """The cycle ends as ever, what waited fails, and from then on commands are refused."""
+    release, slow = held()
+    first, waiting = locate_command(1), locate_command(2)
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        cycle.submit(first)
+        await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
+        cycle.submit(waiting)
+        entering = asyncio.create_task(cycle.enter_setup("Anna"))
+        await asyncio.sleep(0)
+        with pytest.raises(BeingSetUp):
+            cycle.submit(locate_command(3))
+        assert not entering.done()
+        release.set()
+        await entering
+        state = latest(ear)
+        told = (state.state, state.ready, state.setup, state.setup_by, state.why)
+        assert (CellPhase.SETUP, False, SetupSource.PERSON, "Anna", "setup by Anna") == told
+
+    ear = drive(make_setup(locate=slow), script)
+
+    assert [Snapshot] == [type(answer) for answer in ear.answers(first)]
+    assert [CommandFailed] == [type(answer) for answer in ear.answers(waiting)]
+    failed = ear.events.index(ear.answers(waiting)[0])
+    assert any(isinstance(event, CellState) and event.setup for event in ear.events[:failed]), "told first"
+
+
+def test_nobody_else_hears_of_pictures_in_setup() -> None:
+    """They go to who asked; then one test pair, and the cell is ready."""
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        token = await cycle.enter_setup("Anna")
+        pair = await cycle.capture(token)
+        assert (1, 1) == (pair.left.frame_id, head.captures)
+        tried, outcome = await cycle.try_job(token, found_nothing)
+        assert (2, Status.NO_TARGET) == (tried.left.frame_id, outcome.status)
+        await until(lambda: latest(ear).cameras_ok)
+        cycle.leave_setup(token)
+        await until(lambda: ear.state() is CellPhase.READY)
+        assert 3 == head.captures
+
+    ear = drive(make_setup(), script)
+
+    assert [] == [event for event in ear.events if isinstance(event, Snapshot | ExposureDone)]
+
+
+def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> None:
+    """Not before: in SETUP a cable may be in somebody's hand."""
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        token = await cycle.enter_setup("Anna")
+        head.broken = True
+        with pytest.raises(FrameTimeout):
+            await cycle.capture(token)
+        assert (CellPhase.SETUP, "", False) == (latest(ear).state, latest(ear).error, latest(ear).cameras_ok)
+        cycle.leave_setup(token)
+        await until(lambda: ear.state() is CellPhase.FAULT)
+        head.broken = False
+        await until(lambda: ear.state() is CellPhase.READY)
+
+    drive(make_setup(), script)
+
+
+def test_a_draft_that_cannot_measure_ends_nothing() -> None:
+    """What is raised on purpose goes to who asked; the next request is served."""
+
+    def unfit(_pair: object, _lap: object) -> Outcome:
+        raise ImageError("of another size")
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        token = await cycle.enter_setup("Anna")
+        with pytest.raises(ImageError):
+            await cycle.try_job(token, unfit)
+        await cycle.capture(token)
+
+    drive(make_setup(), script)
+
+
+def test_other_cameras_are_for_setup_alone() -> None:
+    """They take the pictures until it ends; then they are closed, and the configured ones are open again."""
+    draft = Head()
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        token = await cycle.enter_setup("Anna")
+        await cycle.try_head(token, draft)
+        assert 1 == head.closed
+        await cycle.capture(token)
+        cycle.leave_setup(token)
+        await until(lambda: ear.state() is CellPhase.READY)
+        assert (1, 1) == (draft.captures, draft.closed)
+        assert 1 == head.captures
+
+    drive(make_setup(), script)
+
+
+def test_the_loop_shows_that_it_lives_in_setup(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With nothing to do, and with one picture after the other: the watchdog feeds on these alone."""
+    monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 0.01)
+
+    def idle(ear: Ear) -> int:
+        return sum(isinstance(event, Idle) for event in ear.events)
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        token = await cycle.enter_setup("Anna")
+        before = idle(ear)
+        await until(lambda: idle(ear) >= before + 3)
+        monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 60.0)
+        before = idle(ear)
+        for _ in range(5):
+            await cycle.capture(token)
+        assert idle(ear) >= before + 4
+
+    drive(make_setup(), script)
+
+
+def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Another program may take the pictures to calibrate from; with rig and jobs it is ready."""
+    monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 0.01)
+    head = Head()
+    opened: list[bool] = []
+    opening = head.open
+    monkeypatch.setattr(head, "open", lambda: opened.append(True) or opening())
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        await until(lambda: sum(isinstance(event, Idle) for event in ear.events) >= 2)
+        state = latest(ear)
+        assert (CellPhase.SETUP, SetupSource.NO_CALIBRATION, "") == (state.state, state.setup, state.job)
+        assert "setup: no calibration yet" == state.why
+        with pytest.raises(BeingSetUp):
+            cycle.submit(locate_command(1))
+        assert [] == opened
+        closed = head.closed
+        token = await cycle.enter_setup("Anna")
+        assert SetupSource.PERSON is latest(ear).setup
+        await cycle.capture(token)
+        cycle.leave_setup(token)
+        await until(lambda: head.closed > closed)
+        assert SetupSource.NO_CALIBRATION is latest(ear).setup
+        cycle.exchange(make_setup())
+        await until(lambda: ear.state() is CellPhase.READY)
+        assert 1 == latest(ear).job_number
+        cycle.submit(locate_command(2))
+        await until(lambda: ear.snapshots())
+
+    drive(LACKING, script, head)
+
+
+def test_setup_is_left_by_a_person_only() -> None:
+    """Neither what a reload brings, nor a lease that lapses, makes a cell ready that somebody has taken."""
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        await cycle.enter_setup("Anna")
+        cycle.exchange(make_setup(period_s=0.01))
+        for _ in range(20):
+            await asyncio.sleep(0.005)
+        assert CellPhase.SETUP is ear.state()
+        assert [] == ear.snapshots()
+        cycle.end_setup("Ben")
+        await until(ear.snapshots)
+
+    drive(LACKING, script)
+
+
+def test_no_tick_is_made_up_for_after_setup() -> None:
+    """A free-running cell goes on with one cycle, and has missed none."""
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        token = await cycle.enter_setup("Anna")
+        await asyncio.sleep(0.1)
+        cycle.leave_setup(token)
+        await until(lambda: len(ear.snapshots()) >= 2)
+        assert 0 == latest(ear).missed_triggers
+
+    drive(make_setup(period_s=0.02), script)
+
+
+def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:
+    """By the note; nobody has it then, so anybody may take it, or end it."""
+    note = SetupNote(tmp_path / "setup")
+
+    async def killed() -> None:
+        cycle = Cycle(Head(), make_setup(), notebook=note)
+        task = asyncio.create_task(cycle.run())
+        await cycle.enter_setup("Anna")
+        assert "Anna\n" == note.path.read_text()
+        task.cancel()  # as far as the note goes, this is a kill
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        await until(lambda: ear.state() is CellPhase.SETUP)
+        assert ("", "setup, and nobody looks after it") == (latest(ear).setup_by, latest(ear).why)
+        token = await cycle.enter_setup("Ben")
+        cycle.leave_setup(token)
+        await until(lambda: ear.state() is CellPhase.READY)
+        assert not note.path.exists()
+
+    asyncio.run(killed())
+    ear = drive(make_setup(), script, note=note)
+    states = [event.state for event in ear.events if isinstance(event, CellState)]
+    assert CellPhase.READY not in states[: states.index(CellPhase.SETUP)]
+
+
+def test_setup_that_cannot_be_noted_is_refused(tmp_path: Path) -> None:
+    """A kill would make the cell ready beside somebody; the reason is said."""
+    note = SetupNote(tmp_path / "no" / "such" / "folder")
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        with pytest.raises(SetupRefused, match="cannot be noted"):
+            await cycle.enter_setup("Anna")
+        await until(lambda: ear.state() is CellPhase.READY)
+
+    drive(make_setup(), script, note=note)
+
+
+def test_the_plant_refuses_setup_and_ends_it() -> None:
+    """A picture that is being taken is finished; whatever else was asked is not done."""
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        token = await cycle.enter_setup("Anna")
+        head.capture_s = 0.05
+        taking = asyncio.create_task(cycle.capture(token))
+        asked = asyncio.create_task(cycle.capture(token))
+        await asyncio.sleep(0.01)
+        cycle.lock_setup(True)
+        assert 1 == (await taking).left.frame_id
+        with pytest.raises(SetupRefused, match="AUTO_LOCK"):
+            await asked
+        await until(lambda: ear.state() is CellPhase.READY)
+        for entering in (cycle.enter_setup("Anna"), cycle.capture(token)):
+            with pytest.raises(SetupRefused):
+                await entering
+        cycle.lock_setup(False)
+        await cycle.enter_setup("Anna")
+
+    drive(make_setup(), script)
+
+
+def test_a_stopping_daemon_answers_who_has_the_cell() -> None:
+    """Their request fails with the reason; cameras are closed."""
+
+    async def main() -> None:
+        head = Head()
+        cycle = Cycle(head, make_setup())
+        task = asyncio.create_task(cycle.run())
+        token = await cycle.enter_setup("Anna")
+        head.capture_s = 0.05
+        first, second = (asyncio.create_task(cycle.capture(token)) for _ in range(2))
+        await asyncio.sleep(0.01)
+        cycle.stop()
+        await task
+        assert 1 == (await first).left.frame_id
+        with pytest.raises(SetupRefused, match="stopping"):
+            await second
+        assert 1 == head.closed
+
+    asyncio.run(main())
+
+
+def test_cameras_that_others_trigger_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And when nobody does, that is said, and the next request is served."""
+    monkeypatch.setattr("edged.cell.lease.cameras.LOOK_S", 0.01)
+    monkeypatch.setattr("edged.cell.lease.cameras.LISTEN_S", 0.03)
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        token = await cycle.enter_setup("Anna")
+        with pytest.raises(FrameTimeout, match="nobody triggered"):
+            await cycle.capture(token)
+        made = await head.capture()
+        head.exposures.put_nowait(made)
+        assert made is await cycle.capture(token)
+
+    drive(replace(make_setup(), listens=True), script)
+
+
+class AnybodyAtTheDesk(RuleBasedStateMachine):
+    """People, a plant and time. The model: whose token is worth something, and for how long."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_s = 0.0
+        self.desk = SetupDesk(lambda: None, lambda: self.now_s)
+        self.tokens: list[str] = []
+        self.holder = ""
+        self.until_s = 0.0
+        self.taken = self.locked = False
+
+    @property
+    def attended(self) -> bool:
+        return self.taken and self.now_s < self.until_s
+
+    @rule(over=st.booleans())
+    def arrive(self, over: bool) -> None:
+        may = not self.locked and (self.taken if over else not self.attended)
+        try:
+            token = self.desk.take_over("Ben") if over else self.desk.enter("Anna")
+        except SetupRefused:
+            assert not may
+            return
+        assert may
+        self.tokens.append(token)
+        self.holder, self.taken, self.until_s = token, True, self.now_s + LEASE_S
+
+    @precondition(lambda self: self.tokens)
+    @rule(data=st.data(), leave=st.booleans())
+    def speak(self, data: st.DataObject, leave: bool) -> None:
+        token = data.draw(st.sampled_from([*self.tokens, ""]))
+        may = self.taken and token == self.holder != ""
+        try:
+            self.desk.leave(token) if leave else self.desk.renew(token)
+        except SetupRefused:
+            assert not may
+            return
+        assert may
+        self.until_s = self.now_s + LEASE_S
+        if leave:
+            self.taken, self.holder = False, ""
+
+    @rule(locked=st.booleans())
+    def the_plant_says(self, locked: bool) -> None:
+        self.desk.lock(locked)
+        self.locked = locked
+        if locked:
+            self.taken, self.holder = False, ""
+
+    @rule(seconds=st.sampled_from([1.0, LEASE_S / 2, LEASE_S, 1000 * LEASE_S]))
+    def wait(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    @invariant()
+    def it_is_taken_until_somebody_says_otherwise(self) -> None:
+        assert self.taken == self.desk.taken
+        assert self.attended == bool(self.desk.name)
+        assert not (self.locked and self.desk.taken)
+
+
+TestAnybodyAtTheDesk = AnybodyAtTheDesk.TestCase
+TestAnybodyAtTheDesk.settings = settings(
+    max_examples=100, stateful_step_count=30, deadline=None, derandomize=True
+)

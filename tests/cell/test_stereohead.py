@@ -1,0 +1,824 @@
+"""The stereo head's promises: one exposure or one fault, in bounded time, with nothing left behind."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edged import errors
+from edged.cell.stereohead import REOPEN_AFTER, StereoHead
+from edged.cell.tasks import both
+from edged.domain.arrays import Image
+from edged.domain.frames import Frame, FramePair
+from edged.errors import (
+    CameraBusy,
+    CameraSetupError,
+    CameraUnreachable,
+    CaptureError,
+    FrameFrozen,
+    FrameIncomplete,
+    FrameRepeated,
+    FrameTimeout,
+    PairingError,
+    StreamStalled,
+)
+from edged.sim.exposure import ExposureRequest
+from edged.sim.inprocess import InProcessCamera, InProcessFaults
+
+TIMEOUT_S = 0.1
+
+
+def noise(request: ExposureRequest) -> Image:
+    """An image that differs with every exposure."""
+    return np.random.default_rng(request.frame_id).integers(
+        0, 256, (request.height, request.width), dtype=np.uint8
+    )
+
+
+class Bench:
+    """A stereo head on two in-process cameras."""
+
+    def __init__(self, exposure: Callable[[ExposureRequest], Image] = noise, **options: Any) -> None:
+        self.left, self.right = (
+            InProcessCamera(name, exposure, width=16, height=12) for name in ("left", "right")
+        )
+        self.head = StereoHead(
+            self.left,
+            self.right,
+            **{"timeout_s": TIMEOUT_S, "max_skew_s": 0.1, "min_backoff_s": 0.02, **options},
+        )
+
+    def side(self, name: str) -> InProcessCamera:
+        return self.left if name == "left" else self.right
+
+    async def is_closed(self, name: str) -> None:
+        """The camera gets closed without anybody waiting for it."""
+        deadline_s = time.monotonic() + 3.0
+        while self.side(name).is_open:
+            assert time.monotonic() < deadline_s, "was not closed"
+            await asyncio.sleep(0.001)
+
+    async def recovers(self, within_s: float = 3.0) -> FramePair:
+        """The first good pair; every error on the way must be a `CaptureError`."""
+        deadline_s = time.monotonic() + within_s
+        while True:
+            try:
+                return await self.head.capture()
+            except CaptureError:
+                assert time.monotonic() < deadline_s, "did not recover"
+                await asyncio.sleep(0.01)
+
+
+def run(script: Callable[[Bench], Awaitable[Any]], bench: Bench | None = None) -> Any:
+    """Run a script on a bench, close it, and insist that no task survives."""
+
+    async def main() -> Any:
+        used = bench or Bench()
+        before = asyncio.all_tasks()
+        try:
+            return await script(used)
+        finally:
+            await used.head.close()
+            assert before == asyncio.all_tasks(), "a task was left behind"
+            assert not used.left.is_open
+            assert not used.right.is_open
+
+    return asyncio.run(asyncio.wait_for(main(), 20))
+
+
+SIDES = pytest.mark.parametrize("name", ["left", "right"])
+
+
+# --- both ---------------------------------------------------------------------------------------
+
+
+def test_both_returns_both_results_in_order() -> None:
+    """The slower one does not change places."""
+
+    async def give(value: int, delay_s: float) -> int:
+        await asyncio.sleep(delay_s)
+        return value
+
+    assert (1, 2) == asyncio.run(both(give(1, 0.01), give(2, 0.0), 1.0))
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+@pytest.mark.parametrize("how", ["error", "timeout", "cancelled"])
+def test_both_leaves_nothing_running(failing: int, how: str) -> None:
+    """After an error, a time-out or a cancellation both coroutines have ended, clean-up included."""
+    ended: list[int] = []
+
+    async def work(number: int) -> None:
+        try:
+            if how == "error" and number == failing:
+                raise FrameTimeout("left", "gone")
+            await asyncio.sleep(30)
+        finally:
+            await asyncio.sleep(0.01)  # a clean-up that takes its time is waited for
+            ended.append(number)
+
+    async def main() -> None:
+        expected = {"error": FrameTimeout, "timeout": TimeoutError, "cancelled": asyncio.CancelledError}[how]
+        task = asyncio.create_task(both(work(0), work(1), 0.02 if how == "timeout" else 10.0))
+        await asyncio.sleep(0)
+        if how == "cancelled":
+            await asyncio.sleep(0.01)
+            task.cancel()
+        with pytest.raises(expected):
+            await task
+        assert {0, 1} == set(ended)
+        assert asyncio.all_tasks() == {asyncio.current_task()}
+
+    asyncio.run(main())
+
+
+def test_both_awaits_the_other_even_when_cancelled_twice() -> None:
+    """A second cancellation during the clean-up does not cut the clean-up short, and is not lost."""
+    ended: list[int] = []
+
+    async def work(number: int) -> None:
+        try:
+            await asyncio.sleep(30)
+        finally:
+            await asyncio.shield(asyncio.sleep(0.05))
+            ended.append(number)
+
+    async def main() -> None:
+        task = asyncio.create_task(both(work(0), work(1), 10.0))
+        await asyncio.sleep(0.01)
+        task.cancel()
+        await asyncio.sleep(0.01)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert [0, 1] == sorted(ended)
+
+    asyncio.run(main())
+
+
+# --- good pairs -----------------------------------------------------------------------------------
+
+
+def test_a_capture_opens_the_cameras_and_gives_what_they_saw() -> None:
+    """Images arrive byte for byte, with increasing ids, within the skew limit."""
+
+    async def script(bench: Bench) -> list[FramePair]:
+        return [await bench.head.capture() for _ in range(5)]
+
+    pairs = run(script)
+
+    assert [1, 2, 3, 4, 5] == [pair.left.frame_id for pair in pairs] == [p.right.frame_id for p in pairs]
+    for pair in pairs:
+        expected = noise(ExposureRequest(pair.left.frame_id, 0, 0, 0.0, 0.0, 16, 12))
+        np.testing.assert_array_equal(expected, pair.left.image)
+        assert abs(pair.left.exposed_ns - pair.right.exposed_ns) < 5e6
+
+
+def test_both_cameras_expose_at_the_same_time() -> None:
+    """Neither rendering starts only after the other has ended: both wait at one barrier."""
+    barrier = threading.Barrier(2)
+
+    def meet(request: ExposureRequest) -> Image:
+        barrier.wait(5)
+        return noise(request)
+
+    run(lambda bench: bench.head.capture(), Bench(meet, timeout_s=10.0))
+
+
+def test_the_loop_keeps_running_while_an_image_is_rendered() -> None:
+    """Rendering waits for something only the event loop can do."""
+
+    async def script(bench: Bench) -> None:
+        loop = asyncio.get_running_loop()
+
+        def render(request: ExposureRequest) -> Image:
+            turned = threading.Event()
+            loop.call_soon_threadsafe(turned.set)
+            assert turned.wait(5), "the event loop stood still"
+            return noise(request)
+
+        left, right = (InProcessCamera(name, render, width=16, height=12) for name in ("left", "right"))
+        head = StereoHead(left, right, timeout_s=10.0)
+        await head.capture()
+        await head.close()
+
+    run(script)
+
+
+def test_a_frame_is_not_a_view_of_the_renderers_memory() -> None:
+    """The next exposure must not change an image that was handed out."""
+    shared = np.zeros((12, 16), np.uint8)
+
+    def render(request: ExposureRequest) -> Image:
+        shared[:] = request.frame_id
+        shared[0, 0] = 255
+        return shared
+
+    async def script(bench: Bench) -> tuple[FramePair, FramePair]:
+        return await bench.head.capture(), await bench.head.capture()
+
+    first, second = run(script, Bench(render))
+    assert (1, 2) == (first.left.image[5, 5], second.left.image[5, 5])
+
+
+# --- faults ---------------------------------------------------------------------------------------
+
+
+@SIDES
+@pytest.mark.parametrize("kind", [FrameTimeout, FrameIncomplete, PairingError])
+def test_a_single_lost_exposure_does_not_close_a_camera(name: str, kind: type[CaptureError]) -> None:
+    """One lost frame is the network's: the next capture works at once, on the same connection."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        bench.side(name).faults.fail_next_trigger = kind(name, "once")
+        with pytest.raises(kind, match="once"):
+            await bench.head.capture()
+        await bench.head.capture()
+        assert (1, 1) == (bench.left.opened, bench.right.opened)
+
+    run(script)
+
+
+@SIDES
+@pytest.mark.parametrize("kind", [CameraUnreachable, CameraBusy, CameraSetupError])
+def test_a_camera_that_is_gone_is_closed_and_opened_again(name: str, kind: type[CaptureError]) -> None:
+    """Only the broken one is reopened; the other keeps its connection."""
+    other = "right" if name == "left" else "left"
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        bench.side(name).faults.fail_next_trigger = kind(name, "gone")
+        with pytest.raises(kind):
+            await bench.head.capture()
+        await bench.is_closed(name)
+        assert bench.side(other).is_open
+        pair = await bench.recovers()
+        assert (2, 1) == (bench.side(name).opened, bench.side(other).opened)
+        assert pair.left.exposed_ns > 0
+
+    run(script)
+
+
+@SIDES
+def test_a_camera_that_never_delivers_is_named_in_time_and_reopened(name: str) -> None:
+    """Each capture ends by the time-out and names the silent camera; after three it is reopened."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        faults = bench.side(name).faults
+        faults.stall = True
+        for _ in range(REOPEN_AFTER):
+            started_s = time.monotonic()
+            with pytest.raises(FrameTimeout) as caught:
+                await bench.head.capture()
+            assert name == caught.value.camera
+            assert time.monotonic() - started_s < 20 * TIMEOUT_S
+        await bench.is_closed(name)
+        faults.stall = False
+        await bench.recovers()
+        assert 2 == bench.side(name).opened
+
+    run(script)
+
+
+def test_two_silent_cameras_are_both_named() -> None:
+    """Neither is accused alone."""
+
+    async def script(bench: Bench) -> None:
+        bench.left.faults.stall = bench.right.faults.stall = True
+        with pytest.raises(FrameTimeout) as caught:
+            await bench.head.capture()
+        assert "both" == caught.value.camera
+
+    run(script)
+
+
+def test_one_failing_camera_does_not_keep_the_other_waiting() -> None:
+    """The error comes when it happens, not at the deadline."""
+
+    async def script(bench: Bench) -> None:
+        bench.left.faults.stall = True
+        bench.right.faults.fail_next_trigger = FrameIncomplete("right", "packets missing")
+        with pytest.raises(FrameIncomplete):
+            await asyncio.wait_for(bench.head.capture(), 5)
+
+    run(script, Bench(timeout_s=60.0))
+
+
+@SIDES
+def test_a_late_image_is_never_taken_for_the_next_exposure(name: str) -> None:
+    """An image that missed its deadline is dropped; the next pair is of one trigger."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        bench.side(name).faults.delay_s = 2 * TIMEOUT_S
+        with pytest.raises(FrameTimeout):
+            await bench.head.capture()
+        bench.side(name).faults.delay_s = 0.0
+        pair = await bench.head.capture()
+        np.testing.assert_array_equal(pair.left.image, pair.right.image)
+        assert pair.left.frame_id == pair.right.frame_id == 3
+
+    run(script)
+
+
+# --- pairing --------------------------------------------------------------------------------------
+
+
+@SIDES
+def test_exposures_that_are_apart_are_no_pair(name: str) -> None:
+    """Beyond the limit: a fault that tells the skew. Within: a pair."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        bench.side(name).faults.skew_s = 0.2
+        with pytest.raises(PairingError, match=r"exposures (199|2\d\d)\.\d+ ms apart, allowed 50 ms"):
+            await bench.head.capture()
+        bench.side(name).faults.skew_s = 0.0
+        await bench.head.capture()
+
+    run(script, Bench(max_skew_s=0.05))
+
+
+class Scripted:
+    """A camera that says of its exposures whatever the test wants."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.opened = 0
+        self.frame_id = 0
+        self.device_ns = 0
+        self.exposed_ns = 10**18
+        self.level = 0
+
+    async def open(self) -> None:
+        self.opened += 1
+
+    async def trigger(self) -> None:
+        self.level = (self.level + 1) % 200
+
+    async def frame(self) -> Frame:
+        image = np.zeros((4, 4), np.uint8)
+        image[0, 0] = 1 + self.level
+        return Frame(self.name, self.frame_id, image, self.device_ns, self.exposed_ns)
+
+    async def close(self) -> None:
+        pass
+
+    def expose(self, frame_id: int, device_s: float) -> None:
+        self.frame_id, self.device_ns = frame_id, round(device_s * 1e9)
+
+
+def scripted(*exposures: tuple[tuple[int, float], tuple[int, float]]) -> list[str]:
+    """What the head says to a series of (frame id, device time) of left and right: "" or the fault."""
+    left, right = Scripted("left"), Scripted("right")
+
+    async def main() -> list[str]:
+        head = StereoHead(left, right, timeout_s=5.0, max_skew_s=0.005)
+        verdicts = []
+        for ours, theirs in exposures:
+            left.expose(*ours)
+            right.expose(*theirs)
+            try:
+                await head.capture()
+                verdicts.append("")
+            except PairingError as error:
+                verdicts.append(str(error))
+        await head.close()
+        return verdicts
+
+    return asyncio.run(main())
+
+
+def test_the_cameras_own_clocks_must_agree_on_the_time_between_two_pairs() -> None:
+    """A trigger that one camera took 20 ms late shows in its clock, whatever its epoch."""
+    good, late, healed = scripted(
+        ((1, 100.0), (1, 7000.0)), ((2, 101.0), (2, 7001.02)), ((3, 102.0), (3, 7002.0))
+    )
+
+    assert ("", "") == (good, healed)
+    assert "exposures by the cameras' own clocks 20.00 ms apart" in late
+
+
+def test_clock_drift_over_a_long_pause_is_no_skew() -> None:
+    """Crystals 300 ppm apart count a pause of an hour a second differently."""
+    assert ["", ""] == scripted(((1, 0.0), (1, 0.0)), ((2, 3600.0), (2, 3601.08)))
+
+
+def test_cameras_without_a_clock_are_paired_all_the_same() -> None:
+    """A device time that stands still says nothing."""
+    assert ["", "", ""] == scripted(((1, 0.0), (1, 5.0)), ((2, 0.0), (2, 6.0)), ((3, 0.0), (3, 7.0)))
+
+
+@pytest.mark.parametrize("ids", [(5, 5), (5, 4)])
+def test_a_frame_that_was_there_before_is_a_fault(ids: tuple[int, int]) -> None:
+    """Equal and falling frame ids are named with both numbers."""
+    first, second = scripted(((ids[0], 1.0), (1, 1.0)), ((ids[1], 2.0), (2, 2.0)))
+
+    assert "" == first
+    assert f"camera left: frame {ids[1]} came after frame {ids[0]}" in second
+
+
+@SIDES
+def test_a_frozen_image_is_never_published_not_even_after_reopening(name: str) -> None:
+    """New id, same pixels: a fault each time, until the picture changes."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        bench.side(name).faults.frozen = True
+        deadline_s = time.monotonic() + 0.5
+        reasons = set()
+        while time.monotonic() < deadline_s:
+            with pytest.raises(PairingError) as caught:
+                await bench.head.capture()
+            reasons.add(caught.value.camera)
+            await asyncio.sleep(0.01)
+        assert bench.side(name).opened > 1
+        assert {name} == reasons
+        bench.side(name).faults.frozen = False
+        await bench.recovers()
+
+    run(script)
+
+
+def test_a_dark_image_is_not_called_frozen() -> None:
+    """All pixels 0 twice: the lamp is out, which is for the pipeline to say."""
+
+    async def script(bench: Bench) -> None:
+        for _ in range(3):
+            await bench.head.capture()
+
+    run(script, Bench(lambda request: np.zeros((request.height, request.width), np.uint8)))
+
+
+def test_a_source_that_repeats_itself_can_be_allowed() -> None:
+    """With detect_frozen off the same picture twice is a pair."""
+
+    def still(request: ExposureRequest) -> Image:
+        image = np.zeros((request.height, request.width), np.uint8)
+        image[3, 3] = 9
+        return image
+
+    async def script(bench: Bench) -> None:
+        for _ in range(3):
+            await bench.head.capture()
+
+    run(script, Bench(still, detect_frozen=False))
+
+
+def test_pairing_faults_that_stay_reopen_both_cameras() -> None:
+    """Two cameras out of step are started anew together."""
+
+    async def script(bench: Bench) -> None:
+        bench.right.faults.skew_s = 1.0
+        for _ in range(REOPEN_AFTER):
+            with pytest.raises(PairingError):
+                await bench.head.capture()
+        await bench.is_closed("left")
+        await bench.is_closed("right")
+        bench.right.faults.skew_s = 0.0
+        await bench.recovers()
+
+    run(script)
+
+
+# --- opening and back-off -------------------------------------------------------------------------
+
+
+def test_back_off_raises_the_last_error_at_once_and_touches_no_camera() -> None:
+    """Between attempts a capture costs nothing: a camera that is off must not slow the cycle."""
+
+    async def script(bench: Bench) -> None:
+        bench.left.faults.open_error = CameraUnreachable("left", "no answer")
+        attempts = 0
+
+        async def counted() -> None:
+            nonlocal attempts
+            attempts += 1
+            raise CameraUnreachable("left", "no answer")
+
+        bench.left.open = counted
+        for _ in range(100):
+            with pytest.raises(CameraUnreachable, match="no answer"):
+                await bench.head.capture()
+        assert 1 == attempts
+
+    run(script, Bench(min_backoff_s=60.0))
+
+
+def test_the_pause_between_attempts_doubles_up_to_its_limit() -> None:
+    """0.1, 0.2, 0.4, 0.4, ...: measured on a clock that the test turns."""
+    now_s = 1000.0
+    attempts: list[float] = []
+
+    async def script(bench: Bench) -> None:
+        nonlocal now_s
+
+        async def refuse() -> None:
+            attempts.append(now_s)
+            raise CameraUnreachable("left", "no answer")
+
+        bench.left.open = refuse
+        for _ in range(160):
+            with pytest.raises(CameraUnreachable):
+                await bench.head.open()
+            now_s += 0.01
+
+    bench = Bench(min_backoff_s=0.1, max_backoff_s=0.4, clock=lambda: now_s)
+    run(script, bench)
+
+    np.testing.assert_allclose([0.1, 0.2, 0.4, 0.4], np.diff(attempts)[:4], atol=0.011)
+
+
+def test_a_slow_attempt_to_open_never_blocks_a_cycle() -> None:
+    """While a known fault lasts, a capture waits one time-out for the attempt, then says why."""
+    gate = asyncio.Event()
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        open_really = bench.left.open
+
+        async def slow() -> None:
+            await gate.wait()
+            await open_really()
+
+        bench.left.open = slow
+        bench.left.faults.fail_next_trigger = CameraUnreachable("left", "gone")
+        for _ in range(5):
+            with pytest.raises(CameraUnreachable, match="gone"):
+                await asyncio.wait_for(bench.head.capture(), 20 * TIMEOUT_S)
+            await asyncio.sleep(0.01)
+        gate.set()
+        await bench.recovers()
+
+    run(script)
+
+
+@SIDES
+def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: str) -> None:
+    """The fault is reported at once; the camera is opened again only after it has been closed."""
+    order: list[str] = []
+
+    async def script(bench: Bench) -> None:
+        camera = bench.side(name)
+        await bench.head.capture()
+        close_really, open_really, gate = camera.close, camera.open, asyncio.Event()
+
+        async def slow_close() -> None:
+            await gate.wait()
+            await close_really()
+            order.append("closed")
+
+        async def noted_open() -> None:
+            order.append("opened")
+            await open_really()
+
+        camera.close, camera.open = slow_close, noted_open
+        camera.faults.fail_next_trigger = CameraUnreachable(name, "gone")
+        with pytest.raises(CameraUnreachable, match="gone"):
+            await asyncio.wait_for(bench.head.capture(), 5)
+        await asyncio.sleep(0.05)
+        with pytest.raises(CameraUnreachable, match="gone"):
+            await asyncio.wait_for(bench.head.capture(), 5)
+        gate.set()
+        await bench.recovers()
+        assert ["closed", "opened"] == order
+
+    run(script)
+
+
+def test_an_attempt_that_hangs_is_ended() -> None:
+    """A driver that never comes back is a fault after `open_timeout_s`."""
+
+    async def script(bench: Bench) -> None:
+        bench.right.open = asyncio.Event().wait
+        with pytest.raises(CameraUnreachable, match=r"camera right: not open after 0\.05 s"):
+            await bench.head.open()
+
+    run(script, Bench(open_timeout_s=0.05))
+
+
+def test_closing_ends_an_attempt_to_open() -> None:
+    """Stopping does not wait for a camera that does not answer."""
+
+    async def script(bench: Bench) -> None:
+        bench.left.open = asyncio.Event().wait
+        task = asyncio.create_task(bench.head.open())
+        await asyncio.sleep(0.01)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        await asyncio.wait_for(bench.head.close(), 5)
+
+    run(script, Bench(open_timeout_s=60.0))
+
+
+def test_two_cameras_that_are_missing_are_both_named() -> None:
+    """One message for the integrator who forgot to switch the cell on."""
+
+    async def script(bench: Bench) -> None:
+        for side in (bench.left, bench.right):
+            side.faults.open_error = CameraUnreachable(side.name, "no answer")
+        with pytest.raises(CameraUnreachable) as caught:
+            await bench.head.open()
+        assert "camera both: left: no answer; right: no answer" == str(caught.value)
+
+    run(script)
+
+
+def test_looking_after_open_cameras_finds_the_one_that_died() -> None:
+    """Idle in command mode: `open` asks cameras that are open, and one that fails is reopened."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.open()
+        bench.right.faults.open_error = CameraUnreachable("right", "control lost")
+        with pytest.raises(CameraUnreachable, match="control lost"):
+            await bench.head.open()
+        await bench.is_closed("right")
+        assert bench.left.is_open
+        bench.right.faults.open_error = None
+        await asyncio.sleep(0.03)
+        await bench.head.open()
+        assert (1, 2) == (bench.left.opened, bench.right.opened)
+
+    run(script)
+
+
+def test_a_bug_in_an_adapter_is_not_called_a_camera_fault() -> None:
+    """What is no `CaptureError` propagates from the attempt to open, and from an exposure."""
+
+    async def broken() -> None:
+        raise ZeroDivisionError("a bug")
+
+    async def opening(bench: Bench) -> None:
+        bench.left.open = broken
+        with pytest.raises(ZeroDivisionError):
+            await bench.head.open()
+
+    async def exposing(bench: Bench) -> None:
+        await bench.head.open()
+        bench.left.trigger = broken
+        with pytest.raises(ZeroDivisionError):
+            await bench.head.capture()
+
+    run(opening)
+    run(exposing)
+
+
+def test_repeated_faults_do_not_grow_their_traceback() -> None:
+    """An outage of a weekend raises the same error a million times."""
+
+    def length(error: BaseException) -> int:
+        traceback, count = error.__traceback__, 0
+        while traceback is not None:
+            traceback, count = traceback.tb_next, count + 1
+        return count
+
+    async def script(bench: Bench) -> list[int]:
+        bench.left.faults.open_error = CameraUnreachable("left", "no answer")
+        lengths = []
+        for _ in range(20):
+            try:
+                await bench.head.capture()
+            except CameraUnreachable as error:
+                lengths.append(length(error))
+        return lengths
+
+    lengths = run(script, Bench(min_backoff_s=60.0))
+    assert lengths[1] == lengths[-1]
+
+
+def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> None:
+    """A thousand exposures with random faults: every pair that comes out is one exposure, and new."""
+    random = np.random.default_rng(7)
+
+    def stamped(request: ExposureRequest) -> Image:
+        image = noise(request)
+        image[0, :8] = np.frombuffer(np.int64(request.exposed_ns).tobytes(), np.uint8)
+        return image
+
+    async def script(bench: Bench) -> tuple[int, int]:
+        good, bad, newest, last_was_good = 0, 0, 0, False
+        for _ in range(1000):
+            bench.left.faults, bench.right.faults = InProcessFaults(), InProcessFaults()
+            side = bench.side("left" if random.random() < 0.5 else "right")
+            kind = random.integers(0, 12)
+            side.faults.drop_next = int(kind == 0)
+            side.faults.incomplete_next = int(kind == 1)
+            side.faults.skew_s = 0.2 if kind == 2 else 0.0
+            # a picture that never reached the host cannot be known again when it comes twice
+            side.faults.frozen = bool(kind == 3) and last_was_good
+            last_was_good = False
+            if kind == 4:
+                side.faults.fail_next_trigger = CameraUnreachable(side.name, "cable")
+            try:
+                pair = await bench.head.capture()
+            except CaptureError:
+                bad += 1
+                continue
+            good, last_was_good = good + 1, True
+            stamps = [
+                int(np.frombuffer(frame.image[0, :8].tobytes(), np.int64)[0])
+                for frame in (pair.left, pair.right)
+            ]
+            assert abs(stamps[0] - stamps[1]) < 50e6
+            assert [pair.left.exposed_ns, pair.right.exposed_ns] == stamps
+            assert min(stamps) > newest
+            newest = max(stamps)
+        return good, bad
+
+    good, bad = run(script, Bench(stamped, timeout_s=0.02, max_skew_s=0.05, min_backoff_s=0.0))
+    assert good > 300
+    assert bad > 100
+
+
+# --- faults have codes of their own -----------------------------------------------------------------
+
+
+def test_every_capture_error_has_a_code_of_its_own() -> None:
+    """The PLC tells them apart by a number that is never used twice."""
+
+    def family(kind: type[CaptureError]) -> list[type[CaptureError]]:
+        return [kind, *(one for child in kind.__subclasses__() for one in family(child))]
+
+    codes = [kind.code for kind in family(errors.CaptureError)]
+    assert len(codes) == len(set(codes))
+
+
+def test_repeated_and_frozen_frames_are_told_apart() -> None:
+    """The same number, and the same picture under a new number."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        bench.left.faults.repeat_id = True
+        with pytest.raises(FrameRepeated):
+            await bench.head.capture()
+        bench.left.faults.repeat_id = False
+        bench.left.faults.frozen = True
+        with pytest.raises(FrameFrozen):
+            await bench.head.capture()
+
+    run(script)
+
+
+def test_a_camera_that_answers_and_never_shows_anything_has_a_stalled_stream() -> None:
+    """One missing image is a time-out; three in a row of a camera that says it is well are more than that."""
+
+    async def script(bench: Bench) -> list[type[BaseException]]:
+        await bench.head.capture()
+        bench.left.faults.stall = True
+        kinds = []
+        for _ in range(REOPEN_AFTER):
+            with pytest.raises(FrameTimeout) as caught:
+                await bench.head.capture()
+            kinds.append(type(caught.value))
+        return kinds
+
+    assert [FrameTimeout, FrameTimeout, StreamStalled] == run(script)
+
+
+def test_after_a_missing_image_the_camera_is_asked_why() -> None:
+    """A camera that was taken by another host says so at the next cycle, not after three lost images."""
+
+    async def script(bench: Bench) -> None:
+        await bench.head.capture()
+        bench.left.faults.stall = True
+        with pytest.raises(FrameTimeout):
+            await bench.head.capture()
+        bench.left.faults.open_error = CameraBusy("left", "another host controls it")
+        with pytest.raises(CameraBusy, match="another host"):
+            await bench.head.capture()
+
+    run(script)
+
+
+# --- who is triggered when ----------------------------------------------------------------------------
+
+
+@SIDES
+def test_the_follower_is_armed_before_the_other_is_triggered(name: str) -> None:
+    """Or it would miss the exposure that it is to follow; however long arming takes."""
+    order: list[str] = []
+
+    async def script(bench: Bench) -> None:
+        for side in (bench.left, bench.right):
+            really = side.trigger
+
+            async def noted(really: Any = really, side: InProcessCamera = side) -> None:
+                if side.name == name:
+                    await asyncio.sleep(0.02)
+                await really()
+                order.append(side.name)
+
+            side.trigger = noted
+        await bench.head.capture()
+
+    run(script, Bench(follower=name, timeout_s=5.0))
+    assert [name, "right" if name == "left" else "left"] == order

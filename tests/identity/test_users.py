@@ -1,0 +1,141 @@
+"""The file of users, and the code by which the first engineer comes in."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from argon2 import PasswordHasher
+
+from edged.errors import FileFormatError
+from edged.files.statefolder import state_folder
+from edged.identity.invite import VALID_S, Invite
+from edged.identity.passwords import hash_password
+from edged.identity.users import MAX_USERS, LastEngineer, User, UserFile
+
+HASH = hash_password("correct horse")
+ANNA = User(name="Anna", role="engineer", password_hash=HASH, language="de")
+
+
+def test_users_are_there_again_after_a_restart(tmp_path: Path) -> None:
+    """With role and language; the file is its owner's alone; a name is the same in any case."""
+    path = tmp_path / "state" / "users.json"
+    users = UserFile(path)
+    users.put(ANNA)
+    users.put(User(name="Otto", role="operator", password_hash=HASH))
+    users.put(User(name="OTTO", role="viewer", password_hash=HASH))
+
+    again = UserFile(path)
+    assert ["Anna", "OTTO"] == [user.name for user in again.users]
+    assert ANNA == again.get("aNNa")
+    assert 0o600 == path.stat().st_mode & 0o777
+    again.remove("otto")
+    assert ["Anna"] == [user.name for user in UserFile(path).users]
+
+
+def test_the_last_engineer_stays_one(tmp_path: Path) -> None:
+    """Neither taken out nor made less; nothing is written."""
+    users = UserFile(tmp_path / "users.json")
+    users.put(ANNA)
+    for change in (
+        lambda: users.remove("Anna"),
+        lambda: users.put(ANNA.model_copy(update={"role": "viewer"})),
+    ):
+        with pytest.raises(LastEngineer):
+            change()
+    assert [ANNA] == UserFile(tmp_path / "users.json").users
+
+
+def entry(**changes: Any) -> dict[str, Any]:
+    """One user of the file."""
+    return {"name": "Anna", "role": "engineer", "password_hash": HASH, **changes}
+
+
+def listing(*users: Any, **changes: Any) -> bytes:
+    """A file."""
+    return json.dumps({"format": "edged users", "version": 1, "users": list(users), **changes}).encode()
+
+
+@pytest.mark.parametrize(
+    "data, place",
+    [
+        (b"", "JSON"),
+        (b"\xff\xfe", "JSON"),
+        (b"[" * 50_000, "JSON"),
+        (b"{}", "users"),
+        (listing(version=2), "version"),
+        (listing(colour=1), "colour"),
+        (listing(entry(role="root")), "users.0.role"),
+        (listing(entry(role=2)), "users.0.role"),
+        (listing(entry(name="")), "users.0.name"),
+        (listing(entry(name="a\nb")), "users.0.name"),
+        (listing(entry(name=" Anna")), "users.0.name"),
+        (listing(entry(password_hash="secret")), "users.0.password_hash"),
+        (listing(entry(language="../de")), "users.0.language"),
+        (listing(entry(), entry(name="ANNA")), "twice"),
+        (listing(*(entry(name=f"user {n}") for n in range(MAX_USERS + 1))), "users"),
+        (listing(entry()) + b" " * 70_000, "too many"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_nobodys(data: bytes, place: str, tmp_path: Path) -> None:
+    """It is said where, nobody of it comes in, and it is not overwritten."""
+    path = tmp_path / "users.json"
+    path.write_bytes(data)
+    users = UserFile(path)
+    assert str(path) in users.problem
+    assert place in users.problem
+    assert [] == users.users
+    with pytest.raises(FileFormatError):
+        users.put(ANNA)
+    assert data == path.read_bytes()
+
+
+@pytest.mark.parametrize("costs", [{"memory_cost": 1 << 20}, {"time_cost": 100}, {"parallelism": 64}])
+def test_a_hash_that_would_take_the_cells_memory_is_refused(costs: dict[str, int], tmp_path: Path) -> None:
+    """What it costs to check stands in it: a stranger's is not computed."""
+    cheap = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash("x")
+    asked = {"memory_cost": 512, "time_cost": 1, "parallelism": 1} | costs
+    dear = cheap.replace("m=512,t=1,p=1", "m={memory_cost},t={time_cost},p={parallelism}".format(**asked))
+    assert dear != cheap
+    (tmp_path / "users.json").write_bytes(listing(entry(password_hash=dear)))
+    assert "users.0.password_hash" in UserFile(tmp_path / "users.json").problem
+
+
+def test_a_code_comes_in_once_and_for_a_day(tmp_path: Path) -> None:
+    """However it is typed; a new one ends the one before; a wrong one ends nothing."""
+    now_s = [1000.0]
+    invite = Invite(tmp_path / "state", lambda: now_s[0])
+    first = invite.make()
+    code = invite.make()
+    assert first != code
+    assert not invite.take(first)
+    assert not invite.take("")
+    assert code.replace("-", "") not in (tmp_path / "state" / "invite.json").read_text()
+    now_s[0] += VALID_S - 1
+    assert invite.take(f" {code.upper().replace('-', ' ')} ")
+    assert not invite.take(code)
+    code = invite.make()
+    now_s[0] += VALID_S
+    assert not invite.take(code)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"digest": 1, "until_s": "x"}', '{"digest": null, "until_s": []}']
+)
+def test_a_damaged_invitation_lets_nobody_in(text: str, tmp_path: Path) -> None:
+    """Nor does it raise."""
+    (tmp_path / "invite.json").write_text(text)
+    assert not Invite(tmp_path).take("abcd-efgh-jkmn")
+
+
+def test_the_state_of_a_cell_has_one_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The service's; the same for who asks in a shell; beside a configuration that is not installed."""
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    assert tmp_path / ".cell.state" == state_folder(tmp_path / "cell.toml")
+    monkeypatch.setattr("edged.files.statefolder.INSTALLED", tmp_path)
+    assert Path("/var/lib/edged") == state_folder(tmp_path / "cell.toml")
+    assert Path("/var/lib/edged-line3") == state_folder(tmp_path / "line3.toml")
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/other:/var/lib/more")
+    assert Path("/var/lib/other") == state_folder(tmp_path / "cell.toml")

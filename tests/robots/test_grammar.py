@@ -1,0 +1,222 @@
+"""Every name that a generated program declares is one that its controller takes; so are lines and texts."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import keyword
+import re
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import (
+    drl,
+    inform,
+    karel,
+    kawasaki,
+    krl,
+    melfa,
+    rapid,
+    scl,
+    spel,
+    structured_text,
+    urscript,
+    val3,
+)
+from helpers.robotarm import RobotArm
+from helpers.robotlink import Link
+from helpers.robotwords import Declared
+from helpers.teachpendant import TeachPendant
+
+from edged.robots import karel_files, krl_files, melfa_files, motoplus_files, twincat_files, val3_files
+from edged.robots.grammar import checked, grammar, language_of
+from edged.robots.texts import FORMATS, LANGUAGES, SEVERAL, render
+
+NOBODY = Link(1)
+"""Of a program that is only loaded."""
+Files = Mapping[str, str]
+
+
+def _melfa(files: Files) -> Declared:
+    declared = Declared("melfa")
+    for source in files.values():
+        slot = melfa.Slot(melfa.Controller(dict(files), NOBODY), source)
+        for name in re.findall(r"\b[MCP][A-Z]\w*[%$]?(?=[=,])", source):
+            slot.named(name)
+        declared.names |= slot.declared.names
+    return declared
+
+
+def _scl(files: Files) -> Declared:
+    return scl.declared_in(files["scl"])
+
+
+def _iec(files: Files) -> Declared:
+    program = structured_text.Program(files["st"], time.monotonic)
+    program.instance("FB_EDGED")
+    return program.declared
+
+
+def _urscript(files: Files) -> Declared:
+    return drl.declared(ast.parse(urscript.translate(files["urscript"])), "urscript")
+
+
+ARM = RobotArm(np.eye(4), np.eye(4), lambda _: None)
+READERS: dict[str, Callable[[Files], Declared]] = {
+    "karel": lambda files: karel.load(files["edged.kl"], karel.Controller(NOBODY)).declared,
+    "krl": lambda files: krl.load(dict(files), krl.Controller(files["edged.xml"], NOBODY)).declared,
+    "rapid": lambda files: rapid.load(files["rapid"], rapid.Sockets(NOBODY)).declared,
+    "val3": lambda files: val3.load(dict(files), val3.Controller(NOBODY)).declared,
+    "spel": lambda files: spel.load(files["spel"], spel.Controller(NOBODY)).declared,
+    "as": lambda files: kawasaki.load(files["as"], kawasaki.Controller(NOBODY)).declared,
+    "drl": lambda files: drl.declared(ast.parse(files["drl"]), "drl"),
+    "urscript": _urscript,
+    "melfa": _melfa,
+    "scl": _scl,
+    "iec": _iec,
+}
+"""What an interpreter finds declared, by language."""
+WRITERS: dict[str, Callable[[], Files]] = {
+    "karel": karel_files,
+    "krl": krl_files,
+    "val3": val3_files,
+    "melfa": melfa_files,
+    **{name: lambda name=name: {name: render(name)} for name in ("rapid", "spel", "as", "drl", "urscript")},
+    "scl": lambda: {"scl": render("scl")},
+    "iec": lambda: {"st": render("st")},
+}
+RENAMED = {
+    "karel": "waited",
+    "krl": "REST",
+    "rapid": "left_s",
+    "val3": "nUnused",
+    "spel": "edgedCode",
+    "as": "ed_return",
+    "drl": "digits",
+    "urscript": "weight",
+    "melfa": "LACK",
+    "scl": "xTaken",
+}
+"""A name that each program declares."""
+languages = pytest.mark.parametrize("language", RENAMED)
+
+
+def judge(language: str, files: Files) -> None:
+    """As the generators do."""
+    for file, source in files.items():
+        if not file.endswith((".xml", ".pjx")):
+            grammar(language).check(source)
+
+
+def renamed(language: str, other: str) -> Files:
+    """The program with one of its names replaced, wherever it stands."""
+    pattern = rf"\b{RENAMED[language]}\b"
+    return {file: re.sub(pattern, other, source) for file, source in WRITERS[language]().items()}
+
+
+@pytest.mark.parametrize("fmt", [*LANGUAGES, *SEVERAL])
+def test_a_controller_takes_every_name_line_and_text_of_a_generated_program(fmt: str) -> None:
+    """None is a word of its language, none is too long; every file has a language, or is a configuration."""
+    if fmt in SEVERAL:
+        files = SEVERAL[fmt]()
+        assert files == checked(files)
+        assert {"edged.xml", "edged.pjx"} >= {file for file in files if not language_of(file)}
+    else:
+        grammar(LANGUAGES[fmt]).check(FORMATS[fmt]())
+
+
+@pytest.mark.parametrize("language", READERS)
+def test_no_declared_name_is_overlooked(language: str) -> None:
+    """Whatever the interpreter meets as declared, the generators' patterns find, too."""
+    files = WRITERS[language]()
+    found = {name for source in files.values() for name in grammar(language).names(source)}
+    if grammar(language).ignores_case:
+        found = {name.upper() for name in found}
+    declared = READERS[language](files).names
+    assert len(declared) > 8
+    assert set() == {name.upper() if grammar(language).ignores_case else name for name in declared} - found
+
+
+@languages
+def test_generator_and_interpreter_refuse_a_word_of_the_language(language: str) -> None:
+    """As the name of a variable, or of a label."""
+    words = [word for word in sorted(grammar(language).words) if re.fullmatch(r"[A-Za-z]\w*", word)]
+    if language in ("drl", "urscript"):  # read as Python, whose keywords are no names at all
+        words = [
+            word for word in words if not keyword.iskeyword(word) and word not in ("end", "global", "local")
+        ]
+    for word in words[:: max(1, len(words) // 9)]:
+        files = renamed(language, word)
+        with pytest.raises(ValueError, match=f"{word} is a word of the language"):
+            judge(language, files)
+        with pytest.raises(ValueError, match="is a word of the language"):
+            READERS[language](files)
+
+
+@pytest.mark.parametrize("language", [one for one in RENAMED if "name" in grammar(one).longest])
+def test_generator_and_interpreter_refuse_a_name_that_is_too_long(language: str) -> None:
+    """By one character; one that just fits they take."""
+    longest = grammar(language).longest["name"]
+    just = RENAMED[language][0] + "x" * (longest - 1)
+    judge(language, renamed(language, just))
+    READERS[language](renamed(language, just))
+    with pytest.raises(ValueError, match=f"has {longest + 1} characters"):
+        judge(language, renamed(language, just + "x"))
+    with pytest.raises(ValueError, match=f"has {longest + 1} characters"):
+        READERS[language](renamed(language, just + "x"))
+
+
+def test_the_interpreter_of_structured_text_refuses_a_word_of_the_language() -> None:
+    """A word that is an operator of instruction lists only passes the parser, not every compiler."""
+    source = re.sub(r"\biHalf\b", "LD", render("st"))
+    with pytest.raises(ValueError, match="LD is a word of the language"):
+        grammar("iec").check(source)
+    program = structured_text.Program(
+        "FUNCTION_BLOCK FB\nVAR\n    LD : INT;\nEND_VAR\nEND_FUNCTION_BLOCK", time.monotonic
+    )
+    with pytest.raises(ValueError, match="LD is a word of the language"):
+        program.instance("FB")
+
+
+def test_a_job_has_labels_that_its_pendant_shows(tmp_path: Path) -> None:
+    """Eight characters, and its own name as well."""
+    job = motoplus_files()["EDGED.JBI"]
+    read = inform.Controller(tmp_path, tmp_path / "memory", job, NOBODY).declared.names
+    assert {"EDGED", "ASK", "WAIT"} < read
+    assert read == set(grammar("inform").names(job.replace("\r\n", "\n")))
+    with pytest.raises(ValueError, match="9 characters"):
+        grammar("inform").check(job.replace("*LATE", "*MUCHLATER").replace("\r\n", "\n"))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("PR[91,1]=-14 ;", "IF R[81]<>-1,JMP LBL[9] ;", "CALL EDGED(-8,10000,81,81,0) ;"),
+        *("CALL EDGED(0,-1) ;", "CALL EDGED(-8) ;", "R[1]=R[2]+-1.5 ;"),
+    ],
+)
+def test_a_listing_has_its_negative_constants_in_parentheses(line: str) -> None:
+    """A bare one is refused, in whatever place; the interpreter of the listing knows none, either."""
+    with pytest.raises(ValueError, match="parentheses"):
+        grammar("tp").check(f"/PROG  EDGEDREG\n   1:  {line}\n")
+    listing = f"/PROG  EDGEDREG\n/ATTR\n/MN\n   1:  {line}\n   2:  END ;\n/POS\n/END\n"
+    with pytest.raises(AssertionError):
+        TeachPendant(ARM, lambda _: None, {}).run(listing)
+
+
+def test_no_name_that_a_user_gives_stands_in_a_program() -> None:
+    """Jobs are numbers, grasps come by their order: the writers are given nothing, and escape nothing."""
+    for writer in (*FORMATS.values(), *SEVERAL.values()):
+        assert {} == dict(inspect.signature(writer).parameters)
+
+
+def test_every_table_names_its_source() -> None:
+    """A manual or a standard, and where its words were read."""
+    used = {*LANGUAGES.values(), "tp", "karel", "krl", "val3", "melfa", "c", "inform"}
+    tables = Path(inspect.getfile(language_of)).with_name("grammars").glob("*.toml")
+    assert used == {table.stem for table in tables}
+    assert all(len(grammar(language).source) > 80 for language in used)
+    assert {"iec"} == {language_of(file) for file in twincat_files()}

@@ -1,0 +1,78 @@
+"""Which board pictures show: a few that look like something else do not outvote what was stated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.boards import board_poses, draw_board
+from helpers.rigs import make_rig
+
+from edged.domain.arrays import Image
+from edged.errors import CalibrationError
+from edged.setup.calibration.boards import boards_in, check_board_shown, stated_boards
+from edged.setup.pairs import Picture
+from edged.vision.boards.board import NominalBoard, parse_board
+
+SMALL = make_rig(focal_px=1600.0, size=(640, 480))
+STATED, OTHER = parse_board("chessboard:8x6:3"), parse_board("chessboard:7x5:3")
+BLANK = np.full((480, 640), 90, np.uint8)
+
+
+def picture(label: str, image: Image) -> Picture:
+    """In memory."""
+    return Picture(label, lambda: image)
+
+
+def drawn(board: NominalBoard, count: int) -> list[Picture]:
+    """Of a board."""
+    poses = board_poses(SMALL, board, count, seed=4)
+    return [picture(f"{board}_{n}", draw_board(board, SMALL.left, pose)) for n, pose in enumerate(poses)]
+
+
+@pytest.mark.parametrize(("others", "blanks", "refused"), [(3, 2, True), (2, 2, False), (1, 5, False)])
+def test_another_board_must_be_in_most_pictures(others: int, blanks: int, refused: bool) -> None:
+    """One odd picture among many without a board is no reason to stop; more than half of them are."""
+    pictures = [*drawn(OTHER, others), *(picture(f"blank {n}", BLANK) for n in range(blanks))]
+    if refused:
+        with pytest.raises(CalibrationError, match=r"7x5 inner corners, not 8x6.*chessboard:7x5:3"):
+            check_board_shown(pictures, STATED)
+    else:
+        check_board_shown(pictures, STATED)
+
+
+def test_what_looks_like_the_stated_board_is_no_other() -> None:
+    """Columns and rows exchanged, or the same circles in other words: it was missed for another reason."""
+    check_board_shown(drawn(STATED, 2), parse_board("chessboard:6x8:3"))
+    circles = drawn(parse_board("circles:4x6:4"), 1)
+    check_board_shown(circles, parse_board("circles:3x8:4"))
+    with pytest.raises(CalibrationError, match=r"an asymmetric plate of 4x6 circles: --board circles:4x6:4"):
+        check_board_shown(circles, parse_board("circles:4x11:4"))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("4", 4.0),
+        (" 4.50 MM", 4.5),
+        ("4,5mm", 4.5),
+        (None, None),
+        ("chessboard:8x6:3, chessboard:7x5:3", (STATED, OTHER)),
+    ],
+)
+def test_what_can_be_stated(text: str | None, expected: object) -> None:
+    """A length in mm with point or comma, one or more boards, nothing."""
+    assert expected == stated_boards(text)
+
+
+def test_the_pictures_are_spread_over_the_folder() -> None:
+    """Six of forty, from the first to the last: two boards taken one after the other are both seen."""
+    read: list[int] = []
+
+    def note(number: int) -> Image:
+        read.append(number)
+        return BLANK
+
+    pictures = [Picture(str(number), lambda number=number: note(number)) for number in range(40)]
+    with pytest.raises(CalibrationError, match="no board was recognised in 0, 8, 16, 23, 31, 39"):
+        boards_in(None, pictures)
+    assert [0, 8, 16, 23, 31, 39] == sorted(read)

@@ -1,0 +1,197 @@
+"""What live pictures show: where the board is, whether it is still, and what is waited for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.boardpairs import BOARD, RIG, drawn, pairs
+from helpers.boards import board_poses, draw_board, right_pose
+from helpers.rigs import make_rig
+
+from edged.domain.arrays import FloatArray
+from edged.setup.calibration.guidance import (
+    FIRST_SHARE,
+    Ghost,
+    first_ghosts,
+    held_share,
+    nearness,
+    outlines_of,
+    waits_for,
+)
+from edged.setup.calibration.shown import (
+    GAP_S,
+    IN_GHOST,
+    STILL_S,
+    STILL_SHARE,
+    Seen,
+    Stillness,
+    Watched,
+    diagonal_px,
+    off_px,
+    watch,
+)
+from edged.vision.boards.board import parse_board
+
+POSE = board_poses(RIG, BOARD, 1, seed=3)[0]
+TRUE = np.array(outlines_of(RIG, BOARD, POSE))
+
+
+def watched(outlines: FloatArray = TRUE) -> Watched:
+    """A look that found these."""
+    left, right = (Seen(outline, "", "", clipped=False) for outline in outlines)
+    return Watched(left, right, (640, 480))
+
+
+def ghost(outlines: FloatArray) -> Ghost:
+    """To bring the board there."""
+    return Ghost(outlines[0], outlines[1], None, "", "")
+
+
+def test_an_outline_is_where_the_board_is() -> None:
+    """In both pictures, to a pixel: the lens bends it by less."""
+    found = watch(*pairs(1)[0], [BOARD])
+
+    assert found.is_seen
+    assert off_px(found.outlines, TRUE) < 1.0
+    assert not found.left.clipped
+
+
+def test_a_large_picture_is_looked_at_in_half_the_size() -> None:
+    """Outlines are of the full one all the same."""
+    rig, board = make_rig(), parse_board("chessboard:8x6:5")
+    pose = board_poses(rig, board, 1, seed=3)[0]
+    left = draw_board(board, rig.left, pose, noise=1.5)
+    right = draw_board(board, rig.right, right_pose(rig, pose), noise=1.5)
+
+    found = watch(left, right, [board])
+
+    assert (1280, 960) == found.size
+    assert off_px(found.outlines, np.array(outlines_of(rig, board, pose))) < 1.5
+
+
+def test_why_there_is_none() -> None:
+    """Too dark and too bright are told apart from a picture of something else; with the detector's words."""
+    left, right = pairs(1)[0]
+
+    for picture, expected in (
+        (left // 60, "dark"),
+        (np.full_like(left, 255), "bright"),
+        (left * 0 + 90, "not_found"),
+    ):
+        found = watch(picture, right, [BOARD])
+        assert expected == found.left.missing
+        assert found.left.reason
+        assert not found.is_seen
+        assert "no_board_left" == waits_for(found, still=True, ghost=None, others=[])
+
+
+def test_glare_on_the_board_is_told() -> None:
+    """Whites beyond what the camera can tell."""
+    left, right = pairs(1)[0]
+    bright = np.clip(left.astype(np.int64) * 2, 0, 255).astype(np.uint8)
+
+    found = watch(bright, right, [BOARD])
+
+    assert (True, False) == (found.left.clipped, found.right.clipped)
+
+
+def test_without_a_board_it_is_recognised() -> None:
+    """Kind and size, in units of its pitch; and found at once."""
+    found = watch(*pairs(1)[0], [])
+
+    assert "chessboard:8x6:1" == str(found.recognised)
+    assert found.is_seen
+
+
+def test_still_is_what_does_not_move_for_a_while() -> None:
+    """Not after one look, not before the time, and from then on with each look."""
+    stillness = Stillness()
+    times = np.arange(0.0, 1.3, 0.2)
+
+    told = [stillness.look(time_s, watched()) for time_s in times]
+
+    assert [time_s >= STILL_S for time_s in times] == told
+    assert not stillness.look(1.4, None)
+    assert not stillness.look(1.5, watched())
+
+
+@pytest.mark.parametrize(("moved_px", "still"), [(0.5 * STILL_SHARE * 640, True), (3.0, False)])
+def test_a_hand_may_tremble(moved_px: float, still: bool) -> None:
+    """By as much as smears no edge; not by more, in either picture."""
+    stillness = Stillness()
+    for number in range(8):
+        outlines = TRUE + np.array([[[0.0, 0.0]], [[moved_px * (-1) ** number, 0.0]]])
+        told = stillness.look(0.15 * number, watched(outlines))
+
+    assert still is told
+
+
+def test_nobody_knows_what_happened_in_a_gap() -> None:
+    """Two looks at one place, far apart in time, are not still."""
+    stillness = Stillness()
+    stillness.look(0.0, watched())
+
+    assert not stillness.look(GAP_S + 0.1, watched())
+
+
+def test_the_ghost_fills_as_the_board_comes_nearer() -> None:
+    """1 where it is wanted, whichever corner is the first; less with each step away, and 0 elsewhere."""
+    diagonal = diagonal_px(TRUE)
+
+    near = [nearness(watched(TRUE + share * diagonal), ghost(TRUE)) for share in (0.0, 0.05, 0.1, 1.0)]
+
+    assert [1.0] == near[:1]
+    assert near[0] > near[1] > near[2] > near[3] == 0.0
+    assert 1.0 == nearness(watched(np.roll(TRUE, 1, axis=1)), ghost(TRUE))
+
+
+def test_a_pair_is_taken_in_the_ghost_or_where_none_was() -> None:
+    """Held still; not where a view is already, and not anywhere else."""
+    diagonal = diagonal_px(TRUE)
+    beside, far = TRUE + 0.1 * diagonal, TRUE + 0.6 * diagonal
+
+    def waits(**changed: object) -> str:
+        wanted: dict = {"still": True, "ghost": ghost(TRUE), "others": [beside], **changed}
+        return waits_for(watched(), **wanted)
+
+    assert nearness(watched(beside), ghost(TRUE)) > IN_GHOST
+    assert "" == waits()
+    assert "moving" == waits(still=False)
+    assert "same" == waits(others=[TRUE + 1.0, far])
+    assert "elsewhere" == waits(ghost=ghost(far))
+    assert "" == waits(ghost=ghost(far), others=[far])
+    assert "" == waits(ghost=None, others=[])
+
+
+def test_before_any_calibration_there_is_a_ghost_in_the_left_picture() -> None:
+    """Four tilts in turn, whole in the picture; the right picture has none, and counts for nothing."""
+    found = [first_ghosts(BOARD, (640, 480), views)[0] for views in range(5)]
+
+    assert 4 == len({one.code for one in found})
+    assert found[0].code == found[4].code
+    for one in found:
+        assert one.right is None
+        assert (one.left > 0).all()
+        assert (one.left < (640, 480)).all()
+        assert 1.0 == nearness(watched(np.array([one.left, TRUE[1]])), one)
+
+
+def test_the_first_ghosts_are_as_far_as_the_board_is_held() -> None:
+    """Held farther away, it is asked for there; where it is not seen, at a usual distance."""
+    far = watched(np.array([one.mean(axis=0) + 0.7 * (one - one.mean(axis=0)) for one in TRUE]))
+    assert pytest.approx(0.7 * held_share(watched())) == held_share(far)
+    assert FIRST_SHARE == held_share(replace(far, right=Seen(None, "dark", "", clipped=False)))
+    sizes = [
+        diagonal_px(first_ghosts(BOARD, (640, 480), 0, held_share(one))[0].outlines)
+        for one in (far, watched())
+    ]
+    assert pytest.approx(0.7, rel=0.05) == sizes[0] / sizes[1]
+
+
+def test_a_board_at_an_angle_looks_as_its_ghost() -> None:
+    """What is drawn and what is found are the same four corners: held there, the board fills its ghost."""
+    left, right = outlines_of(RIG, BOARD, POSE)
+
+    assert nearness(watch(*drawn(POSE), [BOARD]), Ghost(left, right, None, "", "")) > 0.98

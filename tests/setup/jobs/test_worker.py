@@ -1,0 +1,224 @@
+"""The worker process: its turn is after everything else, and killing it costs one task."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers.scriptedhead import until
+
+from edged.errors import CalibrationError, TaskFailed, TaskTooLarge
+from edged.setup.jobs import worker as workers
+from edged.setup.jobs.worker import Worker
+from edged.setup.jobs.workerprocess import MIB, NICENESS, OOM_SCORE, TaskLimits, limits_here
+
+TASKS = {
+    name: f"workertasks:{name}"
+    for name in (
+        "about",
+        "burn",
+        "count",
+        "fail",
+        "fill",
+        "fill_picture",
+        "hang",
+        "leave",
+        "refuse",
+    )
+}
+
+
+def run(
+    test: Callable[[Worker], Coroutine[Any, Any, None]], cpus: int = 1, limits: TaskLimits | None = None
+) -> None:
+    """A test's coroutine with a worker, bounded; afterwards its process is gone."""
+
+    async def bounded() -> None:
+        worker = Worker(TASKS, lambda: cpus, limits)
+        try:
+            async with asyncio.timeout(30):
+                await test(worker)
+        finally:
+            pid = worker.pid
+            await worker.close()
+            assert not lives(pid)
+
+    asyncio.run(bounded())
+
+
+def lives(pid: int | None) -> bool:
+    """Whether there is such a process; one that has ended and was not waited for counts."""
+    return pid is not None and Path(f"/proc/{pid}").exists()
+
+
+def own_oom_score() -> int:
+    """Of this process, where memory runs out."""
+    return int(Path("/proc/self/oom_score_adj").read_text())
+
+
+def wait_for_end(pid: int) -> None:
+    """Of a child, which stays to be waited for."""
+    os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+
+
+def test_it_stands_back_and_stays_for_the_next_task() -> None:
+    """Nicer than who started it, first to go, on as many processors as it may use; one process for all."""
+
+    async def test(worker: Worker) -> None:
+        first, second = await worker.run("about"), await worker.run("about")
+        assert first["pid"] == second["pid"] == worker.pid != os.getpid()
+        assert min(19, os.nice(0) + NICENESS) == first["nice"]
+        assert min(1000, own_oom_score() + OOM_SCORE) == first["oom"]
+        assert 1 == first["cpus"]
+
+    run(test)
+
+
+def test_progress_comes_on_the_loop_and_mistakes_come_back_as_such() -> None:
+    """First and last word of a stage always; a `UserError` by its kind, a bug without ending the process."""
+    told: list[tuple[str, int, int]] = []
+
+    async def test(worker: Worker) -> None:
+        got = await worker.run("count", 3, progress=lambda *said: told.append(said))
+        assert [0, 1, 2] == got
+        pid = worker.pid
+        with pytest.raises(CalibrationError, match=r"^no board$"):
+            await worker.run("refuse", "no board")
+        with pytest.raises(TaskFailed, match="ZeroDivisionError: that was a bug"):
+            await worker.run("fail")
+        assert [0] == await worker.run("count", 1)
+        assert pid == worker.pid
+
+    run(test)
+    assert [("counting", 0, 3), ("counting", 3, 3)] == [told[0], told[-1]]
+
+
+def test_a_task_that_is_cancelled_is_killed() -> None:
+    """At once, whatever it does; tasks that wait are carried out by a new process."""
+
+    async def test(worker: Worker) -> None:
+        began = asyncio.Event()
+        hanging = asyncio.create_task(worker.run("hang", progress=lambda *_: began.set()))
+        waiting = asyncio.create_task(worker.run("count", 2))
+        await began.wait()
+        pid = worker.pid
+        hanging.cancel()
+        with suppress(asyncio.CancelledError):
+            await hanging
+        assert [0, 1] == await waiting
+        assert pid != worker.pid
+
+    run(test)
+
+
+def test_one_that_is_cancelled_before_it_began_never_does() -> None:
+    """Also while the process is being started for it."""
+
+    async def test(worker: Worker) -> None:
+        hanging = asyncio.create_task(worker.run("hang"))
+        await asyncio.sleep(0)
+        hanging.cancel()
+        with suppress(asyncio.CancelledError):
+            await hanging
+        assert [0, 1] == await worker.run("count", 2)
+
+    run(test)
+
+
+def test_a_process_that_dies_is_told_and_replaced() -> None:
+    """kill -9 from outside, and an exit of its own: what it did fails, the next task has a new process."""
+
+    async def test(worker: Worker) -> None:
+        began = asyncio.Event()
+        hanging = asyncio.create_task(worker.run("hang", progress=lambda *_: began.set()))
+        await began.wait()
+        assert worker.pid is not None
+        os.kill(worker.pid, signal.SIGKILL)
+        with pytest.raises(TaskFailed, match="worker process was ended by SIGKILL; ask again"):
+            await hanging
+        with pytest.raises(TaskFailed, match="ended with code 3"):
+            await worker.run("leave", 3)
+        assert [0] == await worker.run("count", 1)
+        assert worker.pid is not None
+        os.kill(worker.pid, signal.SIGKILL)  # while it waits: nobody has lost anything
+        wait_for_end(worker.pid)
+        assert [0] == await worker.run("count", 1)
+
+    run(test)
+
+
+@pytest.mark.parametrize(("task", "size"), [("fill", 1500), ("fill_picture", 40_000)])
+def test_a_task_that_takes_too_much_memory_fails_alone(task: str, size: int) -> None:
+    """With a sentence, also where it is a library that has none; the next task has a process of its own."""
+
+    async def test(worker: Worker) -> None:
+        pid = (await worker.run("about"))["pid"]
+        with pytest.raises(TaskTooLarge, match=rf"^{task}: more than the 1024 MiB .* expected fewer"):
+            await worker.run(task, size)
+        assert not lives(pid)
+        assert 100 << 20 == await worker.run("fill", 100)
+
+    run(test, limits=TaskLimits(1024 * MIB, 60))
+
+
+def test_a_task_that_takes_too_long_is_ended() -> None:
+    """By the processor time that it took itself, not that of the tasks before it; waiting is no work."""
+
+    async def test(worker: Worker) -> None:
+        used_s = [await worker.run("burn", 0.7) for _ in range(3)]
+        assert used_s[-1] > 2
+        with pytest.raises(TaskTooLarge, match="burn: more than the 2 s of processor time that it may take"):
+            await worker.run("burn", 30)
+        assert [0] == await worker.run("count", 1)
+
+    run(test, limits=TaskLimits(4096 * MIB, 2))
+
+
+def test_a_task_may_take_half_of_the_machine_at_most() -> None:
+    """As the cell needs the other half; on the smallest machine, enough to work at all."""
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+    assert 2048 * MIB <= limits_here().memory_bytes <= max(2048 * MIB, there // 2)
+
+
+def test_it_ends_when_nobody_wants_it_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It holds memory; the next task starts another one."""
+    monkeypatch.setattr(workers, "IDLE_S", 0.05)
+
+    async def test(worker: Worker) -> None:
+        pid = (await worker.run("about"))["pid"]
+        await until(lambda: worker.pid is None)
+        assert not lives(pid)
+        assert pid != (await worker.run("about"))["pid"]
+
+    run(test)
+
+
+def test_it_ends_with_who_started_it() -> None:
+    """Killed with -9 in the middle of a task, they leave no process behind."""
+    script = (
+        "import asyncio, os, signal\n"
+        "from edged.setup.jobs.worker import Worker\n"
+        "async def main():\n"
+        f"    worker = Worker({TASKS!r})\n"
+        "    def began(*_):\n"
+        "        print(worker.pid, flush=True)\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    await worker.run('hang', progress=began)\n"
+        "asyncio.run(main())\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, env=environment, timeout=30, check=False
+    )
+
+    assert -signal.SIGKILL == ended.returncode
+    assert int(ended.stdout) > 0  # the worker has our pipe, too: that `run` returned means that it has ended

@@ -1,0 +1,445 @@
+"""Another rig or other jobs are a release; whatever goes wrong leaves what was before, byte for byte."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import hashlib
+import json
+import random
+import shutil
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from helpers.powercuts import Record, cut
+from helpers.smallcell import SmallCell
+
+from edged.errors import FileFormatError, SetupRefused, UserError
+from edged.files.atomic import replace_folder
+from edged.files.rig import load_rig, rig_text
+from edged.setup.cellfiles import read_cell
+from edged.setup.recordings.candidates import Candidates
+from edged.setup.releases import service as activating
+from edged.setup.releases import shelf
+from edged.setup.releases.jobsfolder import jobs_in, of_job, renamed, with_job
+from edged.setup.releases.jobsinuse import Candidate
+from edged.setup.releases.service import Activation, CellNow
+from edged.setup.releases.shelf import Release, Shelf
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files of a complete cell."""
+    return SmallCell(tmp_path_factory.mktemp("cell"), source="virtual-inprocess").config.parent
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    """Content by relative path."""
+    found = (file for file in folder.rglob("*") if file.is_file())
+    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in found}
+
+
+class RunningCell:
+    """A cell in a folder; what it runs by follows its files when it reloads."""
+
+    def __init__(self, folder: Path) -> None:
+        self.config, self.rig = folder / "cell.toml", folder / "rig.json"
+        self.shelf = Shelf(folder / "state" / "releases")
+        self.now = CellNow(self.rig, read_cell(self.config).fingerprint, True, {}, False, "", folder / "jobs")
+        self.now = replace(self.now, contents=read_cell(self.config).contents)
+        self.refuses = ""
+        self.activation = Activation(self.shelf, self.config, lambda: self.now, self._renew, self._reload)
+
+    def files(self) -> dict[str, bytes]:
+        """All of it, the shelf apart."""
+        found = files_in(self.config.parent).items()
+        return {name: data for name, data in found if not name.startswith("state/")}
+
+    def wider(self, factor: float) -> bytes:
+        """The rig with another baseline."""
+        rig = load_rig(self.rig)
+        moved = rig.right_from_left.copy()
+        moved[:3, 3] *= factor
+        return rig_text(replace(rig, right_from_left=moved, calibration_id=f"cal-{factor}"))
+
+    def _renew(self, token: str) -> None:
+        if token != "theirs":
+            raise SetupRefused("SETUP has ended")
+
+    async def _reload(self) -> str:
+        if not self.refuses:
+            read = read_cell(self.config)
+            self.now = replace(self.now, fingerprint=read.fingerprint, contents=read.contents)
+        return self.refuses
+
+
+@pytest.fixture
+def cell(template: Path, tmp_path: Path) -> RunningCell:
+    """Of one's own."""
+    shutil.copytree(template, tmp_path / "cell")
+    return RunningCell(tmp_path / "cell")
+
+
+def activate(cell: RunningCell, rig: bytes) -> Release:
+    """As Anna."""
+
+    async def asked() -> Release:
+        return await cell.activation.activate(rig, "Anna", "new board")
+
+    return asyncio.run(asked())
+
+
+def activate_again(cell: RunningCell, number: int) -> Release:
+    """As Ben."""
+
+    async def asked() -> Release:
+        return await cell.activation.activate_again(number, "Ben", "that was better")
+
+    return asyncio.run(asked())
+
+
+def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: RunningCell) -> None:
+    """The cell as it was found is a release, too: there is a way back from the first one."""
+    before, rig = cell.now.fingerprint, cell.wider(1.001)
+
+    release = activate(cell, rig)
+
+    assert rig == cell.rig.read_bytes()
+    assert (2, "Anna", "new board", 1) == (release.number, release.author, release.note, release.parent)
+    assert release.fingerprint == cell.now.fingerprint == read_cell(cell.config).fingerprint
+    found = cell.shelf.get(1)
+    assert (before, "edged", "as it was found") == (found.fingerprint, found.author, found.note)
+    assert 2 == cell.activation.active
+    with pytest.raises(UserError, match="runs by this already"):
+        activate(cell, rig)
+
+
+def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
+    """It is the older release again, not a new one; and forth again, too."""
+    before, old = cell.now.fingerprint, cell.rig.read_bytes()
+    activate(cell, cell.wider(1.001))
+
+    back = activate_again(cell, 1)
+
+    assert (1, before, old) == (back.number, cell.now.fingerprint, cell.rig.read_bytes())
+    assert 1 == cell.activation.active
+    assert 2 == len(cell.shelf.get(1).activated)
+    assert 2 == activate_again(cell, 2).number
+    with pytest.raises(KeyError):
+        activate_again(cell, 7)
+
+
+def test_an_older_release_under_newer_settings_is_one_of_its_own(cell: RunningCell) -> None:
+    """Settings stay as they are: the cell that comes of it never was there before."""
+    activate(cell, cell.wider(1.001))
+    cell.config.write_text(cell.config.read_text().replace("timeout_s = 2.0", "timeout_s = 3.0"))
+    cell.now = replace(cell.now, fingerprint=read_cell(cell.config).fingerprint)
+    assert None is cell.activation.active
+
+    release = activate_again(cell, 1)
+
+    assert "what release 1 has: that was better" == release.note
+    assert "timeout_s = 3.0" in cell.config.read_text()
+    assert cell.shelf.get(1).rig == load_rig(cell.rig).calibration_id
+
+
+def job_files(cell: RunningCell, name: str, number: int) -> dict[str, bytes]:
+    """A job as the flange, with a pair that it keeps."""
+    there = of_job(jobs_in(cell.now.jobs), "flange")
+    return {**renamed(there, name=name, number=number), "taught/left.png": b"pixels"}
+
+
+def activate_job(cell: RunningCell, name: str, number: int, replaced: str | None = None) -> Release:
+    """As Anna."""
+    files = job_files(cell, name, number)
+
+    async def asked() -> Release:
+        return await cell.activation.activate_jobs(
+            lambda jobs: with_job(jobs, name, files, replaced), "Anna", f"job {name}"
+        )
+
+    return asyncio.run(asked())
+
+
+def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerprint(
+    cell: RunningCell,
+) -> None:
+    """With the pair that it keeps, beside the others; back and forth all bytes are the same."""
+    before, files = cell.now.fingerprint, cell.files()
+
+    release = activate_job(cell, "ring", 2)
+
+    assert (2, ("flange", "ring"), 1) == (release.number, release.jobs, release.parent)
+    assert release.fingerprint == cell.now.fingerprint == read_cell(cell.config).fingerprint
+    after = cell.files()
+    assert {**after, "jobs/ring/taught/left.png": b"pixels"} == after
+    assert files.items() <= after.items()
+    back = activate_again(cell, 1)
+    assert (1, before, files) == (back.number, cell.now.fingerprint, cell.files())
+    assert (2, after) == (activate_again(cell, 2).number, cell.files())
+    assert [] == [entry.name for entry in cell.config.parent.iterdir() if entry.name.startswith(".jobs")]
+    activate_job(cell, "disc", 2, replaced="ring")
+    assert not (cell.now.jobs / "ring").exists()
+    assert [(1, "flange"), (2, "disc")] == sorted(
+        (one.number, one.name) for one in read_cell(cell.config).jobs
+    )
+    activate_again(cell, 2)
+    assert after == cell.files()
+
+
+def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
+    """Two of one number, one that cannot be read, and not the one that the configuration begins with."""
+    files = cell.files()
+    with pytest.raises(UserError, match="both have the number 1"):
+        activate_job(cell, "ring", 1)
+    with pytest.raises(UserError, match=r"no usable job 'flange'"):
+        activate_job(cell, "ring", 2, replaced="flange")
+    cell.refuses = "no"
+    with pytest.raises(UserError, match="runs on as before: no"):
+        activate_job(cell, "ring", 2)
+    assert files == cell.files()
+    assert [1] == [one.number for one in cell.shelf.all()]
+
+
+def test_a_jobs_folder_that_cannot_be_written_is_named_with_its_remedy(
+    cell: RunningCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As under systemd; nothing has changed."""
+    files = cell.files()
+
+    def read_only(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(activating, "write_jobs", read_only)
+    with pytest.raises(FileFormatError, match=r"jobs: .*Read-only.*let cell\.jobs of .*state/jobs"):
+        activate_job(cell, "ring", 2)
+    assert files == cell.files()
+
+
+def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> None:
+    """Before anything is written; what it says is kept; of the way back the reason is the signature."""
+    asked: list[tuple[Mapping[str, bytes], str | None]] = []
+
+    async def gate(contents: Mapping[str, bytes], signed: str | None) -> shelf.Tested:
+        asked.append((contents, signed))
+        if signed is None:
+            raise UserError("3 good ones would be bad")
+        return shelf.Tested(regression=None, cycles=9, good_to_bad=3, signed=signed)
+
+    cell.activation._gate = gate  # noqa: SLF001  (as the workshop gives it)
+    files = cell.files()
+    with pytest.raises(UserError, match="3 good ones"):
+        activate_job(cell, "ring", 2)
+    assert (files, []) == (cell.files(), cell.shelf.all())
+    wanted = with_job(jobs_in(cell.now.jobs), "ring", job_files(cell, "ring", 2), None)
+    release = asyncio.run(cell.activation.activate_jobs(lambda _: wanted, "Anna", "ring", "seen all three"))
+    assert (3, "seen all three") == (release.tested.good_to_bad, asked[1][1])
+    assert read_cell(cell.config).contents == asked[1][0]
+    activate_again(cell, 1)
+    assert (read_cell(cell.config).contents, "that was better") == asked[2]
+
+
+def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCell) -> None:
+    """Also of a draft that renames and renumbers the job that it replaces: else its test would not count."""
+    cell.config.write_text(cell.config.read_text().replace('job = "flange"', ""))
+    candidate = Candidate("cover", "flange", job_files(cell, "cover", 9))
+    told: list[Mapping[str, bytes]] = []
+
+    async def gate(contents: Mapping[str, bytes], _signed: str | None) -> None:
+        told.append(contents)
+
+    async def draft(_identity: str) -> Candidate:
+        return candidate
+
+    async def rig(_identity: str) -> bytes:
+        raise KeyError
+
+    cell.activation._gate = gate  # noqa: SLF001  (as the workshop gives it)
+    candidates = Candidates(lambda: cell.now.contents, cell.shelf, rig, draft)
+    tried = asyncio.run(candidates.of_teaching("20260101-000000-abcd"))
+    asyncio.run(cell.activation.activate_jobs(candidate.put, "Anna", "cover"))
+    assert [tried] == told
+    assert {"jobs/cover/job.toml", "jobs/cover/shape.npz"} == {name for name in tried if "jobs/" in name}
+
+
+def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> None:
+    """Files byte for byte, no release that never was, and the reason is said."""
+    files = cell.files()
+    cell.refuses = "modbus.port: in use"
+
+    with pytest.raises(UserError, match=r"runs on as before: modbus\.port: in use"):
+        activate(cell, cell.wider(1.001))
+
+    assert files == cell.files()
+    assert [1] == [one.number for one in cell.shelf.all()]
+    cell.refuses = ""
+    assert 2 == activate(cell, cell.wider(1.001)).number
+    cell.refuses = "no"
+    files = cell.files()
+    with pytest.raises(UserError):
+        activate_again(cell, 1)
+    assert files == cell.files()
+    assert 1 == len(cell.shelf.get(1).activated)
+
+
+def test_a_first_rig_that_is_refused_is_gone_again(cell: RunningCell) -> None:
+    """There was none before it, and there is none after it."""
+    rig = cell.wider(1.001)
+    cell.rig.unlink()
+    cell.now, cell.refuses = replace(cell.now, fingerprint="", is_complete=False), "no"
+
+    with pytest.raises(UserError):
+        activate(cell, rig)
+
+    assert not cell.rig.exists()
+    assert [] == cell.shelf.all()
+
+
+def test_a_place_that_cannot_be_written_is_named_with_its_remedy(
+    cell: RunningCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As under systemd, where /etc is read-only for the daemon; nothing has changed."""
+    files = cell.files()
+
+    def read_only(path: Path, data: bytes) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(activating, "write_atomically", read_only)
+    with pytest.raises(FileFormatError, match=r"rig\.json: .*Read-only.*let cell\.rig of .*state/rig\.json"):
+        activate(cell, cell.wider(1.001))
+
+    assert files == cell.files()
+    assert [1] == [one.number for one in cell.shelf.all()]
+
+
+def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
+    """It is read before anything is written."""
+    files = cell.files()
+    with pytest.raises(FileFormatError, match="the new rig: not a rig file"):
+        activate(cell, b"{}")
+    assert files == cell.files()
+    assert [] == cell.shelf.all()
+
+
+def test_the_plant_forbids_it(cell: RunningCell) -> None:
+    """AUTO_LOCK, before anybody asks and while somebody has; so does whoever has the cell."""
+    cell.activation.check(None)
+    cell.now = replace(cell.now, holder="Ben")
+    with pytest.raises(SetupRefused, match="Ben has the cell"):
+        cell.activation.check(None)
+    with pytest.raises(SetupRefused, match="SETUP has ended"):
+        cell.activation.check("stale")
+    cell.activation.check("theirs")
+    cell.now = replace(cell.now, locked=True)
+    with pytest.raises(SetupRefused, match="AUTO_LOCK"):
+        cell.activation.check("theirs")
+    files = cell.files()
+    with pytest.raises(SetupRefused, match="AUTO_LOCK"):
+        activate(cell, cell.wider(1.001))
+    assert files == cell.files()
+
+
+def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
+    """And go with it again: they are of one release."""
+    cell.now = replace(cell.now, cameras={"left": {"exposure_us": 1234.0}})
+
+    activate(cell, cell.wider(1.001))
+
+    chosen = cell.config.parent / "rig.cameras.json"
+    assert {"left": {"exposure_us": 1234.0}, "right": {}} == json.loads(chosen.read_text())
+    cell.now = replace(cell.now, cameras={})
+    before = cell.files()
+    cell.refuses = "no"
+    with pytest.raises(UserError):
+        activate_again(cell, 1)
+    assert before == cell.files()
+    cell.refuses = ""
+    activate_again(cell, 1)
+    assert not chosen.exists()
+    activate_again(cell, 2)
+    assert before == cell.files()
+
+
+@pytest.mark.parametrize("cameras", [{}, {"left": {"device": "other"}}], ids=["rig", "rig and cameras"])
+def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
+    template: Path, tmp_path: Path, cameras: dict
+) -> None:
+    """At any call: the cell loads; by the new one there are releases of both. Rig and cameras are of one."""
+    root = tmp_path / "real"
+    root.mkdir()
+    record = Record(root)
+    with record.watching():
+        replace_folder(root / "cell", files_in(template))
+        cell = RunningCell(root / "cell")
+        cell.now = replace(cell.now, cameras=cameras)
+        start = len(record.calls)
+        before = cell.now.fingerprint
+        after = activate(cell, cell.wider(1.001)).fingerprint
+    dice, found = random.Random(1), set()
+    for number in range(40):
+        disk = tmp_path / f"cut{number}"
+        cut(record.calls[: dice.randint(start, len(record.calls))], dice).write(disk)
+        asyncio.run(RunningCell(disk / "cell").activation.finish())
+        fingerprint = read_cell(disk / "cell" / "cell.toml").fingerprint
+        shelf = Shelf(disk / "cell" / "state" / "releases")
+        active = {one.fingerprint for one in shelf.all() if one.activated}
+        assert fingerprint == before or (fingerprint == after and {before, after} <= active)
+        assert shelf.underway is None
+        assert all(one.fingerprint == shelf.open(one.number).fingerprint for one in shelf.all())
+        found.add(fingerprint)
+        shutil.rmtree(disk)
+    assert {before, after} == found
+
+
+def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
+    template: Path, tmp_path: Path
+) -> None:
+    """With another rig: at any call the cell loads, and after the next start it is one of both."""
+    root = tmp_path / "real"
+    root.mkdir()
+    record = Record(root)
+    with record.watching():
+        replace_folder(root / "cell", files_in(template))
+        cell = RunningCell(root / "cell")
+        activate(cell, cell.wider(1.001))
+        activate_job(cell, "ring", 2)
+        activate_again(cell, 1)
+        start = len(record.calls)
+        now = cell.now.fingerprint
+        after = activate_again(cell, 3).fingerprint
+    dice, found = random.Random(4), set()
+    for number in range(16):
+        disk = tmp_path / f"cut{number}"
+        cut(record.calls[: dice.randint(start, len(record.calls))], dice).write(disk)
+        config = disk / "cell" / "cell.toml"
+        read_cell(config)  # also before it is finished
+        asyncio.run(RunningCell(disk / "cell").activation.finish())
+        fingerprint = read_cell(config).fingerprint
+        shelf = Shelf(disk / "cell" / "state" / "releases")
+        active = {one.fingerprint for one in shelf.all() if one.activated}
+        assert fingerprint == now or (fingerprint == after and {now, after} <= active)
+        assert (fingerprint == after) == (config.parent / "jobs" / "ring" / "taught" / "left.png").is_file()
+        found.add(fingerprint)
+        shutil.rmtree(disk)
+    assert {now, after} == found
+
+
+def test_a_pair_is_kept_once_for_all_releases(cell: RunningCell) -> None:
+    """Beside their archives; it comes back with its job, and goes with the last release that had it."""
+    activate_job(cell, "ring", 2)
+    activate(cell, cell.wider(1.001))
+    pictures = cell.config.parent / "state" / "releases" / "pictures"
+    assert [hashlib.sha256(b"pixels").hexdigest()] == [file.stem for file in pictures.iterdir()]
+    assert not any(name.endswith("left.png") for name in cell.shelf.open(3).files)
+    activate_again(cell, 1)
+    after = activate_again(cell, 3)
+    assert b"pixels" == (cell.now.jobs / "ring" / "taught" / "left.png").read_bytes()
+    assert after.fingerprint == cell.now.fingerprint
+    next(pictures.iterdir()).write_bytes(b"damaged")
+    assert "ring/taught/left.png" not in cell.shelf.jobs(3)
+    for number in (2, 3):
+        cell.shelf.forget(number)
+    cell.shelf.prune()
+    assert [] == list(pictures.iterdir())

@@ -1,0 +1,49 @@
+"""All routes of a daemon, of every room: its own document, every role, and every question."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+from helpers.boardcell import BoardCell
+from helpers.browsersession import BrowserSession
+from helpers.everyroute import check_document, check_questions, check_roles
+from helpers.webcell import HASH, USERS
+
+from edged.files.statefolder import state_folder
+from edged.identity.users import User, UserFile
+
+
+@pytest.fixture
+def asked(tmp_path: Path) -> Callable[[Callable[[BrowserSession], Awaitable[None]]], None]:
+    """Run a test's coroutine with a browser before a daemon, bounded."""
+    cell = BoardCell(tmp_path)
+    for name, role in USERS.items():
+        users = UserFile(state_folder(cell.config) / "users.json")
+        users.put(User(name=name, role=role, password_hash=HASH))
+
+    def run(test: Callable[[BrowserSession], Awaitable[None]]) -> None:
+        async def bounded() -> None:
+            async with asyncio.timeout(60), cell.running():
+                await test(BrowserSession(cell.session))
+
+        asyncio.run(bounded())
+
+    return run
+
+
+def test_all_of_the_api_is_what_its_document_says(
+    asked: Callable[[Callable[[BrowserSession], Awaitable[None]]], None],
+) -> None:
+    """Of cameras, calibrations and tasks as of users: nobody gets further than their role."""
+
+    async def test(browser: BrowserSession) -> None:
+        document = await check_document(browser)
+        assert {"/api/v1/cameras", "/api/v1/calibrations"} <= set(document["paths"])
+        await check_roles(browser, {name: USERS[name] for name in ("Vera", "Otto", "Anna")})
+        browser.session.cookie_jar.clear()
+        assert await check_questions(browser) >= 30
+
+    asked(test)

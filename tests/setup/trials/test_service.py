@@ -1,0 +1,189 @@
+"""A job is tried on live pairs over HTTP: every tab sees what comes of each."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+import pytest
+from helpers.cells import flange
+from helpers.partcell import PartCell, turned
+
+from edged.files.jobs import save_job
+from edged.pipeline import prepare
+from edged.setup.jobs.worker import Worker
+from edged.vision.teaching.pair import teach
+
+
+class TaughtCell(PartCell):
+    """It has a job of the flange."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        rectification = prepare(flange().rig).rectification
+        job = teach(flange().left, flange().right, rectification, flange().region, "flange")
+        save_job(folder / "jobs" / "flange", job)
+        self.config.write_text(self.config.read_text().replace('job = "none"', 'job = "flange"'))
+
+
+@asynccontextmanager
+async def live(cell: PartCell, token: dict[str, str]) -> AsyncIterator[aiohttp.ClientWebSocketResponse]:
+    """A tab that looks at the live pictures of who has the cell."""
+    headers = {"Origin": f"http://127.0.0.1:{cell.port}"}
+    async with cell.session.ws_connect("/api/v1/ws", headers=headers) as socket:
+        await socket.send_json({"live": True, **token})
+        yield socket
+
+
+async def told(
+    socket: aiohttp.ClientWebSocketResponse, condition: Callable[[dict[str, Any]], object]
+) -> dict[str, Any]:
+    """The next trial that fulfils a condition; pictures are seen."""
+    async with asyncio.timeout(60):
+        async for message in socket:
+            if message.type is aiohttp.WSMsgType.BINARY:
+                await socket.send_json({"seen": int.from_bytes(message.data[1:9], "big")})
+            elif (document := json.loads(message.data))["type"] == "trial" and condition(document):
+                return dict(document)
+    raise AssertionError("the socket has ended")
+
+
+def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
+    """A worker's `run` that is given the pictures of smaller cameras to try."""
+
+    async def cropped(worker: Worker, name: str, *arguments: Any) -> Any:
+        if name == "try_pair":
+            setup, images = arguments
+            arguments = setup, tuple(image[:-8] for image in images)
+        return await run(worker, name, *arguments)
+
+    return cropped
+
+
+def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the part lies, in the robot's frame; when it is laid elsewhere, that is seen, and the trail is
+    longer; a draft is tried as a job is. What cannot be tried is said."""
+    cell = TaughtCell(tmp_path)
+
+    async def test() -> None:
+        token = await cell.take()
+        for what, code in (
+            ({"job": "gear"}, (422, "input_no_job")),
+            ({"teaching": "20260101-120000-0000"}, (404, "unknown")),
+            ({}, (422, "input")),
+            ({"job": "gear", "teaching": "20260101-120000-0000"}, (400, "invalid")),
+        ):
+            assert code == await coded(cell, "PUT", {**token, **what, "on": True}), what
+        assert (409, "setup_refused") == await coded(cell, "PUT", {"token": "x", "job": "gear", "on": True})
+        assert (422, "input") == await coded(cell, "GET", None)
+        _, nothing = await cell.ask("GET", "/trials", None)
+        assert (False, None, []) == (nothing["on"], nothing["status"], nothing["targets"])
+
+        _, begun = await cell.ask("PUT", "/trials", {**token, "job": "flange", "on": True})
+        assert (True, "flange", None) == (begun["on"], begun["job"], begun["teaching"])
+        async with live(cell, token) as socket:
+            first = await told(socket, lambda one: one["number"])
+            assert ("OK", "OK", []) == (first["status"], first["words_code"], first["reasons"])
+            (part,) = first["targets"]
+            place = np.array([part["pose"][f"{axis}_mm"] for axis in "xyz"])
+            robot_from_rig = flange().rig.robot_from_rig
+            assert robot_from_rig is not None
+            true = robot_from_rig @ flange().rig_from_part
+            assert ("robot", True) == (part["frame"], bool(np.abs(place - true[:3, 3]).max() < 0.02))
+            cell.world.shown = turned(70.0)
+            moved = await told(socket, lambda one: len(one["covered"]) == 2)
+            assert moved["number"] > first["number"]
+
+            status, chart = await cell.ask("GET", "/trials/map", None)
+            assert (200, True) == (status, chart["measured"])
+            assert chart["columns"] * chart["rows"] * chart["layers"] == len(chart["points"])
+            seen = [one for one in chart["points"] if one["sigma_um"]]
+            assert all(max(one["sigma_um"].values()) < chart["limit_um"] for one in seen)
+            charted = await told(socket, lambda one: one["covered_share"] is not None)
+            assert 1 <= round(charted["covered_share"] * len(seen)) <= 2
+
+            cell.world.shown = (np.full_like(flange().left, 30),) * 2
+            gone = await told(socket, lambda one: one["status"] != "OK")
+            assert ("NO_TARGET", "NOT_FOUND", []) == (gone["status"], gone["words_code"], gone["targets"])
+
+            with monkeypatch.context() as patch:
+                patch.setattr(Worker, "run", cropping(Worker.run))
+                trouble = (await told(socket, lambda one: one["trouble"]))["trouble"]
+            height, width = flange().left.shape
+            sizes = {"found": f"{width}x{height - 8}", "wanted": f"{width}x{height}"}
+            assert ("image_size", {"side": "left", **sizes}) == (trouble["code"], trouble["params"])
+            assert sizes["wanted"] in trouble["text"]
+            assert None is (await told(socket, lambda one: one["status"]))["trouble"]
+
+            status, off = await cell.ask("PUT", "/trials", {**token, "on": False})
+            assert (200, False, len(gone["covered"])) == (status, off["on"], len(off["covered"]))
+            cell.world.shown = turned(70.0)
+            draft = (await cell.begun(**token))["id"]
+            await cell.ask("PUT", "/trials", {**token, "teaching": draft, "on": True})
+            of_draft = await told(socket, lambda one: one["teaching"] == draft and one["number"])
+            assert ("OK", None, 1) == (of_draft["status"], of_draft["job"], len(of_draft["covered"]))
+            _, again = await cell.ask("GET", "/trials/map?job=flange", None)
+            assert chart == again
+            _, still_on = await cell.ask("GET", "/trials", None)
+            assert (True, draft) == (still_on["on"], still_on["teaching"])
+
+    run(cell, test())
+
+
+def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
+    """The same picture each time scatters by nothing; a part that is moved or taken away is no verdict."""
+    cell = TaughtCell(tmp_path)
+
+    async def still(token: dict[str, str], pictures: int) -> str:
+        body = {**token, "job": "flange", "pictures": pictures}
+        status, begun = await cell.ask("POST", "/trials/still", body)
+        assert 202 == status, begun
+        return str(begun["task"])
+
+    async def last() -> dict[str, Any]:
+        return dict((await cell.ask("GET", "/trials/still", None))[1]["last"])
+
+    async def test() -> None:
+        token = await cell.take()
+        assert (200, {"last": None}) == await cell.ask("GET", "/trials/still", None)
+        assert "done" == (await cell.done(await still(token, 6)))["state"]
+        found = await last()
+        assert ("smaller", True, 6, "Anna") == (found["verdict"], found["covers"], found["n"], found["by"])
+        assert 0 < found["edges_um"]["z"] < 20
+        assert found["expected"][0] < 1 < found["expected"][1]
+
+        task = await still(token, 20)
+        assert (409, "setup_refused") == await coded(cell, "POST", {**token, "job": "flange"})
+        await cell.until(f"/tasks/{task}", lambda told: (told["done"] or 0) > 0.2)
+        cell.world.shown = turned(20.0)
+        assert "done" == (await cell.done(task))["state"]
+        assert ("moving", None) == ((found := await last())["verdict"], found["chi2"])
+
+        cell.world.shown = (np.full_like(flange().left, 30),) * 2
+        await cell.done(await still(token, 6))
+        assert ("vanished", None) == ((found := await last())["verdict"], found["scatter_um"])
+
+    run(cell, test())
+
+
+async def coded(cell: PartCell, method: str, body: Any) -> tuple[int, str]:
+    """Status and code of the problem: of turning a trial, of a still test, of the map."""
+    path = {"PUT": "/trials", "POST": "/trials/still", "GET": "/trials/map"}[method]
+    status, problem = await cell.ask(method, path, body)
+    return status, problem["code"]
+
+
+def run(cell: PartCell, test: Any) -> None:
+    """Beside the daemon, bounded."""
+
+    async def bounded() -> None:
+        async with asyncio.timeout(120), cell.running():
+            await test
+
+    asyncio.run(bounded())

@@ -1,0 +1,199 @@
+"""A door of the daemon: who connects counts at once, and nobody keeps others, or the log, from anything."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import subprocess
+import sys
+
+from helpers.scriptedhead import until
+
+from edged.connections import Door, Guest, Rate, Rates
+
+WAIT_S = 10.0
+
+FEW_DESCRIPTORS = """
+import asyncio, logging, resource, sys
+from edged.connections import Door
+
+class Echo(asyncio.Protocol):
+    def connection_made(self, transport):
+        self.transport = transport
+    def data_received(self, data):
+        self.transport.write(data)
+
+async def main():
+    door = Door("echo", lambda guest: Echo(), lambda guest: True, idle_s=600)
+    await door.open("127.0.0.1", 0)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (32, 32))
+    print(door.port, flush=True)
+    await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)
+    await door.close()
+
+logging.basicConfig()
+asyncio.run(main())
+"""
+
+
+def run(test) -> None:
+    """A test's coroutine, bounded."""
+
+    async def bounded() -> None:
+        async with asyncio.timeout(WAIT_S):
+            await test()
+
+    asyncio.run(bounded())
+
+
+async def connect(door: Door) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A connection to a door."""
+    return await asyncio.open_connection("127.0.0.1", door.port)
+
+
+def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -> None:
+    """A hundred connections, descriptors for thirty: one line; when they have gone the next one is served."""
+    command = [sys.executable, "-W", "error", "-c", FEW_DESCRIPTORS]
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    port = int(process.stdout.readline())
+    many = [socket.create_connection(("127.0.0.1", port)) for _ in range(100)]
+    try:
+        many[0].settimeout(WAIT_S)
+        many[0].sendall(b"first")
+        assert b"first" == many[0].recv(5)
+        with socket.create_connection(("127.0.0.1", port), WAIT_S) as last:
+            last.sendall(b"last")
+            for one in many:
+                one.close()
+            assert b"last" == last.recv(4)
+    finally:
+        for one in many:
+            one.close()
+        _, log = process.communicate(timeout=WAIT_S)
+
+    assert ["echo: nobody can connect: Too many open files"] == [
+        line.partition("edged.connections:")[2] for line in log.splitlines()
+    ]
+    assert 0 == process.returncode
+
+
+def test_a_guest_counts_until_it_is_aborted_and_is_forgotten_once() -> None:
+    """Whoever is refused never counts; an end by either side is told once."""
+    left: list[Guest] = []
+
+    async def test() -> None:
+        door = Door(
+            "test",
+            lambda _: asyncio.Protocol(),
+            lambda _: len(door.guests) < 2,
+            left.append,
+            idle_s=600,
+        )
+        await door.open("localhost", 0)
+        ends = [await connect(door) for _ in range(3)]
+        assert b"" == await ends[2][0].read()
+        first, second = door.guests
+        first.abort()
+        assert (second,) == door.guests
+        assert [first] == left
+        assert b"" == await ends[0][0].read()
+        ends[1][1].close()
+        await until(lambda: not door.guests)
+        for _, writer in ends:
+            writer.close()
+        await door.close()
+        assert [first, second] == left
+
+    run(test)
+
+
+def test_a_guest_that_is_busy_is_not_idle() -> None:
+    """Something is being done for it, however long that takes; the other one ends."""
+
+    async def test() -> None:
+        door = Door("test", lambda _: asyncio.Protocol(), lambda _: True, idle_s=0.2)
+        await door.open("127.0.0.1", 0)
+        (busy_reader, busy), (idle_reader, idle) = await connect(door), await connect(door)
+        await until(lambda: len(door.guests) == 2)
+        door.guest(busy.get_extra_info("sockname")).touch(busy=True)
+        assert b"" == await idle_reader.read()
+        (left,) = door.guests
+        assert busy.get_extra_info("sockname") == left.name
+        await door.close()
+        assert b"" == await busy_reader.read()
+        for writer in (busy, idle):
+            writer.close()
+
+    run(test)
+
+
+def test_a_rate_is_so_many_a_second() -> None:
+    """As many at once, none after that, and one more in its share of a second."""
+    now_s = 0.0
+    rate = Rate(4, lambda: now_s)
+    assert [True] * 4 + [False] * 2 == [rate.take() for _ in range(6)]
+    now_s = 0.5
+    assert [True, True, False] == [rate.take() for _ in range(3)]
+    now_s = 1000.0
+    assert [True] * 4 + [False] == [rate.take() for _ in range(5)]
+
+
+def test_a_guest_that_sends_more_than_it_may_is_ended() -> None:
+    """And only it; who has no limit may send what they like, and all of it arrives."""
+    heard: dict[str, int] = {"limited": 0, "free": 0}
+
+    class Ear(asyncio.Protocol):
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def data_received(self, data: bytes) -> None:
+            heard[self.name] += len(data)
+
+    async def test() -> None:
+        names = iter(heard)
+        door = Door("test", lambda _: Ear(next(names)), lambda _: True, idle_s=600)
+        await door.open("127.0.0.1", 0)
+        reader, limited = await connect(door)
+        await until(lambda: len(door.guests) == 1 and door.guests[0].is_in)
+        (guest,) = door.guests
+        guest.limit(1.0, 1000.0)
+        _, free = await connect(door)
+        limited.write(bytes(900))
+        await until(lambda: heard["limited"] == 900)
+        assert not guest.has_flooded
+        limited.write(bytes(200))
+        with contextlib.suppress(ConnectionError):
+            assert b"" == await reader.read()
+        assert guest.has_flooded
+        free.write(bytes(1_000_000))
+        await until(lambda: heard["free"] == 1_000_000)
+        assert 900 == heard["limited"]
+        for writer in (limited, free):
+            writer.close()
+        await door.close()
+
+    run(test)
+
+
+def test_a_rate_is_of_each_and_can_be_forfeited() -> None:
+    """One that took all takes nothing from another; what is forfeited comes back with time, and no sooner."""
+    now_s = [0.0]
+    rate = Rate(10.0, lambda: now_s[0], burst=20.0)
+    assert rate.take(20)
+    assert not rate.take()
+    now_s[0] = 1.0
+    rate.forfeit(5.0)
+    now_s[0] = 6.0
+    assert not rate.take()
+    now_s[0] = 6.2
+    assert rate.take()
+
+    rates = Rates(1.0, 2.0, most=2)
+    assert [True, True, False] == [rates.of("one").take() for _ in range(3)]
+    assert rates.of("other").take()
+    assert not rates.of("one").take()
+    assert rates.of("third").take()  # and "other" is forgotten
+    assert not rates.of("one").take()
