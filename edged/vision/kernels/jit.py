@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -15,12 +16,15 @@ import numpy as np
 import numpy.typing as npt
 from numba import types
 from numba.core.dispatcher import Dispatcher
+from numba.core.sigutils import normalize_signature
 
 from edged.vision.kernels.jitcache import QuickCache, load_quickly
 
 F = TypeVar("F", bound=Callable[..., Any])
 WRAPPED = ("__wrapped__", "__func__", "fget", "func")
 """Where a cache, a static method and two kinds of property keep their function."""
+TYPE_NAME = re.compile(r"\w+(?:\[[^]]*\])?")
+"""A type within a signature, with its dimensions."""
 Tuples = tuple[type[tuple[Any, ...]], ...]
 
 load_quickly()
@@ -153,15 +157,22 @@ def _parsed(signature: str, tuples: Tuples) -> Any:
     """A signature in numba's own terms."""
     if not tuples:
         return signature
-    known = dict(vars(types))
-    for one in tuples:
-        hints = get_type_hints(one, include_extras=True)
-        fields = [eval(hint.__metadata__[0], {}, known) for hint in hints.values()]
+    known: dict[str, Any] = {}
+    for named in tuples:
+        hints = get_type_hints(named, include_extras=True)
+        fields = [_type(hint.__metadata__[0]) for hint in hints.values()]
         alike = len(set(fields)) == 1
-        known[one.__name__] = (
-            types.NamedUniTuple(fields[0], len(fields), one) if alike else types.NamedTuple(fields, one)
+        known[named.__name__] = (
+            types.NamedUniTuple(fields[0], len(fields), named) if alike else types.NamedTuple(fields, named)
         )
-    return eval(signature, {}, known)
+    result, *arguments = (known.get(text) or _type(text) for text in TYPE_NAME.findall(signature))
+    return result(*arguments)
+
+
+def _type(text: str) -> Any:
+    """A type by numba's name of it, as "f8[:, ::1]"."""
+    arguments, _ = normalize_signature(f"({text},)")
+    return arguments[0]
 
 
 def for_kernel(array: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any]:
