@@ -25,20 +25,17 @@ Lengths are in units of the stated square: with a square of 1, a µm is a thousa
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
+from benching import bench_parser, finish
 from rich.console import Console
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from edged.commands.progress import shown_on
 from edged.domain.arrays import FloatArray, Image
@@ -107,14 +104,11 @@ class Folder:
 
 def main() -> int:
     """Print the table; 2 for input that gives none."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--board", required=True, help="chessboard:COLSxROWS:SQUARE_MM, inner corners")
     parser.add_argument("--model", choices=get_args(LensModel), default="brown")
     parser.add_argument("--plate-shape", action="store_true", help="estimate the board's shape, too")
-    parser.add_argument("--json", type=Path, help="write the rows here, too")
     options = parser.parse_args()
     try:
         folder = read_folder(options.folder, options.board, options.model)
@@ -125,8 +119,7 @@ def main() -> int:
         print(error, file=sys.stderr)
         return 2
     report(rows)
-    if options.json is not None:
-        options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
+    finish(options, rows)
     return 0
 
 

@@ -22,17 +22,14 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-
 from bench_solid import DEPTH_SHARE, NEAR_MM, pair_of, pose_of
+from benching import bench_parser, finish
 from helpers.cells import frame_pair
 from imperfections import KINDS
 from table3 import true_rig
@@ -308,22 +305,17 @@ def report(rows: list[Row]) -> None:
 
 def main() -> int:
     """Print the table; 1 where a result was silently wrong."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--tilt", type=float, help="degrees, as edged teach has it")
     parser.add_argument("--only", default="", help="scenes with this in their name")
     parser.add_argument("--parts", default="", help="comma list; default: all")
     parser.add_argument("--from", dest="taught_from", default="", metavar="PAIR", help="taught from it")
     parser.add_argument("--kinds", default="plain", help=f"comma list of plain, mirror, {', '.join(KINDS)}")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     rows = [row for kind in options.kinds.split(",") for row in measure(options.dataset, kind, options)]
-    if options.json:
-        print(json.dumps([asdict(row) for row in rows]))
-    else:
-        report(rows)
+    report(rows)
+    finish(options, rows)
     good = [row for row in rows if row.verdict == "good"]
     return int(
         any(row.worst > SILENT_SIGMAS for row in good) or any(row.verdict == "INVENTED" for row in rows)

@@ -11,7 +11,6 @@ edged's marks; then calibrateCamera and stereoCalibrate. The truth is a rig file
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from benching import bench_parser, finish
 from rich.console import Console
 
 from edged.commands.progress import shown_on
@@ -63,9 +63,7 @@ class Marks:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--board")
     parser.add_argument("--model", choices=("brown", "division"), default="division")
@@ -86,6 +84,7 @@ def main() -> None:
     seen: dict[tuple[Path, str, LensModel], Marks] = {}
     for case in cases:
         print(row(case, seen), flush=True)
+    finish(options)
 
 
 def all_cases(data: Path) -> list[Case]:

@@ -16,7 +16,6 @@ import asyncio
 import contextlib
 import functools
 import gc
-import json
 import logging
 import random
 import sys
@@ -24,14 +23,11 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-
 from bench_service import enter_namespace, resources
+from benching import bench_parser, finish
 from cameraworld import ADDRESSES, CameraWorld, exposed_ns_of
 from helpers.livecell import LiveCell
 from helpers.snapshots import make_target
@@ -449,7 +445,7 @@ PARTS: dict[str, Callable[[CameraWorld, argparse.Namespace], Figures]] = {
 
 def main() -> None:
     """Run the parts one after another."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--exposures", type=int, default=100, help="of each trigger mode")
     parser.add_argument("--frames", type=int, default=60, help="for each loss")
@@ -458,7 +454,6 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0, help="of random faults")
     parser.add_argument("--seconds", type=float, default=10.0, help="of receiving for the processor time")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
     options = parser.parse_args()
     enter_namespace()
     logging.getLogger("edged").propagate = False
@@ -468,8 +463,7 @@ def main() -> None:
         for part in options.only:
             figures[part] = PARTS[part](world, options)
             sys.stdout.flush()
-    if options.json is not None:
-        options.json.write_text(json.dumps(figures, indent=1) + "\n")
+    finish(options, figures)
     wrong = [text for part in figures.values() for text in part.get("wrong", [])]
     if wrong:
         sys.exit(f"{len(wrong)} wrong: {'; '.join(wrong[:5])}")

@@ -17,9 +17,7 @@ What jitters least are counts: of candidates followed, of fits, of steps; they g
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import json
 import math
 import os
 import subprocess
@@ -27,7 +25,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -36,6 +34,7 @@ import cv2
 import numpy as np
 import scenes
 from bench_shape import PARTS
+from benching import bench_parser, finish
 
 from edged.commands.demo import region_of_part
 from edged.domain.arrays import Image
@@ -420,14 +419,11 @@ def draw_flames(path: Path) -> None:
 
 def main() -> int:
     """Run everything and print two tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--scenes", type=int, default=25)
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--large", action="store_true", help="5 and 12 megapixels, too")
     parser.add_argument("--growth", action="store_true", help="how the time grows, with exponents")
-    parser.add_argument("--json", type=Path)
     parser.add_argument("--flame", type=Path)
     parser.add_argument("--only-cycle", action="store_true", help="whole cycles and nothing else")
     options = parser.parse_args()
@@ -471,9 +467,7 @@ def main() -> int:
         for name, values, times, exponent in growth:
             at, ms = (", ".join(f"{value:.3g}" for value in row) for row in (values, times))
             print(f"| {name} | {at} | {ms} | {exponent:.2f} |")
-    if options.json is not None:
-        document = {"rows": [asdict(row) for row in rows], "work": work, "growth": growth}
-        options.json.write_text(json.dumps(document, indent=1) + "\n")
+    finish(options, {"rows": rows, "work": work, "growth": growth})
     if options.flame is not None:
         draw_flames(options.flame)
     return 0

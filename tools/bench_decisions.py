@@ -24,8 +24,6 @@ All of its neighbours' silent errors count, too. Exit status 1 if there was any 
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import sys
 import time
@@ -34,14 +32,10 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from multiprocessing import get_context
-from pathlib import Path
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
+from benching import bench_parser, finish
 from distinguished import DESIGNS, HELD_OUT, Design, without_holes
 from helpers.cells import PLACE_MM, frame_pair, pose, region_around, small_rig
 from imperfections import KINDS
@@ -459,14 +453,11 @@ def summed(rows: list[Row], name: str, look: str = "") -> Row:
 
 def main() -> int:
     """Run all parts on all surfaces, on two processes."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--draws", type=int, default=20_000, help="in all; rounded up to whole scenes")
     parser.add_argument("--parts", help="names, separated by commas; default: all")
     parser.add_argument("--looks", help="names, separated by semicolons; default: all")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
     parser.add_argument("--list", action="store_true", help="print every silent error and refusal")
     parser.add_argument("--degrade", choices=sorted(KINDS), help="as an imperfect camera sees it")
     parser.add_argument("--processes", type=int, default=2)
@@ -498,9 +489,7 @@ def main() -> int:
         listed = [*row.wrong, *row.refusals] if options.list else []
         for line in listed or [line for line in row.wrong if "not taught" in line]:
             print(f"{row.name}, {row.look}: {line}")
-    if options.json is not None:
-        document = {"total": asdict(total), "rows": [asdict(row) for row in rows]}
-        options.json.write_text(json.dumps(document, indent=1) + "\n")
+    finish(options, {"total": asdict(total), "rows": rows})
     return 1 if total.turned or total.off else 0
 
 

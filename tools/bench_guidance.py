@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Are few guided views worth as much as many of a careful person?
 
-    tools/bench guidance [--seeds N] [--guided N] [--careful N] [--noise PX] [--json]
+    tools/bench guidance [--seeds N] [--guided N] [--careful N] [--noise PX] [--json FILE]
 
 A hand follows the outlines that the cell draws, with its misses, as on the virtual stage; a careful person
 tilts the same board up to 20° every way, at several depths, all over the common field. Marks are computed, no
@@ -10,11 +10,10 @@ picture is drawn. Sigma as stated and the true error are those of points where p
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 
 import numpy as np
+from benching import bench_parser, finish
 from computedmarks import Compared, compared, is_whole, seen_by, views_at
 
 from edged.domain.arrays import SIDES, FloatArray, Image
@@ -131,14 +130,11 @@ def outcomes(guided: int, careful: int, noise_px: float, seed: int) -> tuple[Com
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--guided", type=int, default=10)
     parser.add_argument("--careful", type=int, default=20)
     parser.add_argument("--noise", type=float, default=0.01, help="px, of one coordinate of a mark")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     both = []
     print(
@@ -156,8 +152,7 @@ def main() -> None:
         summary.append(np.array(lengths))
     rows = " | ".join(f"{rms(a[:, 0]):.1f}, {rms(a[:, 1]):.1f} | {a[:, 2].mean():.2f}" for a in summary)
     print(f"| rms, mean of χ² | {rows} |")
-    if options.json:
-        print(json.dumps([a.tolist() for a in summary]))
+    finish(options, summary)
 
 
 def cells(one: Compared) -> str:

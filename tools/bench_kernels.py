@@ -10,21 +10,17 @@ is measured in new processes, some with numba's own cache; all read the same fil
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from benching import bench_parser, finish
 
 from edged.domain.arrays import FloatArray
 from edged.vision.edges.contours import ramer
@@ -205,10 +201,7 @@ def loading_row() -> Row:
 
 def main() -> int:
     """Run everything and print one table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", type=Path)
+    parser = bench_parser(__doc__)
     options = parser.parse_args()
     cv2.setNumThreads(1)
     rows = [
@@ -223,10 +216,7 @@ def main() -> int:
             f"| {row.what} | {row.instead} | {row.ours_us:.0f} | {row.theirs_us:.0f} "
             f"| {row.ratio:.2f} | {row.off} |"
         )
-    if options.json is not None:
-        options.json.write_text(
-            json.dumps([{**asdict(row), "ratio": row.ratio} for row in rows], indent=1) + "\n"
-        )
+    finish(options, [{**asdict(row), "ratio": row.ratio} for row in rows])
     return 0
 
 

@@ -13,12 +13,12 @@ criterion, and views held out in turn.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
+from benching import bench_parser, finish
 from computedmarks import Compared, compared, views_at
 
 from edged.domain.arrays import FloatArray
@@ -165,9 +165,7 @@ def compared_rigs(kind: str, count: int, seed: int) -> dict[str, Compared]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--from", type=int, default=1000, dest="first")
     parser.add_argument("--views", type=int, nargs="+", default=[5, 10, 20])
@@ -187,6 +185,7 @@ def main() -> None:
                 for row, one in ways.items():
                     found[row].append((float(np.linalg.norm(one.error_um)) / unit, one.chi2))
             print(f"| {kind} | {count} | {' | '.join(cell(found[row]) for row in ROWS)} |", flush=True)
+    finish(options)
 
 
 def cell(values: list[tuple[float, float]]) -> str:

@@ -13,20 +13,14 @@ gradients of both 1280x960 images on one thread, timed in the same run.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
+from benching import bench_parser, finish
 from helpers.cells import TEXTURED, clean_greys, noisy, pictures, pose, region_around, scene
 
 from edged.domain.arrays import SIDES, FloatArray, Image
@@ -168,11 +162,8 @@ def cost(rig: StereoRig) -> Cost:
 
 def main() -> int:
     """Run everything and print two tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--draws", type=int, default=200)
-    parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     cv2.setNumThreads(1)
     rig = demo_rig()
@@ -190,9 +181,7 @@ def main() -> int:
         )
     spent = cost(rig)
     print(f"\n{spent.circles} circles of a flange: {spent.part_ms:.1f} ms, {spent.ratio:.1f} x the floor")
-    if options.json is not None:
-        document = {"precision": [asdict(row) for row in rows], "cost": asdict(spent)}
-        options.json.write_text(json.dumps(document, indent=1) + "\n")
+    finish(options, {"precision": rows, "cost": asdict(spent)})
     return 0
 
 

@@ -10,7 +10,6 @@ with all that a cell may have beside it: a recorder, a page with a viewer, eight
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import heapq
 import logging
@@ -26,6 +25,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from benchcell import BenchCell, free_port
+from benching import bench_parser, finish
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
@@ -184,7 +184,7 @@ def show_triggers(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=5.0, help="for each line")
     parser.add_argument("--triggers", type=int, default=300)
     parser.add_argument("--only-triggers", action="store_true")
@@ -195,3 +195,4 @@ if __name__ == "__main__":
             asyncio.run(bench_reading(Path(place) / "free", given.seconds))
         asyncio.run(bench_trigger(Path(place) / "command", given.triggers))
         asyncio.run(bench_full_house(Path(place) / "full", given.triggers))
+    finish(given)

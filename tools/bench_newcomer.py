@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Set up the virtual stage as a newcomer does, over its API: what it takes, and how true the cell is then.
 
-    tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--browser] [--json]
+    tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--browser] [--json FILE]
 
 An empty folder, a hand that trembles and misses. It brings the board to the outline that the cell draws, and
 pictures are taken when it is still; when the goal is reached the calibration is solved and activated. Then a
@@ -26,6 +26,7 @@ from typing import Any, get_args
 
 import aiohttp
 import numpy as np
+from benching import bench_parser, finish
 from newcomerclicks import set_up
 
 from edged.app.cell import load_any_cell
@@ -227,21 +228,16 @@ async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, An
 
 def main() -> None:
     """Print the figures."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--goal", type=float, default=8.0, help="µm: none of the sigmas of X, Y, Z beyond it")
     parser.add_argument("--parts", type=int, default=50)
     parser.add_argument("--lens", choices=get_args(LensWish), default="auto")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--browser", action="store_true", help="on the page, by clicks")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="edged-newcomer-") as folder:
         found = asyncio.run(newcomer_of(options, Path(folder)))
-    if options.json:
-        print(json.dumps(found))
-        return
+    finish(options, found)
     for name, value in found.items():
         print(f"{name:16} {value}")
 

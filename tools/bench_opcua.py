@@ -8,7 +8,6 @@ event ResultReady, signed and encrypted. Lastly what the server costs a cell: it
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
 import os
@@ -19,11 +18,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from benching import TESTS, bench_parser, finish
 from helpers.opcuacell import PASSWORD
 from pymodbus.client import ModbusTcpClient
 
@@ -54,7 +51,7 @@ class Server:
     """The cell in its own process: modbus, opcua (ports), start_s, resident_mb."""
 
     def __init__(self, folder: str, vision_ms: float, *, opcua: bool) -> None:
-        path = os.pathsep.join((sys.path[0], str(Path(sys.path[0]).parent)))
+        path = os.pathsep.join((str(TESTS), str(TESTS.parent)))
         self._process = subprocess.Popen(
             [sys.executable, "-c", SERVER, folder, str(vision_ms), "yes" if opcua else "no"],
             stdin=subprocess.PIPE,
@@ -152,9 +149,7 @@ async def over_opcua(server: Server, folder: Path, count: int) -> tuple[list[flo
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--count", type=int, default=300, help="commands on each way")
     parser.add_argument("--vision-ms", type=float, default=20.0, help="what the cell's vision takes")
     options = parser.parse_args()
@@ -182,6 +177,7 @@ def main() -> None:
         f"start {server.start_s - plain.start_s:.1f} s longer, "
         f"memory {plain.resident_mb:.0f} to {server.resident_mb:.0f} MB"
     )
+    finish(options)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Hold the sigma that is expected of a job at a pose against what is published there, and against the truth.
 
-    tools/bench predict [--poses N] [--json]
+    tools/bench predict [--poses N] [--json FILE]
 
 The demo's flange and two flat parts of textured metal, taught once where both cameras look. Then each lies at
 N random places of the volume, as the virtual cell lays it, tilted by up to 10°. Expected: from the edges of
@@ -12,19 +12,13 @@ is drawn for each picture from the covariance of a calibration, as a real one is
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
+from benching import bench_parser, finish
 from helpers.boards import board_poses, synthetic_views
 from helpers.cells import clean_greys, noisy, pose, region_around, scene
 from helpers.flatparts import DISC, PLATE
@@ -199,18 +193,13 @@ def noisy_pair(greys: tuple[FloatArray, FloatArray], rng: np.random.Generator) -
 
 def main() -> int:
     """Run all parts and print a table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--poses", type=int, default=60)
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     rig = calibrated()
     rows = [run(part, rig, options.poses) for part in PARTS]
-    if options.json:
-        print(json.dumps([asdict(row) for row in rows], indent=1))
-        return 0
+    finish(options, rows)
     print(
         "| part | poses | axis | expected σ, µm or ° | expected / published, median (5-95 %) "
         "| χ²/dof edges | χ²/dof all |"

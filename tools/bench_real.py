@@ -17,18 +17,15 @@ parts cut by the border of the picture, or, of the lamps, those of the third col
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from benching import bench_parser, finish
 
 from edged.domain.arrays import Image
 from edged.vision.geometry.rigid import wrapped
@@ -155,14 +152,11 @@ def clock_errors(folder: Path) -> list[float]:
 
 def main() -> None:
     """Parse the command line, run, print a Markdown table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument(
         "--overlays", type=Path, help="folder to write a picture of the matches of each set to"
     )
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     rows = []
@@ -180,9 +174,7 @@ def main() -> None:
     if errors:
         rms, worst = float(np.sqrt(np.mean(np.square(errors)))), float(np.abs(errors).max())
         print(f"\nclock: {len(errors)} of 19 turned faces found, rms {rms:.4f}°, largest {worst:.4f}°")
-    if arguments.json:
-        figures = {"sets": [asdict(row) for row in rows], "clock_errors_deg": errors}
-        arguments.json.write_text(json.dumps(figures, indent=1))
+    finish(arguments, {"sets": rows, "clock_errors_deg": errors})
 
 
 if __name__ == "__main__":

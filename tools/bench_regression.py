@@ -24,6 +24,7 @@ import aiohttp
 import numpy as np
 from argon2 import PasswordHasher
 from benchcell import BenchCell, free_port
+from benching import bench_parser, finish
 
 from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair
@@ -41,7 +42,7 @@ PERIOD_S, READ_EVERY_S, BEFORE_S = 0.5, 0.01, 20.0
 
 def main() -> None:
     """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("--cycles", type=int, default=700)
     parser.add_argument("--distinct", type=int, default=12, help="pictures that are rendered")
     parser.add_argument("--read", type=int, help=argparse.SUPPRESS)
@@ -51,6 +52,7 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory(prefix="edged-bench-") as folder:
         asyncio.run(measure(Path(folder), wanted.cycles, wanted.distinct))
+    finish(wanted)
 
 
 def read_registers(port: int) -> None:

@@ -8,7 +8,6 @@ polls over Modbus all the time and writes down whatever must not be seen (`tests
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import gc
@@ -31,9 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-
+from benching import bench_parser, finish
 from helpers.plcwitness import Report, Witness
 from helpers.servicefaults import (
     FAKETIME,
@@ -317,7 +314,7 @@ def _imports_s() -> float:
 PARTS = ("start", "memory", "endurance", "kill", "power", "faults", "page")
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("--only", action="append", choices=PARTS, help="repeat for several; default: all")
     parser.add_argument("--cycles", type=int, default=1000, help="of the endurance run")
     parser.add_argument("--kills", type=int, default=20)
@@ -347,3 +344,4 @@ if __name__ == "__main__":
         for part in given.only or PARTS:
             print(f"\n## {part}", flush=True)
             work[part](Path(place) / part)
+    finish(given)

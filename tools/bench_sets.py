@@ -15,8 +15,6 @@ of its mean nobody knows the truth. Flat: rms distance of the marks from a plane
 
 from __future__ import annotations
 
-import argparse
-import json
 import re
 import sys
 import time
@@ -26,9 +24,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from benching import bench_parser, finish
 from plainopencv import corners
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from edged.domain.arrays import Side
 from edged.errors import CalibrationError
@@ -103,12 +100,9 @@ class Figures:
 
 def main() -> int:
     """Print the table; 2 where no set is there."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("sets", nargs="*", metavar="SET", help=", ".join(one.name for one in SETS))
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
     options = parser.parse_args()
     shown: dict[str, dict[str, object]] = {}
     print("| set | pairs | by | taken | rms px | held-out rows px | size ± % | flat % | s | verdict |")
@@ -130,8 +124,7 @@ def main() -> int:
                 f"| {time.perf_counter() - started:.0f} | {figures.verdict} |",
                 flush=True,
             )
-    if options.json is not None:
-        options.json.write_text(json.dumps(shown, indent=1) + "\n")
+    finish(options, shown)
     return 0 if shown else 2
 
 

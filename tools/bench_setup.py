@@ -16,7 +16,6 @@ import asyncio
 import contextlib
 import json
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator
@@ -27,11 +26,9 @@ from typing import Any
 import aiohttp
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-
 from bench_modbus import in_process, read_all
 from benchcell import BenchCell, free_port
+from benching import bench_parser, finish
 from helpers.browser import Browser, browser
 from helpers.setuppage import log_in, take
 from pagecost import viewer
@@ -367,15 +364,14 @@ async def measured(folder: Path, options: argparse.Namespace) -> None:
 
 def main() -> None:
     """Print the figures."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--seconds", type=float, default=15.0, help="of each measurement, and of each turn")
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="edged-setup-") as place:
         asyncio.run(measured(Path(place), options))
+    finish(options)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,6 @@ noise it needs minutes) and SIFT + RANSAC.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -22,10 +20,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 import scenes as sc
+from benching import bench_parser, finish
 
 from edged.vision.geometry.rigid import angle_between, wrapped
 from edged.vision.shape.learning import create_model
@@ -390,11 +386,8 @@ def show(title: str, rows: list[Row]) -> None:
 
 def main() -> None:
     """Parse the command line, run, print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--full", action="store_true", help="50 scenes per condition instead of 10")
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
     parser.add_argument("--real", type=Path, help="folder with the clock face, rotated_10.png ...")
     arguments = parser.parse_args()
     number = 50 if arguments.full else 10
@@ -417,10 +410,7 @@ def main() -> None:
     if arguments.real:
         errors = clock_rows(arguments.real)
         print(f"\nclock face: {len(errors)} of 20 found, rms {np.std(errors):.4f}° about their mean")
-    if arguments.json:
-        figures = {"creation_ms": creation_ms, "searches_per_s": [one, two]}
-        figures |= {name: [asdict(r) for r in rows] for name, rows in tables.items()}
-        arguments.json.write_text(json.dumps(figures, indent=1))
+    finish(arguments, {"creation_ms": creation_ms, "searches_per_s": [one, two], **tables})
 
 
 if __name__ == "__main__":

@@ -20,13 +20,9 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-
+from benching import bench_parser, finish
 from helpers.cells import TEXTURED, frame_pair, pictures, pose, small_rig
 from helpers.flatparts import METAL
 from helpers.tilted import BELOW_MM, lying, stacked
@@ -246,7 +242,7 @@ def measure(number: int, solid: Solid, rig: PreparedRig, options: argparse.Names
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--designs", type=int, default=14)
     parser.add_argument("--poses", type=int, default=10, help="of each design")
@@ -268,6 +264,7 @@ def main() -> int:
         total.add(row)
         print(f"| {number}, {solid.height_mm:.1f} mm | {row} |", flush=True)
     print(f"| all | {total} |")
+    finish(options)
     return 0
 
 

@@ -9,7 +9,6 @@ beyond 2 ms (p99).
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import socket
 import sys
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from bench_modbus import READERS, in_process, read_all, show_triggers
 from benchcell import BenchCell, free_port
+from benching import bench_parser, finish
 
 LIMIT_MS = 2.0
 """Of the 99th percentile, beside the cycle."""
@@ -60,10 +60,11 @@ async def bench(folder: Path, count: int, readers: int) -> float:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("--commands", type=int, default=300)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         asyncio.run(bench(Path(place) / "alone", given.commands, 0))
         beyond_ms = asyncio.run(bench(Path(place) / "among", given.commands, READERS))
+    finish(given)
     sys.exit(int(beyond_ms > LIMIT_MS))

@@ -25,10 +25,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-
+from benching import bench_parser, finish
 from helpers.cells import frame_pair
 from table3 import true_rig
 
@@ -155,8 +152,7 @@ def measure(
         if read is not None and options.alone is None:
             settled = settle(job, read[1].curves, rig.rectification, design)
             job = settled.job
-            if not options.json:
-                print("\n".join(settled.said))
+            print("\n".join(settled.said))
     except EdgedError as error:
         here = [(p, one) for p, parts in truths.items() for one in parts if one["design"] == design]
         return [missed(path.stem, one, f"not taught: {error}") for path, one in here], 0.0
@@ -166,9 +162,11 @@ def measure(
         search=replace(job.search, scale_min=1 - DEPTH_SHARE, scale_max=1 + DEPTH_SHARE),
         limits=replace(job.limits, depth_mm=(0.0, 1e4)),
     )
-    if not options.json:
-        print(f"{design}: reference {job.reference}, {len(job.circles)} circles, {len(job.edges)} edges, "
-              f"{len(job.slots)} slots", flush=True)  # fmt: skip
+    print(
+        f"{design}: reference {job.reference}, {len(job.circles)} circles, {len(job.edges)} edges, "
+        f"{len(job.slots)} slots",
+        flush=True,
+    )
     rows, seconds = [], 0.0
     for path, parts in truths.items():
         here = [one for one in parts if one["design"] == design]
@@ -214,13 +212,12 @@ def report(rows: list[Part]) -> None:
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--tilt", type=float, default=45.0, help="degrees, as edged teach has it")
     parser.add_argument("--only", default="", help="scenes with this in their name")
     parser.add_argument("--parts", default="", help="comma list; default: all")
     parser.add_argument("--overlays", type=Path, help="folder for a picture of each result")
-    parser.add_argument("--json", action="store_true")
     parser.add_argument("--alone", type=float, metavar="DEPTH", help="teach with the STEP files and no pair")
     parser.add_argument("--step", action="store_true", help="teach with the STEP files of DATASET")
     options = parser.parse_args()
@@ -231,10 +228,8 @@ def main() -> int:
         if options.parts and name not in options.parts.split(","):
             continue
         rows += measure(options.dataset, rig, name, options)[0]
-    if options.json:
-        print(json.dumps([row.to_json() for row in rows]))
-    else:
-        report(rows)
+    report(rows)
+    finish(options, [row.to_json() for row in rows])
     return 0
 
 

@@ -11,18 +11,13 @@ what else the machine does does not count.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-
+from benching import bench_parser, finish
 from helpers.cells import frame_pair, pictures, pose, region_around, scene
 from helpers.flatparts import DISC, METAL, PLATE
 from helpers.tilted import lying, thick, thin
@@ -143,7 +138,7 @@ def cells_of(row: Row) -> str:
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("--poses", type=int, default=25, help="of each part in each range")
     parser.add_argument("--thickness", type=float, default=0.0, help="mm, with dark walls; 0: thin")
     options = parser.parse_args()
@@ -154,6 +149,7 @@ def main() -> int:
             row = measure(name, tilt_deg, between, options.poses, options.thickness)
             asked = "-" if tilt_deg is None else f"{tilt_deg:.0f}°"
             print(f"| {name} | {asked} | {between[0]:.0f}-{between[1]:.0f}° | {cells_of(row)} |", flush=True)
+    finish(options)
     return 0
 
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Try a job on live pairs of the virtual stage, as a page does: how many a second, and what a PLC notices.
 
-    tools/bench trials [--seconds S] [--json]
+    tools/bench trials [--seconds S] [--json FILE]
 
 Pictures of 1280 x 960, taken as fast as they are seen; each that the worker has time for is measured. Modbus
 clients in another process read 48 words every 20 ms meanwhile, and before it. Then the map of the working
@@ -10,7 +10,6 @@ volume, and the still test of 30 pictures.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
 import os
@@ -26,6 +25,7 @@ import numpy as np
 from bench_modbus import in_process, read_all
 from bench_newcomer import Newcomer, stage, teach_job
 from bench_predict import calibrated
+from benching import bench_parser, finish
 
 from edged.files.rig import save_rig
 from edged.sim.world import VirtualWorld
@@ -136,17 +136,12 @@ def rate(times_s: list[float]) -> float:
 
 def main() -> None:
     """Print the figures."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="edged-trials-") as folder:
         found = asyncio.run(tried(Path(folder), options.seconds))
-    if options.json:
-        print(json.dumps(found))
-        return
+    finish(options, found)
     for name, value in found.items():
         print(f"{name:44} {value}")
 

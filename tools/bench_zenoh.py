@@ -8,7 +8,6 @@ as quickly in all three. Milliseconds from `published_ns` to the callback, on on
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
 import multiprocessing as mp
@@ -20,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import zenoh
+from benching import bench_parser, finish
 
 SLOW_S = 1.0
 
@@ -101,7 +101,9 @@ def _run(tasks: list, seconds: float) -> list:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=10.0, help="for each line")
+    given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        asyncio.run(bench(Path(place), parser.parse_args().seconds))
+        asyncio.run(bench(Path(place), given.seconds))
+    finish(given)
