@@ -54,7 +54,8 @@ from edged.vision.calibration.calibrate import (
     marks_in_both,
 )
 from edged.vision.calibration.verification import pose_of_board
-from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edges_at_widths
+from edged.vision.edges.params import EDGE
+from edged.vision.edges.subpixel import edges_at_widths
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rigid import apply, fit_rigid, skew
 from edged.vision.geometry.triangulation import raw_covariance, triangulate_raw
@@ -231,7 +232,7 @@ def _line(
 
     pixels, normals = seen((points[:, None] + t[:, None] * axis).reshape(-1, 3))
     # in fine steps: a grid of 1 px lies alike to a whole line, and so would its error of 0.02 px
-    found = edges_at_widths(image, pixels, normals, reach_px, 0, (EDGE_SIGMA_PX,))
+    found = edges_at_widths(image, pixels, normals, reach_px, 0, (EDGE.sigma_px,))
     offsets = found.offset_px[0].reshape(len(points), -1)
     shift, variance = np.full((2, len(points)), np.nan)
     for index, offset in enumerate(offsets):

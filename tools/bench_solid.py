@@ -38,7 +38,7 @@ from edged.pictures.overlay import draw_pair
 from edged.pipeline import PreparedRig, inspect, judge, prepare
 from edged.vision.geometry.rigid import invert, transform
 from edged.vision.part.job import Job
-from edged.vision.part.measure import ACROSS
+from edged.vision.part.params import MEASURING
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadsettling import settle
 from edged.vision.teaching.pair import teach
@@ -124,7 +124,8 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
     if target.reject is not Reject.NONE:
         verdict = "refused: " + str(target.reject).removeprefix("Reject.")
     elif (
-        np.linalg.norm(error) > max(WRONG_MM, 3 * ACROSS * job.sigma_mm) or max(abs(turn), normal) > WRONG_DEG
+        np.linalg.norm(error) > max(WRONG_MM, 3 * MEASURING.across * job.sigma_mm)
+        or max(abs(turn), normal) > WRONG_DEG
     ):
         verdict = "WRONG"
     return Part(

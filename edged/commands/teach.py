@@ -37,7 +37,8 @@ from edged.setup.teaching.proposal import (
     propose_from_pair,
 )
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.part.job import SOLID_MM, Job
+from edged.vision.part.job import Job
+from edged.vision.part.params import MEASURING
 from edged.vision.part.tilt import reach_of, tilted_views
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching.cadmodel import CadModel, curves_towards
@@ -211,7 +212,7 @@ def teach(
     for circle in job.circles:
         cx, cy, down = circle.centre_mm
         side = "above" if down < 0 else "below"
-        level = f", {abs(down):.3f} mm {side} the face" if abs(down) > SOLID_MM else ""
+        level = f", {abs(down):.3f} mm {side} the face" if abs(down) > MEASURING.solid_mm else ""
         kind = "hole" if circle.polarity > 0 else "disc"
         console.print(
             f"  {circle.name}: {kind} of radius {circle.radius_mm:.3f} mm "

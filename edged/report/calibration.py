@@ -15,9 +15,10 @@ from edged.vision.boards.board import NotDetected, StereoView
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.coverage import coverage_in_words, coverage_of
 from edged.vision.calibration.crossvalidation import HeldOutView
-from edged.vision.calibration.imaging import NOISE_PX, Finding
+from edged.vision.calibration.imaging import Finding
 from edged.vision.calibration.lenschoice import choice_in_words
 from edged.vision.calibration.nextbestview import best_next_view, depths_mm, volume_points
+from edged.vision.calibration.params import IMAGING
 from edged.vision.calibration.plainopencv import PlainCalibration
 from edged.vision.geometry.camera import DISTORTION_NAMES, StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
@@ -154,7 +155,7 @@ def _volume(calibration: Calibration) -> Table:
         here = points[np.isclose(points[:, 2], depth)]
         if not len(here):
             continue
-        noise = np.sqrt(np.mean(np.einsum("nii->ni", raw_covariance(rig, here, NOISE_PX)), axis=0))
+        noise = np.sqrt(np.mean(np.einsum("nii->ni", raw_covariance(rig, here, IMAGING.noise_px)), axis=0))
         ours = np.sqrt(np.mean(np.einsum("nii->ni", calibration_covariance(rig, here)), axis=0))
         rows.append((f"Z = {depth:.0f} mm", *(f"{1000 * value:.1f}" for value in (*noise, *ours))))
     head = ("µm, one sigma (rms)", "noise: σX", "σY", "σZ", "calibration: σX", "σY", "σZ")

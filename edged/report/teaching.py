@@ -18,7 +18,8 @@ from edged.pictures.evidence import taught_outlines
 from edged.report.charts import ACCENT, INK, Chart
 from edged.report.page import Table, render
 from edged.vision.part.job import Job
-from edged.vision.shape.inspection import NOISE, Inspection
+from edged.vision.shape.inspection import Inspection
+from edged.vision.shape.params import LEARNING
 from edged.vision.teaching.cuts import Cut
 
 _PICTURE_PX = 440
@@ -62,7 +63,7 @@ def teaching_report(job: Job, taught: Taught, inspection: Inspection) -> str:
         settled=taught.settled,
         levels=[_level(job, taught.rectified_left, index) for index in range(len(job.shape.levels))],
         facts=_facts(job, inspection),
-        noise=f"{NOISE:g}",
+        noise=f"{LEARNING.noise:g}",
         round=inspection.round,
         rivals=_rivals(inspection),
         drawing=_drawing(job),
@@ -91,7 +92,7 @@ def inspection_to_json(job: Job, inspection: Inspection) -> Json:
             for angle, similarity in inspection.rivals
         ],
         "expected_sigma": {
-            "noise_grey": NOISE,
+            "noise_grey": LEARNING.noise,
             "x_px": known(inspection.sigma_x_px),
             "y_px": known(inspection.sigma_y_px),
             "angle_deg": known(np.degrees(inspection.sigma_angle_rad)),

@@ -346,7 +346,7 @@ def test_an_axis_that_hides_every_feature_is_named() -> None:
     """Of a file alone, as of one with a pair: what was expected, and the option that says it."""
     model, shown = read_model(STEP, "-z")
     nothing = replace(shown.curves, circles=(), edges=())
-    with pytest.raises(TeachError, match=r"the model shows nothing .* or another --up"):
+    with pytest.raises(TeachError, match=r"the model shows nothing .* or another up axis"):
         teach_model(model, nothing, prepare(small_rig()).rectification, 205.0, "D3")
 
 

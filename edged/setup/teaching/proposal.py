@@ -13,7 +13,7 @@ from edged.files.jobs import job_folders, load_job, save_job
 from edged.report.teaching import Taught
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import MAX_TILT_DEG, Job
-from edged.vision.part.measure import ACROSS
+from edged.vision.part.params import MEASURING
 from edged.vision.shape.inspection import Inspection, inspect_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching.cadjob import teach_model
@@ -111,7 +111,7 @@ def propose_from_model(
     )
     said = (
         f"{shown.name}: no pair has shown the part's edges: results state {job.sigma_mm:g} mm in its face "
-        f"and {ACROSS * job.sigma_mm:g} mm across",
+        f"and {MEASURING.across * job.sigma_mm:g} mm across",
     )
     return _proposal(job, Taught(picture, None, (), said), wanted)
 

@@ -11,16 +11,14 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import Charuco, Detection, NotDetected
 from edged.vision.boards.chessboard import judge_corners, reduced, refine_corners
+from edged.vision.boards.params import DETECTION
 from edged.vision.geometry.camera import CameraModel
 
-_MIN_CORNERS = 6  # a homography and half as much again; fewer say nothing of the lens
 _DICTIONARIES = (
     *("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "ARUCO_MIP_36H12"),
     *("APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", "APRILTAG_36H11"),
 )
 """The largest of each kind: the smaller ones are the beginnings of these."""
-_MIN_MARKERS = 6  # that hang together: what is read by chance does not
-_PLACE_TOLERANCE = 0.2  # of a square: perspective and lens, from one marker to the next
 
 
 def detect_charuco(image: Image, board: Charuco) -> Detection | NotDetected:
@@ -36,8 +34,10 @@ def detect_charuco(image: Image, board: Charuco) -> Detection | NotDetected:
             seen = len(ids)
             grid[:] = np.nan
             grid.reshape(-1, 2)[ids] = corners
-    if seen < _MIN_CORNERS:
-        return NotDetected(f"{seen} corners of the ChArUco board found, at least {_MIN_CORNERS} are needed")
+    if seen < DETECTION.min_corners:
+        return NotDetected(
+            f"{seen} corners of the ChArUco board found, at least {DETECTION.min_corners} are needed"
+        )
     return _measure(image, board, grid, None)
 
 
@@ -89,7 +89,7 @@ def recognise_charuco(image: Image) -> Charuco | None:
     some = np.ravel(kinds) == kind
     outlines = np.asarray(corners, np.float64).reshape(-1, 4, 2)[some]
     share, places = _lattice(outlines)
-    if len(places) < _MIN_MARKERS:
+    if len(places) < DETECTION.min_markers:
         return None
     size = _size_of({index: int(np.ravel(ids)[some][index]) for index in places}, places)
     if size is None or min(size) < 3:
@@ -126,7 +126,9 @@ def _lattice(outlines: FloatArray) -> tuple[float, dict[int, tuple[int, int]]]:
     # the next white square is one square on both ways
     share = 1.0 / float(np.median(off[diagonal & (off.max(axis=2) < 1.3 * off[diagonal].max(axis=1).min())]))
     steps = np.rint(away * share)
-    near = (np.abs(steps).max(axis=2) <= 2) & (np.abs(away * share - steps).max(axis=2) < _PLACE_TOLERANCE)
+    near = (np.abs(steps).max(axis=2) <= 2) & (
+        np.abs(away * share - steps).max(axis=2) < DETECTION.marker_tolerance
+    )
     near &= steps.sum(axis=2) % 2 == 0
     best: dict[int, tuple[int, int]] = {}
     for seed in range(len(outlines)):

@@ -20,27 +20,11 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import Chessboard, Detection, IntArray, NotDetected
 from edged.vision.boards.markmodels import fit_corners
+from edged.vision.boards.params import DETECTION
 from edged.vision.geometry.camera import CameraModel
 
-_MAX_RADIUS_PX = 20.0  # beyond this the lens bends the edges more than the longer edge gains
-_MIN_RADIUS_PX = 3.0  # fewer pixels than about 30 cannot carry nine unknowns
-_RADIUS_SHARE = 0.7  # of the distance to the next edge, which must stay out of the window with its blur
-_MIN_CONTRAST = 8.0  # grey values; below, 8-bit rounding decides
-# Times the usual sigma: no corner, but a thumb or a highlight; sharp and soft ends differ by 3
-_ROUGH = 8.0
-SMOOTHING_PX = 1.0  # sigma; less leaves more of the sampling, more costs twice the noise and nearer edges
-# An edge of this blur or more is sampled well whatever the camera has sharpened: what the pixels miss of a
-# Gaussian is exp(-2 π² s²) (Poisson's sum), 1e-7 there, and a halo adds as little
-_SOFT_PX = 0.9
-# Of edges along rows, by where they lie between the rows: 0.006 to 0.012 px rms with halos up to 15 %, and
-# 0.06 px where whites, or the halos, are clipped (tests/vision/boards/test_processed.py)
-_SAMPLING_PX, _CLIPPED_PX = 0.01, 0.06
 # What clipping alone gives, in two directions, with some noise: never rough, however precise the others are
-_NEVER_ROUGH_PX = 2.0 * _CLIPPED_PX
-BLACK, WHITE = 2, 250  # grey values: where pixels are clipped, after JPEG, too
-_DISAGREE = 3.0  # sigmas
-_MAX_SEARCH_PX = 1_500_000  # images with more pixels are searched reduced; refinement uses all of them
-_LEAST_SIZE = (5, 4)  # of a board whose size is not known; smaller ones are seen in many a picture without
+_NEVER_ROUGH_PX = 2.0 * DETECTION.clipped_px
 
 
 def detect_chessboard(image: Image, board: Chessboard) -> Detection | NotDetected:
@@ -78,10 +62,10 @@ def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | NotDetected:
     contrast = float(np.median(fits[ok if ok.any() else slice(None), 4]))
     ok &= fits[:, 4] > 0.25 * contrast
     if ok.any():
-        ok &= fits[:, 2] <= max(_ROUGH * float(np.median(fits[ok, 2])), _NEVER_ROUGH_PX)
-    if contrast < _MIN_CONTRAST:
+        ok &= fits[:, 2] <= max(DETECTION.rough * float(np.median(fits[ok, 2])), _NEVER_ROUGH_PX)
+    if contrast < DETECTION.min_contrast:
         return NotDetected(
-            f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})"
+            f"contrast of {contrast:.0f} grey values is too low (at least {DETECTION.min_contrast:.0f})"
         )
     if ok.sum() < max(6, 0.5 * len(ids)):
         return NotDetected(
@@ -98,7 +82,7 @@ def recognise_chessboard(image: Image) -> Chessboard | None:
     """
     small, _ = reduced(image)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
-    found, corners, squares = cv2.findChessboardCornersSBWithMeta(small, _LEAST_SIZE, flags)
+    found, corners, squares = cv2.findChessboardCornersSBWithMeta(small, DETECTION.min_board, flags)
     if not found or corners is None or squares is None:
         return None
     grid = np.asarray(corners, dtype=np.float64).reshape(*squares.shape[:2], 2)
@@ -120,7 +104,7 @@ def _squares_touch(image: Image, grid: FloatArray) -> bool:
 
 def reduced(image: Image) -> tuple[Image, float]:
     """The image small enough to be searched, and its scale."""
-    scale = min(1.0, math.sqrt(_MAX_SEARCH_PX / image.size))
+    scale = min(1.0, math.sqrt(DETECTION.max_search_px / image.size))
     if scale == 1:
         return image, scale
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -167,7 +151,10 @@ def _first_square_is_dark(image: Image, grid: FloatArray) -> bool:
 
 
 def refine_corners(
-    image: Image, grid: FloatArray, camera: CameraModel | None = None, radius_share: float = _RADIUS_SHARE
+    image: Image,
+    grid: FloatArray,
+    camera: CameraModel | None = None,
+    radius_share: float = DETECTION.window_share,
 ) -> FloatArray:
     """Fit the corner model at every corner of a grid.
 
@@ -182,7 +169,7 @@ def refine_corners(
     sine = np.abs(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]) / np.maximum(
         np.linalg.norm(across, axis=-1) * np.linalg.norm(down, axis=-1), 1e-9
     )
-    radius = np.minimum(min(radius_share, _RADIUS_SHARE) * lengths * sine, _MAX_RADIUS_PX)
+    radius = np.minimum(min(radius_share, DETECTION.window_share) * lengths * sine, DETECTION.max_window_px)
     start = np.concatenate(
         [
             grid.reshape(-1, 2),
@@ -198,7 +185,7 @@ def refine_corners(
             start[:, column] = _edge_curvatures(camera, start[:, :2], direction)
     results = np.full((len(start), 6), np.nan)
     results[:, 4:] = 0
-    usable = np.isfinite(start).all(axis=1) & (start[:, 4] >= _MIN_RADIUS_PX)
+    usable = np.isfinite(start).all(axis=1) & (start[:, 4] >= DETECTION.min_window_px)
     results[usable] = _fitted(np.ascontiguousarray(image), start[usable])
     return results
 
@@ -216,21 +203,21 @@ def _fitted(image: Image, start: FloatArray) -> FloatArray:
     fits = np.empty((len(start), 6))
     fit_corners(image, np.ascontiguousarray(start), 0.0, fits)
     failed = (fits[:, 5] == 0) | ~np.isfinite(fits).all(axis=1)
-    asked = np.flatnonzero(failed | (fits[:, 3] < _SOFT_PX))
+    asked = np.flatnonzero(failed | (fits[:, 3] < DETECTION.soft_px))
     if not len(asked):
         return fits
     again, smooth = start[asked], np.empty((len(asked), 6))
-    again[:, 4] = np.maximum(again[:, 4] - SMOOTHING_PX, _MIN_RADIUS_PX)
-    picture = np.asarray(cv2.GaussianBlur(image, (0, 0), SMOOTHING_PX), np.uint8)
-    fit_corners(picture, np.ascontiguousarray(again), SMOOTHING_PX, smooth)
+    again[:, 4] = np.maximum(again[:, 4] - DETECTION.smoothing_px, DETECTION.min_window_px)
+    picture = np.asarray(cv2.GaussianBlur(image, (0, 0), DETECTION.smoothing_px), np.uint8)
+    fit_corners(picture, np.ascontiguousarray(again), DETECTION.smoothing_px, smooth)
     before, own = fits[asked, 2], smooth[:, 2].copy()
     smooth[:, 2] = np.hypot(own, _between_pixels(image, again))
     moved = np.linalg.norm(smooth[:, :2] - fits[asked, :2], axis=1)
     by_noise = np.sqrt(np.maximum(own**2 - before**2, before**2))
     sharp = failed[asked] | (smooth[:, 2] < 0.5 * before)
-    sharp |= moved > np.maximum(_DISAGREE * by_noise, _SAMPLING_PX)
+    sharp |= moved > np.maximum(DETECTION.disagree * by_noise, DETECTION.sampling_px)
     # as near as smoothed ones are to the truth, or as noise may part them: the difference is a doubt
-    doubtful = ~sharp & (moved > _DISAGREE * before)
+    doubtful = ~sharp & (moved > DETECTION.disagree * before)
     fits[asked[sharp]] = smooth[sharp]
     fits[asked[doubtful], 2] = np.hypot(before, moved / math.sqrt(2.0))[doubtful]
     return fits
@@ -245,7 +232,7 @@ def _between_pixels(image: Image, start: FloatArray) -> FloatArray:
     """
     along = np.column_stack([np.cos(start[:, 2:4]), np.sin(start[:, 2:4])]).reshape(-1, 2, 2)
     alike = np.sinc(2 * start[:, 4:5] * np.abs(along).min(axis=1)) ** 2
-    clipped = np.asarray((image <= BLACK) | (image >= WHITE), np.float64)
+    clipped = np.asarray((image <= DETECTION.black) | (image >= DETECTION.white), np.float64)
     total = np.pad(clipped.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     left, top = np.rint(start[:, :2] - start[:, 4:5]).astype(int).T
     right, bottom = np.rint(start[:, :2] + start[:, 4:5]).astype(int).T + 1
@@ -254,7 +241,9 @@ def _between_pixels(image: Image, start: FloatArray) -> FloatArray:
     )
     lost = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
     lines = np.minimum(lost / (4 * start[:, 4]), 2.0)  # of pixels along the four edges, on either side
-    return np.asarray(np.sqrt(alike.mean(axis=1) * (_SAMPLING_PX**2 + lines * _CLIPPED_PX**2)))
+    return np.asarray(
+        np.sqrt(alike.mean(axis=1) * (DETECTION.sampling_px**2 + lines * DETECTION.clipped_px**2))
+    )
 
 
 def _edge_curvatures(camera: CameraModel, pixels: FloatArray, directions_rad: FloatArray) -> FloatArray:

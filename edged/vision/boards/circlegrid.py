@@ -27,23 +27,12 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.boards.board import CircleGrid, Detection, DotGrid, IntArray, NotDetected
 from edged.vision.boards.markmodels import fit_dots
+from edged.vision.boards.params import DETECTION
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply, rotation_2d
 
-_BLOCK_SHARES = (6, 12, 24)  # threshold windows as parts of the image's shorter side: large and small plates
-_MIN_DIAMETER_PX = 6.0
-_MIN_ASPECT = 0.25  # plates seen more than 75° aslant are of no use anyway
-_ROUNDNESS = 0.12  # relative difference of a blob's area from that of its ellipse
-_SIZE_RATIO = 2.0  # of dots on one plate, near end to far end; leaves out the frame, whose middle is a dot's
-_STEP_TOLERANCE = 0.3  # of the grid step: how far a neighbour may be from where it is expected
-_WINDOW_SHARE = 0.45  # of the free ring between a dot and its neighbours
-_MIN_CONTRAST = 8.0
-_SIZE_TOLERANCE = 0.01  # of the diameter: moves the correction for perspective by less than 0.01 px
-_SIZE_ROUNDS = 3
 _SHAPE = [0, 1, 6, 7, 8]  # of a fit: the ellipse, as x, y, b11, b12, b22
-_MARK_OFFSET = 0.62  # of the pitch, from a corner dot outwards: in the filled corner, else plain plate
 _CIRCLE_POINTS = 64
-_LEAST_MARKS = 9  # of a plate whose size is not known
 
 
 Plate = DotGrid | CircleGrid
@@ -57,7 +46,7 @@ def detect_dots(image: Image, board: Plate) -> Detection | NotDetected:
     """
     reasons: list[str] = []
     for picture in (image, np.asarray(255 - image)):
-        for share in _BLOCK_SHARES:
+        for share in DETECTION.blocks:
             blobs = _ellipses(picture, min(image.shape) // share)
             grid = _grow_grid(blobs, board)
             if isinstance(grid, NotDetected):
@@ -121,21 +110,21 @@ def _measure(
     The dots' size is measured, too: the stated one may be a guess, and it decides how far an ellipse's
     middle is from the image of the circle's centre.
     """
-    for _ in range(_SIZE_ROUNDS):
+    for _ in range(DETECTION.size_rounds):
         expected = np.array([_ellipse_of(outline) for outline in to_pixels(_circles(board, ids))])
         fits = _fit(image, board, expected)
         ok = fits[:, 5] > 0
         if not ok.any():
             break
         size = float(np.median(np.sqrt(_inverse_areas(expected[ok]) / _inverse_areas(fits[ok][:, _SHAPE]))))
-        if abs(size - 1) < _SIZE_TOLERANCE:
+        if abs(size - 1) < DETECTION.size_tolerance:
             break
         board = replace(board, diameter_mm=size * board.diameter_mm)
     contrast = float(np.median(fits[:, 4]))
     ok &= fits[:, 4] > 0.25 * contrast
-    if not contrast >= _MIN_CONTRAST:
+    if not contrast >= DETECTION.min_contrast:
         return NotDetected(
-            f"contrast of {contrast:.0f} grey values is too low (at least {_MIN_CONTRAST:.0f})"
+            f"contrast of {contrast:.0f} grey values is too low (at least {DETECTION.min_contrast:.0f})"
         )
     if ok.sum() < max(6, 0.5 * len(ids)):
         return NotDetected(
@@ -153,7 +142,9 @@ def _fit(image: Image, board: Plate, expected: FloatArray) -> FloatArray:
     usable = np.isfinite(expected).all(axis=1)
     # The ring to the next dot, where the plate is foreshortened most, bounds the window there.
     gap = _minor_px(expected) * 2 * board.gap_mm / board.diameter_mm
-    start = np.column_stack([expected, _major_px(expected) + np.clip(_WINDOW_SHARE * gap, 2.0, 8.0)])
+    start = np.column_stack(
+        [expected, _major_px(expected) + np.clip(DETECTION.dot_window_share * gap, 2.0, 8.0)]
+    )
     fits = np.full((len(expected), 9), np.nan)
     fits[:, 4:6] = 0
     some = np.empty((int(usable.sum()), 9))
@@ -244,15 +235,15 @@ def _ellipses(image: Image, block_px: int) -> FloatArray:
 
 
 def _blob(contour: cv2.typing.MatLike) -> FloatArray | None:
-    if len(contour) < 3 * _MIN_DIAMETER_PX:
+    if len(contour) < 3 * DETECTION.min_diameter_px:
         return None
     area = cv2.contourArea(contour)
     (x, y), (first, second), angle_deg = cv2.fitEllipse(contour)
     shorter, longer = min(first, second), max(first, second)
-    if not (shorter >= _MIN_DIAMETER_PX and shorter >= _MIN_ASPECT * longer):
+    if not (shorter >= DETECTION.min_diameter_px and shorter >= DETECTION.min_aspect * longer):
         return None
     # a contour runs through pixel centres: half a pixel inside the blob's edge
-    if abs(area / (0.25 * np.pi * first * second) - 1) > _ROUNDNESS:
+    if abs(area / (0.25 * np.pi * first * second) - 1) > DETECTION.roundness:
         return None
     axes = rotation_2d(-math.radians(angle_deg))
     matrix = axes.T @ np.diag([2 / first, 2 / second]) @ axes
@@ -286,10 +277,13 @@ def recognise_dots(image: Image) -> Plate | None:
     The filled corner tells columns from rows; a square grid without it has more columns than rows.
     """
     for picture in (image, np.asarray(255 - image)):
-        for share in _BLOCK_SHARES:
+        for share in DETECTION.blocks:
             blobs = _ellipses(picture, min(image.shape) // share)
             for places in _grids(blobs):
-                if len(places) >= _LEAST_MARKS and (plate := _plate_of(picture, places, blobs)) is not None:
+                if (
+                    len(places) >= DETECTION.min_dots
+                    and (plate := _plate_of(picture, places, blobs)) is not None
+                ):
                     return plate
     return None
 
@@ -338,7 +332,7 @@ def _grids(blobs: FloatArray) -> Iterator[dict[tuple[int, int], int]]:
     centres = blobs[:, :2]
     sizes = 1 / np.sqrt(_inverse_areas(blobs))
     for seed in np.argsort(np.linalg.norm(centres - np.median(centres, axis=0), axis=1))[:12]:
-        alike = np.abs(np.log(sizes / sizes[seed])) < np.log(_SIZE_RATIO)
+        alike = np.abs(np.log(sizes / sizes[seed])) < np.log(DETECTION.size_ratio)
         yield _grow_from(int(seed), np.where(alike[:, None], centres, np.inf))
 
 
@@ -411,7 +405,7 @@ def _grow_from(seed: int, centres: FloatArray) -> dict[tuple[int, int], int]:
             step = di * steps[place][0] + dj * steps[place][1]
             distances = np.linalg.norm(centres - here - step, axis=1)
             nearest = int(np.argmin(distances))
-            if nearest in taken or distances[nearest] > _STEP_TOLERANCE * np.linalg.norm(step):
+            if nearest in taken or distances[nearest] > DETECTION.step_tolerance * np.linalg.norm(step):
                 continue
             taken.add(nearest)
             places[target] = nearest
@@ -451,7 +445,7 @@ def _first_corner_is_filled(image: Image, pixels: FloatArray, board: DotGrid) ->
     if homography is None:
         return False
     p = board.pitch_mm
-    offset = -_MARK_OFFSET * p
+    offset = -DETECTION.corner_offset * p
     places = np.array([[offset, offset], [0.5 * p, 0.5 * p], [0.0, 0.0]])
     smooth = cv2.blur(image, (3, 3))
     x, y = np.rint(_map_plane(homography, places)).astype(int).T

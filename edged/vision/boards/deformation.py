@@ -14,11 +14,9 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.vision.boards.board import Board, NominalBoard, ShapedBoard
+from edged.vision.boards.params import DETECTION
 
-_DEGREE = 4  # a saddle, a wave, and the corners' own way; more is noise of single marks
 _RANK_TOLERANCE = 1e-9
-# Of the pitch: far more than any usable board, so that only what no view has seen feels it
-PRIOR_SHARE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +78,7 @@ def deviation_mm(board: ShapedBoard) -> tuple[float, float]:
 def _monomials(basis: PlateBasis, points_mm: FloatArray) -> FloatArray:
     """(3 N, 3 K): x^i y^j for each coordinate."""
     x, y = ((points_mm[:, :2] - basis.middle) / basis.half).T
-    columns = [x**i * y**j for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    columns = [x**i * y**j for i in range(DETECTION.degree + 1) for j in range(DETECTION.degree + 1 - i)]
     return np.asarray(np.kron(np.stack(columns, axis=1), np.eye(3)))
 
 

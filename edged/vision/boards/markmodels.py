@@ -14,15 +14,17 @@ import math
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
+from edged.vision.boards.params import DETECTION
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 
 CORNER, DOT = 0, 1
 _MOST_UNKNOWNS = 10
 _STEPS = 40
-_RECENTRED = 2  # the window is laid round the corner found, so that what is symmetric cancels
-_CENTRED_PX = 0.2  # a window that lies this well needs no second fit
-_MIN_SHARE_INSIDE = 0.7  # of the window's pixels; less lets one edge go unseen
+# numba freezes globals when it compiles: kernels read these by name
+_RECENTRED = DETECTION.recentred
+_CENTRED_PX = DETECTION.centred_px
+_MIN_SHARE_INSIDE = DETECTION.min_share_inside
 _PIXEL_BLUR_PX = math.sqrt(1.0 / 12.0)  # of a pixel's own width: no lens makes an edge sharper
 _TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)
 

@@ -14,17 +14,12 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.vision.boards.board import IntArray
+from edged.vision.calibration.params import CALIBRATION
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel
 from edged.vision.geometry.projection import project_with_jacobians
 from edged.vision.geometry.rigid import apply, rotation_matrix, skew, transform
 
 _MAX_STEPS = 60
-_START_DAMPING = 1e-6
-# Only a step this free counts as the last: focal length, distance and distortion nearly compensate each
-# other, and along such directions even a little damping makes steps short that are not at the end.
-_FREE_DAMPING = 1e-12
-_NEGLIGIBLE_GAIN = 1e-6  # of chi²: a thousandth of a sigma
-_HUBER = 2.5  # in sigmas: 1 % of good residuals feel it, and it costs 1 % of efficiency
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,17 +125,17 @@ def adjust(
     """
     selections = freedom_left.selection(state.left), freedom_right.selection(state.right)
     views = len(state.left_from_board)
-    damping, converged = _START_DAMPING, False
+    damping, converged = CALIBRATION.start_damping, False
     normal = _normal_equations(state, left, right, selections, robust=robust)
     for _ in range(_MAX_STEPS):
         rig_step, pose_steps = _solve(normal, damping)
         expected_gain = float(rig_step @ normal.rig_right + np.sum(pose_steps * normal.poses_right))
-        if damping <= _FREE_DAMPING and expected_gain < _NEGLIGIBLE_GAIN:
+        if damping <= CALIBRATION.free_damping and expected_gain < CALIBRATION.negligible_gain:
             converged = True
             break
         trial = _moved(state, rig_step, pose_steps, selections)
         trial_normal = _normal_equations(trial, left, right, selections, robust=robust)
-        if trial_normal.cost <= normal.cost + _NEGLIGIBLE_GAIN:  # not for NaN: a point went behind
+        if trial_normal.cost <= normal.cost + CALIBRATION.negligible_gain:  # not for NaN: a point went behind
             state, normal, damping = trial, trial_normal, damping / 10
         else:
             damping *= 8
@@ -227,7 +222,7 @@ def adjust_poses(state: BundleState, left: Observations, right: Observations) ->
         solved = np.linalg.solve(normal.poses, normal.poses_right[..., None])
         steps = np.asarray(solved[..., 0], dtype=np.float64)
         state = _moved(state, np.zeros(len(state.shape) + 6), steps, nothing)
-        if float(np.sum(steps * normal.poses_right)) < _NEGLIGIBLE_GAIN:
+        if float(np.sum(steps * normal.poses_right)) < CALIBRATION.negligible_gain:
             break
     return state
 
@@ -306,8 +301,10 @@ def _normal_equations(
 def _huber(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Weight and loss (N,) of normalised residuals (N, 2), by their length."""
     length = np.linalg.norm(scaled, axis=1)
-    weight = np.minimum(1.0, _HUBER / np.maximum(length, 1e-300))
-    loss = np.where(length <= _HUBER, length**2, 2 * _HUBER * length - _HUBER**2)
+    weight = np.minimum(1.0, CALIBRATION.huber / np.maximum(length, 1e-300))
+    loss = np.where(
+        length <= CALIBRATION.huber, length**2, 2 * CALIBRATION.huber * length - CALIBRATION.huber**2
+    )
     return weight, loss
 
 

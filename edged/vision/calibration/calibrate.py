@@ -17,7 +17,8 @@ import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray
 from edged.vision.boards.board import IntArray, ShapedBoard, StereoView
-from edged.vision.boards.deformation import PRIOR_SHARE, deviation_mm, plate_basis, shaped
+from edged.vision.boards.deformation import deviation_mm, plate_basis, shaped
+from edged.vision.boards.params import DETECTION
 from edged.vision.calibration.bundle import BundleState, Observations
 from edged.vision.calibration.estimation import Movement, Problem, Solution, estimate, estimate_cleaned
 from edged.vision.calibration.initial import agree, check_sides, usable_views, zhang
@@ -32,12 +33,10 @@ from edged.vision.calibration.lenschoice import (
     release,
     rig_of,
 )
+from edged.vision.calibration.params import CALIBRATION
 from edged.vision.geometry.camera import LensModel, StereoRig, calibration_identity
 from edged.vision.geometry.rectification import row_difference_px
 from edged.vision.geometry.rigid import apply
-
-_BLURRED = 2.0  # times the median edge spread
-_PLACES = 60  # among the marks of all views, at which lens models are compared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +140,7 @@ def _with_shapes(solution: Solution) -> Solution:
             shape[members, :, starts[number] : starts[number + 1]] = basis.at(seen.points_mm[members])
         return replace(seen, shape=shape)
 
-    prior_mm = PRIOR_SHARE * min(board.pitch_mm for board in boards)
+    prior_mm = DETECTION.prior_share * min(board.pitch_mm for board in boards)
     state = replace(state, shape=np.zeros(int(starts[-1])), shape_sigma=prior_mm)
     free = Problem(problem.views, with_shape(problem.left), with_shape(problem.right))
     found = estimate(free, state, solution.freedoms)
@@ -193,7 +192,9 @@ def _places(problem: Problem, state: BundleState) -> FloatArray:
     """Where marks were (N, 3), all over the volume."""
     poses = zip(problem.views, state.left_from_board, strict=True)
     marks = np.concatenate([apply(pose, view.board.points_mm) for view, pose in poses])
-    return np.asarray(marks[np.linspace(0, len(marks) - 1, min(len(marks), _PLACES)).astype(np.int64)])
+    return np.asarray(
+        marks[np.linspace(0, len(marks) - 1, min(len(marks), CALIBRATION.places)).astype(np.int64)]
+    )
 
 
 def _notes(views: Sequence[StereoView]) -> tuple[str, ...]:
@@ -203,7 +204,7 @@ def _notes(views: Sequence[StereoView]) -> tuple[str, ...]:
         notes += [
             f"{view.name}: the {side} image is blurred (edges of {b:.1f} px, else {np.median(blur):.1f})"
             for view, b in zip(views, blur, strict=True)
-            if b > _BLURRED * np.median(blur)
+            if b > CALIBRATION.blurred * np.median(blur)
         ]
     for board in dict.fromkeys(view.board for view in views):
         if isinstance(board, ShapedBoard):

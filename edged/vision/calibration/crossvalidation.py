@@ -22,11 +22,11 @@ from edged.vision.calibration.calibrate import (
 )
 from edged.vision.calibration.estimation import observations, with_model_error
 from edged.vision.calibration.lenschoice import freedom_of
+from edged.vision.calibration.params import CALIBRATION
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import fit_rigid
 from edged.vision.geometry.triangulation import triangulate_raw
 
-_MAX_FOLDS = 10
 _MIN_REST = 3  # views a calibration needs
 
 
@@ -57,7 +57,7 @@ def hold_out(calibration: Calibration) -> tuple[HeldOutView, ...]:
     Empty where there are too few views to leave any out.
     """
     fits = calibration.views
-    folds = min(_MAX_FOLDS, len(fits))
+    folds = min(CALIBRATION.max_folds, len(fits))
     if len(fits) - int(np.ceil(len(fits) / folds)) < _MIN_REST:
         return ()
     results: dict[str, HeldOutView] = {}

@@ -24,15 +24,8 @@ from edged.vision.calibration.bundle import (
     relation_information,
 )
 from edged.vision.calibration.initial import MIN_VIEWS
+from edged.vision.calibration.params import CALIBRATION
 
-_OUTLIER = 6.0  # normalised residual length beyond which a mark is a mistake, not noise
-_BAD_VIEW = 5.0  # times the usual residual beyond which a view is not of the same rig or board
-_START_ERROR_PX = 0.5  # far above any real detector's, so that the first fit is a plain one
-_ESTIMATE_ROUNDS = 8
-_MOVED_SHARE = 0.3  # of chi² that one movement of a camera explains, from which it is not chance
-_LEAST_RUN = (
-    6  # views beside a movement: of fewer the verdict is "repeat" (`verdict.LEAST_VIEWS`), so say it at once
-)
 Freedoms = tuple[LensFreedom, LensFreedom]
 
 
@@ -122,9 +115,9 @@ def observations(views: Sequence[StereoView], side: Side) -> Observations:
 
 def estimate(problem: Problem, state: BundleState, freedoms: Freedoms) -> Solution:
     """Adjust and estimate the model error in turn until it settles."""
-    errors = _START_ERROR_PX, _START_ERROR_PX
+    errors = CALIBRATION.start_error_px, CALIBRATION.start_error_px
     try:
-        for _ in range(_ESTIMATE_ROUNDS):
+        for _ in range(CALIBRATION.estimate_rounds):
             left, right = (
                 with_model_error(problem.left, errors[0]),
                 with_model_error(problem.right, errors[1]),
@@ -151,7 +144,7 @@ def estimate(problem: Problem, state: BundleState, freedoms: Freedoms) -> Soluti
 
 def without_outliers(solution: Solution) -> Solution:
     """Drop marks that are mistakes, a few times: without the worst ones the next stand out."""
-    for _ in range(_ESTIMATE_ROUNDS):
+    for _ in range(CALIBRATION.estimate_rounds):
         problem, result = solution.problem, solution.result
         kept_left = _inliers(problem.left, result.residuals_left_px, solution.model_error_px[0])
         kept_right = _inliers(problem.right, result.residuals_right_px, solution.model_error_px[1])
@@ -173,7 +166,9 @@ def _pick(seen: Observations, kept: npt.NDArray[np.bool_]) -> Observations:
 
 
 def _inliers(seen: Observations, residuals: FloatArray, error_px: float) -> npt.NDArray[np.bool_]:
-    return np.asarray(np.linalg.norm(residuals, axis=1) < _OUTLIER * np.hypot(seen.sigma_px, error_px))
+    return np.asarray(
+        np.linalg.norm(residuals, axis=1) < CALIBRATION.outlier * np.hypot(seen.sigma_px, error_px)
+    )
 
 
 def _model_error(seen: Observations, residuals: FloatArray, share: float) -> float:
@@ -213,7 +208,7 @@ def _movement(solution: Solution) -> tuple[int, Movement] | None:
     gain = np.sum(step_before * score, axis=1) + np.sum(step_after * rest, axis=1)
     last = len(problem.views) - 2  # a single view at either end is a bad view, not a movement
     inner = gain[1:last]
-    if not inner.size or inner.max() < _MOVED_SHARE * result.chi2:
+    if not inner.size or inner.max() < CALIBRATION.moved_share * result.chi2:
         return None
     cut = 1 + int(np.argmax(inner))
     change = step_after[cut] - step_before[cut]
@@ -239,7 +234,7 @@ def _of_longest_run(
         left_out = [(view.name, f"taken {where} {movement}") for view in views[others]]
         begun = replace(state, left_from_board=state.left_from_board[some])
         try:
-            if len(views[some]) < _LEAST_RUN:
+            if len(views[some]) < CALIBRATION.min_run:
                 continue
             found = estimate_cleaned(views[some], begun, solution.freedoms, left_out)
         except CalibrationError as error:
@@ -275,8 +270,8 @@ def _worst_view(solution: Solution) -> tuple[int, float, float] | None:
     length = np.linalg.norm(np.concatenate([result.residuals_left_px, result.residuals_right_px]), axis=1)
     members = [view == index for index in range(len(problem.views))]
     medians = np.array([np.median(length[member]) for member in members])
-    explained = np.array([_BAD_VIEW * np.median(own[member]) for member in members])
+    explained = np.array([CALIBRATION.bad_view * np.median(own[member]) for member in members])
     typical = float(np.median(medians))
     excess = np.where(medians > explained, medians, 0.0)
     index = int(np.argmax(excess))
-    return (index, float(medians[index]), typical) if excess[index] > _BAD_VIEW * typical else None
+    return (index, float(medians[index]), typical) if excess[index] > CALIBRATION.bad_view * typical else None

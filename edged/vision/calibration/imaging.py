@@ -19,36 +19,11 @@ import numpy.typing as npt
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.vision.boards.board import Board, Charuco, Chessboard, Detection
 from edged.vision.boards.deformation import nominal
+from edged.vision.calibration.params import IMAGING
 from edged.vision.geometry.camera import StereoRig, calibration_identity
 from edged.vision.geometry.stereoimages import linear_grey
 
-REACH_PX = 5
-"""Of the profiles, to both sides, and half their width along the edge."""
-FLAT_PX = 3.2
-"""From here to the reach the profile is level, for a lens that can be measured with at all."""
-MIN_LENGTH_PX = 3.5 * REACH_PX
-MIN_STEP, BLACK, WHITE = 30.0, 2.0, 250.0
-"""Grey values: least step of an edge, and where pixels are clipped."""
-BIN_PX = 0.1
-SECTORS = 4
-"""Directions from dark to bright that are evaluated apart: asymmetric blur cancels in their mean."""
-PLACES = 3
-"""Rows and columns of the image that are looked at apart."""
-MIN_EDGES = 40
-"""... of one sector, or of one place."""
-GAMMA_RANGE = (0.3, 3.0)
-MIN_SHIFT_PX, SURE = 0.02, 6.0
-"""A response is corrected from this displacement of the edges on, in px and in sigmas."""
-SOFT_PX, MAX_ASYMMETRY_PX, MAX_SATURATED, MAX_FALLOFF = 1.0, 0.05, 0.01, 0.5
-"""From where a person should do something: px of blur, px, shares."""
-NOISE_PX = 0.05
-"""Of a single edge point in good light."""
-MAX_HALO = 0.03
-"""... of the step: a lens has none; the mean of hundreds of edges is sure to 0.01 at a noise of 5."""
-MUCH_SATURATED = 0.2
-"""Share of the edges from which on it is no single reflection that is clipped, but the whites."""
-CONFIRMED = 0.5
-"""... when it takes away at least half of the profiles' asymmetry."""
+MIN_LENGTH_PX = 3.5 * IMAGING.reach_px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,14 +88,14 @@ def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) ->
     along = lines[:, 1] - lines[:, 0]
     length = np.linalg.norm(along, axis=1)
     middle = lines.mean(axis=1)
-    margin = REACH_PX + 2
+    margin = IMAGING.reach_px + 2
     inside = (middle >= margin).all(axis=1) & (middle < np.array(image.shape[::-1]) - margin - 1).all(axis=1)
     fits = inside & (length > MIN_LENGTH_PX)
     if not fits.any():
         return None
     middle, along = middle[fits], along[fits] / length[fits, None]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
-    window = np.arange(-REACH_PX - 1, REACH_PX + 2)
+    window = np.arange(-IMAGING.reach_px - 1, IMAGING.reach_px + 2)
     x, y = (side.ravel() for side in np.meshgrid(window, window))
     base = np.rint(middle).astype(np.int64)
     column, row = base[:, :1] + x, base[:, 1:] + y
@@ -128,7 +103,7 @@ def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) ->
     across = dx * normal[:, :1] + dy * normal[:, 1:]
     beside = dx * along[:, :1] + dy * along[:, 1:]
     grey = image[row, column].astype(np.float64)
-    used = (np.abs(across) <= REACH_PX) & (np.abs(beside) <= REACH_PX)
+    used = (np.abs(across) <= IMAGING.reach_px) & (np.abs(beside) <= IMAGING.reach_px)
     low, high = _levels(across, grey, used)
     flip = np.where(high < low, -1.0, 1.0)[:, None]
     return Edges(
@@ -152,20 +127,22 @@ def imaging_of(pictures: Sequence[Edges], size: tuple[int, int]) -> Imaging:
         return UNKNOWN
     edges = Edges(*(np.concatenate([getattr(one, name) for one in pictures]) for name in Edges.__slots__))
     step = edges.bright - edges.dark
-    clipped = edges.bright >= WHITE
-    saturated = float(np.mean(clipped[step > MIN_STEP])) if (step > MIN_STEP).any() else math.nan
-    good = edges.some(~clipped & (edges.dark > BLACK) & (step > MIN_STEP))
-    if len(good.view) < MIN_EDGES:
+    clipped = edges.bright >= IMAGING.white
+    saturated = (
+        float(np.mean(clipped[step > IMAGING.min_step])) if (step > IMAGING.min_step).any() else math.nan
+    )
+    good = edges.some(~clipped & (edges.dark > IMAGING.black) & (step > IMAGING.min_step))
+    if len(good.view) < IMAGING.min_edges:
         return replace(UNKNOWN, saturated=saturated)
     gamma, shift, sigma = _response(good)
     linear = replace(good, grey=linear_grey(good.grey, gamma))
     whole = _profile(linear)
     blurs, asymmetries, light = [], [], []
-    place = np.minimum(good.middle * PLACES / np.array(size), PLACES - 1).astype(np.int64)
-    for y in range(PLACES):
-        for x in range(PLACES):
+    place = np.minimum(good.middle * IMAGING.places / np.array(size), IMAGING.places - 1).astype(np.int64)
+    for y in range(IMAGING.places):
+        for x in range(IMAGING.places):
             here = (place == (x, y)).all(axis=1)
-            if here.sum() < MIN_EDGES:
+            if here.sum() < IMAGING.min_edges:
                 continue
             there = linear.some(here)
             profile = _profile(there)
@@ -236,7 +213,7 @@ def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) 
                 "in a radius this is",
                 abs(one.shift_px) * across_um,
                 "it is the camera's response, its sharpening, or ink that has spread",
-                telling=abs(one.shift_px) > max(MIN_SHIFT_PX, SURE * one.sigma_shift_px),
+                telling=abs(one.shift_px) > max(IMAGING.min_shift_px, IMAGING.sure * one.sigma_shift_px),
             )
         add(
             f"{side} blur",
@@ -244,14 +221,14 @@ def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) 
             "over the image; at chamfers this may cost in depth",
             math.sqrt(max(one.largest_blur_px**2 - one.least_blur_px**2, 0.0)) * depth_um,
             "focus again, or close the aperture",
-            telling=one.largest_blur_px > max(SOFT_PX, 1.5 * one.least_blur_px),
+            telling=one.largest_blur_px > max(IMAGING.soft_px, 1.5 * one.least_blur_px),
         )
         add(
             f"{side} asymmetry",
             f"{side} camera, asymmetry of the blur {one.asymmetry_px:.3f} px; in depth",
             one.asymmetry_px * depth_um,
             "close the aperture, or check that lens and filter are seated and clean",
-            telling=one.asymmetry_px > MAX_ASYMMETRY_PX,
+            telling=one.asymmetry_px > IMAGING.max_asymmetry_px,
         )
         add(
             f"{side} sharpening",
@@ -259,22 +236,22 @@ def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) 
             "displaced by as much of a pixel",
             one.halo * across_um,
             "the camera sharpens: switch it off",
-            telling=one.halo > MAX_HALO,
+            telling=one.halo > IMAGING.max_halo,
         )
         add(
             f"{side} saturation",
             f"{side} camera, {100 * one.saturated:.0f} % of the edges saturated; in a radius",
             (0.5 * one.blur_px if math.isfinite(one.blur_px) else 0.5) * one.saturated * across_um,
             "less exposure or light",
-            telling=one.saturated > MAX_SATURATED,
+            telling=one.saturated > IMAGING.max_saturated,
         )
         add(
             f"{side} falloff",
             f"{side} camera, {100 * one.falloff:.0f} % of the light missing in the darkest corner; "
             "by its noise, in depth",
-            NOISE_PX * (1 / math.sqrt(max(1 - one.falloff, 0.01)) - 1) * depth_um,
+            IMAGING.noise_px * (1 / math.sqrt(max(1 - one.falloff, 0.01)) - 1) * depth_um,
             "open the aperture, or light more evenly",
-            telling=one.falloff > MAX_FALLOFF,
+            telling=one.falloff > IMAGING.max_falloff,
         )
     left, right = imaging
     unequal = math.sqrt(abs(left.blur_px**2 - right.blur_px**2))
@@ -284,7 +261,7 @@ def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) 
         "in depth",
         unequal * depth_um,
         "focus both alike",
-        telling=unequal > SOFT_PX,
+        telling=unequal > IMAGING.soft_px,
     )
     return tuple(found)
 
@@ -309,7 +286,7 @@ def _levels(
     across: FloatArray, grey: FloatArray, used: npt.NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
     """Median grey values (M,) on both sides of each edge."""
-    sides = (used & (across < -FLAT_PX), used & (across > FLAT_PX))
+    sides = (used & (across < -IMAGING.flat_px), used & (across > IMAGING.flat_px))
     low, high = (np.nanmedian(np.where(side, grey, np.nan), axis=1) for side in sides)
     return low, high
 
@@ -335,11 +312,15 @@ def _profile(edges: Edges) -> _Profile:
     """The mean profile of edges across their lines, in grey values as they are."""
     low, high = _levels(edges.across, edges.grey, edges.used)
     share = (edges.grey - low[:, None]) / np.maximum(high - low, 1e-9)[:, None]
-    bins = int(2 * REACH_PX / BIN_PX)
-    where = np.clip(((edges.across[edges.used] + REACH_PX) / BIN_PX).astype(np.int64), 0, bins - 1)
+    bins = int(2 * IMAGING.reach_px / IMAGING.bin_px)
+    where = np.clip(
+        ((edges.across[edges.used] + IMAGING.reach_px) / IMAGING.bin_px).astype(np.int64), 0, bins - 1
+    )
     count = np.bincount(where, minlength=bins)
     total = np.bincount(where, share[edges.used], minlength=bins)
-    place = np.linspace(0.5 * BIN_PX - REACH_PX, REACH_PX - 0.5 * BIN_PX, bins)
+    place = np.linspace(
+        0.5 * IMAGING.bin_px - IMAGING.reach_px, IMAGING.reach_px - 0.5 * IMAGING.bin_px, bins
+    )
     known = count > 0
     place, mean = place[known], np.asarray(total[known] / count[known], np.float64)
     after = max(int(np.argmax(mean > 0.5)), 1)
@@ -348,30 +329,29 @@ def _profile(edges: Edges) -> _Profile:
     centre = float(place[before] + within * (place[after] - place[before]))
     profile = _Profile(place, mean, centre, 0.0)
     tails = np.maximum(1.0 - profile.at(_HALF) + profile.at(-_HALF), 0.0)
-    return replace(profile, blur_px=math.sqrt(2.0 * float(np.sum(_HALF * tails)) * BIN_PX))
+    return replace(profile, blur_px=math.sqrt(2.0 * float(np.sum(_HALF * tails)) * IMAGING.bin_px))
 
 
-_HALO_BINS = 5  # half a pixel: no single bin's noise
 CENTRE_STEPS_PX = np.arange(-0.03, 0.031, 0.01)
-_HALF = np.arange(BIN_PX / 2, REACH_PX - 2.0, BIN_PX)
+_HALF = np.arange(IMAGING.bin_px / 2, IMAGING.reach_px - 2.0, IMAGING.bin_px)
 
 
 def _halo(profile: _Profile) -> float:
     """By how much the profile leaves the levels of its sides, the larger of both, as a share of the step."""
-    beside = np.convolve(profile.share, np.full(_HALO_BINS, 1 / _HALO_BINS), "valid")
+    beside = np.convolve(profile.share, np.full(IMAGING.halo_bins, 1 / IMAGING.halo_bins), "valid")
     return max(float(beside.max()) - 1.0, -float(beside.min()), 0.0)
 
 
 def _by_sector(edges: Edges) -> list[Edges]:
     """The edges by their direction from dark to bright; without directions of which there are too few."""
-    return [one for one in _sectors(edges) if len(one.view) >= MIN_EDGES]
+    return [one for one in _sectors(edges) if len(one.view) >= IMAGING.min_edges]
 
 
 def _sectors(edges: Edges) -> list[Edges]:
     """The edges of each direction, opposite ones SECTORS / 2 apart."""
     angle = np.arctan2(edges.toward[:, 1], edges.toward[:, 0])
-    sector = ((angle + math.pi) * SECTORS / (2 * math.pi)).astype(np.int64) % SECTORS
-    return [edges.some(sector == number) for number in range(SECTORS)]
+    sector = ((angle + math.pi) * IMAGING.sectors / (2 * math.pi)).astype(np.int64) % IMAGING.sectors
+    return [edges.some(sector == number) for number in range(IMAGING.sectors)]
 
 
 def _odd_part(edges: Edges, gamma: float) -> float:
@@ -400,16 +380,16 @@ def _response(edges: Edges) -> tuple[float, float, float]:
     shift = _shift_px(edges, 1.0)
     views = [edges.some(edges.view == number) for number in np.unique(edges.view)]
     parts = views if len(views) > 1 else _by_sector(edges)
-    each = [-_profile(one).centre_px for one in parts if len(one.view) >= MIN_EDGES]
+    each = [-_profile(one).centre_px for one in parts if len(one.view) >= IMAGING.min_edges]
     sigma = float(np.std(each, ddof=1) / math.sqrt(len(each))) if len(each) > 1 else abs(shift)
-    if abs(shift) < max(MIN_SHIFT_PX, SURE * sigma):
+    if abs(shift) < max(IMAGING.min_shift_px, IMAGING.sure * sigma):
         return 1.0, shift, sigma
-    low, high = np.log(GAMMA_RANGE)
+    low, high = np.log(IMAGING.gamma_range)
     for _ in range(14):  # the displacement grows with the exponent that is assumed
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _shift_px(edges, math.exp(middle)) > 0 else (middle, high)
     gamma = round(math.exp(0.5 * (low + high)), 3)
-    confirmed = _odd_part(edges, gamma) < CONFIRMED * _odd_part(edges, 1.0)
+    confirmed = _odd_part(edges, gamma) < IMAGING.confirmed * _odd_part(edges, 1.0)
     return (gamma if confirmed else 1.0), shift, sigma
 
 
@@ -417,11 +397,11 @@ def _asymmetry_px(edges: Edges) -> float:
     """Largest difference between two ends of one blur: opposite directions, the tails of their profiles."""
     skew = []
     for one in _sectors(edges):
-        if len(one.view) < MIN_EDGES // SECTORS:
+        if len(one.view) < IMAGING.min_edges // IMAGING.sectors:
             skew.append(math.nan)
             continue
         profile = _profile(one)
-        skew.append(float(np.sum(profile.at(_HALF) + profile.at(-_HALF) - 1.0)) * BIN_PX)
-    pairs = [0.5 * abs(skew[n] - skew[n + SECTORS // 2]) for n in range(SECTORS // 2)]
+        skew.append(float(np.sum(profile.at(_HALF) + profile.at(-_HALF) - 1.0)) * IMAGING.bin_px)
+    pairs = [0.5 * abs(skew[n] - skew[n + IMAGING.sectors // 2]) for n in range(IMAGING.sectors // 2)]
     known = [value for value in pairs if math.isfinite(value)]
     return max(known) if known else math.nan

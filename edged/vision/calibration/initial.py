@@ -11,14 +11,12 @@ import numpy as np
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.errors import CalibrationError
 from edged.vision.boards.board import Board, Detection, NotDetected, StereoView
+from edged.vision.calibration.params import CALIBRATION
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rigid import invert, rotation_matrix, rotation_vector, transform
 
 MIN_VIEWS = 3  # two give no redundancy at all for the distortion
 MIN_MARKS = 8  # in one image: a homography and as much redundancy again
-_MIN_BASELINE = 1e-3  # of the distance: 1 px of disparity or less, no depth to speak of
-_MAX_SCATTER = 0.25  # of the relation from view to view: rad, and share of the baseline
-_MIN_TILT_SPREAD_DEG = 3.0  # between board normals; Zhang's method is degenerate for parallel boards
 
 
 def usable_views(views: Sequence[StereoView]) -> tuple[list[StereoView], list[tuple[str, str]]]:
@@ -93,7 +91,7 @@ def _column(vector: cv2.typing.MatLike) -> FloatArray:
 def _check_tilt(poses: Sequence[FloatArray], side: Side) -> None:
     normals = np.array([pose[:3, 2] for pose in poses])
     spread = float(np.degrees(np.arccos(np.clip((normals @ normals.T).min(), -1, 1))))
-    if spread < _MIN_TILT_SPREAD_DEG:
+    if spread < CALIBRATION.min_tilt_spread_deg:
         raise CalibrationError(
             f"{side} camera: the board is parallel to itself in all views (normals within {spread:.1f}°): "
             "focal length and distance cannot be told apart; tilt it by 20° to 40° in different directions",
@@ -155,14 +153,14 @@ def check_sides(right_from_left: FloatArray, left_from_board: Sequence[FloatArra
     """
     centre = invert(right_from_left)[:3, 3]
     distance = float(np.median([pose[2, 3] for pose in left_from_board]))
-    if np.linalg.norm(centre) < _MIN_BASELINE * distance:
+    if np.linalg.norm(centre) < CALIBRATION.min_baseline * distance:
         raise CalibrationError(
             "both cameras are in one place: are the *_left and *_right images of the same camera? "
             f"(baseline {np.linalg.norm(centre):.3f} mm at a distance of {distance:.0f} mm)",
             "one_place",
         )
     if centre[0] < 0 and abs(centre[0]) > abs(centre[1]):
-        if scatter > _MAX_SCATTER:
+        if scatter > CALIBRATION.max_scatter:
             raise CalibrationError(
                 "the views contradict each other: in most of them the left and the right image show the "
                 "board at two places; hold it still until both are taken, and trigger both cameras together",

@@ -32,6 +32,7 @@ from edged.vision.calibration.estimation import (
     with_model_error,
     without_outliers,
 )
+from edged.vision.calibration.params import CALIBRATION
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, LensModel, StereoRig
 from edged.vision.geometry.rectification import can_be_rectified
 from edged.vision.geometry.rigid import apply
@@ -41,15 +42,8 @@ from edged.vision.geometry.uncertainty import shift_by_parameters
 LensWish = Literal["auto", "division", "brown"]
 """A lens model, or whichever the views speak for."""
 
-# |value| / sigma from which a parameter is taken to be real. Not less: errors of neighbouring marks are
-# alike (a bent board), which the sigma does not know; square pixels looked oblong by 4 sigma on real boards.
-_RELEASE_T = 6.0
-_MAX_FOCAL_SIGMA = 0.02  # relative; beyond it the views do not determine the camera
 _TANGENTIAL = ("p1", "p2")
 _RELEASED = (*_TANGENTIAL, "k3")  # what not every lens is estimated with
-_LEAST_WEIGHT = 1e-3  # of a model that says anything of sigma
-_NO_NOISE = 1e-6  # of the stated variance of marks: below it residuals are those of arithmetic
-_BLIND = 1e-7  # of the largest shift of points per unit of a parameter's combination: it moves nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +123,7 @@ def choose(views: list[StereoView], state: BundleState, excluded: list[tuple[str
     return Choice(
         solution,
         tuple(sorted(said, key=lambda one: one.aic)),
-        tuple(other for other in others if other[0] > _LEAST_WEIGHT),
+        tuple(other for other in others if other[0] > CALIBRATION.min_weight),
     )
 
 
@@ -187,7 +181,7 @@ def _of_freedom(camera: CameraModel, freedom: LensFreedom) -> CameraModel:
 def _criteria(results: Sequence[BundleResult], freedoms: Sequence[Freedoms]) -> FloatArray:
     """Akaike's criterion of each, above the least. The noise is what the best of them leaves."""
     least, freedom = min((result.chi2, result.freedom) for result in results)
-    floor = _NO_NOISE * freedom
+    floor = CALIBRATION.no_noise * freedom
     aic = [
         freedom * np.log((result.chi2 + floor) / (least + floor)) + 2 * (left.count + right.count)
         for result, (left, right) in zip(results, freedoms, strict=True)
@@ -209,7 +203,7 @@ def averaged(rig: StereoRig, choice: Choice, points_mm: FloatArray) -> StereoRig
     selection = selection_of(rig)
     shift = (shift_by_parameters(rig, points_mm) @ selection).reshape(-1, selection.shape[1])
     scale = 1 / np.linalg.norm(shift, axis=0)
-    as_parameters = selection @ (scale[:, None] * np.linalg.pinv(shift * scale, rcond=_BLIND))
+    as_parameters = selection @ (scale[:, None] * np.linalg.pinv(shift * scale, rcond=CALIBRATION.blind))
     pixels = rig.left.project(points_mm), rig.right.project(apply(rig.right_from_left, points_mm))
     covariance = (1 - sum(weight for weight, _ in choice.others)) * rig.covariance
     for weight, result in choice.others:
@@ -243,7 +237,7 @@ def release(solution: Solution) -> Solution:
         for trial in trials:
             freedoms = (trial, solution.freedoms[1]) if index == 0 else (solution.freedoms[0], trial)
             freer = estimate(solution.problem, solution.result.state, freedoms)
-            if _significance(freer.result, side, trial, freedom) > _RELEASE_T:
+            if _significance(freer.result, side, trial, freedom) > CALIBRATION.release_t:
                 solution, freedom = freer, trial
                 trials[-1] = replace(trials[-1], square_pixels=freedom.square_pixels)
     return solution
@@ -270,7 +264,7 @@ def check_determined(result: BundleResult) -> None:
     sigma = np.sqrt(np.diag(result.covariance))
     for side, camera in (("left", rig.left), ("right", rig.right)):
         relative = sigma[rig.parameter_names.index(f"{side}.fx")] / camera.fx
-        if not relative < _MAX_FOCAL_SIGMA or camera.fx <= 0 or camera.fy <= 0:
+        if not relative < CALIBRATION.max_focal_sigma or camera.fx <= 0 or camera.fy <= 0:
             raise Undetermined(
                 f"{side} camera: these views do not determine its focal length (sigma "
                 f"{100 * relative:.1f} %); tilt the board by 20° to 40° in different directions and fill the "

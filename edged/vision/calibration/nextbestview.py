@@ -19,6 +19,7 @@ from edged.vision.boards.board import Board, Charuco, ShapedBoard, outline_mm
 from edged.vision.calibration.bundle import BundleState, Observations, rig_information
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.lenschoice import freedom_of, selection_of
+from edged.vision.calibration.params import GUIDANCE
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 from edged.vision.geometry.uncertainty import shift_by_parameters
@@ -26,13 +27,6 @@ from edged.vision.geometry.uncertainty import shift_by_parameters
 BoolArray = npt.NDArray[np.bool_]
 
 TILT_DEG = 35.0
-MOST_VIEWS = 30
-"""Beyond so many more it is not told how many: something else is amiss than their number."""
-_MIN_VISIBLE = 0.6  # of the marks of a ChArUco board, in either image; of others all, and what is around them
-_INWARD = (1.0, 0.8, 0.6, 0.4, 0.2)  # of the way out, where a board at the border would be cut
-_EDGE_PX = 8.0
-_HAND_SHARE = 0.03  # of the image's width: a hand that is a little off must not lose the board
-_PLACES = (0.2, 0.5, 0.8)  # of the image's width and height
 TILTS = (
     ("square to the left camera", "square", (0.0, 0.0)),
     ("its right side turned towards the cameras", "right-near", (0.0, 1.0)),
@@ -154,7 +148,7 @@ class _Design:
     def views_to(self, goal_mm: float) -> int | None:
         """Views, each the best one then, until no coordinate's sigma is beyond the goal."""
         information = self.information
-        for count in range(MOST_VIEWS + 1):
+        for count in range(GUIDANCE.max_views + 1):
             if self.sigma_mm(information).max() <= goal_mm:
                 return count
             if not self.told:
@@ -188,13 +182,13 @@ def candidates(calibration: Calibration, board: Board) -> Iterator[Candidate]:
     camera = calibration.rig.left
     middle = 0.5 * (board.points_mm.min(axis=0) + board.points_mm.max(axis=0))
     for depth, distance in zip(depths_mm(calibration), ("near", "middle", "far"), strict=True):
-        for v, row in zip(_PLACES, ("upper", "middle", "lower"), strict=True):
-            for u, column in zip(_PLACES, ("left", "middle", "right"), strict=True):
+        for v, row in zip(GUIDANCE.places, ("upper", "middle", "lower"), strict=True):
+            for u, column in zip(GUIDANCE.places, ("left", "middle", "right"), strict=True):
                 name = "middle" if row == column else f"{row} {column}"
                 for tilt, code, axis in TILTS:
                     rotation = rotation_matrix(np.radians(TILT_DEG) * np.array([*axis, 0.0]))
                     turned = tilt if axis == (0.0, 0.0) else f"{tilt} by {TILT_DEG:.0f}°"
-                    for share in _INWARD:
+                    for share in GUIDANCE.inward:
                         out = 0.5 + share * (np.array([u, v]) - 0.5)
                         place = depth * np.append(
                             camera.normalise(out * (camera.width - 1, camera.height - 1)), 1.0
@@ -215,9 +209,12 @@ def _can_be_found(rig: StereoRig, board: Board, left_from_board: FloatArray) -> 
     if isinstance(stated, Charuco):
         points = apply(left_from_board, board.points_mm)
         in_right = apply(rig.right_from_left, points)
-        shares = _inside(rig.left, points, _EDGE_PX).mean(), _inside(rig.right, in_right, _EDGE_PX).mean()
-        return bool(min(shares) >= _MIN_VISIBLE)
-    margin_px = _HAND_SHARE * rig.left.width
+        shares = (
+            _inside(rig.left, points, GUIDANCE.edge_px).mean(),
+            _inside(rig.right, in_right, GUIDANCE.edge_px).mean(),
+        )
+        return bool(min(shares) >= GUIDANCE.min_visible)
+    margin_px = GUIDANCE.hand_share * rig.left.width
     return bool(_visible(rig, apply(left_from_board, outline_mm(board, board.pitch_mm)), margin_px).all())
 
 
@@ -228,7 +225,7 @@ def _observed(calibration: Calibration, board: Board, pose: FloatArray, side: Si
     camera = rig.left
     if side == "right":
         points, camera = apply(rig.right_from_left, points), rig.right
-    seen = _inside(camera, points, _EDGE_PX)
+    seen = _inside(camera, points, GUIDANCE.edge_px)
     own = np.median(np.concatenate([fit.view.found(side).sigma_px for fit in calibration.views]))
     sigma = float(np.hypot(own, calibration.model_error_px[0 if side == "left" else 1]))
     count = int(seen.sum())

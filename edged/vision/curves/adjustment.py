@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
+from edged.vision.curves.params import FIT
 from edged.vision.curves.systematic import DOUBT_PX, estimate_variance_components
 from edged.vision.kernels.cholesky import invert
 from edged.vision.kernels.jit import B1, F1, F2, F3, I1, I2, kernel
@@ -30,11 +31,10 @@ from edged.vision.kernels.robust import MIN_SIGMA_PX, correlation_length, robust
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-MEDIAN_ROUNDS = 3
-SPREAD_ROUNDS = (4, 6)  # then it stays: an estimate that changes in every round never settles
-MAX_ROUNDS = 20
-SETTLED = 0.001  # of each unknown's own sigma: what is still to come changes nothing that can be known
-ROUGHLY = 0.05  # ... where the edges are measured anew at what comes out
+# numba freezes globals when it compiles: kernels read these by name
+MEDIAN_ROUNDS = FIT.median_rounds
+SPREAD_ROUNDS = FIT.spread_rounds
+MAX_ROUNDS = FIT.max_rounds
 _SHRINK = 1.06  # Tukey's weights shrink the root mean square of normal errors by this
 _NEIGHBOURS = 4  # samples with common terms ...
 _MIN_BINS = 32  # ... where at least so many terms remain for a part
@@ -108,7 +108,7 @@ class _Memory(NamedTuple):
     spread: F1
 
 
-def solve(samples: Samples, unknowns: int, priors: int, settled: float = SETTLED) -> Solution | None:
+def solve(samples: Samples, unknowns: int, priors: int, settled: float = FIT.settled) -> Solution | None:
     """Solve for the step that all samples want; None where they do not determine it.
 
     The last `priors` of the unknowns are expected to be 0 with sigma 1.  settled : the rounds end when none

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.curves.adjustment import Samples
+from edged.vision.curves.params import FIT
 from edged.vision.curves.systematic import FAMILIES, shrunk
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import MIN_SAMPLES, robust_scale
@@ -26,15 +27,13 @@ from edged.vision.kernels.robust import MIN_SAMPLES, robust_scale
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-_APART = 8
-"""Samples: what is farther apart along an edge is independent but for systematic shifts."""
-_CLIP = 2.5
-_MIN_SHARE = 0.1  # of either camera in the mean
-_MIN_RATIO = 0.2  # of the prior weights: a saturated edge would spoil the good one of the other camera
+# numba freezes globals when it compiles: kernels read these by name
+_APART = FIT.apart
+_CLIP = FIT.clip
+_MIN_SHARE = FIT.min_camera_share
 LEAST_GAIN = 1e-9
 PARTS = ("means", "differences", "left alone", "right alone")
 """Of the rows of a curve, as `Pairs.rows` numbers them."""
-_MIN_GAIN = 0.05  # of the largest: where a camera looks along the plane, it tells nothing of the curve
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,8 +100,8 @@ def pair(
     gain = np.where(np.abs(gain) > LEAST_GAIN, gain, LEAST_GAIN)
     both, share, paired, alone = np.zeros(len(gain[0]), bool), np.full(len(gain[0]), 0.5), 0.0 * base[0], base
     if together:
-        both = np.abs(gain).min(axis=0) > _MIN_GAIN * np.abs(gain).max()
-        both &= base.min(axis=0) > _MIN_RATIO * base.max(axis=0)
+        both = np.abs(gain).min(axis=0) > FIT.min_gain * np.abs(gain).max()
+        both &= base.min(axis=0) > FIT.min_prior_ratio * base.max(axis=0)
         share = _shares(np.where(np.isnan(offset_px), 0.0, offset_px) / gain, both, starts)
         with np.errstate(divide="ignore"):
             paired = np.where(both, 2.0 / np.sum(1.0 / base, axis=0), 0.0)

@@ -21,39 +21,21 @@ import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.vision.curves.outlineprojection import ProjectedOutline, camera_pose
+from edged.vision.curves.params import BREAKS, FIT
 from edged.vision.curves.planestate import Problem, State
-from edged.vision.curves.systematic import WAVE_SIGMAS, slants
+from edged.vision.curves.systematic import slants
 from edged.vision.edges.subpixel import edge_profiles
 
 I64 = npt.NDArray[np.int64]
 
-USUAL_MM = 0.22
-"""Width of a break of which nothing else is known: 0.1 to 0.5 mm are usual, and this is amid (geometric)."""
-MOST_MM = 0.5
-"""A second edge farther off is something else."""
 EVEN = 1.0 / math.sqrt(12.0)
 """Sigma of an edge that lies anywhere between both ends, over the width."""
-WAVE_SHARE = EVEN / math.sqrt(2.0 * sum(sigma**2 for sigma in WAVE_SIGMAS))
+WAVE_SHARE = EVEN / math.sqrt(2.0 * sum(sigma**2 for sigma in FIT.wave_sigmas))
 """Sigma of each wave, over the width, of which all together are that: as much of what both images have alike
 as of what each has against the other, so that each camera sees its own ends."""
-AGAINST = 2.0
-"""`shift_basis` has half of the latter in either image."""
-SEEN_SHARE = WAVE_SHARE * math.sqrt(0.5 * (1.0 + AGAINST**2))
+SEEN_SHARE = WAVE_SHARE * math.sqrt(0.5 * (1.0 + BREAKS.against**2))
 """What the fit would estimate of them: its waves against each other count half in either image."""
-WAVES = len(WAVE_SIGMAS)
-SHARP_PX = 0.01
-"""Sigma of the waves of a sharp edge: the median of all circles in the scenes of `tools/table3.py`. Of a
-whole part the rms there is up to 0.05 px, of broken ones 0.06 to 0.3 px (`tools/bench breaks`)."""
-WIDER_PX = 0.08
-"""By so much or more a highlight beside an edge displaces what a wide operator says against a narrow one;
-only then it is looked for. `tools/bench breaks`: 0.08 to 0.3 px beside glints, else 0.03 px in the median."""
-SECTORS, STEP_PX = 24, 0.5
-OWN_PX = 1.5
-"""Within it is the edge itself."""
-GLINT_SLOPE, MIN_SLOPE = 0.4, 2.0
-"""Of the far side of a highlight: over that of the edge, and grey values per px."""
-GLINT_SHARE = 0.6
-"""Of all curves in both images, along which the far side runs in parallel: one neighbour's edge is none."""
+WAVES = len(FIT.wave_sigmas)
 HALF = math.sqrt(0.5)
 """Of a shift each curve has half of the variance by itself, and half in common with those of its kind."""
 
@@ -68,8 +50,8 @@ def break_widths_mm(state: State, problem: Problem) -> FloatArray:
     lengths = np.diff(problem.starts)[seen]
     if lengths.any():
         shift_px = math.sqrt(np.average(problem.solution.bias[seen, 0] ** 2, weights=lengths))
-        usual_px = HALF * SEEN_SHARE * USUAL_MM * float(np.average(px_per_mm[seen], weights=lengths))
-        found = max(found, USUAL_MM if shift_px > math.sqrt(SHARP_PX * usual_px) else 0.0)
+        usual_px = HALF * SEEN_SHARE * BREAKS.usual_mm * float(np.average(px_per_mm[seen], weights=lengths))
+        found = max(found, BREAKS.usual_mm if shift_px > math.sqrt(BREAKS.sharp_px * usual_px) else 0.0)
     return np.asarray(np.maximum(known, found))
 
 
@@ -90,7 +72,7 @@ def break_shifts(state: State, problem: Problem, widths_mm: FloatArray) -> tuple
     groups = [np.repeat(np.arange(len(counts)), counts), len(counts) + np.repeat(kinds, counts)]
     sides = []
     for camera in range(2):
-        alike, against = waves[camera][:, :WAVES], AGAINST * waves[camera][:, WAVES : 2 * WAVES]
+        alike, against = waves[camera][:, :WAVES], BREAKS.against * waves[camera][:, WAVES : 2 * WAVES]
         shapes = np.hstack([sigma * alike, sigma * against, lower[camera][:, None] * lower_mm])
         columns = [
             np.where(group == one, 1.0, 0.0)[:, None] * shapes for group in groups for one in np.unique(group)
@@ -118,7 +100,7 @@ def _lower(state: State, problem: Problem) -> tuple[FloatArray, FloatArray]:
 
 def _glint_mm(state: State, problem: Problem, seen: I64, px_per_mm: FloatArray) -> float:
     """Width of the highlight that runs beside most of the curves seen, in both images; 0 without one."""
-    if not problem.edges.bias_px[:, seen].max(initial=0.0) >= WIDER_PX:
+    if not problem.edges.bias_px[:, seen].max(initial=0.0) >= BREAKS.wider_px:
         return 0.0
     widths, shares, lengths = [], [], []
     for k in seen:
@@ -128,11 +110,11 @@ def _glint_mm(state: State, problem: Problem, seen: I64, px_per_mm: FloatArray) 
             sign = int(np.sign(curve.signs_at(side, count).sum())) or curve.polarity
             width, share = 0.0, 0.0
             if image.size and sign:
-                width, share = _glint(image, outline, rows, sign, MOST_MM * px_per_mm[k])
+                width, share = _glint(image, outline, rows, sign, BREAKS.max_mm * px_per_mm[k])
             widths.append(width / px_per_mm[k])
             shares.append(share)
             lengths.append(count)
-    if np.average(shares, weights=lengths) < GLINT_SHARE:
+    if np.average(shares, weights=lengths) < BREAKS.glint_share:
         return 0.0
     return float(np.average(widths, weights=np.array(shares) * lengths))
 
@@ -145,18 +127,22 @@ def _glint(
     sign : +1 brighter along the normals.
     """
     profiles, places = edge_profiles(
-        image, seen.pixels[rows], seen.normals[rows], max(reach_px, OWN_PX) + 2 * STEP_PX, STEP_PX
+        image,
+        seen.pixels[rows],
+        seen.normals[rows],
+        max(reach_px, BREAKS.own_px) + 2 * BREAKS.step_px,
+        BREAKS.step_px,
     )
-    sector = np.arange(len(profiles)) * SECTORS // len(profiles)
-    counts = np.bincount(sector, minlength=SECTORS)[:, None]
-    means = np.add.reduceat(profiles, np.searchsorted(sector, np.arange(SECTORS))) / counts
-    slopes = sign * np.gradient(means, STEP_PX, axis=1)
-    own = np.where(np.abs(places) <= OWN_PX, slopes, -np.inf).max(axis=1)
-    beyond = (sign * places > OWN_PX) & (sign * places <= reach_px)
+    sector = np.arange(len(profiles)) * BREAKS.sectors // len(profiles)
+    counts = np.bincount(sector, minlength=BREAKS.sectors)[:, None]
+    means = np.add.reduceat(profiles, np.searchsorted(sector, np.arange(BREAKS.sectors))) / counts
+    slopes = sign * np.gradient(means, BREAKS.step_px, axis=1)
+    own = np.where(np.abs(places) <= BREAKS.own_px, slopes, -np.inf).max(axis=1)
+    beyond = (sign * places > BREAKS.own_px) & (sign * places <= reach_px)
     falling = np.where(beyond, -slopes, -np.inf)
-    strong = falling.max(axis=1) >= np.maximum(GLINT_SLOPE * own, MIN_SLOPE)  # False for NaN
+    strong = falling.max(axis=1) >= np.maximum(BREAKS.glint_slope * own, BREAKS.min_slope)  # False for NaN
     if not strong.any():
         return 0.0, 0.0
     away = np.abs(places[falling.argmax(axis=1)])
     width = float(np.median(away[strong]))
-    return width, float(np.mean(strong & (np.abs(away - width) <= OWN_PX)))
+    return width, float(np.mean(strong & (np.abs(away - width) <= BREAKS.own_px)))

@@ -12,14 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
+from edged.vision.curves.params import FIT
 
 Sighting = tuple[FloatArray, FloatArray]
 """Of a curve in one pair: points (2, N, 2) of its edges in both pictures, raw px, and weights (2, N)."""
-
-USED_WEIGHT = 0.1
-NEIGHBOURS, LITTLE = 8, 0.05
-"""Samples apart up to which noise may be alike, and the correlation from which on it is not."""
-MIN_SAMPLES, MIN_PICTURES = 12, 3
 
 
 def edge_noise(sightings: Sequence[Sighting]) -> tuple[float, float] | None:
@@ -30,7 +26,7 @@ def edge_noise(sightings: Sequence[Sighting]) -> tuple[float, float] | None:
     counts = np.bincount([points.shape[1] for points, _ in sightings])
     many = int(counts.argmax())
     same = [one for one in sightings if one[0].shape[1] == many]
-    if len(same) < MIN_PICTURES:
+    if len(same) < FIT.noise_pictures:
         return None
     left, right = (
         _of_side(np.array([points[side] for points, _ in same]), np.array([w[side] for _, w in same]))
@@ -46,8 +42,8 @@ def _of_side(points: FloatArray, weights: FloatArray) -> float | None:
     normals = _normals(middle)
     # beside a sample without an edge the line has no direction
     known = np.isfinite(points).all(axis=(0, 2)) & np.isfinite(normals).all(axis=1)
-    good = np.asarray(known & (weights > USED_WEIGHT).all(axis=0))
-    if good.sum() < MIN_SAMPLES:
+    good = np.asarray(known & (weights > FIT.used_weight).all(axis=0))
+    if good.sum() < FIT.noise_samples:
         return None
     steps = np.diff(middle, axis=0)
     arc_px = float(np.median(np.linalg.norm(steps[np.isfinite(steps).all(axis=1)], axis=1)))
@@ -57,11 +53,11 @@ def _of_side(points: FloatArray, weights: FloatArray) -> float | None:
     if variance <= 0.0:
         return 0.0
     alike = 0.0
-    for apart in range(1, NEIGHBOURS + 1):
+    for apart in range(1, FIT.noise_reach + 1):
         both = good[:-apart] & good[apart:]
         products = (across[:, :-apart] * across[:, apart:])[:, both]
         correlation = float(products.sum()) / (freedom * max(int(both.sum()), 1)) / variance
-        if correlation < LITTLE:
+        if correlation < FIT.uncorrelated:
             break
         alike += correlation
     return variance * (1 + 2 * alike) * arc_px

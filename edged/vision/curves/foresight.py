@@ -20,16 +20,11 @@ from edged.vision.curves.adjustment import precise, propagate
 from edged.vision.curves.commonmode import LEAST_GAIN, PARTS, Pairs, samples_of
 from edged.vision.curves.outlineprojection import ProjectedOutline, project_outline
 from edged.vision.curves.outlines import Curve, Face, Outline
+from edged.vision.curves.params import FORESIGHT
 from edged.vision.curves.planefit import Known, PlaneFit, Scatter, arcs_px, result_of
 from edged.vision.curves.planestate import Edges, FitParams, Problem, State, Step
 from edged.vision.geometry.camera import StereoRig
 
-SPACING_PX = 6.0
-"""Of the samples: what a curve is worth changes slowly along it."""
-BORDER_PX = 4.0
-"""Nearer to the border of a picture there is no room for the profile of an edge."""
-MIN_SAMPLES = 8
-LEAST_ARC_PX = 0.1
 NOTHING = np.zeros((0, 0), np.uint8)
 
 
@@ -76,7 +71,7 @@ def foresee_plane(
         replace(curve, break_mm=scatter.break_mm) for curve, scatter in zip(curves, scatters, strict=True)
     )
     state = State(rig, (NOTHING, NOTHING), face, broken, params, False, False, rigid_mm)
-    sampled = state.sampled(SPACING_PX)
+    sampled = state.sampled(FORESIGHT.spacing_px)
     if sampled is None:
         return None
     outline, starts = sampled
@@ -84,7 +79,7 @@ def foresee_plane(
         left, right = (project_outline(rig, side, face, outline) for side in SIDES)
     inside = _inside(rig, "left", left) & _inside(rig, "right", right)
     counts = np.add.reduceat(inside, starts[:-1], dtype=np.int64)
-    kept = (counts >= MIN_SAMPLES) & (counts >= min_support * np.diff(starts))
+    kept = (counts >= FORESIGHT.min_samples) & (counts >= min_support * np.diff(starts))
     if not kept.any():
         return None
     if not kept.all():
@@ -108,7 +103,7 @@ def _by_noise(step: Step, noises: Sequence[tuple[float, float]], unknowns: int) 
     """What noise leaves: each sample of each picture is a cause by itself."""
     problem = step.problem
     counts, total = np.diff(problem.starts), int(problem.starts[-1])
-    arcs = np.maximum(arcs_px(problem.sides, problem.starts), LEAST_ARC_PX)
+    arcs = np.maximum(arcs_px(problem.sides, problem.starts), FORESIGHT.min_arc_px)
     sigma = np.sqrt(np.repeat(np.array(noises).T, counts, axis=1) / arcs)
     none = np.zeros((total, total))
     causes = problem.pairs.rows_of(np.hstack([np.diag(sigma[0]), none]), np.hstack([none, np.diag(sigma[1])]))
@@ -121,8 +116,8 @@ def _by_noise(step: Step, noises: Sequence[tuple[float, float]], unknowns: int) 
 def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> npt.NDArray[np.bool_]:
     """(N,) which samples lie in a picture, with room for an edge."""
     camera = rig.left if side == "left" else rig.right
-    most = np.array([camera.width, camera.height]) - 1 - BORDER_PX
-    good = (seen.pixels >= BORDER_PX) & (seen.pixels <= most)  # False for NaN
+    most = np.array([camera.width, camera.height]) - 1 - FORESIGHT.border_px
+    good = (seen.pixels >= FORESIGHT.border_px) & (seen.pixels <= most)  # False for NaN
     return np.asarray(good.all(axis=1) & np.isfinite(seen.design).all(axis=1))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
+from edged.vision.curves.params import FIT
 from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples
 from edged.vision.kernels.cholesky import invert
 from edged.vision.kernels.jit import kernel
@@ -29,24 +30,17 @@ from edged.vision.kernels.robust import (
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-CLIPPED_WEIGHT = 0.02
-"""A saturated plateau hides half of its step and moves the edge by 0.1-0.2 px, where a good edge is known
-to 0.02: such points only help where there are no others."""
-BIAS_SHARE = 1.3
-"""Texture beside an edge, shading and second edges displace it along whole arcs, more at a wide operator
-than at a narrow one. Measured on machined parts (outlines, bolt holes, bores, chamfers; shifts of
-0.03 to 0.2 px rms): what remains at the chosen width is 1.2-1.4 times the rms difference between the widths
-1.2 and 0.6, for each kind of edge."""
-MIN_BIAS_PX = 0.0003
-"""What interpolation and 8 bits leave of a good edge: 0.0007 px and more on rendered discs without noise."""
-SIGNIFICANT = 1.6  # chi² of 5 over 5 that noise alone exceeds in one case of six: counts as a bias
-CERTAIN = 3.0  # ... in one of a hundred: speaks against a width
-START_WIDTH = 2
-"""Index into `WIDTHS_PX` of the operator that finds an edge, before the others are compared."""
-NEIGHBOURS = 4  # on both sides, over which the contrast of an edge is averaged
+# numba freezes globals when it compiles: kernels read these by name
+CLIPPED_WEIGHT = FIT.clipped_weight
+BIAS_SHARE = FIT.bias_share
+MIN_BIAS_PX = FIT.min_bias_px
+SIGNIFICANT = FIT.significant
+CERTAIN = FIT.certain
+START_WIDTH = FIT.start_width
+NEIGHBOURS = FIT.contrast_neighbours
 _OUTPUTS = 2
-FIRST_ROUNDS, NEXT_ROUNDS = 4, 2
-"""Of reweighting: what is no edge at one width is none at the next, which starts from what was found."""
+FIRST_ROUNDS = FIT.first_rounds
+NEXT_ROUNDS = FIT.next_rounds
 
 
 @dataclass(frozen=True, slots=True, eq=False)

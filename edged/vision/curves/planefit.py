@@ -31,11 +31,10 @@ from edged.vision.curves.commonmode import PARTS
 from edged.vision.curves.edgebreaks import break_shifts, break_widths_mm
 from edged.vision.curves.outlineprojection import ProjectedOutline, circle_axes
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
+from edged.vision.curves.params import FIT
 from edged.vision.curves.planestate import (
     DEFAULT_PARAMS,
-    GROWTH_SIGMA,
     RIGID_PARAMETERS,
-    ROW_SIGMA_PX,
     FitParams,
     Problem,
     State,
@@ -44,14 +43,6 @@ from edged.vision.curves.planestate import (
 from edged.vision.curves.systematic import FAMILIES
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
-
-CLIPPED_PX, CLIPPED_APART = 0.15, 0.3
-"""By which a saturated surface moves the edge beside it (a step cut off at half its height: 0.2 px), and what
-of it both cameras do not have in common."""
-SOFT_SHIFT_PX = 0.15
-"""By how much a soft edge is moved: by a tenth of the blur, as of something with a tenth of the contrast."""
-COARSE_SPACING_PX = 3.0  # while the curves still move
-STILL_PX = 0.2  # edges measured anew at curves that moved by less come out the same, to 0.003 px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,14 +207,14 @@ def _fitted(start: State) -> PlaneFit | None:
     params = start.params
     state: State | None = start
     step: Step | None = None
-    spacing_px = max(params.spacing_px, COARSE_SPACING_PX)
+    spacing_px = max(params.spacing_px, FIT.coarse_spacing_px)
     for number, reach in enumerate(params.reach_px[:-1] if params.repeats else params.reach_px):
         if number == 1 and state is not None:
             # far away there is one dominant edge; from here on each curve keeps its sign
             state = state.with_polarity(reach, spacing_px)
         step = None if state is None else state.step(reach, spacing_px, final=False)
         state = None if state is None or step is None else state.moved(step)
-        if number > 0 and step is not None and step.moved_px.max() < STILL_PX:
+        if number > 0 and step is not None and step.moved_px.max() < FIT.still_px:
             break
     if state is None:
         return None
@@ -243,7 +234,7 @@ def _fitted(start: State) -> PlaneFit | None:
         if moved is None:
             return None
         state = moved
-        if step.moved_px.max() < STILL_PX:
+        if step.moved_px.max() < FIT.still_px:
             break
     return None if step is None else result_of(state, step)
 
@@ -285,12 +276,12 @@ def result_of(state: State, step: Step, known: Known | None = None) -> PlaneFit 
         lift = _block_diagonal([np.eye(PLANE_PARAMETERS), *(state.curves[k].lift() for k in kept)])
     else:
         lift = _rigid_lift(state, kept)
-        units = np.append(np.ones(state.shared - 1), GROWTH_SIGMA)
+        units = np.append(np.ones(state.shared - 1), FIT.growth_sigma)
         common = slice(state.shared)
         rigid = RigidMotion(
             whole.covariance[common, common] * np.outer(units, units),
             whole.edge_covariance[common, common] * np.outer(units, units),
-            GROWTH_SIGMA * float(step.delta[state.shared - 1]),
+            FIT.growth_sigma * float(step.delta[state.shared - 1]),
         )
     covariance, by_edges = (
         np.asarray(lift @ inner[np.ix_(unknowns, unknowns)] @ lift.T)
@@ -381,7 +372,7 @@ def _known(problem: Problem, state: State, breaks_mm: FloatArray) -> Known:
     covariances = np.zeros((2, unknowns, unknowns))
     for all_of_it, part in zip(covariances, (whole, by_edges), strict=True):
         all_of_it[np.ix_(used, used)] = part
-    return Known(covariances[0], covariances[1], ROW_SIGMA_PX * math.sqrt(row_variance))
+    return Known(covariances[0], covariances[1], FIT.row_sigma_px * math.sqrt(row_variance))
 
 
 def _poor_light(problem: Problem) -> tuple[FloatArray, FloatArray]:
@@ -393,15 +384,15 @@ def _poor_light(problem: Problem) -> tuple[FloatArray, FloatArray]:
     """
     edges = problem.edges
     towards = -np.repeat([float(curve.polarity) for curve in problem.curves], np.diff(problem.starts))
-    left, right = CLIPPED_PX * towards * edges.clipped
+    left, right = FIT.clipped_px * towards * edges.clipped
     none = np.zeros(len(towards))
     soft_left, soft_right = (
-        SOFT_SHIFT_PX * seen.normals[:, 0] * soft
+        FIT.soft_shift_px * seen.normals[:, 0] * soft
         for seen, soft in zip(problem.sides, edges.soft, strict=True)
     )
     return (
-        np.column_stack([left, CLIPPED_APART * left, soft_left, none]),
-        np.column_stack([right, -CLIPPED_APART * right, none, soft_right]),
+        np.column_stack([left, FIT.clipped_apart * left, soft_left, none]),
+        np.column_stack([right, -FIT.clipped_apart * right, none, soft_right]),
     )
 
 
@@ -414,11 +405,11 @@ def _rigid_lift(state: State, kept: Sequence[int]) -> FloatArray:
         curve = state.curves[k]
         x, y = curve.parameters[:2]
         moved = np.zeros((len(curve.parameters), RIGID_PARAMETERS))
-        moved[:2] = [[1.0, 0.0, -y, GROWTH_SIGMA * x], [0.0, 1.0, x, GROWTH_SIGMA * y]]
+        moved[:2] = [[1.0, 0.0, -y, FIT.growth_sigma * x], [0.0, 1.0, x, FIT.growth_sigma * y]]
         if curve.kind != "circle":
             moved[2, 2] = 1.0
         sizes = slice(2, 3) if curve.kind == "circle" else slice(3, None)
-        moved[sizes, 3] = GROWTH_SIGMA * curve.parameters[sizes]
+        moved[sizes, 3] = FIT.growth_sigma * curve.parameters[sizes]
         rows.append(moved)
     lift = np.zeros((PLANE_PARAMETERS + len(own), state.shared + own.shape[1]))
     lift[:PLANE_PARAMETERS, :PLANE_PARAMETERS] = np.eye(PLANE_PARAMETERS)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.vision.curves.adjustment import ROUGHLY, SETTLED, Samples, Solution, solve
+from edged.vision.curves.adjustment import Samples, Solution, solve
 from edged.vision.curves.commonmode import Pairs, pair, samples_of
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
 from edged.vision.curves.outlineprojection import (
@@ -20,36 +20,19 @@ from edged.vision.curves.outlineprojection import (
     project_outline,
 )
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, Outline
+from edged.vision.curves.params import FIT
 from edged.vision.curves.systematic import fourier_basis, shift_basis, slants
-from edged.vision.edges.subpixel import FINE_STEP_PX, WIDTHS_PX, edges_at_widths
+from edged.vision.edges.params import EDGE
+from edged.vision.edges.subpixel import WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import about_z, apply
 from edged.vision.kernels.parallel import for_both
 from edged.vision.kernels.robust import MIN_SAMPLES
 
-AGREE_PX = 0.5
-"""An edge that scatters more is another one, whatever the others do."""
-MARGIN_PX = 5.0
-"""Of an edge at both ends: the corner's blur, seen through the widest operator."""
-MIN_SPOKES, MAX_SPOKES = 24, 2000
-MIN_SPOKES_AROUND = 48
-MIN_RADIUS_PX, MIN_LENGTH_PX, MAX_LENGTH_PX = 3.0, 3.0, 1e6
-RUNAWAY = 0.5
-"""Of its size: a curve that would move by more in one step stays, and must not take the others with it."""
-MAX_SLOPE, MAX_RISE = 0.5, 0.2
-"""Of the plane in one step: slope, and height in shares of the distance."""
 RIGID_PARAMETERS = 4
 """Of a rigid part beyond its plane: shift along u and v, turn, growth."""
-GROWTH_SIGMA = 0.01
-"""How far a part may be larger than taught, or a rig be wrong, before the edges have been asked."""
-PROBE_MM = 0.01
-PROBES_MM = PROBE_MM * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+PROBES_MM = FIT.probe_mm * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """A point and two beside it, for the scale of the image there."""
-SOFT_PX = 1.1
-"""Blur from which an edge is one with what lies beside it (`operatorwidth` tells it up to 1.2)."""
-ROW_SIGMA_PX = 0.3
-"""How far the rows of both images may lie apart, before anything was measured."""
-RAY_STEP = 1e-3  # of the distance: along the ray of the left camera the right image shows the row
 WAVES = 5
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
 
@@ -132,7 +115,7 @@ class Step:
 
     def support(self) -> FloatArray:
         """(2, K) share of the samples of each curve with an edge that agrees, left and right."""
-        agree = (self.weights > 0) & (np.abs(self.residuals) < AGREE_PX)
+        agree = (self.weights > 0) & (np.abs(self.residuals) < FIT.agree_px)
         return np.add.reduceat(agree, self.starts[:-1], axis=1, dtype=np.float64) / np.diff(self.starts)
 
     def supported(self, share: float) -> list[int]:
@@ -169,7 +152,7 @@ class State:
         space = self.face.to_rig(probes)
         with np.errstate(invalid="ignore", divide="ignore"):
             pixels = self.rig.left.project(space).reshape(-1, 3, 2)
-        scales = np.linalg.norm(pixels[:, 1:] - pixels[:, :1], axis=2).mean(axis=1) / PROBE_MM
+        scales = np.linalg.norm(pixels[:, 1:] - pixels[:, :1], axis=2).mean(axis=1) / FIT.probe_mm
         return np.where(space[::3, 2] > 0, scales, np.nan)
 
     def sampled(self, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]] | None:
@@ -179,13 +162,13 @@ class State:
         """
         outlines = []
         for curve, scale in zip(self.curves, self._px_per_mm(), strict=True):
-            size_px = curve.perimeter_mm * scale - (0.0 if curve.closed else 2 * MARGIN_PX)
-            least_px = 2 * math.pi * MIN_RADIUS_PX if curve.kind == "circle" else MIN_LENGTH_PX
-            if not least_px < size_px < MAX_LENGTH_PX:  # False for NaN
+            size_px = curve.perimeter_mm * scale - (0.0 if curve.closed else 2 * FIT.margin_px)
+            least_px = 2 * math.pi * FIT.min_radius_px if curve.kind == "circle" else FIT.min_length_px
+            if not least_px < size_px < FIT.max_length_px:  # False for NaN
                 return None
-            fewest = MIN_SPOKES_AROUND if curve.closed else MIN_SPOKES
-            count = min(max(int(size_px / spacing_px), fewest), MAX_SPOKES)
-            outlines.append(curve.spread(count, MARGIN_PX / scale))
+            fewest = FIT.min_samples_around if curve.closed else FIT.min_samples
+            count = min(max(int(size_px / spacing_px), fewest), FIT.max_samples)
+            outlines.append(curve.spread(count, FIT.margin_px / scale))
         starts = np.cumsum([0, *(len(one.points) for one in outlines)])
         points = np.concatenate([one.points for one in outlines])
         normals = np.concatenate([one.normals for one in outlines])
@@ -197,7 +180,7 @@ class State:
             speed *= self.rigid_mm
             speed[:, :2] = normals
             speed[:, 2] = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
-            speed[:, 3] = GROWTH_SIGMA * np.sum(points[:, :2] * normals, axis=1)
+            speed[:, 3] = FIT.growth_sigma * np.sum(points[:, :2] * normals, axis=1)
         return Outline(points, normals, speed), starts
 
     @property
@@ -276,7 +259,9 @@ class State:
         known_before = 0  # of a rigid part: its growth, and each curve's own places and sizes
         if self.rigid_mm is not None:
             known_before = int(np.count_nonzero(used >= self.shared - 1))
-        solution = solve(samples, len(used) + priors, known_before + priors, SETTLED if final else ROUGHLY)
+        solution = solve(
+            samples, len(used) + priors, known_before + priors, FIT.settled if final else FIT.roughly
+        )
         if solution is None:
             return None
         delta = np.zeros(self.unknowns)
@@ -287,7 +272,7 @@ class State:
                 samples, solution, pairs, self.face, self.curves, outline, sides, edges, starts, used, final
             ),
             self._motion(sides, delta, starts),
-            ROW_SIGMA_PX * float(solution.delta[-1]) if final else math.nan,
+            FIT.row_sigma_px * float(solution.delta[-1]) if final else math.nan,
             starts,
             np.stack(
                 [
@@ -305,7 +290,7 @@ class State:
     ) -> tuple[tuple[ProjectedOutline, ProjectedOutline], Edges]:
         """The present curves in both images, and the edges across them."""
         counts = np.diff(starts)
-        widths, fine = (WIDTHS_PX, FINE_STEP_PX) if final else (START_WIDTHS_PX, 1.0)
+        widths, fine = (WIDTHS_PX, EDGE.fine_step_px) if final else (START_WIDTHS_PX, 1.0)
         nothing = np.zeros((starts[-1], 0))
 
         def side(
@@ -335,7 +320,7 @@ class State:
                 # the centre of the bend by blur² x curvature / 2
                 blur2_px2 = np.repeat(chosen.blur2_px2, counts)
                 offsets = offsets + 0.5 * blur2_px2 * self._curvature(seen, starts)
-            soft = np.repeat(chosen.blur2_px2 >= SOFT_PX**2, counts)
+            soft = np.repeat(chosen.blur2_px2 >= FIT.soft_px**2, counts)
             return seen, offsets, chosen.base, chosen.bias_px, (edges.clipped, soft)
 
         # side by side only what takes long enough: handing it over costs as much as a coarse step
@@ -360,15 +345,15 @@ class State:
         rig, space = self.rig, self.face.to_rig(outline.points)
         right_centre = -rig.right_from_left[:3, :3].T @ rig.right_from_left[:3, 3]
         # a row is what one camera shows of a ray of the other
-        on_left = rig.left.project(space + RAY_STEP * (space - right_centre))
-        on_right = rig.right.project(apply(rig.right_from_left, space * (1 + RAY_STEP)))
+        on_left = rig.left.project(space + FIT.ray_step * (space - right_centre))
+        on_right = rig.right.project(apply(rig.right_from_left, space * (1 + FIT.ray_step)))
         columns = []
         # both rays run away from each other: what is down in one image is up in the other
         for seen, beyond in zip(sides, (on_left, on_right), strict=True):
             along = beyond - seen.pixels
             with np.errstate(invalid="ignore", divide="ignore"):
                 across = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
-            columns.append(0.5 * ROW_SIGMA_PX * np.sum(seen.normals * across, axis=1))
+            columns.append(0.5 * FIT.row_sigma_px * np.sum(seen.normals * across, axis=1))
         left, right = (
             np.column_stack([seen.design, column]) for seen, column in zip(sides, columns, strict=True)
         )
@@ -411,9 +396,9 @@ class State:
     def moved(self, step: Step) -> State | None:
         """The state after a step; None when it has run away."""
         plane = step.delta[:PLANE_PARAMETERS]
-        if not np.isfinite(step.delta).all() or np.abs(plane[1:]).max() > MAX_SLOPE:
+        if not np.isfinite(step.delta).all() or np.abs(plane[1:]).max() > FIT.max_slope:
             return None
-        if abs(plane[0]) > MAX_RISE * abs(self.face.origin[2]):
+        if abs(plane[0]) > FIT.max_rise * abs(self.face.origin[2]):
             return None
         if self.rigid_mm is not None:
             shift_u, shift_v, turn = step.delta[PLANE_PARAMETERS : self.shared - 1]
@@ -424,7 +409,7 @@ class State:
         for curve in self.curves:
             own = step.delta[first : first + curve.free]
             first += curve.free
-            away = curve.kind == "circle" and np.abs(own).max() >= RUNAWAY * curve.parameters[2]
+            away = curve.kind == "circle" and np.abs(own).max() >= FIT.runaway * curve.parameters[2]
             fresh = None if away else curve.moved(own)
             if fresh is None and len(self.curves) == 1:
                 return None

@@ -25,24 +25,15 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
+from edged.vision.curves.params import FIT
 from edged.vision.kernels.jit import kernel
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-WAVE_SIGMAS = (1.5, 1.0, 1.0, 0.5, 0.5)
-"""Of the waves. What displaces one side of a curve, as sin+ does, has 1 / pi, 1/2 and 2 / (3 pi) of them;
-light from all sides adds to the mean. Holes and discs of path-traced parts: 0.08, 0.05 and 0.03 px."""
-WALL_SIGMA = 1.5
-"""At its largest, which is nearly all of it: a wall displaces a fifth of the curve and not the rest."""
-WALL_SLANT = 0.05
-"""Tangent of the viewing angle at which a wall displaces most: 1 px of a wall of 1 to 4 mm."""
-DOUBT_PX = 0.03
-"""What the search for the variance starts from: from above it settles within the rounds of the solver."""
-EXPECTED_WAVES = 1.0
-"""Weight of what was expected, in waves: as weak as leaves an answer where no sample tells any."""
-ALIKE = 0.5
-"""No curve is displaced by less than this share of what its kind is: one curve's expectation is vague."""
+# numba freezes globals when it compiles: kernels read these by name
+DOUBT_PX = FIT.doubt_px
+EXPECTED_WAVES = FIT.expected_waves
 
 
 def fourier_basis(normals: FloatArray) -> FloatArray:
@@ -71,24 +62,24 @@ def shift_basis(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> tup
     slant (2, N) : tangent of the angle between the plane's normal and the ray from each camera, positive
     where the ray runs outwards: a hole's wall is seen there, and a disc's where it is negative.
     """
-    waves = fourier_basis(normals) * WAVE_SIGMAS
+    waves = fourier_basis(normals) * FIT.wave_sigmas
     relative = gain / np.maximum(np.abs(gain.mean(axis=0)), 1e-9)
     sides = []
     for half, scale, tangent in zip((0.5, -0.5), relative, slant, strict=True):
-        seen = np.maximum(np.stack([tangent, -tangent], axis=1) / WALL_SLANT, 0.0)
-        wall = WALL_SIGMA * seen * np.exp(1.0 - seen)
+        seen = np.maximum(np.stack([tangent, -tangent], axis=1) / FIT.wall_slant, 0.0)
+        wall = FIT.wall_sigma * seen * np.exp(1.0 - seen)
         sides.append(np.hstack([waves, half * waves, wall]) * scale[:, None])
     return sides[0], sides[1]
 
 
-FAMILIES = np.repeat([0, 1], [2 * len(WAVE_SIGMAS), 2])
+FAMILIES = np.repeat([0, 1], [2 * len(FIT.wave_sigmas), 2])
 """Of the columns of `shift_basis`: waves, and walls; each is as large as it shows in the picture."""
 
 
 def shrunk(expected_px: FloatArray, kinds: npt.NDArray[np.int64]) -> FloatArray:
     """(G,) expected sigmas, of which none is far below the rms of its kind (G,)."""
     square = np.bincount(kinds, expected_px**2) / np.maximum(np.bincount(kinds), 1)
-    return np.sqrt(expected_px**2 + ALIKE**2 * square[kinds])
+    return np.sqrt(expected_px**2 + FIT.alike**2 * square[kinds])
 
 
 def slants(points_mm: FloatArray, outwards: FloatArray, normal: FloatArray, pose: FloatArray) -> FloatArray:

@@ -13,21 +13,20 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
+from edged.vision.edges.params import EDGE
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.kernels.jit import kernel
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 
-STEP_PX = 0.5
-BLUR_PX = 1.0
-MIN_SLOPE = 2.0
-"""Grey values per px."""
-RIVAL_SHARE = 0.35
-"""Of the strongest slope of a profile, from which another extremum is a candidate, too."""
+# numba freezes globals when it compiles: kernels read these by name
+STEP_PX = EDGE.candidate_step_px
+MIN_SLOPE = EDGE.candidate_slope
+RIVAL_SHARE = EDGE.rival_share
 MOST = 5
 """Candidates of one profile."""
-_RADIUS = round(3 * BLUR_PX / STEP_PX)
+_RADIUS = round(3 * EDGE.candidate_blur_px / STEP_PX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,11 +52,11 @@ def candidates(
     pixels, normals (N, 2) : of the samples; starts (K + 1,) : where each curve begins.  together : so many
     profiles that follow each other along their curve are averaged, at its end those of its beginning.
     """
-    half = reach_px + 3 * BLUR_PX + STEP_PX
+    half = reach_px + 3 * EDGE.candidate_blur_px + STEP_PX
     with np.errstate(invalid="ignore"):
         profiles, _ = edge_profiles(image, pixels, normals, half, STEP_PX)
     steps = np.arange(1, _RADIUS + 1) * STEP_PX
-    operator = steps * np.exp(-0.5 * (steps / BLUR_PX) ** 2)
+    operator = steps * np.exp(-0.5 * (steps / EDGE.candidate_blur_px) ** 2)
     operator /= 2 * np.sum(operator * steps)  # a ramp of one grey value per px gives 1
     found = Candidates(np.full((len(profiles), MOST), np.nan), np.zeros((len(profiles), MOST)))
     reach = math.floor(reach_px / STEP_PX + 1e-9)

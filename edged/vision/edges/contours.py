@@ -18,19 +18,11 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.fitting import fit_circle, fit_line
 from edged.vision.edges.hysteresis import strong_edges
+from edged.vision.edges.params import OUTLINES
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.kernels.jit import kernel
 
 I64 = npt.NDArray[np.int64]
-
-REACH_PX = 1.5
-"""An edge pixel is within 0.7 px of its edge; texture beside it must not catch it."""
-MIN_CONTOUR = 8
-TOLERANCE_PX = 1.0
-"""Farthest that a point may lie from the line or arc of its piece."""
-MIN_PIECE = 8
-MAX_STRETCH = 20.0
-"""An arc whose radius exceeds this many times its length is a line: it bends by less than 1/160 of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,10 +75,10 @@ def find_contours(image: Image, mask: Image) -> list[Contour]:
         gradient = np.column_stack([edges.gx[ys, xs], edges.gy[ys, xs]]).astype(np.float64)
         normals = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-9)
         offsets, slopes = edges_along_normals(
-            image, np.column_stack([xs, ys]).astype(np.float64), normals, REACH_PX, 1
+            image, np.column_stack([xs, ys]).astype(np.float64), normals, OUTLINES.reach_px, 1
         )
         seen = np.isfinite(offsets)
-        if seen.sum() < MIN_CONTOUR:
+        if seen.sum() < OUTLINES.min_contour:
             continue
         points = np.column_stack([xs, ys])[seen] + normals[seen] * offsets[seen, None]
         contours.append(Contour(points, normals[seen], slopes[seen], bool(loop)))
@@ -126,7 +118,7 @@ def split(contour: Contour) -> list[Piece]:
     """Cut a contour into lines and arcs, in order; pieces of fewer than `MIN_PIECE` points are left out."""
     order = _opened(contour)
     points = contour.points[order]
-    corners = ramer(points, TOLERANCE_PX)
+    corners = ramer(points, OUTLINES.tolerance_px)
     spans = [(int(a), int(b)) for a, b in itertools.pairwise(corners)]
     spans = _joined(points, spans)
     return [piece for span in spans if (piece := _piece(points, order, span)) is not None]
@@ -151,7 +143,7 @@ def _joined(points: FloatArray, spans: list[tuple[int, int]]) -> list[tuple[int,
     misfits = [misfit(k) for k in range(len(spans) - 1)]
     while misfits:
         best = int(np.argmin(misfits))
-        if misfits[best] > TOLERANCE_PX:
+        if misfits[best] > OUTLINES.tolerance_px:
             break
         spans[best : best + 2] = [(spans[best][0], spans[best + 1][1])]
         del misfits[best]
@@ -163,19 +155,19 @@ def _joined(points: FloatArray, spans: list[tuple[int, int]]) -> list[tuple[int,
 
 def _piece(points: FloatArray, order: I64, span: tuple[int, int]) -> Piece | None:
     own = points[span[0] : span[1] + 1]
-    if len(own) < MIN_PIECE:
+    if len(own) < OUTLINES.min_piece:
         return None
     indices = order[span[0] : span[1] + 1]
-    inner = own[1:-1] if len(own) > MIN_PIECE + 2 else own  # the ends belong to the corners
+    inner = own[1:-1] if len(own) > OUTLINES.min_piece + 2 else own  # the ends belong to the corners
     line, circle = fit_line(inner), fit_circle(inner)
     way = float(np.linalg.norm(own[-1] - own[0]))
-    if line is not None and np.abs(line.distances).max() <= TOLERANCE_PX:
+    if line is not None and np.abs(line.distances).max() <= OUTLINES.tolerance_px:
         bend = np.inf if circle is None else circle.radius
         better = circle is not None and circle.rms_px < 0.7 * line.rms_px
-        if bend > MAX_STRETCH * way or not better:
+        if bend > OUTLINES.max_stretch * way or not better:
             start, end = (point - (point @ line.normal - line.offset) * line.normal for point in own[[0, -1]])
             return Piece("line", indices, start, end, np.full(2, np.nan), np.nan)
-    if circle is None or np.abs(circle.distances).max() > 2 * TOLERANCE_PX:
+    if circle is None or np.abs(circle.distances).max() > 2 * OUTLINES.tolerance_px:
         return None
     arms = own[[0, -1]] - circle.centre
     start, end = circle.centre + circle.radius * arms / np.linalg.norm(arms, axis=1, keepdims=True)

@@ -10,15 +10,8 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.hysteresis import strong_edges
+from edged.vision.edges.params import OUTLINES
 from edged.vision.geometry.rigid import rotation_2d
-
-MIN_AXIS_RATIO = 0.7
-"""A circle seen at up to 45°."""
-MIN_COVERAGE = 0.65
-"""Share of the circumference with edges; a bore with a keyway or a disc with a notch still counts."""
-MIN_RADIUS_PX = 6.0
-TRIALS = 60
-INLIER_PX = 1.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,21 +66,21 @@ def _ransac(points: FloatArray, gradients: FloatArray) -> tuple[ImageEllipse | N
     """The ellipse with the best covered circumference, and its inliers."""
     best: ImageEllipse | None = None
     best_inliers = np.zeros(len(points), bool)
-    best_coverage = MIN_COVERAGE
+    best_coverage = OUTLINES.min_coverage
     if len(points) < 20:
         return None, best_inliers
     random = np.random.default_rng(0)
-    for trial in range(TRIALS):
+    for trial in range(OUTLINES.trials):
         sample = points if trial == 0 else points[random.choice(len(points), 6, replace=False)]
         candidate = _fit(sample)
         if candidate is None:
             continue
-        inliers = np.abs(candidate.distance(points)[0]) < INLIER_PX
+        inliers = np.abs(candidate.distance(points)[0]) < OUTLINES.inlier_px
         if inliers.sum() < 16:
             continue
         refined = _fit(points[inliers]) or candidate
         distance, around = refined.distance(points)
-        inliers = np.abs(distance) < INLIER_PX
+        inliers = np.abs(distance) < OUTLINES.inlier_px
         coverage = _coverage(around[inliers], refined)
         if coverage > best_coverage + 0.01:
             best, best_inliers, best_coverage = refined, inliers, coverage
@@ -111,8 +104,8 @@ def _fit(points: FloatArray) -> ImageEllipse | None:
     a, b = width / 2, height / 2
     if (
         not np.isfinite([x, y, a, b, degrees]).all()
-        or min(a, b) < MIN_RADIUS_PX
-        or min(a, b) < MIN_AXIS_RATIO * max(a, b)
+        or min(a, b) < OUTLINES.min_radius_px
+        or min(a, b) < OUTLINES.min_axis_ratio * max(a, b)
     ):
         return None
     if max(a, b) > 5000:

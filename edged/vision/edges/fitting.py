@@ -12,11 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.vision.edges.params import OUTLINES
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 
-ROUNDS = 12
-MEDIAN_ROUNDS = 8
-"""A third of wrong points moves the median little, least squares much: Tukey starts from there."""
 MIN_SCATTER_PX = 1e-6  # of points that lie on the curve to rounding
 SETTLED_PX = 1e-10
 
@@ -57,7 +55,7 @@ def fit_line(points: FloatArray) -> LineFit | None:
         return None
     weights = np.ones(len(points))
     normal, offset = np.zeros(2), 0.0
-    for _ in range(ROUNDS):
+    for _ in range(OUTLINES.rounds):
         mean = np.average(points, axis=0, weights=weights)
         centred = points - mean
         _, _, axes = np.linalg.svd(centred * np.sqrt(weights)[:, None], full_matrices=False)
@@ -81,9 +79,9 @@ def fit_circle(points: FloatArray) -> CircleFit | None:
     circle = _algebraic_circle(points)
     if circle is None:
         return None
-    for number in range(ROUNDS):
+    for number in range(OUTLINES.rounds):
         distances, design = _from_circle(points, circle)
-        early = number < MEDIAN_ROUNDS
+        early = number < OUTLINES.median_rounds
         root = np.sqrt(_median_weights(distances) if early else _weights(distances))
         if np.count_nonzero(root) < len(circle):
             return None

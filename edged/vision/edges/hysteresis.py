@@ -10,33 +10,12 @@ import numpy.typing as npt
 
 from edged.domain.arrays import Image
 from edged.errors import TeachError
+from edged.vision.edges.params import OUTLINES
 
-MIN_POINTS = 24
-"""Edge points that a region needs, and a level of a model."""
-SMOOTHING_PX = 2.0
-"""Wider than the measuring operator: narrow machining marks average out, outlines stay."""
-NARROW_PX = 0.7
-FINE_DETAIL = 30.0
-"""A region this many times as wide as the smoothing still shows its edges apart."""
 FINE = 16.0
 """Of the gradient: a faint edge, smoothed to whole grey values, would be a staircase."""
 UNIT = 8 * FINE
 AXES = ((1, 0), (0, 1))
-FAINTEST, FAINT = 0.5, 1.0
-"""Grey values per px: an edge begins here, in a clean picture; and in a noisy one."""
-EDGE_SHARE, WEAK_SHARE = 0.5, 0.6
-"""Of the region's strong edges, what an edge must reach somewhere; and of that, what it must keep."""
-OUTLINE_SHARE = 0.5
-"""A part's strong outline is at least this long, in widths of the region."""
-STRONGEST_SHARE = 0.05
-"""... or, where there is little else, at least this share of all edges."""
-COMPONENT_SHARE = 0.08
-"""Shortest connected edge that counts, in widths of the region."""
-NEAREST_PX, BORDER_PX = 1.0, 3.0
-"""Across an edge the picture must show so much to both sides: to have it in a template that is cut tightly,
-and to know its slope."""
-MIN_STRONG = 4
-"""Pixels of a connected edge that must be strong: one is noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +55,10 @@ class StrongEdges:
 
 
 def strong_edges(
-    image: Image, mask: Image, thresholds: EdgeThresholds | None = None, smoothing_px: float = SMOOTHING_PX
+    image: Image,
+    mask: Image,
+    thresholds: EdgeThresholds | None = None,
+    smoothing_px: float = OUTLINES.smoothing_px,
 ) -> StrongEdges | None:
     """The strong, connected edges inside a mask; None when there are nearly none.
 
@@ -84,10 +66,10 @@ def strong_edges(
     Texture is weak and machining marks are narrow; what outlines a part is strong and connected.
     """
     thresholds = thresholds or EdgeThresholds()
-    if np.count_nonzero(mask) < MIN_POINTS:
+    if np.count_nonzero(mask) < OUTLINES.min_points:
         return None
     width_px = float(np.sqrt(np.count_nonzero(mask)))
-    smoothing = min(smoothing_px, max(NARROW_PX, width_px / FINE_DETAIL))
+    smoothing = min(smoothing_px, max(OUTLINES.narrow_px, width_px / OUTLINES.fine_detail))
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), smoothing)
     gx, gy = (cv2.Sobel(smooth, cv2.CV_32F, *axis, ksize=3, scale=FINE).astype(np.int16) for axis in AXES)
     faint = _faintest(image, mask, smoothing)
@@ -97,18 +79,18 @@ def strong_edges(
     thin[mask == 0] = 0
     ys, xs = np.nonzero(thin)
     room_px = _room(ys, xs, gx, gy)
-    at = ys[room_px >= NEAREST_PX], xs[room_px >= NEAREST_PX]
+    at = ys[room_px >= OUTLINES.nearest_px], xs[room_px >= OUTLINES.nearest_px]
     slopes = np.hypot(gx[at].astype(np.float64), gy[at]) / UNIT
-    if len(slopes) < MIN_POINTS:
+    if len(slopes) < OUTLINES.min_points:
         return None
-    whole = slopes[room_px[room_px >= NEAREST_PX] >= BORDER_PX]
-    low, high = _thresholds(whole if len(whole) >= MIN_POINTS else slopes, width_px, thresholds)
+    whole = slopes[room_px[room_px >= OUTLINES.nearest_px] >= OUTLINES.border_px]
+    low, high = _thresholds(whole if len(whole) >= OUTLINES.min_points else slopes, width_px, thresholds)
     linked = np.zeros_like(thin)
     linked[at] = slopes > low
     _, labels, stats, _ = cv2.connectedComponentsWithStats(linked, connectivity=8)
     strong = np.bincount(labels[at][slopes > high], minlength=len(stats))
-    shortest = thresholds.min_component_px or COMPONENT_SHARE * width_px
-    keep = (stats[:, cv2.CC_STAT_AREA] >= shortest) & (strong >= MIN_STRONG)
+    shortest = thresholds.min_component_px or OUTLINES.component_share * width_px
+    keep = (stats[:, cv2.CC_STAT_AREA] >= shortest) & (strong >= OUTLINES.min_strong)
     keep[0] = False
     return StrongEdges(keep[labels].astype(np.uint8), gx, gy)
 
@@ -134,10 +116,10 @@ def _thresholds(
     That is the slope of the strongest edges, by length and not by number: on a textured table the part's
     own edges may be one in a hundred.
     """
-    outline = max(1, round(min(OUTLINE_SHARE * width_px, STRONGEST_SHARE * len(slopes))))
+    outline = max(1, round(min(OUTLINES.outline_share * width_px, OUTLINES.strongest_share * len(slopes))))
     reached = float(np.partition(slopes, len(slopes) - outline)[len(slopes) - outline])
-    high = thresholds.contrast_high or EDGE_SHARE * reached
-    low = thresholds.contrast_low or WEAK_SHARE * high
+    high = thresholds.contrast_high or OUTLINES.edge_share * reached
+    low = thresholds.contrast_low or OUTLINES.weak_share * high
     return min(low, high), high
 
 
@@ -150,4 +132,4 @@ def _faintest(image: Image, mask: Image, smoothing_px: float) -> float:
     ripple = cv2.sepFilter2D(image, cv2.CV_16S, np.array([1, -2, 1]), np.array([1, -2, 1]))
     noise = float(np.median(np.abs(ripple[mask > 0]))) / (6 * 0.6745)
     slope = noise / (np.sqrt(8 * np.pi) * smoothing_px**2)
-    return float(np.clip(4 * slope, FAINTEST, FAINT))
+    return float(np.clip(4 * slope, OUTLINES.faintest, OUTLINES.faint))

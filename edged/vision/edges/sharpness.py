@@ -16,28 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
+from edged.vision.edges.params import SHARPNESS
 from edged.vision.edges.subpixel import WIDTHS_PX
 
 BoolArray = npt.NDArray[np.bool_]
 F32 = npt.NDArray[np.float32]
-
-OPERATORS_PX = (1.0, 1.5)
-"""Widths of the operator."""
-SAME_SPREAD, SAME_STEP = 0.2, 0.15
-"""What both may differ by, of the hill's variance and of the step's height."""
-SHARE_OF_HIGHEST = 0.4
-"""Lower steps than this share of the high ones are texture, or shadows, which are soft in any focus."""
-HIGH_PERCENT = 98.0
-STEEP = 2.0
-"""A hill is sampled along the axis that it lies across more than so much steeper than along."""
-NOISES = 10.0
-"""A hill stands out of the noise of the operator by so much."""
-LEAST_EDGES = 12
-"""Places that a median is of."""
-BORDER_PX = 6
-"""The operators reach so far: what lies at the border or beside a clipped pixel is left out."""
-SHARP_PX = 0.55
-"""Spread of a lens in focus."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +45,9 @@ def sharpness(image: Image, noise_grey: float, fields: tuple[int, int] = (6, 8))
     grey, usable = image.astype(np.float32), _usable(image)
     found = np.concatenate([_edges(grey, usable, axis, noise_grey) for axis in (0, 1)], axis=1)
     if found.shape[1]:
-        found = found[:, found[3] >= SHARE_OF_HIGHEST * np.percentile(found[3], HIGH_PERCENT)]
+        found = found[
+            :, found[3] >= SHARPNESS.share_of_highest * np.percentile(found[3], SHARPNESS.high_percent)
+        ]
     x, y, variance, _ = found
     (height, width), (rows, columns) = image.shape, fields
     row, column = (y * rows / height).astype(int), (x * columns / width).astype(int)
@@ -72,7 +57,7 @@ def sharpness(image: Image, noise_grey: float, fields: tuple[int, int] = (6, 8))
     return Sharpness(_spread(variance), fields_px, len(variance))
 
 
-def cost_of_spread(spread_px: float, sharp_px: float = SHARP_PX) -> float:
+def cost_of_spread(spread_px: float, sharp_px: float = SHARPNESS.sharp_px) -> float:
     """By which factor the sigma of an edge's place, and so of Z, is larger than in a sharp picture.
 
     Of a step of spread b in white noise, at the best of the pipeline's widths s: sigma² ~ (b² + s²)³ / s⁵;
@@ -89,28 +74,28 @@ def cost_of_spread(spread_px: float, sharp_px: float = SHARP_PX) -> float:
 
 
 def _spread(variances: FloatArray) -> float:
-    if len(variances) < LEAST_EDGES:
+    if len(variances) < SHARPNESS.min_edges:
         return math.nan
     return math.sqrt(max(float(np.median(variances)), 0.0))
 
 
 def _usable(image: Image) -> BoolArray:
     clipped = ((image == 0) | (image == 255)).astype(np.uint8)
-    usable = np.asarray(cv2.dilate(clipped, np.ones((2 * BORDER_PX + 1,) * 2, np.uint8)) == 0)
-    usable[:BORDER_PX] = usable[-BORDER_PX:] = False
-    usable[:, :BORDER_PX] = usable[:, -BORDER_PX:] = False
+    usable = np.asarray(cv2.dilate(clipped, np.ones((2 * SHARPNESS.border_px + 1,) * 2, np.uint8)) == 0)
+    usable[: SHARPNESS.border_px] = usable[-SHARPNESS.border_px :] = False
+    usable[:, : SHARPNESS.border_px] = usable[:, -SHARPNESS.border_px :] = False
     return usable
 
 
 def _edges(grey: F32, usable: BoolArray, axis: int, noise_grey: float) -> FloatArray:
     """Rows x, y, variance of the edge itself in px², height of the step; a column for each place."""
-    hills = [_hills(grey, axis, width_px, noise_grey) for width_px in OPERATORS_PX]
+    hills = [_hills(grey, axis, width_px, noise_grey) for width_px in SHARPNESS.operators_px]
     y, x = np.nonzero(usable & hills[0].peaks & hills[1].peaks)
     widths2 = np.stack([hill.variance[y, x] for hill in hills]).astype(np.float64)
     steps = np.stack([hill.slope[y, x] for hill in hills]) * np.sqrt(2.0 * np.pi * widths2)
-    own = widths2 - np.square(OPERATORS_PX)[:, None]
-    same = np.abs(own[0] - own[1]) <= SAME_SPREAD * widths2[1]
-    same &= np.abs(steps[0] - steps[1]) <= SAME_STEP * steps[1]
+    own = widths2 - np.square(SHARPNESS.operators_px)[:, None]
+    same = np.abs(own[0] - own[1]) <= SHARPNESS.same_spread * widths2[1]
+    same &= np.abs(steps[0] - steps[1]) <= SHARPNESS.same_step * steps[1]
     return np.stack([x, y, own[0], steps[0]])[:, same]
 
 
@@ -136,8 +121,8 @@ def _hills(grey: F32, axis: int, width_px: float, noise_grey: float) -> _Hills:
     slope = np.hypot(dx, dy)
     before, after = np.roll(slope, 1, axis), np.roll(slope, -1, axis)
     noise = noise_grey * math.sqrt((smooth @ smooth) * (slope_of @ slope_of))
-    peaks = (slope > NOISES * noise) & (slope >= before) & (slope > after)
-    peaks &= np.abs(across) > STEEP * np.abs(along)
+    peaks = (slope > SHARPNESS.noises * noise) & (slope >= before) & (slope > after)
+    peaks &= np.abs(across) > SHARPNESS.steep * np.abs(along)
     with np.errstate(divide="ignore", invalid="ignore"):
         bend = 2.0 * np.log(slope) - np.log(before) - np.log(after)
         # a hill that is crossed at an angle looks wider by 1 / cos

@@ -19,23 +19,19 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
+from edged.vision.edges.params import EDGE
 from edged.vision.kernels.jit import for_kernel, kernel
 
 F64 = npt.NDArray[np.float64]
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
 
-EDGE_SIGMA_PX = 1.2
-"""Width of the operator: about sqrt(5) times the blur of a focused lens (0.55 px) is optimal."""
-WIDTHS_PX = (0.6, 0.85, 1.2, 1.7)
-"""Widths to choose from: beside texture, in between, focused lens with noise, soft or noisy image."""
-FINE_STEP_PX = 0.5
-"""Sampling of the profile for narrow operators."""
-_HILL_SHARE = 0.25
-"""Of the extremum that both neighbours of a blurred step exceed at either sampling; below it, texture."""
+# numba freezes globals when it compiles: kernels read these by name
+WIDTHS_PX = EDGE.widths_px
+_HILL_SHARE = EDGE.hill_share
 _TOGETHER = 128  # profiles that are worked on side by side
 _EXTREMUM = 1 << 16  # more than a profile has samples, so that one number holds a count and a place
-_CLIP_REACH_PX = 2.5  # the plateaus on both sides of an edge begin here, for a blur of up to 1 px
+_CLIP_REACH_PX = EDGE.clip_reach_px
 _WHITE, _BLACK = 254.5, 0.5
 
 
@@ -59,7 +55,7 @@ def edges_along_normals(
     normals: FloatArray,
     reach_px: float,
     polarity: int,
-    sigma_px: float = EDGE_SIGMA_PX,
+    sigma_px: float = EDGE.sigma_px,
 ) -> tuple[FloatArray, FloatArray]:
     """Find the strongest edge across each point, within `reach_px` along its normal.
 
@@ -70,7 +66,7 @@ def edges_along_normals(
     An extremum counts less the farther it is from the point (Gaussian of width reach), so that of
     two equal edges the nearer one is taken.
     """
-    step_px = 1.0 if sigma_px >= 1.0 else FINE_STEP_PX
+    step_px = 1.0 if sigma_px >= 1.0 else EDGE.fine_step_px
     samples = _measured(image, points_px, normals, reach_px, polarity, [sigma_px], step_px)
     return samples.offset_px[0], samples.slope[0]
 
@@ -82,7 +78,7 @@ def edges_at_widths(
     reach_px: float,
     polarity: int | npt.NDArray[np.int64],
     widths_px: Sequence[float] = WIDTHS_PX,
-    step_px: float = FINE_STEP_PX,
+    step_px: float = EDGE.fine_step_px,
 ) -> EdgeSamples:
     """`edges_along_normals` for several operators at once, with saturation noted.
 
@@ -93,7 +89,11 @@ def edges_at_widths(
 
 
 def edge_profiles(
-    image: Image, points_px: FloatArray, normals: FloatArray, half_px: float, step_px: float = FINE_STEP_PX
+    image: Image,
+    points_px: FloatArray,
+    normals: FloatArray,
+    half_px: float,
+    step_px: float = EDGE.fine_step_px,
 ) -> tuple[FloatArray, FloatArray]:
     """Grey values (N, S) across each point and their places (S,) in px; NaN rows leave the image."""
     half = round(half_px / step_px)

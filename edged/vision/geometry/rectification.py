@@ -18,14 +18,9 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray, Image, Side
 from edged.errors import CalibrationError, ImageError
 from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.params import RECTIFICATION
 
 Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
-
-_BORDER_POINTS = 65  # per image side; the border of a lens is smooth, this is exact to < 0.1 px
-_BAND_ROWS = 16  # maps are computed in bands that stay in the cache: 2.4 times as fast as in one piece
-_SIZE_MULTIPLE = 16  # four pyramid levels halve the image without a remainder
-_MAX_GROWTH = 4.0  # pixels, times the raw image's: beyond it wide-angle corners only cost time
-_MIN_SHRINK = 0.5  # of the focal length, to keep within that growth; below, the views hardly overlap
 
 
 @dataclass(frozen=True, eq=False)  # no slots: cached properties live in the instance's dictionary
@@ -198,8 +193,8 @@ def _common_view(rig: StereoRig) -> tuple[FloatArray, FloatArray, float]:
     focal = 0.5 * (_focal_keeping_area(rig.left, left_axes) + _focal_keeping_area(rig.right, right_axes))
     width, height = _size(_bounds(rig.left, left_axes) * focal, _bounds(rig.right, right_axes) * focal)
     raw = max(rig.left.width * rig.left.height, rig.right.width * rig.right.height)
-    shrink = min(1.0, float(np.sqrt(_MAX_GROWTH * raw / (width * height))))
-    if shrink < _MIN_SHRINK:
+    shrink = min(1.0, float(np.sqrt(RECTIFICATION.max_growth * raw / (width * height))))
+    if shrink < RECTIFICATION.min_shrink:
         raise CalibrationError(
             f"this rig cannot be rectified: its views would need {width} x {height} px; "
             "do both cameras look across the baseline?"
@@ -210,11 +205,13 @@ def _common_view(rig: StereoRig) -> tuple[FloatArray, FloatArray, float]:
 def _size(bounds_left: FloatArray, bounds_right: FloatArray) -> tuple[int, int]:
     """(width, height) in px that holds both views' columns and their common rows."""
     top, bottom = max(bounds_left[0, 1], bounds_right[0, 1]), min(bounds_left[1, 1], bounds_right[1, 1])
-    if not bottom - top >= _SIZE_MULTIPLE:
+    if not bottom - top >= RECTIFICATION.size_multiple:
         raise CalibrationError("this rig cannot be rectified: both cameras see no common row")
     span = np.array([max(np.ptp(bounds_left[:, 0]), np.ptp(bounds_right[:, 0])), bottom - top])
     # The multiple is rounded up, plus the half pixel on each side that a pixel centre needs.
-    width, height = (int(n) for n in np.ceil((span + 1) / _SIZE_MULTIPLE) * _SIZE_MULTIPLE)
+    width, height = (
+        int(n) for n in np.ceil((span + 1) / RECTIFICATION.size_multiple) * RECTIFICATION.size_multiple
+    )
     return width, height
 
 
@@ -246,8 +243,8 @@ def _focal_keeping_area(camera: CameraModel, axes: FloatArray) -> float:
 
 def _bounds(camera: CameraModel, axes: FloatArray) -> FloatArray:
     """((x_min, y_min), (x_max, y_max)) of the raw image's border at focal length 1."""
-    u = np.linspace(0, camera.width - 1, _BORDER_POINTS)
-    v = np.linspace(0, camera.height - 1, _BORDER_POINTS)
+    u = np.linspace(0, camera.width - 1, RECTIFICATION.border_points)
+    v = np.linspace(0, camera.height - 1, RECTIFICATION.border_points)
     border = np.concatenate(
         [np.stack(np.broadcast_arrays(u, edge), axis=-1) for edge in (0.0, camera.height - 1.0)]
         + [np.stack(np.broadcast_arrays(edge, v), axis=-1) for edge in (0.0, camera.width - 1.0)]
@@ -297,8 +294,8 @@ def _maps(
     outside = np.float32(-1e4)
     map_x, map_y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     valid = np.empty((height, width), np.uint8)
-    for top in range(0, height, _BAND_ROWS):
-        rows = slice(top, min(top + _BAND_ROWS, height))
+    for top in range(0, height, RECTIFICATION.band_rows):
+        rows = slice(top, min(top + RECTIFICATION.band_rows, height))
         ideal = np.moveaxis(np.empty((2, rows.stop - top, width)), 0, -1)
         ideal[..., 0] = (np.arange(width) - centre[0]) / focal
         ideal[..., 1] = (np.arange(top, rows.stop)[:, None] - centre[1]) / focal

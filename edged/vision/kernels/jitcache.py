@@ -8,11 +8,14 @@ compile. Here both wait until something is compiled. What is stored, and what ru
 
 from __future__ import annotations
 
+from types import FunctionType
 from typing import Any
 
 import llvmlite.binding as llvm
+import numpy as np
 from numba.core.caching import FunctionCache
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
+from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
@@ -24,6 +27,28 @@ class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types
         """The compiled kernel of a signature, or None where it has not been stored."""
         rtsys.initialize(target_context)  # a kernel asks it for the memory of new arrays
         return self._load_overload(sig, target_context)
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        """numba's key, and the numbers frozen into the code, which may come from another file."""
+        return (*super()._index_key(sig, codegen), frozen_numbers(self._py_func))
+
+
+def frozen_numbers(function: FunctionType) -> str:
+    """Global numbers that a kernel reads, and those of the kernels that it calls."""
+    found: dict[tuple[str, str], str] = {}
+    functions, seen = [function], {function}
+    while functions:
+        reader = functions.pop()
+        for name in sorted({*reader.__code__.co_names} & {*reader.__globals__}):
+            value = reader.__globals__[name]
+            if isinstance(value, int | float | tuple):
+                found[reader.__module__, name] = repr(value)
+            elif isinstance(value, np.ndarray):
+                found[reader.__module__, name] = repr(value.tolist())
+            elif isinstance(value, Dispatcher) and value.py_func not in seen:
+                seen.add(value.py_func)
+                functions.append(value.py_func)
+    return repr(sorted(found.items()))
 
 
 class StoredLibrary(JITCodeLibrary):  # type: ignore[misc]  # as above

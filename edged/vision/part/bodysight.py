@@ -22,20 +22,15 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.kernels.jit import kernel
 from edged.vision.part.body import Body
+from edged.vision.part.params import SOLID
 from edged.vision.part.zbuffer import hidden_points
 
 F64 = npt.NDArray[np.float64]
 
-OWN_MM = 0.04
-"""An edge of the model no farther beside the curve is the curve itself, as chords have it."""
 APART_PX = 2.6 * math.hypot(0.55, WIDTHS_PX[1])
 """Two steps nearer than twice the blur have one extremum of slope, at the mean of both, each counted by its
 height; from 2.6 times on, one as strong draws the other by less than a twentieth of the way. Blur: of a
 focused lens, seen through a narrow operator."""
-TOGETHER_PX = 0.28
-"""Nearer to each other, either will do: a sigma of 0.08 px, which is what taught places are worth."""
-LINE_PX = 0.7
-"""Between the points that an edge of the model is drawn with."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,14 +65,14 @@ def sight_of(
     camera_from_part = camera_from_rig @ pose
     eye = _eye(camera_from_part)
     px_per_mm = camera.fx / float(camera_from_part[2, 3])
-    drawn = _drawn(body, eye, LINE_PX / px_per_mm)
+    drawn = _drawn(body, eye, SOLID.line_px / px_per_mm)
     hidden = hidden_points(body.points_mm, body.triangles, np.vstack([points_mm, drawn]), eye)
     lines = drawn[~hidden[len(points_mm) :]]
     pixels = camera.project(apply(camera_from_part, lines)) if len(lines) else np.zeros((0, 2))
     beside = np.full(len(points_mm), np.nan)
-    limits = np.array([APART_PX, LINE_PX, OWN_MM])
+    limits = np.array([APART_PX, SOLID.line_px, SOLID.own_mm])
     find_beside(np.ascontiguousarray(pixels), lines, seen, outline, limits, beside)
-    return Sight(hidden[: len(points_mm)], np.abs(beside) > TOGETHER_PX)
+    return Sight(hidden[: len(points_mm)], np.abs(beside) > SOLID.together_px)
 
 
 def _eye(camera_from_part: FloatArray) -> FloatArray:

@@ -13,8 +13,8 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Match, Reject, Target
-from edged.vision.curves.edgebreaks import USUAL_MM
 from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.params import BREAKS
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.subpixel import edges_along_normals
@@ -27,34 +27,12 @@ from edged.vision.part.consistency import distance_share, scale_deviation
 from edged.vision.part.edgeidentity import is_doubtful
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
-from edged.vision.part.job import DISPLACED_PX, LIGHT_PX, CircleFeature, Job
+from edged.vision.part.job import LIGHT_PX, CircleFeature, Job
 from edged.vision.part.measured import Evidence, Measured
+from edged.vision.part.params import MEASURING
 from edged.vision.part.prediction import match_in_raw, poses_of_match, predicted, seen_depth_mm
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
-
-DEPTH_MARGIN = 0.05
-"""The size of the match tells the depth to about 1 %; a tilt and a bad scale are allowed for."""
-OUTLINE_POINTS = 240
-OUTLINE_REACH_PX = 4.0
-PLACE_TOLERANCE = 0.02
-"""A feature farther from its place than this share of the part's size is another edge."""
-PLACE_MARGIN_MM = 0.1
-MAX_RIVALS = 12
-MIN_SUPPORT = 0.15
-"""Share of the reference circle that each camera must show to be measured at all; the job asks for more."""
-MIN_OTHER_SUPPORT = 0.4
-ENOUGH_SUPPORT = 0.8
-"""Of a start that both cameras agree with this much there is no better one."""
-PNP_POINTS = 16
-OTHER_END = 4.0
-"""Sigmas of a radius by which it differs from the taught one not by chance."""
-STRETCH, MIN_ROWS = 8, 4
-"""Edge points whose row differences are averaged, and how many there must be in all."""
-LOCK_PARAMS = FitParams(reach_px=(3.0, 2.5, 2.0, 2.0), repeats=0, min_support=0.0)
-WIDE_LOCK_PARAMS = replace(LOCK_PARAMS, reach_px=(6.0, 4.0, 2.5, 2.0))
-OTHER_PARAMS = FitParams(reach_px=(3.0, 2.0), repeats=0, min_support=MIN_OTHER_SUPPORT)
-TOGETHER_PARAMS = FitParams(reach_px=(2.0,), min_support=0.0)
 
 
 def measure(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | None:
@@ -152,14 +130,14 @@ def _reference(images: StereoImages, job: Job, match: ShapeMatch) -> FoundCircle
             continue
         if best is None or locked.fit.support.sum() > best.fit.support.sum():
             best = locked
-        if best.fit.least_support > ENOUGH_SUPPORT:
+        if best.fit.least_support > MEASURING.enough_support:
             break
     return best
 
 
 def _plausible(found: FoundCircle, start: _Start) -> bool:
     moved = float(np.linalg.norm(found.circle.centre_mm - start.centre_mm))
-    return moved < 0.2 * found.circle.radius_mm and found.fit.least_support >= MIN_SUPPORT
+    return moved < 0.2 * found.circle.radius_mm and found.fit.least_support >= MEASURING.min_support
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,15 +161,15 @@ def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[_Star
     if job.search.polarity in EACH_EDGE_ITSELF:
         expected = _seen_polarity(images, job, match)
     polarities = (expected,) if job.search.polarity == "same" else (expected, -expected)
-    flat = _outline(reference, PNP_POINTS)
+    flat = _outline(reference, MEASURING.pnp_points)
     flat[:, 2] = 0.0
     for pose in poses_of_match(images, job, match, flat):
-        yield _Start(apply(pose, reference.centre_mm), -pose[:3, 2], expected, LOCK_PARAMS)
+        yield _Start(apply(pose, reference.centre_mm), -pose[:3, 2], expected, MEASURING.lock)
     rays = images.rays("left", predicted(images.rectification, job, match, reference.centre_mm[None]))
     for polarity in polarities:
         face = _face(images, job, match, polarity)
         if face is not None and np.isfinite(rays).all():
-            yield _Start(face.meet(rays)[0], face.normal, polarity, WIDE_LOCK_PARAMS)
+            yield _Start(face.meet(rays)[0], face.normal, polarity, MEASURING.wide_lock)
 
 
 def _face_curves(job: Job, main: FoundCircle, rotation: FloatArray) -> tuple[Face, Curve]:
@@ -221,7 +199,9 @@ def _others(
             wanted[circle.name] = Curve(circle.name, "circle", parameters, polarity, height_mm=float(height))
     if not wanted:
         return []
-    fit = fit_plane(images.rig, images.raw, face, [first, *wanted.values()], OTHER_PARAMS, fixed_normal=True)
+    fit = fit_plane(
+        images.rig, images.raw, face, [first, *wanted.values()], MEASURING.other_lock, fixed_normal=True
+    )
     if fit is None:
         return []
     limit = tolerance_mm(job)
@@ -238,7 +218,7 @@ def _others(
 
 def tolerance_mm(job: Job) -> float:
     """How far from its place, and from its size, a circle may be."""
-    return PLACE_TOLERANCE * job.reference_circle.radius_mm + PLACE_MARGIN_MM
+    return MEASURING.place_tolerance * job.reference_circle.radius_mm + MEASURING.place_margin_mm
 
 
 def rival_turns(job: Job) -> list[float]:
@@ -253,7 +233,7 @@ def rival_turns(job: Job) -> list[float]:
         turn = float(np.arctan2(arms[j, 1], arms[j, 0]) - np.arctan2(arms[i, 1], arms[i, 0])) % (2 * np.pi)
         if all(angle_between(turn, other) * lengths[i] > tolerance for other in turns):
             turns.append(turn)
-    return sorted(turns)[:MAX_RIVALS]
+    return sorted(turns)[: MEASURING.max_rivals]
 
 
 def _together(
@@ -262,14 +242,14 @@ def _together(
     """Measure all circles in one common plane, now with free radii. others : in the axes of the rotation."""
     face, first = _face_curves(job, main, rotation)
     curves = [first, *(one.curve for one in others)]
-    fit = fit_plane(images.rig, images.raw, face, curves, TOGETHER_PARAMS)
+    fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.together)
     if (fit is None or fit.fit_of(job.reference) is None) and others:  # one of the others may be at fault
         curves = [first]
-        fit = fit_plane(images.rig, images.raw, face, curves, TOGETHER_PARAMS)
+        fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.together)
     other_end_mm = 0.0 if fit is None else _other_end_mm(images, job, fit)
     if fit is not None and other_end_mm:
-        fits = [replace(one.curve, break_mm=max(other_end_mm, USUAL_MM)) for one in fit.fits]
-        fit = fit_plane(images.rig, images.raw, fit.face, fits, TOGETHER_PARAMS)
+        fits = [replace(one.curve, break_mm=max(other_end_mm, BREAKS.usual_mm)) for one in fit.fits]
+        fit = fit_plane(images.rig, images.raw, fit.face, fits, MEASURING.together)
     return fit
 
 
@@ -291,8 +271,11 @@ def _other_end_mm(images: StereoImages, job: Job, fit: PlaneFit) -> float:
     growth = float(weighted @ np.array([apart[one.name] for one in found]) / (weighted @ sizes))
     pixel_mm = float(fit.face.origin[2]) / images.rectification.focal_px
     for one in found:
-        chance_mm, beside_mm = OTHER_END * one.sigma_radius_mm, apart[one.name] - growth * taught[one.name]
-        if abs(apart[one.name]) > max(chance_mm, DISPLACED_PX * pixel_mm):
+        chance_mm, beside_mm = (
+            MEASURING.other_end * one.sigma_radius_mm,
+            apart[one.name] - growth * taught[one.name],
+        )
+        if abs(apart[one.name]) > max(chance_mm, MEASURING.displaced_px * pixel_mm):
             return max(map(abs, apart.values()))
         if abs(beside_mm) > max(chance_mm, LIGHT_PX * pixel_mm):
             return max(map(abs, apart.values()))
@@ -315,7 +298,7 @@ def _face(images: StereoImages, job: Job, match: ShapeMatch, polarity: int) -> P
         points,
         normals,
         polarity,
-        (depth * (1 - DEPTH_MARGIN), depth * (1 + DEPTH_MARGIN)),
+        (depth * (1 - MEASURING.depth_margin), depth * (1 + MEASURING.depth_margin)),
     )
 
 
@@ -323,7 +306,7 @@ def _predicted_outline(
     rectification: Rectification, job: Job, match: ShapeMatch
 ) -> tuple[FloatArray, FloatArray]:
     """Points (N, 2) and outward normals of the reference circle in the rectified left image, by the match."""
-    points = predicted(rectification, job, match, _outline(job.reference_circle, OUTLINE_POINTS))
+    points = predicted(rectification, job, match, _outline(job.reference_circle, MEASURING.outline_points))
     tangent = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
     normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -334,7 +317,7 @@ def _predicted_outline(
 def _seen_polarity(images: StereoImages, job: Job, match: ShapeMatch) -> int:
     """+1 when most of the reference circle's contrast in the left image is brighter outside, else -1."""
     points, normals = _predicted_outline(images.rectification, job, match)
-    _, slopes = edges_along_normals(images.rectified_left, points, normals, OUTLINE_REACH_PX, 0)
+    _, slopes = edges_along_normals(images.rectified_left, points, normals, MEASURING.outline_reach_px, 0)
     strong = np.nan_to_num(slopes)[np.abs(np.nan_to_num(slopes)) >= job.search.min_contrast]
     return 1 if strong.sum() > 0 else -1
 
@@ -444,9 +427,9 @@ def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     vague = np.abs(tangent[:, 1]) > 0.7  # the edge runs down the image: its row is not defined by it
     usable = ~vague & np.isfinite(rows)
-    if usable.sum() < MIN_ROWS:
+    if usable.sum() < MEASURING.min_rows:
         return float("nan")
-    stretch = np.flatnonzero(both)[usable] // STRETCH
+    stretch = np.flatnonzero(both)[usable] // MEASURING.row_stretch
     count = np.bincount(stretch)
     means = np.bincount(stretch, rows[usable])[count > 0] / count[count > 0]
     return float(np.sqrt(np.average(means**2, weights=count[count > 0])))

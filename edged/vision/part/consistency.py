@@ -28,22 +28,9 @@ from edged.domain.measurement import Circle3D, Corner3D, Edge3D, Measurement, Sl
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.kernels.robust import mad_sigma
 from edged.vision.part.job import Job
+from edged.vision.part.params import MEASURING
 
 Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
-
-CERTAIN = 2.0
-"""Sigmas that chance may explain; these sigmas hold systematic shifts that are seldom so large."""
-WALL_PX, LEAST_PX = 0.2, 0.05
-"""Rows that lie apart by less say nothing: of a rig that does not know how well it was calibrated, and of one
-that does."""
-ALONG_PER_ACROSS = 8.0
-"""How far a camera may have moved along the rows, in shifts across them: as one sigma. A knock has any
-direction; of all directions 98 % are within four of these."""
-MIN_SIZES = 3
-MIN_SHARE = 1e-6
-"""Of a size: no machined part keeps more."""
-ARM = 0.15
-"""Share of the reference radius from which on the place of a circle is a size."""
 
 
 def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
@@ -58,12 +45,12 @@ def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, flo
     middle, hub = job.reference_circle, by_name.get(job.reference_circle.name)
     for one, found in seen:
         arm = float(np.linalg.norm(one.centre_mm - middle.centre_mm))
-        if hub is not None and arm > ARM * middle.radius_mm:
+        if hub is not None and arm > MEASURING.arm * middle.radius_mm:
             rows.append((arm, *_distance(hub, found)))
-    if len(rows) < MIN_SIZES:
+    if len(rows) < MEASURING.min_sizes:
         return math.nan, math.nan
     taught, sizes, sigmas = np.array(rows).T
-    shares, errors = sizes / taught - 1, np.maximum(sigmas / taught, MIN_SHARE)
+    shares, errors = sizes / taught - 1, np.maximum(sigmas / taught, MEASURING.min_size_share)
     weights = errors**-2
     order = np.argsort(shares)
     half = np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())
@@ -85,8 +72,8 @@ def _distance(one: Circle3D, two: Circle3D) -> tuple[float, float]:
 def doubt_by_rows(rectification: Rectification, target: Target, shift_px: float, sigma_px: float) -> float:
     """Sigma of the distance, in shares of itself, for a shift across the rows; 0 for an explained one."""
     depth = float(rectification.rectified_from_left[2] @ target.position_mm)
-    floor_px = LEAST_PX if rectification.rig.covariance is not None else WALL_PX
-    beyond_px = ALONG_PER_ACROSS * _beyond(shift_px, max(CERTAIN * sigma_px, floor_px))
+    floor_px = MEASURING.min_rows_px if rectification.rig.covariance is not None else MEASURING.wall_px
+    beyond_px = MEASURING.along_per_across * _beyond(shift_px, max(MEASURING.certain * sigma_px, floor_px))
     return beyond_px * depth / (rectification.focal_px * rectification.baseline_mm)
 
 
@@ -99,7 +86,7 @@ def distance_share(place_mm: FloatArray, covariance: FloatArray) -> float:
 
 def doubt_by_sizes(growth: float, sigma: float) -> float:
     """Sigma of the distance, in shares of itself, for sizes that are wrong alike; 0 for explained ones."""
-    return _beyond(growth, CERTAIN * sigma)
+    return _beyond(growth, MEASURING.certain * sigma)
 
 
 def _beyond(value: float, explained: float) -> float:

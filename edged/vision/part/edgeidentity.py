@@ -16,34 +16,11 @@ import numpy.typing as npt
 from edged.domain.arrays import SIDES, FloatArray
 from edged.vision.curves.outlineprojection import project_circle
 from edged.vision.curves.planefit import fit_circle
-from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.frames import FoundCircle, circle_in_rig
 from edged.vision.part.job import CircleFeature, Job
-
-PARAMS = FitParams(reach_px=(6.0, 4.0, 2.5, 2.0), repeats=0)
-MIN_SUPPORT = 0.6
-SAME = 0.1
-"""Share of its radius by which a circle may differ in size and place."""
-CERTAIN = 5.0
-"""Sigmas of its height: single holes are displaced by light and walls."""
-OFF_FACE_PX = 1.0
-"""Of disparity: half in each image, by which edges may scatter and still be those of one plane."""
-SECTORS, SPOKES = 24, 15
-"""Around a circle, and profiles in each: their mean has no texture."""
-RIVAL_REACH = 0.1
-"""Share of the radius: farther off no edge is taken for the reference."""
-MIN_REACH_PX, MAX_REACH_PX = 6.0, 24.0
-STEP_PX = 0.5
-OWN_PX, APART_PX = 1.5, 2.5
-"""Within the first it is the edge itself, from the second on another one; between them both are one."""
-RIVAL_SLOPE = 0.4
-MIN_SLOPE = 2.0
-RIVAL_SHARE, LEAST_SHARE = 0.6, 0.35
-"""Of the circle: of both images in the mean, and of each. Where a camera looks along a chamfer both edges are
-one; the wall of a part, or its shadow, is seen on one side only.
-"""
+from edged.vision.part.params import MEASURING
 
 
 def is_doubtful(
@@ -63,16 +40,20 @@ def is_doubtful(
 def is_double(images: StereoImages, found: FoundCircle) -> bool:
     """Whether a second edge of the same sign runs beside a circle, around most of it and in both images."""
     shares = []
-    phase = np.linspace(0, 2 * np.pi, SECTORS * SPOKES, endpoint=False, dtype=np.float64)
+    phase = np.linspace(0, 2 * np.pi, MEASURING.sectors * MEASURING.spokes, endpoint=False, dtype=np.float64)
     for side, image in zip(SIDES, images.raw, strict=True):
         circle = found.circle
         seen = project_circle(images.rig, side, circle.centre_mm, circle.normal, circle.radius_mm, phase)
         size_px = 0.25 * float(np.ptp(seen.pixels, axis=0).sum())
-        half_px = float(np.clip(RIVAL_REACH * size_px, MIN_REACH_PX, MAX_REACH_PX))
-        profiles, places = edge_profiles(image, seen.pixels, seen.normals, half_px, STEP_PX)
-        means = profiles.reshape(SECTORS, SPOKES, -1).mean(axis=1)
-        shares.append(_rival_share(found.fit.curve.polarity * np.gradient(means, STEP_PX, axis=1), places))
-    return float(np.mean(shares)) >= RIVAL_SHARE and min(shares) >= LEAST_SHARE
+        half_px = float(
+            np.clip(MEASURING.rival_reach * size_px, MEASURING.min_reach_px, MEASURING.max_reach_px)
+        )
+        profiles, places = edge_profiles(image, seen.pixels, seen.normals, half_px, MEASURING.step_px)
+        means = profiles.reshape(MEASURING.sectors, MEASURING.spokes, -1).mean(axis=1)
+        shares.append(
+            _rival_share(found.fit.curve.polarity * np.gradient(means, MEASURING.step_px, axis=1), places)
+        )
+    return float(np.mean(shares)) >= MEASURING.rival_share and min(shares) >= MEASURING.min_rival_share
 
 
 def _rival_share(slopes: FloatArray, places: FloatArray) -> float:
@@ -80,12 +61,12 @@ def _rival_share(slopes: FloatArray, places: FloatArray) -> float:
 
     One plane lies over the other: the distance varies around the circle as a shift does.
     """
-    own = np.where(np.abs(places) <= OWN_PX, slopes, -np.inf).max(axis=1)
+    own = np.where(np.abs(places) <= MEASURING.own_px, slopes, -np.inf).max(axis=1)
     peak = np.zeros(slopes.shape, bool)
     peak[:, 1:-1] = (slopes[:, 1:-1] >= slopes[:, :-2]) & (slopes[:, 1:-1] > slopes[:, 2:])
-    rival = np.where(peak & (np.abs(places) >= APART_PX), slopes, -np.inf)
-    strong = rival.max(axis=1) >= np.maximum(RIVAL_SLOPE * own, MIN_SLOPE)
-    if strong.mean() < LEAST_SHARE:
+    rival = np.where(peak & (np.abs(places) >= MEASURING.apart_px), slopes, -np.inf)
+    strong = rival.max(axis=1) >= np.maximum(MEASURING.rival_slope * own, MEASURING.min_slope)
+    if strong.mean() < MEASURING.min_rival_share:
         return 0.0
     angle = (np.arange(len(slopes)) + 0.5) * (2 * np.pi / len(slopes))
     design = np.column_stack([np.ones(len(slopes)), np.cos(angle), np.sin(angle)])
@@ -93,7 +74,7 @@ def _rival_share(slopes: FloatArray, places: FloatArray) -> float:
     near: npt.NDArray[np.bool_] = strong
     for _ in range(3):
         shape = np.linalg.lstsq(design[near], found[near], rcond=None)[0]
-        near = strong & (np.abs(found - design @ shape) < OWN_PX)
+        near = strong & (np.abs(found - design @ shape) < MEASURING.own_px)
         if near.sum() < len(shape):
             return 0.0
     return float(near.mean())
@@ -134,12 +115,12 @@ def _is_off(
         place,
         normal,
         circle.radius_mm,
-        params=PARAMS,
+        params=MEASURING.identity,
         name=circle.name,
         fixed_normal=True,
     )
     found = None if fit is None else circle_in_rig(fit, circle.name)
-    if found is None or found.fit.least_support < MIN_SUPPORT:
+    if found is None or found.fit.least_support < MEASURING.identity_support:
         return False
     gap = found.circle.centre_mm - place
     height = float(normal @ gap)
@@ -147,6 +128,12 @@ def _is_off(
     aside = float(np.linalg.norm(gap - height * normal))
     depth = float(place[2])
     pixel_mm = depth / images.rectification.focal_px
-    least = max(OFF_FACE_PX * pixel_mm * depth / images.rectification.baseline_mm, CERTAIN * sigma)
-    same = max(abs(found.circle.radius_mm - circle.radius_mm), aside) < SAME * circle.radius_mm + pixel_mm
+    least = max(
+        MEASURING.off_face_px * pixel_mm * depth / images.rectification.baseline_mm,
+        MEASURING.identity_certain * sigma,
+    )
+    same = (
+        max(abs(found.circle.radius_mm - circle.radius_mm), aside)
+        < MEASURING.same * circle.radius_mm + pixel_mm
+    )
     return same and abs(height) > least

@@ -22,13 +22,12 @@ from edged.vision.part.acceptance import vaguest_mm
 from edged.vision.part.circles import placed
 from edged.vision.part.job import Job
 from edged.vision.part.measure import all_curves, completed, needs_all, published, target_from, with_free_axis
+from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve, edge_curve, find_motion, slot_curve
 from edged.vision.part.solid import curves_of, target_of, taught_sigma_mm
 
 GOOD_LIGHT = Light(contrast=80.0, noise=2.0, blur_px=0.8)
-USUAL_SHIFT_PX = 0.03
-"""Of the edges of machined parts in even light: what a fit starts from, too (`systematic`)."""
-USUAL = scatter_in(GOOD_LIGHT, USUAL_SHIFT_PX)
+USUAL = scatter_in(GOOD_LIGHT, MEASURING.usual_shift_px)
 """Of a job that nobody has measured yet."""
 
 Scatters = Mapping[str, Scatter]

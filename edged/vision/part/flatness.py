@@ -18,14 +18,9 @@ from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
+from edged.vision.part.params import MEASURING
 from edged.vision.part.pointcloud import face_points, heights_mm
 from edged.vision.part.sizes import as_measurement
-
-REACH_MM = 1.0
-"""Points farther from the measured plane are another surface: a recess, the table seen through a hole."""
-GRID_PX = 12
-MIN_POINTS = 20
-ROUNDS = 8
 
 
 def with_flatness(measured: Measured, images: StereoImages, job: Job) -> Measured:
@@ -33,10 +28,10 @@ def with_flatness(measured: Measured, images: StereoImages, job: Job) -> Measure
     target = measured.target
     depth = float(target.position_mm[2])
     slope = float(np.linalg.norm(target.rig_from_part[:2, 2]))
-    reach = REACH_MM + slope * _extent_mm(measured)
-    face = face_points(images, measured, (depth - reach, depth + reach), GRID_PX)
+    reach = MEASURING.flatness_reach_mm + slope * _extent_mm(measured)
+    face = face_points(images, measured, (depth - reach, depth + reach), MEASURING.flatness_grid_px)
     local = heights_mm(face.points_mm, target.rig_from_part)
-    near = np.abs(local[:, 2]) < REACH_MM
+    near = np.abs(local[:, 2]) < MEASURING.flatness_reach_mm
     value, sigma = form_of(local[near], face.sigma_mm[near])
     by_name = {one.name: one for one in target.measurements}
     sizes: list[Measurement] = [
@@ -48,14 +43,14 @@ def with_flatness(measured: Measured, images: StereoImages, job: Job) -> Measure
 
 def form_of(points: FloatArray, sigma_mm: FloatArray) -> tuple[float, float]:
     """Flatness and its sigma, mm, of points (N, 3) with heights of sigma (N,); NaN for too few of them."""
-    if len(points) < MIN_POINTS or not np.ptp(points[:, :2], axis=0).min() > 0:
+    if len(points) < MEASURING.flatness_points or not np.ptp(points[:, :2], axis=0).min() > 0:
         return math.nan, math.nan
     centre, size = points[:, :2].mean(axis=0), float(np.ptp(points[:, :2], axis=0).max())
     x, y = ((points[:, :2] - centre) / size).T
     design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
     base = 1 / np.maximum(sigma_mm, 1e-6) ** 2
     weights, coefficients = base, np.zeros(6)
-    for _ in range(ROUNDS):
+    for _ in range(MEASURING.flatness_rounds):
         normal = (design * weights[:, None]).T @ design
         coefficients = np.linalg.lstsq(normal, (design * weights[:, None]).T @ points[:, 2], rcond=None)[0]
         pull = (points[:, 2] - design @ coefficients) * np.sqrt(base)

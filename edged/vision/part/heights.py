@@ -15,15 +15,13 @@ import numpy as np
 from edged.domain.measurement import Measurement
 from edged.vision.curves.outlines import Face
 from edged.vision.curves.planefit import CurveFit, fit_plane
-from edged.vision.curves.planestate import FitParams
 from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.frames import FoundCircle, circle_in_rig
 from edged.vision.part.job import Job, MeasurementSpec
 from edged.vision.part.measured import Measured
+from edged.vision.part.params import MEASURING
 from edged.vision.part.sizes import as_measurement
-
-PARAMS = FitParams(reach_px=(3.0, 2.0), min_support=0.3)
 
 
 def with_heights(measured: Measured, images: StereoImages, job: Job) -> Measured:
@@ -63,5 +61,5 @@ def _circle_alone(measured: Measured, images: StereoImages, job: Job, fit: Curve
     taught = job.place_of(fit.name) - job.place_of(job.reference)
     curve = replace(fit.curve, parameters=np.array([0.0, 0.0, fit.curve.parameters[2]]), height_mm=0.0)
     face = Face(apply(pose, taught), pose[:3, :3].T)
-    found = fit_plane(images.rig, images.raw, face, [curve], PARAMS, fixed_normal=True)
+    found = fit_plane(images.rig, images.raw, face, [curve], MEASURING.height_fit, fixed_normal=True)
     return None if found is None else circle_in_rig(found, fit.name)

@@ -16,14 +16,7 @@ from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.kernels.jit import for_kernel, kernel
-
-MAX_SLOPE = 0.25
-"""Of the disparity over the image, px per px: faces tilted by up to about 25° at Z / baseline = 2."""
-MIN_ALONG_ROW = 0.45
-"""An edge must be crossed by its row at no less than this (cosine), or its column is vague."""
-TOLERANCE_PX = 1.0
-RIVALS = 12
-TRIALS = 1500
+from edged.vision.part.params import START
 
 
 def find_plane(
@@ -40,7 +33,7 @@ def find_plane(
     polarity : +1 brighter along the normals.  depth_mm : search range of the rectified depth.
     """
     rectification = images.rectification
-    across = np.abs(normals[:, 0]) >= MIN_ALONG_ROW
+    across = np.abs(normals[:, 0]) >= START.min_along_row
     points, directions = points_px[across], normals[across]
     offsets, slopes = edges_along_normals(images.rectified_left, points, directions, 4.0, polarity)
     seen = np.isfinite(offsets) & (np.abs(slopes) >= min_slope)
@@ -72,7 +65,7 @@ def _rivals(
     """(N, RIVALS) disparities of the strongest edges of the right sign on each row, NaN where fewer."""
     image = for_kernel(right, np.uint8)
     return row_edges(
-        image, np.ascontiguousarray(points), np.ascontiguousarray(sign), low, high, min_slope, RIVALS
+        image, np.ascontiguousarray(points), np.ascontiguousarray(sign), low, high, min_slope, START.rivals
     )
 
 
@@ -126,7 +119,7 @@ def row_edges(
 def _vote_and_fit(points: FloatArray, rivals: FloatArray, low: float, high: float) -> FloatArray | None:
     """(a, b, c) of d = a x + b y + c with the most points within TOLERANCE_PX."""
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    window = max(4.0, 0.5 * MAX_SLOPE * extent)
+    window = max(4.0, 0.5 * START.max_slope * extent)
     centre = points.mean(axis=0)
     votes = [
         (np.count_nonzero((np.abs(rivals - c) < window).any(axis=1)), c)
@@ -139,7 +132,9 @@ def _vote_and_fit(points: FloatArray, rivals: FloatArray, low: float, high: floa
         if vote < 0.5 * top or vote < 8:
             continue
         near = np.where(np.abs(rivals - c) < window, rivals, np.nan)
-        a, b, c, count = ransac(centred, near, TRIALS, MAX_SLOPE, TOLERANCE_PX, 0.02 * extent**2)
+        a, b, c, count = ransac(
+            centred, near, START.trials, START.max_slope, START.tolerance_px, 0.02 * extent**2
+        )
         if count > best_count:
             best, best_count = np.array([a, b, c]), int(count)
     if best_count < max(10, 0.35 * len(points)):
@@ -148,7 +143,7 @@ def _vote_and_fit(points: FloatArray, rivals: FloatArray, low: float, high: floa
         misfit = rivals - (np.column_stack([points - centre, np.ones(len(points))]) @ best)[:, None]
         nearest = np.nanargmin(np.where(np.isfinite(misfit), np.abs(misfit), np.inf), axis=1)
         residual = misfit[np.arange(len(points)), nearest]
-        good = np.abs(residual) < 2 * TOLERANCE_PX
+        good = np.abs(residual) < 2 * START.tolerance_px
         if good.sum() < 6:
             return None
         matrix = np.column_stack([points[good] - centre, np.ones(int(good.sum()))])

@@ -14,14 +14,9 @@ from edged.vision.geometry.rigid import fit_rigid
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import Job
+from edged.vision.part.params import START
 from edged.vision.part.prediction import poses_of_match, predicted, seen_depth_mm
 from edged.vision.shape.search import ShapeMatch
-
-DEPTH_MARGIN = 0.06
-"""The size of the match tells the depth to about 1 %; a tilt and a bad scale are allowed for."""
-SAMPLES = 240
-REACH_PX = 4.0
-BORDER_SHARE = 0.06  # of an edge at both ends, where the corner's other edge is as near
 
 
 def starts(
@@ -52,10 +47,10 @@ def start_pose(
     seen = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     part, points, normals = part[seen], points[seen], normals[seen]
     # each edge has its own sign: turned so that all are brighter along their normals
-    _, slopes = edges_along_normals(images.rectified_left, points, normals, REACH_PX, 0)
+    _, slopes = edges_along_normals(images.rectified_left, points, normals, START.reach_px, 0)
     normals = normals * np.where(np.nan_to_num(slopes) < 0, -1.0, 1.0)[:, None]
     depth = seen_depth_mm(rectification, job, match)
-    low, high = depth * (1 - DEPTH_MARGIN), depth * (1 + DEPTH_MARGIN)
+    low, high = depth * (1 - START.depth_margin), depth * (1 + START.depth_margin)
     plane = find_plane(images, points, normals, 1, (low, high))
     if plane is None:
         return None
@@ -70,9 +65,9 @@ def _samples(curves: Sequence[Curve]) -> FloatArray:
     total = sum(curve.perimeter_mm for curve in curves)
     samples = []
     for curve in curves:
-        count = max(int(SAMPLES * curve.perimeter_mm / total), 8)
+        count = max(int(START.samples * curve.perimeter_mm / total), 8)
         share = (np.arange(count) + 0.5) / count
-        outline = curve.outline(share, BORDER_SHARE * curve.perimeter_mm)
+        outline = curve.outline(share, START.border_share * curve.perimeter_mm)
         ahead = outline.points + 0.1 * np.column_stack([outline.normals, np.zeros(count)])
         samples.append(np.stack([outline.points, ahead], axis=1))
     return np.concatenate(samples)

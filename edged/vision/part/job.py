@@ -13,6 +13,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.picking import Picking
 from edged.vision.geometry.rigid import transform
 from edged.vision.part.body import Body
+from edged.vision.part.params import MEASURING
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
 
@@ -95,10 +96,6 @@ Report = Literal["reference", "model"]
 
 MAX_TILT_DEG = 45.0
 """To the bisector of both cameras; with 24° between them, one camera may then see a face at 57°."""
-SOLID_MM = 0.25
-"""Features whose heights differ by less are those of one face."""
-DEPTH_SHARE = 0.12
-"""Default depth limits of a job: this much nearer and farther than it lay at teaching."""
 
 MeasurementKind = Literal["radius", "distance", "angle", "width", "length", "height", "flatness"]
 MEASURES: dict[MeasurementKind, tuple[tuple[str, ...], ...]] = {
@@ -151,9 +148,7 @@ class Limits:
 
 FINE_TOLERANCES_MM = ((6.0, 0.05), (30.0, 0.1), (120.0, 0.15), (400.0, 0.2), (1000.0, 0.3), (math.inf, 0.5))
 """Sizes up to, and by how much they may differ: ISO 2768-1, class f; workshops keep it unasked."""
-DISPLACED_PX = 0.5
-"""Another light displaces the edges of one part by up to a third of this, walls by more (`systematic`)."""
-LIGHT_PX = DISPLACED_PX / 3
+LIGHT_PX = MEASURING.displaced_px / 3
 
 
 def usual_tolerance_mm(size_mm: float, pixel_mm: float, sigma_mm: float = 0.0) -> float:
@@ -163,7 +158,7 @@ def usual_tolerance_mm(size_mm: float, pixel_mm: float, sigma_mm: float = 0.0) -
     diameter.  pixel_mm : of a pixel at its depth.  sigma_mm : of the taught place.
     """
     fine = next(tolerance for largest, tolerance in FINE_TOLERANCES_MM if size_mm <= largest)
-    return round(max(0.5 * fine, DISPLACED_PX * pixel_mm) + 3 * sigma_mm, 4)
+    return round(max(0.5 * fine, MEASURING.displaced_px * pixel_mm) + 3 * sigma_mm, 4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,7 +220,7 @@ class Job:
         heights = [float(circle.centre_mm[2]) for circle in self.circles]
         heights += [float(edge.start_mm[2]) for edge in self.edges]
         heights += [float(slot.centre_mm[2]) for slot in self.slots]
-        return max(heights) - min(heights) > SOLID_MM
+        return max(heights) - min(heights) > MEASURING.solid_mm
 
     def kind_of(self, name: str) -> str | None:
         """ "circle", "edge", "slot" or "corner"; None for a name that the job does not have."""
@@ -268,7 +263,7 @@ def usual_limits(
     size_mm = 2 * (shape.radius_px * pixel_mm if first is None else first.radius_mm)
     tolerance_mm = usual_tolerance_mm(size_mm, pixel_mm, sigma_mm)
     return Limits(
-        (depth_mm * (1 - DEPTH_SHARE), depth_mm * (1 + DEPTH_SHARE)),
+        (depth_mm * (1 - MEASURING.depth_share), depth_mm * (1 + MEASURING.depth_share)),
         radius_tolerance_mm=tolerance_mm if circles else None,
         form_tolerance_mm=None if circles else tolerance_mm,
     )

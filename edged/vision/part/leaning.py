@@ -16,16 +16,9 @@ from edged.domain.arrays import FloatArray
 from edged.vision.curves.outlines import Curve
 from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.part.params import SOLID
 from edged.vision.part.rigidlock import ALL, glance
 from edged.vision.part.tilt import bisector
-
-RINGS = ((0.0, 1), (10.0, 6), (20.0, 10), (30.0, 14))
-"""Leans, degrees, and to how many sides: a lock comes from 5 degrees."""
-DEPTHS = (0.0, 0.02, 0.04, 0.06, 0.09)
-"""Shares of the distance: an outline of the whole body is larger than the face's, and seems to be nearer."""
-MARGIN = math.radians(5.0)
-REACH_PX = 12.0
-LIKELY = 10
 
 
 def leaning(
@@ -40,9 +33,11 @@ def leaning(
     tilt_rad : from the line amid both cameras, farther the part does not lean.
     """
     middle = np.append(np.mean([curve.parameters[:2] for curve in curves], axis=0), 0.0)
-    poses = [one for pose in starts for one in _about(images, pose, middle, tilt_rad + MARGIN)]
-    order = np.argsort([-glance(images, curves, pose, REACH_PX, unknowns) for pose in poses], kind="stable")
-    return [poses[k] for k in order[:LIKELY]]
+    poses = [one for pose in starts for one in _about(images, pose, middle, tilt_rad + SOLID.lean_margin_rad)]
+    order = np.argsort(
+        [-glance(images, curves, pose, SOLID.lean_reach_px, unknowns) for pose in poses], kind="stable"
+    )
+    return [poses[k] for k in order[: SOLID.likely]]
 
 
 def _about(
@@ -53,11 +48,11 @@ def _about(
     if place[2] <= 0:
         return
     upwards = bisector(images.rectification, place)
-    for lean, sides in RINGS:
+    for lean, sides in SOLID.rings:
         for side in 2 * math.pi * np.arange(sides) / sides:
             axis = math.radians(lean) * np.array([math.cos(side), math.sin(side), 0.0])
             turned = turn @ rotation_matrix(axis)
             if float(-turned[:, 2] @ upwards) < math.cos(tilt_rad):
                 continue
-            for share in DEPTHS:
+            for share in SOLID.depths:
                 yield transform(turned, (1 + share) * place - turned @ middle)

@@ -16,7 +16,6 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, Reject, ReportedPose, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import PlaneFit, differentiated, fit_plane
-from edged.vision.curves.planestate import FitParams
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import about_z, transform
 from edged.vision.geometry.stereoimages import StereoImages
@@ -30,6 +29,7 @@ from edged.vision.part.heights import with_heights
 from edged.vision.part.initialpose import starts
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Evidence, Measured
+from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import Motion, edge_curve, find_motion, form_mm, scale_of_features, slot_curve
 from edged.vision.part.prediction import is_contradicted, match_in_raw
 from edged.vision.part.sizes import APART, measure_sizes, place
@@ -37,16 +37,7 @@ from edged.vision.part.solid import curves_of, measure_solid
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 
-NEAR_PARAMS = FitParams(reach_px=(3.0, 2.0))
-FAR_PARAMS = FitParams(reach_px=(8.0, 5.0, 3.0, 2.0))
-"""From a match's pose: a pixel of disparity is 1/500 of the depth, and moves both edges by half as much."""
-MIN_EDGES = 3
-"""Two edges of a part that has more fit any two that lie so in one image: no third one contradicts."""
-MIN_LEVEL = 0.7  # an edge less steep in the image has a row of its own
 UNKNOWN_TURN = math.pi / math.sqrt(3)  # sigma of an angle of which nothing is known
-ACROSS = 2.0
-"""Sigma of a model's edges across the face over that in it."""
-CONCENTRIC = 0.15  # share of the reference radius within which a circle says nothing about the rotation
 
 
 def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
@@ -121,7 +112,7 @@ def _as_vague_as_taught(job: Job, target: Target) -> Target:
     reach_mm = max([0.5 * float(size_mm), *(circle.radius_mm for circle in job.circles)])
     normal = target.rig_from_part[:3, 2]
     taught = np.zeros((6, 6))
-    taught[:3, :3] = job.sigma_mm**2 * (np.eye(3) + (ACROSS**2 - 1) * np.outer(normal, normal))
+    taught[:3, :3] = job.sigma_mm**2 * (np.eye(3) + (MEASURING.across**2 - 1) * np.outer(normal, normal))
     taught[3:, 3:] = (job.sigma_mm / reach_mm) ** 2 * np.eye(3)
     covariance = target.covariance + taught
     vague = float(np.sqrt(np.diag(covariance)[:3].max())) > job.limits.max_sigma_mm
@@ -177,7 +168,7 @@ def _completed(images: StereoImages, job: Job, measured: Measured) -> Measured:
     if needs_all(job, measured.target):
         polarity = {one.name: one.curve.polarity for one in measured.fits}
         face, curves = all_curves(job, measured.target, polarity)
-        fit = fit_plane(images.rig, images.raw, face, curves, NEAR_PARAMS)
+        fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.near)
     beside = () if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle")
     return replace(measured, target=completed(job, measured.target, fit), fits=measured.fits + beside)
 
@@ -211,7 +202,8 @@ def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
     """
     reference = job.reference_circle
     return any(
-        float(np.linalg.norm(circle.centre_mm - reference.centre_mm)) > CONCENTRIC * reference.radius_mm
+        float(np.linalg.norm(circle.centre_mm - reference.centre_mm))
+        > MEASURING.concentric * reference.radius_mm
         for circle in job.circles
         if circle.name in found
     )
@@ -311,7 +303,7 @@ def _is_round(job: Job) -> bool:
     if not job.circles:
         return False
     centre = job.reference_circle.centre_mm
-    reach = CONCENTRIC * job.reference_circle.radius_mm
+    reach = MEASURING.concentric * job.reference_circle.radius_mm
     concentric = all(np.linalg.norm(circle.centre_mm - centre) < reach for circle in job.circles)
     return job.shape.round and concentric and not job.edges and not job.slots
 
@@ -343,13 +335,15 @@ def _from_start(
 ) -> Measured | Reject:
     """The same, where the part lies about at this rig_from_part (4, 4)."""
     face = Face(pose[:3, 3], pose[:3, :3].T)
-    fit = fit_plane(images.rig, images.raw, face, curves, FAR_PARAMS)
+    fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.far)
     motion = None if fit is None else find_motion(job, fit)
     if fit is None or motion is None:
         return Reject.FEW_EDGES
     target = target_from(images.rectification, job, match_in_raw(images.rectification, match), fit, motion)
     reject = Reject.AMBIGUOUS_ROTATION if match.ambiguous else Reject.NONE
-    if len(fit.fits) < min(MIN_EDGES, len(curves)) and not any(one.curve.kind == "slot" for one in fit.fits):
+    if len(fit.fits) < min(MEASURING.min_edges, len(curves)) and not any(
+        one.curve.kind == "slot" for one in fit.fits
+    ):
         reject |= Reject.FEW_EDGES
     if math.isnan(target.epipolar_rms_px) and _has_rows(images.rectification, job, fit.face, motion):
         reject |= Reject.LEFT_RIGHT_MISMATCH
@@ -430,7 +424,7 @@ def _row_mismatch_px(fit: PlaneFit, rectification: Rectification) -> float:
             continue
         known = np.isfinite(one.points[0]).all(axis=1)
         level = _level(rectification, one.points[0][known][[0, -1]])
-        if level > MIN_LEVEL:
+        if level > MEASURING.min_level:
             differences.append(one.mismatch_px / level)
     return float(np.sqrt(np.mean(np.square(differences)))) if differences else math.nan
 
@@ -443,7 +437,7 @@ def _has_rows(rectification: Rectification, job: Job, face: Face, motion: Motion
     """
     for edge in job.edges:
         ends = np.stack([motion.apply(edge.start_mm[:2]), motion.apply(edge.end_mm[:2])])
-        if _level(rectification, rectification.rig.left.project(face.to_rig(ends))) > MIN_LEVEL:
+        if _level(rectification, rectification.rig.left.project(face.to_rig(ends))) > MEASURING.min_level:
             return True
     return False
 

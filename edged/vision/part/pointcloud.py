@@ -21,14 +21,10 @@ from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.geometry.triangulation import triangulate, triangulate_raw, triangulation_covariance
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Measured
+from edged.vision.part.params import MEASURING
 from edged.vision.stereo.matching import NccParams, Reason, match_ncc
 
 CONTOUR, FACE = 0, 1
-GRID_PX = 8
-MARGIN_PX = 12.0
-"""A window that touches an edge of the part sees two surfaces."""
-MIN_WEIGHT = 0.3
-EDGE_SIGMA_PX = 0.1  # of one edge point beside texture; for the doubt stated in the file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +61,9 @@ def point_cloud(images: StereoImages, job: Job, measured: Sequence[Measured]) ->
     kinds = np.full(len(points), FACE, np.uint8)
     kinds[: len(contour)] = CONTOUR
     per_px = contour[:, 2] ** 2 / (rectification.focal_px * rectification.baseline_mm)
-    sigma = np.concatenate([per_px * EDGE_SIGMA_PX * np.sqrt(2), *(face.sigma_mm for face in faces)])
+    sigma = np.concatenate(
+        [per_px * MEASURING.cloud_sigma_px * np.sqrt(2), *(face.sigma_mm for face in faces)]
+    )
     refused: dict[str, int] = {}
     for face in faces:
         for reason, count in face.refused.items():
@@ -77,7 +75,7 @@ def edge_pairs(one: Measured) -> list[tuple[FloatArray, FloatArray]]:
     """For each curve of a part the raw edge points (N, 2), left and right, that agree with it in both."""
     pairs = []
     for fit in one.fits:
-        left, right = fit.points[:, fit.weights.min(axis=0) > MIN_WEIGHT]
+        left, right = fit.points[:, fit.weights.min(axis=0) > MEASURING.cloud_min_weight]
         pairs.append((left, right))
     return pairs
 
@@ -92,7 +90,7 @@ def face_points(
     images: StereoImages,
     one: Measured,
     depth_mm: tuple[float, float],
-    grid_px: int = GRID_PX,
+    grid_px: int = MEASURING.cloud_grid_px,
     params: NccParams | None = None,
 ) -> FacePoints:
     """Points of a part between its contours, by NCC.
@@ -129,7 +127,7 @@ def _grid(rectification: Rectification, one: Measured, step_px: int) -> FloatArr
     inside = np.zeros((rectification.size[1], rectification.size[0]), np.uint8)
     cv2.fillConvexPoly(inside, np.rint(cv2.convexHull(points)).astype(np.int32), 255)
     for x, y in np.rint(points).astype(int):
-        cv2.circle(inside, (int(x), int(y)), int(MARGIN_PX), 0, -1)
+        cv2.circle(inside, (int(x), int(y)), int(MEASURING.cloud_margin_px), 0, -1)
     ys, xs = np.nonzero(inside[step_px // 2 :: step_px, step_px // 2 :: step_px])
     return np.column_stack([xs, ys]).astype(np.float64) * step_px + step_px // 2
 

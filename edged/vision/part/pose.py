@@ -14,12 +14,7 @@ from edged.vision.curves.planefit import PlaneFit
 from edged.vision.geometry.rigid import rotation_2d, wrapped
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job, SlotFeature
-
-TAUGHT_SIGMA_MM = 0.003
-"""What a feature's taught place is worth: the precision of one measurement of a machined edge."""
-ROUNDS = 8
-MIN_SPARE = 2
-"""More observations than unknowns, before a growth is told from a feature that lies elsewhere."""
+from edged.vision.part.params import MEASURING
 
 
 class Observation(NamedTuple):
@@ -107,7 +102,7 @@ def find_motion(job: Job, fit: PlaneFit) -> Motion | None:
 def scale_of_features(job: Job, fit: PlaneFit) -> tuple[float, float]:
     """By which share the features lie farther apart than taught, and its sigma; NaN: they do not tell."""
     observations = _observations(job, fit)
-    if sum(len(one.gap) for one in observations) < 4 + MIN_SPARE:
+    if sum(len(one.gap) for one in observations) < 4 + MEASURING.min_spare:
         return math.nan, math.nan
     solved = _solved(observations, 4)
     if solved is None:
@@ -133,7 +128,7 @@ def _solved(observations: list[Observation], unknowns: int) -> _Solved | None:
     """The first unknowns: 3: shift and turn; 4: and growth."""
     motion, weights, far = np.zeros(unknowns), np.ones(len(observations)), np.zeros(len(observations))
     normal = np.zeros((unknowns, unknowns))
-    for _ in range(ROUNDS):
+    for _ in range(MEASURING.pose_rounds):
         normal, right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
         for one, weight in zip(observations, weights, strict=True):
             design = one.rows[:, :unknowns]
@@ -184,7 +179,10 @@ def _observations(job: Job, fit: PlaneFit) -> list[Observation]:
         by_fit = np.zeros((3, len(fit.covariance)))
         by_fit[:size, where] = np.eye(size, where.stop - where.start)
         by_fit = project @ by_fit
-        spread = np.diag([TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM, TAUGHT_SIGMA_MM / lever]) ** 2
+        spread = (
+            np.diag([MEASURING.taught_sigma_mm, MEASURING.taught_sigma_mm, MEASURING.taught_sigma_mm / lever])
+            ** 2
+        )
         taught_spread = project @ spread @ project.T
         inverse = np.asarray(
             np.linalg.inv(by_fit @ fit.covariance @ by_fit.T + taught_spread), dtype=np.float64

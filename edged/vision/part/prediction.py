@@ -21,13 +21,10 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job
-from edged.vision.shape.ambiguity import MIN_APART, Sight, look_at, surroundings, turned, turns
+from edged.vision.part.params import MEASURING
+from edged.vision.shape.ambiguity import Sight, look_at, surroundings, turned, turns
+from edged.vision.shape.params import ROTATIONS
 from edged.vision.shape.search import ShapeMatch
-
-CLEAR = 0.5
-"""More of what a rotation alone expects is there than is not, by so much: no other one is looked for."""
-AGAINST = 0.05
-"""By so much more the right image shows of what only the other rotation expects."""
 
 
 def predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray) -> FloatArray:
@@ -91,14 +88,18 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
     light = surroundings(sight, job.search.min_contrast)
     known = light.shows(sight).astype(np.float64) - light.denies(sight)
     for own, foreign, motion in zip(all_turns.own, all_turns.foreign, all_turns.motions, strict=True):
-        if own.sum() < MIN_APART or known[own].mean() > CLEAR:
+        if own.sum() < ROTATIONS.min_apart or known[own].mean() > MEASURING.clear:
             continue
         others = np.flatnonzero(foreign)
-        other = _look(images, job, face, turned(pose, motion), others) if len(others) >= MIN_APART else None
+        other = (
+            _look(images, job, face, turned(pose, motion), others)
+            if len(others) >= ROTATIONS.min_apart
+            else None
+        )
         if other is None:
             continue
         theirs = light.shows(other).astype(np.float64) - light.denies(other)
-        if known[own].mean() < theirs.mean() - AGAINST:
+        if known[own].mean() < theirs.mean() - MEASURING.against:
             return True
     return False
 

@@ -29,46 +29,18 @@ from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
 from edged.vision.part.body import Body
 from edged.vision.part.bodysight import hidden_samples
+from edged.vision.part.params import SOLID
 
 F64 = npt.NDArray[np.float64]
 B64 = npt.NDArray[np.bool_]
 
-FAR_PX = (16.0, 12.0, 8.0, 6.0)
-"""How far edges may lie from the curves: a match knows its distance to one percent, that is ten px."""
 STILL_STEPS = 10
-NEAR_PX = (4.0, 2.5, *(2.0,) * STILL_STEPS)
-"""The last one is repeated until the pose stands still."""
-RIVAL_PX = (4.0, 3.0, 2.5)
-RIVAL_LACKS = 0.08
-"""By so much less the curves agree with a rival that need not be laid any better."""
-STILL_PX = 0.1
-GLANCE_PX = 4.0
-FAR_SPACING_PX = 5.0
-SPACING_PX = 2.5
-HOPELESS = 0.25
-"""Share of the curves that after the far steps either camera must agree with."""
-ALONG_PX = 10.0
-"""Length of a curve whose profiles are averaged: texture has no edge that long."""
-ALIKE = 0.03
-"""Of two sizes in the picture that differ by a smaller share, the samples are the same."""
-MARGIN_PX = 5.0
-"""Of an edge at both ends: beside a corner the other edge is as near."""
-ODD_PX, ODD_SHARE = 2.0, 0.5
-"""An edge of the other sign than taught is taken only if it is nearer by so much, and counts less: light and
-walls turn some signs round, but most remain."""
-AGREE_PX = 1.0
-LEAST_SIGMA_PX = 0.4
-TIGHT_SIGMA_PX, TIGHT_STEPS = 0.6, 10
-"""Where a shadow displaces many edges of one camera alike, by an edge break, they draw the pose between both
-and the scatter hides it. Laid anew with the sigma of edges that agree, it goes with one of both; the pose
-that more of the curves agree with is taken."""
-GOOD_SHARE = 0.75
-"""Of a pose that both cameras agree with this much there is no better one."""
-ROUNDS = 5
-MAX_STEP_RAD = 0.2
+# numba freezes globals when it compiles: kernels read these by name
+ODD_PX = SOLID.odd_px
+ODD_SHARE = SOLID.odd_share
+LEAST_SIGMA_PX = SOLID.min_sigma_px
+ROUNDS = SOLID.lock_rounds
 TINY_PIVOT = 1e-8
-LEAST_SEEN = 0.2
-"""Of a curve, that the part does not hide: with less it says nothing for or against a pose."""
 FEWEST = 24
 ALL, TURN_HELD = 6, 5
 """Unknowns of a pose: its height and slopes, its shift in the face, and its turn."""
@@ -115,17 +87,23 @@ def lock(
     """
     found: Lock | None = None
     hidden: B64 | None = None
-    phases: tuple[tuple[tuple[float, ...], float], ...] = ((FAR_PX, FAR_SPACING_PX), (NEAR_PX, SPACING_PX))
+    phases: tuple[tuple[tuple[float, ...], float], ...] = (
+        (SOLID.far_px, SOLID.far_spacing_px),
+        (SOLID.near_px, SOLID.spacing_px),
+    )
     if rival_of is not None:
-        phases = ((RIVAL_PX, FAR_SPACING_PX), (NEAR_PX[-STILL_STEPS:], SPACING_PX))
+        phases = (
+            (SOLID.lock_rival_px, SOLID.far_spacing_px),
+            (SOLID.near_px[-STILL_STEPS:], SOLID.spacing_px),
+        )
     for reaches, spacing_px in phases:
-        if pose[2, 3] <= 0 or (found is not None and found.share < HOPELESS):
+        if pose[2, 3] <= 0 or (found is not None and found.share < SOLID.hopeless):
             return None
-        if found is not None and rival_of is not None and found.mean < rival_of.mean - RIVAL_LACKS:
+        if found is not None and rival_of is not None and found.mean < rival_of.mean - SOLID.rival_lacks:
             return None
         outline, starts = spread(images, curves, pose, spacing_px)
-        together = max(1, round(ALONG_PX / spacing_px))
-        if body is not None and spacing_px == SPACING_PX:
+        together = max(1, round(SOLID.along_px / spacing_px))
+        if body is not None and spacing_px == SOLID.spacing_px:
             hidden = hidden_samples(body, images.rig, pose, outline.points)
         for reach in reaches:
             found = _step(
@@ -134,27 +112,27 @@ def lock(
             if found is None:
                 return None
             pose = found.pose
-            if reach == NEAR_PX[-1] and found.moved_px < STILL_PX:
+            if reach == SOLID.near_px[-1] and found.moved_px < SOLID.still_px:
                 break
-    if found is None or found.share >= GOOD_SHARE:
+    if found is None or found.share >= SOLID.good_share:
         return found
     tight = found
-    for _ in range(TIGHT_STEPS):
+    for _ in range(SOLID.tight_steps):
         moved = _step(
             images,
             curves,
             outline,
             starts,
             tight.pose,
-            NEAR_PX[-1],
+            SOLID.near_px[-1],
             together,
-            most_sigma_px=TIGHT_SIGMA_PX,
+            most_sigma_px=SOLID.tight_sigma_px,
             hidden=hidden,
         )
         if moved is None:
             return found
         tight = moved
-        if tight.moved_px < STILL_PX:
+        if tight.moved_px < SOLID.still_px:
             break
     return max(found, tight, key=lambda one: one.mean)
 
@@ -163,14 +141,14 @@ def glance(
     images: StereoImages,
     curves: Sequence[Curve],
     pose: FloatArray,
-    reach_px: float = GLANCE_PX,
+    reach_px: float = SOLID.glance_px,
     unknowns: int = ALL,
 ) -> float:
     """Share of the curves that the cameras agree with about a pose that is good to a few px; 0: none."""
     if pose[2, 3] <= 0:
         return 0.0
-    outline, starts = spread(images, curves, pose, FAR_SPACING_PX)
-    together = round(ALONG_PX / FAR_SPACING_PX)
+    outline, starts = spread(images, curves, pose, SOLID.far_spacing_px)
+    together = round(SOLID.along_px / SOLID.far_spacing_px)
     seen = _step(images, curves, outline, starts, pose, reach_px, together, unknowns=unknowns)
     return 0.0 if seen is None else seen.mean
 
@@ -180,16 +158,16 @@ def spread(
 ) -> tuple[Outline, npt.NDArray[np.int64]]:
     """Samples of all curves with their motion by shift and turn in the face; where each begins (K + 1,)."""
     px_per_mm = images.rig.left.fx / float(pose[2, 3])
-    return _spread(tuple(curves), round(math.log(px_per_mm) / ALIKE), spacing_px)
+    return _spread(tuple(curves), round(math.log(px_per_mm) / SOLID.alike), spacing_px)
 
 
 @lru_cache(maxsize=32)  # the curves of a few jobs, at both spacings, at a few distances
 def _spread(curves: tuple[Curve, ...], size: int, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]]:
-    px_per_mm = math.exp(size * ALIKE)
+    px_per_mm = math.exp(size * SOLID.alike)
     outlines = []
     for curve in curves:
         count = max(int(curve.perimeter_mm * px_per_mm / spacing_px), FEWEST)
-        outlines.append(curve.spread(count, 0.0 if curve.closed else MARGIN_PX / px_per_mm))
+        outlines.append(curve.spread(count, 0.0 if curve.closed else SOLID.margin_px / px_per_mm))
     points = np.concatenate([one.points for one in outlines])
     normals = np.concatenate([one.normals for one in outlines])
     turning = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
@@ -235,20 +213,20 @@ def _step(
     if not _settle(asked, offset, odd, most_sigma_px, delta[:unknowns], left):
         return None
     height, slope_u, slope_v, shift_u, shift_v, turn = delta
-    if max(abs(slope_u), abs(slope_v), abs(turn)) > MAX_STEP_RAD:
+    if max(abs(slope_u), abs(slope_v), abs(turn)) > SOLID.max_step_rad:
         return None
     # a rise of a u + b v turns the face about v by -a, and about u by b
     motion = transform(
         rotation_matrix(np.array([slope_v, -slope_u, turn])), np.array([shift_u, shift_v, height])
     )
-    agree = (np.abs(left) < AGREE_PX).reshape(2, -1)
+    agree = (np.abs(left) < SOLID.agree_px).reshape(2, -1)
     by_curve = np.add.reduceat(agree, starts[:-1], axis=1, dtype=np.float64) / np.diff(starts)
     agreeing = agree.mean(axis=1)
     if hidden is not None:
         agreeing = agree.sum(axis=1) / np.maximum((~hidden).sum(axis=1), 1)
         seen_of = 1.0 - np.add.reduceat(hidden, starts[:-1], axis=1, dtype=np.float64) / np.diff(starts)
         by_curve = np.where(
-            seen_of < LEAST_SEEN, agreeing[:, None], by_curve / np.maximum(seen_of, LEAST_SEEN)
+            seen_of < SOLID.min_seen, agreeing[:, None], by_curve / np.maximum(seen_of, SOLID.min_seen)
         )
     moved_px = float(np.sqrt(np.mean((design[np.isfinite(left)] @ delta) ** 2)))
     return Lock(np.asarray(pose @ motion), agreeing, by_curve, moved_px)

@@ -34,16 +34,13 @@ from edged.vision.part.circles import rival_turns
 from edged.vision.part.consistency import distance_share
 from edged.vision.part.frames import circles_in_rig, with_features
 from edged.vision.part.initialpose import start_pose
-from edged.vision.part.job import SOLID_MM, Job
+from edged.vision.part.job import Job
 from edged.vision.part.leaning import leaning
 from edged.vision.part.measured import Evidence, Measured
+from edged.vision.part.params import MEASURING, SOLID
 from edged.vision.part.pose import circle_curve, edge_curve, slot_curve
 from edged.vision.part.prediction import match_in_raw, poses_of_match
 from edged.vision.part.rigidlock import (
-    AGREE_PX,
-    ALONG_PX,
-    GOOD_SHARE,
-    SPACING_PX,
     TURN_HELD,
     Lock,
     glance,
@@ -52,54 +49,6 @@ from edged.vision.part.rigidlock import (
 )
 from edged.vision.part.sizes import measure_sizes
 from edged.vision.shape.search import ShapeMatch
-
-STRETCHES = 48
-"""Of a curve, each of which has a sign of its own; fewer where it has fewer samples."""
-RIVAL_PX = 4.5
-"""A second edge nearer than this displaces the first one, whatever the operator."""
-REACH_PX = 8.0
-MIN_SHOWN = 0.5
-"""Of a curve, that the part does not hide from either camera, nor another edge displaces: with less it is not
-missed."""
-MIN_CURVES = 3
-"""Fewer of a part say too little, whatever hides the others."""
-ENOUGH = 0.4
-"""Of a curve without rivals: the rest is not needed, and the curve can be measured by itself."""
-LIKE = 0.1
-"""Share of their length by which two edges may differ and yet be taken for each other."""
-MAX_RIVALS = 16
-ASIDE = 0.2
-"""Of the part's size: by so much a turn may shift its middle."""
-CONCENTRIC = 0.15
-"""Of its radius: a circle whose middle is nearer to the axis of a turn looks the same after it."""
-SAME_TURN = math.radians(3.0)
-MIN_MARGIN = 0.012
-"""Share of all curves by which one turn must agree better than every other: an odd hole is about 0.04."""
-MIN_SHARE, LEAST_SHARE = 0.58, 0.4
-"""Of all curves, that the cameras must agree with in the mean, and each; at a wrong pose it is about 0.5."""
-LEANT_SHARE = 0.68
-"""The same of a pose that is far from what the match says: right ones have 0.69 and more, wrong ones 0.66."""
-RIVAL_SHARE = 0.25
-"""Another turn is tried where at first sight it lacks no more than this; a few px off, it lacks some."""
-MIN_FOUND = 0.5
-"""Of all curves, and of the circles: with fewer it is another part, or most of it is hidden."""
-PLAIN_SHARE = 0.65
-"""Of a curve, or of those beside the axis of a turn: with so much it is plain. By chance it is about 0.5."""
-TURNS = tuple(math.radians(15.0) * np.arange(1, 24))
-TURN_REACH_PX, TURNED_STARTS = 12.0, 3
-POOR_SHARE = 0.35
-"""With less no other turn of the part is tried."""
-PARAMS = FitParams(reach_px=(1.5,), min_support=0.15)
-KNOWN_PARAMS = FitParams(reach_px=(1.5,), min_support=0.08)
-"""Of a part whose surface tells which stretches are good."""
-ALONE_PARAMS = FitParams(reach_px=(2.0,), min_support=0.5)
-OUTLINE_POINTS = 24
-RIGID_PX = 0.08
-"""What a feature's taught place and size are worth: another light and view had moved its edges so far."""
-ENOUGH_CLEAN = 0.2
-"""Of all curves, in each camera: then nothing else is used."""
-SATURATED, GLARE_PX = 254, 3
-"""Grey value from which a surface may be any brighter, and how near to it an edge is displaced."""
 
 
 @lru_cache(maxsize=16)  # a job stays the same from image to image
@@ -132,17 +81,17 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     in_raw = match_in_raw(images.rectification, match)
     target = target_of(job, in_raw, fit)
     reject = Reject.NONE
-    if margin < MIN_MARGIN:
+    if margin < SOLID.min_margin:
         reject |= Reject.AMBIGUOUS_ROTATION
     fitted_ones = {one.name for one in fit.fits}
     circles = sum(
-        curve.kind == "circle" and curve.name in fitted_ones and share >= PLAIN_SHARE
+        curve.kind == "circle" and curve.name in fitted_ones and share >= SOLID.plain_share
         for curve, share in zip(whole.curves, best.by_curve.mean(axis=0), strict=True)
     )
     shown = [curve for curve in whole.curves if curve.name in whole.shown]
     shown_circles = sum(curve.kind == "circle" for curve in shown)
-    fewest = max(MIN_FOUND * len(shown), min(MIN_CURVES, MIN_FOUND * len(whole.curves)))
-    if len(fit.fits) < fewest or circles < MIN_FOUND * shown_circles:
+    fewest = max(SOLID.min_found * len(shown), min(SOLID.min_curves, SOLID.min_found * len(whole.curves)))
+    if len(fit.fits) < fewest or circles < SOLID.min_found * shown_circles:
         reject |= Reject.FEW_EDGES
     if alone is not None:
         target = replace(target, circles=tuple(one.circle for one in circles_in_rig(alone)))
@@ -173,12 +122,14 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
     """
     curves = curves_of(job)
     best = _best_of(images, curves, _starts(images, job, match), body=job.body)
-    if best is None or (best.share < GOOD_SHARE and not _tells_turn(job, best)):
+    if best is None or (best.share < SOLID.good_share and not _tells_turn(job, best)):
         poses = list(_starts(images, job, match))
         best = _best_of(images, curves, _turned(images, curves, job, poses), best, body=job.body)
-    if job.tilt_rad is not None and (best is None or best.share < LEAST_SHARE or best.mean < MIN_SHARE):
+    if job.tilt_rad is not None and (
+        best is None or best.share < SOLID.min_camera_share or best.mean < SOLID.min_share
+    ):
         best = _leaning(images, job, match, job.tilt_rad)
-    if best is None or best.share < POOR_SHARE:
+    if best is None or best.share < SOLID.poor_share:
         return None
     found, motions, roundish = [best], _rival_motions(job), _is_roundish(job)
     if roundish and not _tells_turn(job, best):
@@ -189,16 +140,16 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
         best = max(found, key=lambda one: one.mean)
     for motion in motions:
         turned = best.pose @ motion
-        if glance(images, curves, turned) > best.mean - RIVAL_SHARE:
+        if glance(images, curves, turned) > best.mean - SOLID.rival_share:
             one = lock(images, curves, turned, rival_of=best, body=job.body)
             found += [] if one is None else [one]
     found.sort(key=lambda one: -one.mean)
     best = found[0]
-    if best.share < LEAST_SHARE or best.mean < MIN_SHARE:
+    if best.share < SOLID.min_camera_share or best.mean < SOLID.min_share:
         return None
     if match.ambiguous and not roundish and not motions:
         return best, 0.0
-    other = next((one for one in found if _turn_between(one, best) > SAME_TURN), None)
+    other = next((one for one in found if _turn_between(one, best) > SOLID.same_turn_rad), None)
     if other is None:
         return best, 1.0
     # a single curve tells them apart, and on a face full of edges it may agree by chance: 0.85 was seen
@@ -220,7 +171,7 @@ def _leaning(images: StereoImages, job: Job, match: ShapeMatch, tilt_rad: float)
     else:
         poses = leaning(images, curves, starts, tilt_rad)
     best = _best_of(images, curves, poses, body=job.body)
-    return best if best is not None and best.mean >= LEANT_SHARE else None
+    return best if best is not None and best.mean >= SOLID.leant_share else None
 
 
 def _about_axis(job: Job) -> list[Curve]:
@@ -230,7 +181,7 @@ def _about_axis(job: Job) -> list[Curve]:
         curve
         for curve in curves_of(job)
         if curve.kind == "circle"
-        and float(np.linalg.norm(curve.parameters[:2] - centre)) < CONCENTRIC * curve.parameters[2]
+        and float(np.linalg.norm(curve.parameters[:2] - centre)) < SOLID.concentric * curve.parameters[2]
     ]
 
 
@@ -246,7 +197,7 @@ def _best_of(
         one = lock(images, curves, pose, body=body)
         if one is not None and (best is None or one.mean > best.mean):
             best = one
-        if one is not None and one.share >= GOOD_SHARE:
+        if one is not None and one.share >= SOLID.good_share:
             break
     return best
 
@@ -265,8 +216,8 @@ def _tells_turn(job: Job, found: Lock) -> bool:
     curves, centre = curves_of(job), job.place_of(job.reference)[:2]
     lengths = np.array([curve.perimeter_mm for curve in curves])
     away = np.array([float(np.linalg.norm(curve.parameters[:2] - centre)) for curve in curves])
-    beside = np.where(away > CONCENTRIC * lengths / (2 * math.pi), lengths, 0.0)
-    return bool(beside.any() and (found.by_curve @ beside >= PLAIN_SHARE * beside.sum()).all())
+    beside = np.where(away > SOLID.concentric * lengths / (2 * math.pi), lengths, 0.0)
+    return bool(beside.any() and (found.by_curve @ beside >= SOLID.plain_share * beside.sum()).all())
 
 
 def _turned(
@@ -274,9 +225,9 @@ def _turned(
 ) -> list[FloatArray]:
     """Starts turned about the part's normal, likely ones first: of a round part a match may be turned."""
     centre = job.place_of(job.reference)
-    turned = [pose @ _about(turn, centre, centre) for pose in poses for turn in TURNS]
-    order = np.argsort([-glance(images, curves, pose, TURN_REACH_PX) for pose in turned], kind="stable")
-    return [turned[k] for k in order[:TURNED_STARTS]]
+    turned = [pose @ _about(turn, centre, centre) for pose in poses for turn in SOLID.turns_rad]
+    order = np.argsort([-glance(images, curves, pose, SOLID.turn_reach_px) for pose in turned], kind="stable")
+    return [turned[k] for k in order[: SOLID.turned_starts]]
 
 
 def _rival_motions(job: Job) -> list[FloatArray]:
@@ -286,21 +237,21 @@ def _rival_motions(job: Job) -> list[FloatArray]:
     """
     places = np.array([curve.parameters[:2] for curve in curves_of(job)])
     middle = np.append(0.5 * (places.min(axis=0) + places.max(axis=0)), 0.0)
-    aside_mm = ASIDE * float(np.linalg.norm(np.ptp(places, axis=0)))
+    aside_mm = SOLID.aside * float(np.linalg.norm(np.ptp(places, axis=0)))
     motions = []
     if job.circles:
         centre = job.place_of(job.reference)
         motions = [_about(turn, centre, centre) for turn in rival_turns(job)]
     for one, other in itertools.product(job.edges, job.edges):
-        if abs(one.length_mm - other.length_mm) > LIKE * one.length_mm:
+        if abs(one.length_mm - other.length_mm) > SOLID.like * one.length_mm:
             continue
         turn = other.angle_rad - one.angle_rad
         middles = 0.5 * (one.start_mm + one.end_mm), 0.5 * (other.start_mm + other.end_mm)
         for half in (0.0, math.pi):
-            if abs(wrapped(turn + half)) > SAME_TURN:
+            if abs(wrapped(turn + half)) > SOLID.same_turn_rad:
                 motions.append(_about(turn + half, *middles))
     near = [one for one in motions if float(np.linalg.norm(apply(one, middle) - middle)) <= aside_mm]
-    return near[:MAX_RIVALS]
+    return near[: SOLID.max_rivals]
 
 
 def _about(turn: float, source: FloatArray, to: FloatArray) -> FloatArray:
@@ -322,7 +273,7 @@ def _is_turned(images: StereoImages, job: Job, match: ShapeMatch, found: Lock) -
     for pose in _by_match(images, job, match, _main_face(job)):
         between = pose[:3, :3].T @ found.pose[:3, :3]
         turns.append(abs(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])))
-    return bool(turns) and min(turns) > SAME_TURN
+    return bool(turns) and min(turns) > SOLID.same_turn_rad
 
 
 def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[FloatArray]:
@@ -335,7 +286,7 @@ def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[Float
 
 
 def _by_match(images: StereoImages, job: Job, match: ShapeMatch, main: Sequence[Curve]) -> list[FloatArray]:
-    share = np.linspace(0, 1, OUTLINE_POINTS, endpoint=False)
+    share = np.linspace(0, 1, SOLID.outline_points, endpoint=False)
     flat = np.concatenate([curve.outline(share).points for curve in main])
     flat[:, 2] = 0.0
     return poses_of_match(images, job, match, np.ascontiguousarray(flat))
@@ -344,7 +295,7 @@ def _by_match(images: StereoImages, job: Job, match: ShapeMatch, main: Sequence[
 def _main_face(job: Job) -> list[Curve]:
     """The curves of the face that is searched for."""
     level = float(job.place_of(job.reference)[2])
-    return [curve for curve in curves_of(job) if abs(curve.height_mm - level) < SOLID_MM]
+    return [curve for curve in curves_of(job) if abs(curve.height_mm - level) < MEASURING.solid_mm]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -367,7 +318,7 @@ class _Whole:
         curves = [curve for curve in self.curves if curve.name in self.clear]
         if not curves:
             return None
-        return fit_plane(images.rig, images.raw, self.fit.face, curves, ALONE_PARAMS)
+        return fit_plane(images.rig, images.raw, self.fit.face, curves, SOLID.alone_fit)
 
     def with_breaks(self, images: StereoImages) -> tuple[_Whole, PlaneFit | None]:
         """The same and the curves by themselves, both with the widest edge break that either shows."""
@@ -386,14 +337,14 @@ def fitted(images: StereoImages, job: Job, pose: FloatArray) -> _Whole | None:
     curves, clear, shown = _with_signs(images, curves_of(job), pose, job.body)
     face = Face(pose[:3, 3], pose[:3, :3].T)
     rigid_mm = taught_sigma_mm(images.rig, pose)
-    params = PARAMS if job.body is None else KNOWN_PARAMS
+    params = SOLID.fit if job.body is None else SOLID.known_fit
     fit = fit_plane(images.rig, images.raw, face, curves, params, rigid_mm=rigid_mm)
     return None if fit is None else _Whole(fit, tuple(curves), clear, shown, params, rigid_mm)
 
 
 def taught_sigma_mm(rig: StereoRig, pose: FloatArray) -> float:
     """What a feature's taught place and size are worth where the part lies, rig_from_part (4, 4)."""
-    return RIGID_PX * float(pose[2, 3]) / rig.left.fx
+    return SOLID.rigid_px * float(pose[2, 3]) / rig.left.fx
 
 
 def _with_signs(
@@ -404,26 +355,28 @@ def _with_signs(
     And the names of those with enough stretches that have no rival in either image: only these are used; and
     of those that the part's body neither hides nor blurs, as far as it is known.
     """
-    outline, starts = spread(images, curves, pose, SPACING_PX)
+    outline, starts = spread(images, curves, pose, SOLID.spacing_px)
     face = Face(pose[:3, 3], pose[:3, :3].T)
     counts = np.diff(starts)
-    signs = [np.zeros((2, min(STRETCHES, count)), np.int64) for count in counts]
+    signs = [np.zeros((2, min(SOLID.stretches, count)), np.int64) for count in counts]
     lone = [np.zeros(one.shape, bool) for one in signs]
     clean = [np.ones(one.shape, bool) for one in signs]
     seen_of = [np.ones(one.shape) for one in signs]
     for side, (name, image) in enumerate(zip(SIDES, images.raw, strict=True)):
         seen = project_outline(images.rig, name, face, outline)
-        edges = candidates(image, seen.pixels, seen.normals, starts, REACH_PX, round(ALONG_PX / SPACING_PX))
+        edges = candidates(
+            image, seen.pixels, seen.normals, starts, SOLID.reach_px, round(SOLID.along_px / SOLID.spacing_px)
+        )
         away = np.nan_to_num(np.abs(edges.offset_px), nan=np.inf)
         own, rows = away.argmin(axis=1), np.arange(len(away))
-        sign = np.where(away[rows, own] < 2 * AGREE_PX, np.sign(edges.slope[rows, own]), 0.0)
+        sign = np.where(away[rows, own] < 2 * SOLID.agree_px, np.sign(edges.slope[rows, own]), 0.0)
         sight = None if body is None else sight_of(body, images.rig, name, pose, outline, seen)
         if sight is not None:
             sign[sight.hidden] = 0.0
             doubtful = sight.merged | _beside_glare(image, seen.pixels)
         gap = np.abs(edges.offset_px - edges.offset_px[rows, own][:, None])
         gap[rows, own] = np.inf
-        single = ~(np.nan_to_num(gap, nan=np.inf) < RIVAL_PX).any(axis=1)
+        single = ~(np.nan_to_num(gap, nan=np.inf) < SOLID.rival_px).any(axis=1)
         for k in range(len(curves)):
             rows_of, wanted = slice(starts[k], starts[k + 1]), signs[k].shape[1]
             stretch = ((np.arange(counts[k]) + 0.5) / counts[k] * wanted).astype(np.int64)
@@ -437,17 +390,17 @@ def _with_signs(
                 clean[k][side] = np.bincount(stretch, doubtful[rows_of], wanted) < 0.5 * many
     good = [one & (two != 0) for one, two in zip(clean, signs, strict=True)]
     known = np.average([one.mean(axis=1) for one in good], axis=0, weights=counts)
-    if body is not None and known.min() >= ENOUGH_CLEAN:
+    if body is not None and known.min() >= SOLID.enough_clean:
         signs = [np.where(one, two, 0) for one, two in zip(good, signs, strict=True)]
         lone = [one & two for one, two in zip(good, lone, strict=True)]
         seen_of = [one * two for one, two in zip(clean, seen_of, strict=True)]
     found, clear, shown = [], set(), set()
     for k, curve in enumerate(curves):
-        enough = lone[k].mean(axis=1) >= ENOUGH
+        enough = lone[k].mean(axis=1) >= SOLID.enough
         mine = np.where(lone[k] | ~enough[:, None], signs[k], 0)
         if enough.all():
             clear.add(curve.name)
-        if (seen_of[k].mean(axis=1) >= MIN_SHOWN).all():
+        if (seen_of[k].mean(axis=1) >= SOLID.min_shown).all():
             shown.add(curve.name)
         found.append(replace(curve, signs=mine, polarity=1 if mine.sum() >= 0 else -1))
     return found, frozenset(clear), frozenset(shown)
@@ -455,7 +408,9 @@ def _with_signs(
 
 def _beside_glare(image: Image, pixels: FloatArray) -> npt.NDArray[np.bool_]:
     """(N,) which points (N, 2) of an image lie beside a saturated surface."""
-    bright = cv2.dilate((image >= SATURATED).astype(np.uint8), np.ones((2 * GLARE_PX + 1,) * 2, np.uint8))
+    bright = cv2.dilate(
+        (image >= SOLID.saturated).astype(np.uint8), np.ones((2 * SOLID.glare_px + 1,) * 2, np.uint8)
+    )
     height, width = image.shape
     x, y = np.rint(np.clip(np.nan_to_num(pixels), 0, [width - 1, height - 1])).astype(np.int64).T
     return np.asarray(bright[y, x] > 0)

@@ -13,19 +13,9 @@ from edged.domain.arrays import FloatArray, Side
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, cross, invert, rotation_2d, rotation_matrix, unit, wrapped
 from edged.vision.part.job import Job
+from edged.vision.part.params import START
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.views import Views
-
-MISFIT_PX, MISFIT_SHARE = 2.0, 0.1
-"""Rms after the best similarity, px of the top level, and of the rms radius: what a scan's threshold and the
-first steps bridge. 0.07 is a tilt of 30°."""
-GRID_STEP = math.radians(5.0)
-OUTLINE_POINTS = 64
-MAX_LEAN = math.radians(65.0)
-"""To the left camera's line of sight: beyond it a face is a line."""
-RING_POINTS = 24
-TURN_MARGIN = math.radians(15.0)
-"""The line of sight and the bisector turn with the place in the picture; a scan has steps."""
 
 
 def bisector(rectification: Rectification, place_mm: FloatArray) -> FloatArray:
@@ -52,7 +42,11 @@ def tilted_views(
     it was taught with another, or edited.
     """
     place, axes = _face(rectification, shape, rig_from_part)
-    if not np.isfinite(place).all() or place[2] <= 0 or float(axes[:, 2] @ unit(place)) < math.cos(MAX_LEAN):
+    if (
+        not np.isfinite(place).all()
+        or place[2] <= 0
+        or float(axes[:, 2] @ unit(place)) < math.cos(START.max_lean_rad)
+    ):
         return None
     sight, middle = unit(-place), bisector(rectification, place)
     apart = math.acos(min(1.0, float(sight @ middle)))
@@ -60,7 +54,7 @@ def tilted_views(
     across = unit(across) if apart > 1e-6 else unit(cross(axes[:, 1], sight))
     beside = cross(across, sight)
     square = _shortest_turn(-axes[:, 2], sight) @ axes
-    leans, sides = _polar_grid(min(tilt_rad + apart, MAX_LEAN))
+    leans, sides = _polar_grid(min(tilt_rad + apart, START.max_lean_rad))
     back = np.linalg.inv(_seen(rectification, place, axes))
     maps = [np.eye(3)]
     for lean, side in zip(leans, sides, strict=True):
@@ -70,7 +64,7 @@ def tilted_views(
     outlines = _outlines(shape, np.array(maps))
     size_px = np.sqrt(np.mean(np.abs(outlines) ** 2, axis=1))
     top = 2.0 ** (len(shape.levels) - 1)
-    alike = _misfit(outlines) <= np.minimum(MISFIT_SHARE * size_px, MISFIT_PX * top)
+    alike = _misfit(outlines) <= np.minimum(START.misfit_share * size_px, START.misfit_px * top)
     chosen = _chosen(alike[:, 1:])
     kept = np.array([maps[view] for view in chosen])
     # a face leans far from the line of sight only to the other camera's side: not every turn of a view is met
@@ -81,7 +75,7 @@ def tilted_views(
     of_view = np.argmin(np.where(alike[chosen, 1:], lean[:, None], np.inf), axis=0)
     reach = np.zeros(len(chosen))
     np.maximum.at(reach, of_view, half + np.abs(wrapped(sides - own[of_view])))
-    turns = np.column_stack([-own, np.minimum(reach + TURN_MARGIN, math.pi)])
+    turns = np.column_stack([-own, np.minimum(reach + START.turn_margin_rad, math.pi)])
     turns[0] = 0.0, math.pi
     return Views(kept[:, :2, :2].copy(), kept[:, 2, :2].copy(), turns)
 
@@ -116,7 +110,7 @@ def reach_of(job: Job, rectification: Rectification, tilt_rad: float) -> Reach:
     normal = bisector(rectification, place)
     along = unit(cross(normal, np.array([0.0, 1.0, 0.0])))
     frame = np.stack([along, cross(normal, along)])
-    ring = np.linspace(0, 2 * math.pi, RING_POINTS, endpoint=False)
+    ring = np.linspace(0, 2 * math.pi, START.ring_points, endpoint=False)
     disc = radius_mm * np.column_stack([np.cos(ring), np.sin(ring)]) @ frame
     rims = [place + disc @ rotation_matrix(tilt_rad * axis / radius_mm).T for axis in disc]
     rig = rectification.rig
@@ -166,8 +160,8 @@ def _shortest_turn(source: FloatArray, to: FloatArray) -> FloatArray:
 def _polar_grid(reach_rad: float) -> tuple[FloatArray, FloatArray]:
     """Leans and sides, rad, (N,) each: about evenly spaced on the cap of the sphere, its rim included."""
     leans, sides = [], []
-    for lean in np.linspace(0.0, reach_rad, 1 + math.ceil(reach_rad / GRID_STEP)):
-        count = max(1, math.ceil(2 * math.pi * math.sin(lean) / GRID_STEP))
+    for lean in np.linspace(0.0, reach_rad, 1 + math.ceil(reach_rad / START.grid_step_rad)):
+        count = max(1, math.ceil(2 * math.pi * math.sin(lean) / START.grid_step_rad))
         leans += [lean] * count
         sides += [2 * math.pi * k / count for k in range(count)]
     return np.array(leans), np.array(sides)
@@ -183,7 +177,7 @@ def _without_turn(view: FloatArray) -> FloatArray:
 
 def _outlines(shape: ShapeModel, maps: FloatArray) -> npt.NDArray[np.complex128]:
     """(V, N) points of the shape's finest level as each view shows them, about their mean, x + i y."""
-    points = shape.levels[0].points[:OUTLINE_POINTS]
+    points = shape.levels[0].points[: START.outline_points]
     seen = np.column_stack([points, np.ones(len(points))]) @ np.swapaxes(maps, 1, 2)
     flat = (seen[..., 0] + 1j * seen[..., 1]) / seen[..., 2]
     return np.asarray(flat - flat.mean(axis=1, keepdims=True))

@@ -14,17 +14,11 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import unit
 from edged.vision.kernels.jit import kernel
+from edged.vision.part.params import SOLID
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 B64 = npt.NDArray[np.bool_]
-
-SIZE_PX = 384
-"""Of the buffer: a part that fills half an image has such a pixel for two of the camera's."""
-AROUND_PX = 1
-"""So near to what hides it a point counts as hidden, too."""
-BEHIND_SHARE = 0.015
-"""Of the body's size: what lies less deep behind a surface is on it; chords and pixels are as coarse."""
 
 
 def hidden_points(
@@ -43,19 +37,19 @@ def hidden_points(
     z = unit(middle - camera_mm)
     x = unit(np.cross(np.eye(3)[int(np.abs(z).argmin())], z))
     frame = np.stack([x, np.cross(z, x), z])
-    scale = 0.5 * (SIZE_PX - 3) * np.sqrt(distance**2 - reach**2) / reach
+    scale = 0.5 * (SOLID.size_px - 3) * np.sqrt(distance**2 - reach**2) / reach
     body, seen = ((one - camera_mm) @ frame.T for one in (vertices_mm, points_mm))
-    buffer = np.full((SIZE_PX, SIZE_PX), np.inf)
+    buffer = np.full((SOLID.size_px, SOLID.size_px), np.inf)
     fill_depths(_in_buffer(body, scale), np.ascontiguousarray(triangles, np.int64), buffer)
     result = np.zeros(len(points_mm), np.bool_)
-    find_hidden(buffer, _in_buffer(seen, scale), 2 * BEHIND_SHARE * reach, AROUND_PX, result)
+    find_hidden(buffer, _in_buffer(seen, scale), 2 * SOLID.behind_share * reach, SOLID.around_px, result)
     return result
 
 
 def _in_buffer(points: FloatArray, scale: float) -> FloatArray:
     """(N, 3): column, row, and depth along the line of sight."""
     depth = points[:, 2:]
-    return np.ascontiguousarray(np.hstack([0.5 * SIZE_PX + scale * points[:, :2] / depth, depth]))
+    return np.ascontiguousarray(np.hstack([0.5 * SOLID.size_px + scale * points[:, :2] / depth, depth]))
 
 
 @kernel("void(f8[:, ::1], i8[:, ::1], f8[:, ::1])")

@@ -24,40 +24,7 @@ from edged.vision.kernels.jit import kernel
 from edged.vision.shape import refine
 from edged.vision.shape.chance import EVIDENCE, Chance, look_elsewhere
 from edged.vision.shape.model import ShapeModel
-
-APART_PX = 2.0
-"""A model point farther than this from the outline of another rotation is its rotation's own."""
-ALIKE = 0.8
-"""Cosine between normals of points on one smooth outline."""
-MIN_APART = 8
-"""Points of its own that a rotation must have for the image to deny it or to show it."""
-TURNS = 72
-"""Rotations that are compared, beside the taught ones: each comes to rest on the best one near it."""
-MIN_TURN_RAD = 0.2
-SAME_TURN_RAD = 0.04
-TELLING = 6
-"""Rotations whose differences from the taught one stand for what tells rotations apart."""
-MEETING_PX = (8.0, 4.0, 2.5)
-"""How far, step by step, a turned outline looks for its own: the middle is known to a few pixels."""
-ACCIDENTS, ACCIDENT_SPREAD = 0.3, 4.0
-"""Share of n points where texture or clutter shows edges that are not the part's, at the most, and the spread
-of that share, times 1 / sqrt(n): a rotation that shows more of its own is beyond doubt by itself."""
-DECIDED, CHANCE = 0.25, 1.5
-"""By how much of its own points, shown more and denied less than the other's, a rotation wins: of many
-points, and in addition, times 1 / sqrt(n), what chance does to n of them."""
-SEEN, STRONG_SHARE = 70, 0.2
-"""Percentile of all slopes where a part, half hidden, still shows its own edges, and share of that: texture
-and shadows are weaker, holes of a dark part on a bright table are not."""
-REACH_PX = 1.5
-BESIDE_PX = 3.0
-"""Where the grey values beside an edge are taken: out of its blur, still before the next edge."""
-SURFACE_SHARE, EVEN_SHARE, SPREADS = 0.35, 0.1, 4.0
-"""Of the contrast of the part's weaker edges: so much may its surface vary at most, and so much always; in
-between, so many times its own sigma: a bar may be nearly as bright."""
-TEXTURED_SHARE = 0.75
-"""Of that contrast: as far as this from the face's grey value it is texture, beyond it another surface."""
-WEAKER = 25
-"""Percentile of the part's edges that stands for its weaker ones."""
+from edged.vision.shape.params import ROTATIONS
 
 Array = npt.NDArray[Any]
 Flags = npt.NDArray[np.bool_]
@@ -165,9 +132,9 @@ def look_at(
 
     scale : of the image's px to the model's.
     """
-    offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], REACH_PX, sign)
+    offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], ROTATIONS.reach_px, sign)
     there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
-    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], BESIDE_PX, BESIDE_PX)
+    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], ROTATIONS.beside_px, ROTATIONS.beside_px)
     return Sight(placed, np.where(there, slopes, 0.0), beside, _inward(model)[points], scale * gap_px(model))
 
 
@@ -192,16 +159,16 @@ def _face_greys(sight: Sight, strong: float) -> tuple[float, float]:
         return -math.inf, math.inf
     inside, _, step = beside
     level = float(np.median(inside))
-    return level - TEXTURED_SHARE * step, level + TEXTURED_SHARE * step
+    return level - ROTATIONS.textured_share * step, level + ROTATIONS.textured_share * step
 
 
 def _beside_rim(sight: Sight, strong: float) -> tuple[FloatArray, FloatArray, float] | None:
     """Grey values inside and outside of the rim, and the step of a weaker edge; None where little is seen."""
     seen = (np.abs(sight.slope) >= strong) & np.isfinite(sight.beside).all(axis=1)
     rim = (sight.inward != 0) & seen
-    if rim.sum() < MIN_APART:
+    if rim.sum() < ROTATIONS.min_apart:
         return None
-    step = _percentile(np.abs(sight.beside[seen, 2] - sight.beside[seen, 0]), WEAKER)
+    step = _percentile(np.abs(sight.beside[seen, 2] - sight.beside[seen, 0]), ROTATIONS.weaker_percent)
     inward = sight.inward[rim] > 0
     inside = np.where(inward, sight.beside[rim, 2], sight.beside[rim, 0])
     outside = np.where(inward, sight.beside[rim, 0], sight.beside[rim, 2])
@@ -212,9 +179,11 @@ def _even(greys: FloatArray, step: float) -> tuple[float, float]:
     """The grey value of a surface beside edges of a step, and how much it may vary; NaN if it is not even."""
     level = float(np.median(greys))
     sigma = 1.4826 * float(np.median(np.abs(greys - level)))
-    if 1.35 * sigma >= SURFACE_SHARE * step:
+    if 1.35 * sigma >= ROTATIONS.surface_share * step:
         return math.nan, 0.0
-    return level, min(max(SPREADS * sigma, EVEN_SHARE * step), SURFACE_SHARE * step)
+    return level, min(
+        max(ROTATIONS.spreads * sigma, ROTATIONS.even_share * step), ROTATIONS.surface_share * step
+    )
 
 
 def odds_on_face(
@@ -229,10 +198,12 @@ def odds_on_face(
     rim = np.flatnonzero(inward)
     placed = np.empty((len(rim), 4))
     refine.place(level.points[rim], level.normals[rim], pose, placed)
-    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], BESIDE_PX, BESIDE_PX)
+    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], ROTATIONS.beside_px, ROTATIONS.beside_px)
     strong = _strong(slopes, min_contrast)
     greys = _face_greys(Sight(placed, slopes[rim], beside, inward[rim], math.nan), strong)
-    chance = look_elsewhere(image, model, pose, sign, sets, (REACH_PX, BESIDE_PX), greys, strong)
+    chance = look_elsewhere(
+        image, model, pose, sign, sets, (ROTATIONS.reach_px, ROTATIONS.beside_px), greys, strong
+    )
     shares, count = chance.shares(sets), len(turns(model).motions)
     near = len(sets) // 2
     rest = np.full(count - near, 2 * near)
@@ -249,7 +220,7 @@ def _telling(model: ShapeModel) -> Flags:
     """
     found = turns(model)
     nothing = np.zeros((1, len(model.levels[0].points)), np.bool_)
-    return np.concatenate([found.own[:TELLING], found.foreign[:TELLING], nothing])
+    return np.concatenate([found.own[: ROTATIONS.telling], found.foreign[: ROTATIONS.telling], nothing])
 
 
 def open_turns(
@@ -273,7 +244,7 @@ def open_turns(
     chance = odds.chance
     strong = max(_strong(slopes, min_contrast), chance.thresholds[0])
     speaking = np.count_nonzero(own & (np.abs(slopes) >= strong), axis=1)
-    is_doubtful = speaking < ACCIDENTS * count + ACCIDENT_SPREAD * np.sqrt(count)
+    is_doubtful = speaking < ROTATIONS.accidents * count + ROTATIONS.accident_spread * np.sqrt(count)
     is_doubtful |= chance.evidence(own, np.abs(slopes), strong, odds.own) < EVIDENCE
     doubtful = np.flatnonzero(is_doubtful)
     if not len(doubtful):
@@ -296,7 +267,7 @@ def open_turns(
         part = slice(end - len(points), end)
         beyond_chance = shown[own[k]] & (nats >= EVIDENCE)
         ahead = _lead(beyond_chance, denied[own[k]], others_shown[part], others_denied[part])
-        if ahead < 0 or max(len(points), count[k]) < MIN_APART:
+        if ahead < 0 or max(len(points), count[k]) < ROTATIONS.min_apart:
             left.append((ahead, int(k)))
     return [k for _, k in sorted(left)]
 
@@ -318,7 +289,7 @@ def _look_at_each(
 
 def _strong(slopes: FloatArray, min_contrast: float) -> float:
     """Slope, grey values per px, from which an edge may be the part's."""
-    return max(STRONG_SHARE * _percentile(np.abs(slopes), SEEN), min_contrast)
+    return max(ROTATIONS.strong_share * _percentile(np.abs(slopes), ROTATIONS.seen_percent), min_contrast)
 
 
 def _percentile(values: FloatArray, percent: int) -> float:
@@ -342,7 +313,7 @@ def decides(
     one, other = (look(image, model, pose, sign) for pose, sign in zip(poses, signs, strict=True))
     only_one = ~lies_on(one.placed, other.placed, other.gap_px)
     only_other = ~lies_on(other.placed, one.placed, one.gap_px)
-    if max(only_one.sum(), only_other.sum()) < MIN_APART:
+    if max(only_one.sum(), only_other.sum()) < ROTATIONS.min_apart:
         return None
     light = surroundings(one, min_contrast, odds.chance.thresholds[0])
     shown, others_shown = light.shows(one), light.shows(other)
@@ -368,7 +339,7 @@ def _lead(shown: Flags, denied: Flags, others_shown: Flags, others_denied: Flags
         if len(there):
             excess += side * (np.count_nonzero(there) - np.count_nonzero(bare)) / len(there)
             fewest = min(fewest, len(there))
-    return excess - DECIDED - CHANCE / math.sqrt(fewest)
+    return excess - ROTATIONS.decided - ROTATIONS.chance / math.sqrt(fewest)
 
 
 def turned(pose: FloatArray, motion: FloatArray) -> FloatArray:
@@ -390,7 +361,7 @@ def turns(model: ShapeModel) -> Turns:
     edges of either sign, and so it may accept a rotation that teaching did not list.
     """
     level = model.levels[0]
-    grid = np.arange(1, TURNS) * (2 * math.pi / TURNS)
+    grid = np.arange(1, ROTATIONS.turns) * (2 * math.pi / ROTATIONS.turns)
     starts = [np.array(row[:3]) for row in model.symmetries]
     starts += [about(model.centre_px, float(angle)) for angle in grid]
     at_rest = np.column_stack([level.points, level.normals])
@@ -402,7 +373,9 @@ def turns(model: ShapeModel) -> Turns:
     for start in starts:
         motion = _settled(model, start, outline, gap)
         angle = wrapped(float(motion[2]))
-        if abs(angle) < MIN_TURN_RAD or any(angle_between(angle, m[2]) < SAME_TURN_RAD for m in motions):
+        if abs(angle) < ROTATIONS.min_turn_rad or any(
+            angle_between(angle, m[2]) < ROTATIONS.same_turn_rad for m in motions
+        ):
             continue
         placed = np.empty((len(level.points), 4))
         refine.place(level.points, level.normals, turned(_IDENTITY, motion), placed)
@@ -430,9 +403,9 @@ def _settled(model: ShapeModel, motion: FloatArray, outline: FloatArray, gap: fl
     pose = turned(_IDENTITY, motion)
     placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
     summary, matrix = np.zeros(3), np.zeros((8, 8))
-    for reach in MEETING_PX:
+    for reach in ROTATIONS.meeting_px:
         refine.place(points, normals, pose, placed)
-        meet(placed, outline, reach, 3.0 * max(gap, 1.0), ALIKE, edges)
+        meet(placed, outline, reach, 3.0 * max(gap, 1.0), ROTATIONS.alike, edges)
         if not refine.robust_step(points, placed, edges, pose, refine.RIGID, 1.0, 8, summary, matrix):
             return motion
     return np.array([pose[0], pose[1], math.atan2(pose[4], pose[2])])
@@ -445,7 +418,7 @@ def lies_on(placed: FloatArray, other: FloatArray, gap_px: float) -> Flags:
     """
     edges = np.empty((len(placed), 2))
     outline = np.ascontiguousarray(other[np.argsort(other[:, 0], kind="stable")])
-    meet(placed, outline, APART_PX, 3.0 * max(gap_px, 1.0), ALIKE, edges)
+    meet(placed, outline, ROTATIONS.apart_px, 3.0 * max(gap_px, 1.0), ROTATIONS.alike, edges)
     return np.isfinite(edges[:, 0])
 
 
@@ -458,7 +431,7 @@ def _inward(model: ShapeModel) -> npt.NDArray[np.int64]:
     across = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
     distance = np.abs(np.einsum("nmk,mk->nm", points[:, None] - hull[None], across)).min(axis=1)
     faces = np.sign(np.einsum("nk,nk->n", normals, hull.mean(axis=0) - points))
-    return np.where(distance < APART_PX, faces, 0).astype(np.int64)
+    return np.where(distance < ROTATIONS.apart_px, faces, 0).astype(np.int64)
 
 
 @lru_cache(maxsize=16)

@@ -14,22 +14,11 @@ from edged.domain.arrays import FloatArray, Image
 from edged.vision.shape import refine, scan
 from edged.vision.shape.ambiguity import Odds
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.params import EACH_EDGE_ITSELF, SearchParams
+from edged.vision.shape.params import EACH_EDGE_ITSELF, SCAN, SearchParams
 from edged.vision.shape.views import Views
 from edged.vision.shape.workspace import Workspace
 
-SCAN_SHARE = 0.55
-"""Share of min_score that a pose reaches on the grid in the worst case: half a step off in everything."""
-POLISHED_SHARE = 0.62
-LARGE_TOP = 1
-"""Level on which the scan of a small part has to begin, where it takes nearly all of the time of a search."""
-LARGE_STEP_PX, LARGE_SHARE, LARGE_POLISHED = 3.4, 0.5, 0.58
-"""There: a third of the poses, each up to 0.7 px farther off, so that a little less is asked of them."""
-VIEW_STEP_PX = 4.0
-"""As `scan.STEP_PX` where views are scanned: they overlap, and the first steps move in all ways."""
 MAX_PEAKS = 1024
-MAX_POLISHED = 40
-"""... and two more for each match that is asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +74,9 @@ def scan_top(
     scratch = work.buffer("directions", (2, *shape[1:]), np.float32, top)
     minimum = int((8 * params.min_contrast) ** 2)
     scan.fill_responses(gx, gy, work.mask(valid, top), minimum, unsigned, plan.pad, scratch, maps)
-    share, polished_share = (LARGE_SHARE, LARGE_POLISHED) if plan.coarse else (SCAN_SHARE, POLISHED_SHARE)
+    share, polished_share = (
+        (SCAN.large_share, SCAN.large_polished_share) if plan.coarse else (SCAN.share, SCAN.polished_share)
+    )
     threshold = int(share * params.min_score * scan.PEAK * len(plan.looks[0].points))
     used_rows, used_columns = (height + 1) // 2, (width + 1) // 2
     positions = used_rows * plan.columns
@@ -96,7 +87,7 @@ def scan_top(
     scan.scan(maps.reshape(-1), plan.offsets, plan.sectors, positions, threshold, inverted, best, pose)
     peaks = work.buffer("peaks", (MAX_PEAKS, 5), np.int64)
     number = scan.collect_peaks(best, used_rows, used_columns, plan.columns, threshold, peaks)
-    limit = MAX_POLISHED + 2 * params.max_matches
+    limit = SCAN.max_polished + 2 * params.max_matches
     found, apart_rad = peaks[:number], 3.2 * float(plan.steps[0])
     each = [
         _choose(found[found[:, 2] // scan.SECTORS == k], pose, plan.poses, plan.columns, apart_rad, limit)
@@ -171,8 +162,8 @@ def _plan(
 ) -> _Plan:
     looks = _looks(model, top, views)
     radius = float(np.linalg.norm(looks[0].points, axis=1).max())
-    coarse = views is None and top <= LARGE_TOP
-    step_px = LARGE_STEP_PX if coarse else scan.STEP_PX if views is None else VIEW_STEP_PX
+    coarse = views is None and top <= SCAN.large_top
+    step_px = SCAN.large_step_px if coarse else SCAN.step_px if views is None else SCAN.view_step_px
     grid, steps = pose_grid(radius, params, step_px)
     kept = [grid if views is None else grid[views.meets(k, grid[:, 0])] for k in range(len(looks))]
     poses = np.concatenate(kept)
@@ -209,7 +200,7 @@ def _looks(model: ShapeModel, top: int, views: Views | None) -> tuple[_Look, ...
 
 
 def pose_grid(
-    radius: float, params: SearchParams, step_px: float = scan.STEP_PX
+    radius: float, params: SearchParams, step_px: float = SCAN.step_px
 ) -> tuple[FloatArray, FloatArray]:
     """Poses (P, 3): angle, scale x, scale y, and the half steps (3,) between them (see `scan.polish`)."""
     step = step_px / max(radius, 1.0)

@@ -22,32 +22,12 @@ from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
 from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.shape import refine
 from edged.vision.shape.model import ShapeModel
+from edged.vision.shape.params import ROTATIONS
 
-MISTAKES = 1e-6
-"""Wanted share of wrong rotations that chance makes look right."""
-EVIDENCE = -math.log(MISTAKES)
+EVIDENCE = -math.log(ROTATIONS.mistakes)
 """Nats that speak for a rotation when chance would show so much once in 1 / MISTAKES pictures."""
 PLACES = 23
 """Rotations at which points are looked at elsewhere: a prime, so that none is a part's own symmetry."""
-CLEAR_PX = 4.0
-"""Farther from every edge of the model there is none of its slope left: reach and width of the operator."""
-RARE = (0.05, 0.02, 0.005)
-"""Shares of places on the face where chance shows an edge as strong as one that counts: a part's own edges
-may be hardly stronger than its texture, or what lies on the face may have edges as strong as they are."""
-OFTEN = 0.2
-"""Share at which edges are so frequent that it shows how far they go together."""
-MAX_LOOKS, MAX_POINTS = 960, 128
-"""Looks that are taken elsewhere, and points of the model that take part: a tenth of a millisecond."""
-STRIDE = 7
-"""Places in this order lie all around, however many are used."""
-FEW_LOOKS, FEW_PLACES = 40, 4
-"""With fewer looks a set of points is judged by all that were taken; with fewer places no scatter is told."""
-CURVE_POINTS = 64
-"""Of more points than these, others lie on other curves."""
-LEAST_SLOPE = 1e-6
-"""Grey values per px: below it there is no edge."""
-UNKNOWN = 0.3
-"""Share of points that show an edge by chance where nothing of the face is seen bare."""
 Array = npt.NDArray[Any]
 Flags = npt.NDArray[np.bool_]
 
@@ -96,9 +76,9 @@ class Chance:
         """Share (T, K) of each of K sets (K, N) of the model's points that shows an edge by chance."""
         members = sets[:, self.known].T.astype(np.float64)
         looked, met = self.looked @ members, self.met @ members
-        few = looked < FEW_LOOKS
+        few = looked < ROTATIONS.few_looks
         looked[few], met[:, few] = self.looked.sum(), self.met.sum(axis=1)[:, None]
-        return np.asarray(np.where(looked > 0, (met + 0.5) / (looked + 1.0), UNKNOWN))
+        return np.asarray(np.where(looked > 0, (met + 0.5) / (looked + 1.0), ROTATIONS.unknown))
 
     def evidence(self, sets: Flags, slopes: FloatArray, strong: float, shares: FloatArray) -> FloatArray:
         """How unlikely it is, in nats (K,), that chance shows so many edges of each of K sets of points.
@@ -120,7 +100,9 @@ class Chance:
     def _independent(self, count: Array) -> FloatArray:
         """How many independent points tell as much as so many on a few curves."""
         shared = (self.repeated - 1.0) / max(self.many - 1.0, 1.0)
-        return np.asarray(count / (1.0 + (np.minimum(count, CURVE_POINTS) - 1.0) * min(shared, 1.0)))
+        return np.asarray(
+            count / (1.0 + (np.minimum(count, ROTATIONS.curve_points) - 1.0) * min(shared, 1.0))
+        )
 
 
 def clumping(
@@ -138,7 +120,7 @@ def clumping(
     met = (slope >= often).astype(np.float32) @ members  # False for NaN
     used = looked > 1
     places = np.count_nonzero(used, axis=0)
-    told = (places > FEW_PLACES) & (met.sum(axis=0) > 0)
+    told = (places > ROTATIONS.few_places) & (met.sum(axis=0) > 0)
     if not told.any():
         return 1.0, 1.0
     looked, met, used = looked[:, told], met[:, told], used[:, told]
@@ -179,14 +161,14 @@ def look_elsewhere(
     table = np.full((PLACES, len(known)), np.nan)
     table[all_places.place[chosen], column] = slope
     exceeded = _exceeded(slope)
-    levels = np.maximum(exceeded[:-1], LEAST_SLOPE)
+    levels = np.maximum(exceeded[:-1], ROTATIONS.min_slope)
     scatter = max(clumping(table, known, sets, float(level)) for level in levels)
     return Chance.of(known, table, np.maximum(exceeded[1:], strong), scatter)
 
 
 def _exceeded(slope: FloatArray) -> FloatArray:
     """What the shares OFTEN and RARE of slopes (C,) exceed; 0 without any."""
-    wanted = np.array((OFTEN, *RARE))
+    wanted = np.array((ROTATIONS.often, *ROTATIONS.rare))
     if not len(slope):
         return np.zeros(len(wanted))
     ranks = np.ceil((1.0 - wanted) * len(slope)).astype(int) - 1
@@ -196,10 +178,10 @@ def _exceeded(slope: FloatArray) -> FloatArray:
 def _chosen(all_places: Elsewhere, points: Flags) -> npt.NDArray[np.int64]:
     """Indices of what is looked at: curves as whole as may be, at as many places as there is time for."""
     # the model's points come in random order: the first ones are as good as any
-    some = points & (np.cumsum(points) <= MAX_POINTS)
+    some = points & (np.cumsum(points) <= ROTATIONS.max_points)
     found = np.flatnonzero(some[all_places.of])
-    scattered = all_places.place[found] * STRIDE % PLACES
-    return np.asarray(found[np.argsort(scattered, kind="stable")][:MAX_LOOKS])
+    scattered = all_places.place[found] * ROTATIONS.stride % PLACES
+    return np.asarray(found[np.argsort(scattered, kind="stable")][: ROTATIONS.max_looks])
 
 
 @lru_cache(maxsize=16)
@@ -214,7 +196,7 @@ def elsewhere(model: ShapeModel) -> Elsewhere:
     cells = np.rint(points - low).astype(np.int32)
     canvas[cells[:, 1], cells[:, 0]] = 0
     cv2.fillConvexPoly(inside, cv2.convexHull(cells), 255)
-    clear = (cv2.distanceTransform(canvas, cv2.DIST_L2, 5) > CLEAR_PX) & (inside > 0)
+    clear = (cv2.distanceTransform(canvas, cv2.DIST_L2, 5) > ROTATIONS.clear_px) & (inside > 0)
     found: list[tuple[FloatArray, FloatArray, Array, Array]] = []
     for place in range(1, PLACES):
         turn = rotation_2d(2 * math.pi * place / PLACES)

@@ -8,14 +8,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.params import SearchParams
-
-NOISE = 3.0
-"""Grey values, 1 sigma: an ordinary industrial camera at usual gain, for the expected precision."""
-WEAK_RESERVE = 3.0
-FEW_POINTS = 120
-CONFUSABLE = 0.9
-LOPSIDED = 3.0
+from edged.vision.shape.params import LEARNING, SearchParams
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +65,7 @@ def _bounds(model: ShapeModel) -> tuple[float, float, float, float]:
     information = jacobian.T @ jacobian
     # the bound of an edge of blur s and slope g, per px of it, is sigma² / (sqrt(pi) s g²), here with s = 1;
     # neighbours share pixels, which is what `repetition` counts
-    variance = (NOISE / model.contrast) ** 2 * model.repetition / np.sqrt(np.pi)
+    variance = (LEARNING.noise / model.contrast) ** 2 * model.repetition / np.sqrt(np.pi)
     values, vectors = np.linalg.eigh(information)
     with np.errstate(divide="ignore"):
         inverse = np.where(values > 1e-9 * values[-1], 1 / values, np.inf)
@@ -98,26 +91,26 @@ def _warnings(
         angles = ", ".join(f"{np.degrees(angle):.0f}°" for angle, s in rivals if s >= model.same_score)
         text = f"The shape looks the same after a turn of {angles}: of these the nearest to 0 is given."
         said.append(("symmetric", text))
-    elif len(rivals) and rivals[0, 1] >= CONFUSABLE:
+    elif len(rivals) and rivals[0, 1] >= LEARNING.confusable:
         angle, similarity = rivals[0]
         text = (
             f"After a turn of {np.degrees(angle):.0f}° the shape is {100 * similarity:.0f} % similar: "
             "where the rest is hidden, results carry AMBIGUOUS_ROTATION. Light what makes the difference."
         )
         said.append(("confusable", text))
-    if reserve < WEAK_RESERVE:
+    if reserve < LEARNING.weak_reserve:
         text = (
             f"Edges are only {reserve:.1f} times as strong as the weakest that counts: more light, or focus."
         )
         said.append(("weak", text))
-    if number < FEW_POINTS:
+    if number < LEARNING.few_points:
         text = f"The model has only {number} edge points: a larger region, or a larger image of the part."
         said.append(("few_points", text))
     if len(model.levels) < 3:
         text = f"The model has {len(model.levels)} pyramid level(s): a larger image would be searched faster."
         said.append(("few_levels", text))
     worst, best = max(sigmas[:2]), min(sigmas[:2])
-    if worst > LOPSIDED * best:
+    if worst > LEARNING.lopsided * best:
         axis = "x" if sigmas[0] > sigmas[1] else "y"
         text = (
             f"Along {axis} the shape has few edges: its place there is {worst / best:.0f} times less certain."

@@ -10,26 +10,15 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
-from edged.vision.edges.hysteresis import MIN_POINTS, EdgeThresholds, strong_edges
+from edged.vision.edges.hysteresis import EdgeThresholds, strong_edges
+from edged.vision.edges.params import OUTLINES
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.kernels.jit import kernel
-from edged.vision.shape.model import MAX_POINTS, ShapeLevel, ShapeModel
+from edged.vision.shape.model import ShapeLevel, ShapeModel
 from edged.vision.shape.modelparams import MAX_LEVELS, ModelParams
+from edged.vision.shape.params import LEARNING
 from edged.vision.shape.pyramid import surviving_levels
 from edged.vision.shape.symmetry import find_symmetry
-
-SMOOTHING_PX = (2.0, 1.2, 0.7)
-"""Before the edges of a level are chosen: coarse levels are averages already, and their parts are small."""
-SUPPORT_PX = 3.0
-"""On each level: how far from an edge of the finest one its own may lie. What is no edge there is texture."""
-MIN_PIXELS = 64
-MAX_ORIGIN = 4.0
-"""Of half the region's diagonal: farther from its middle an origin makes every angle a leap."""
-MARGIN_PX = 32
-"""Around the disc of the region: what smoothing and the search for symmetries see of the surroundings."""
-PADDING_PX = 10
-"""Reach of the measuring operator."""
-MIN_TOP_RADIUS_PX = 14.0
 
 
 def create_model(
@@ -47,17 +36,17 @@ def create_model(
             f"a model needs an 8-bit grey image and a mask of its size, got {image.shape}, {mask.shape}"
         )
     ys, xs = np.nonzero(mask)
-    if len(xs) < MIN_PIXELS:
+    if len(xs) < LEARNING.min_pixels:
         raise TeachError(
-            f"the region is empty or tiny: expected at least {MIN_PIXELS} pixels", "small_region"
+            f"the region is empty or tiny: expected at least {LEARNING.min_pixels} pixels", "small_region"
         )
     low, high = np.array([xs.min(), ys.min()], float), np.array([xs.max(), ys.max()], float)
     middle, half = (low + high) / 2, float(np.linalg.norm(high - low) / 2)
     origin = middle if origin_px is None else np.asarray(origin_px, dtype=np.float64)
-    if not (origin.shape == (2,) and np.linalg.norm(origin - middle) <= MAX_ORIGIN * half):
+    if not (origin.shape == (2,) and np.linalg.norm(origin - middle) <= LEARNING.max_origin * half):
         raise TeachError(f"origin {origin.tolist()}: expected a pixel x, y in the region or near it")
     corner = _corner(middle - half)
-    x1, y1 = np.ceil(middle + half).astype(int) + MARGIN_PX
+    x1, y1 = np.ceil(middle + half).astype(int) + LEARNING.margin_px
     image = np.ascontiguousarray(image[corner[1] : y1, corner[0] : x1])
     mask = np.ascontiguousarray(mask[corner[1] : y1, corner[0] : x1])
     model = _learnt(image, mask, origin - corner, params or ModelParams())
@@ -67,7 +56,7 @@ def create_model(
 def _corner(low: FloatArray) -> npt.NDArray[np.int64]:
     """Upper left corner of what is looked at: a pixel that the averages of every level begin with."""
     step = 2 ** (MAX_LEVELS - 1)
-    return np.asarray(np.maximum(np.floor((low - MARGIN_PX) / step), 0) * step, np.int64)
+    return np.asarray(np.maximum(np.floor((low - LEARNING.margin_px) / step), 0) * step, np.int64)
 
 
 def _learnt(image: Image, mask: Image, origin: FloatArray, params: ModelParams) -> ShapeModel:
@@ -75,8 +64,8 @@ def _learnt(image: Image, mask: Image, origin: FloatArray, params: ModelParams) 
     levels, contrast = _levels(image, mask, origin, params)
     if not levels:
         raise TeachError(
-            f"the region shows too few edges for a model: expected at least {MIN_POINTS} edge points; "
-            "is the part inside the region, lit and in focus?",
+            "the region shows too few edges for a model: expected at least "
+            f"{OUTLINES.min_points} edge points; is the part inside the region, lit and in focus?",
             "few_edges",
         )
     levels = levels[: surviving_levels(image, origin, levels)]
@@ -102,17 +91,17 @@ def _levels(
     contrast = 0.0
     apart_px = np.zeros(image.shape, np.float32)  # to the nearest edge of the finest level, once it is known
     for index in range(params.levels or MAX_LEVELS):
-        seen = np.asarray(mask * (apart_px <= SUPPORT_PX * 2**index), np.uint8)
+        seen = np.asarray(mask * (apart_px <= LEARNING.support_px * 2**index), np.uint8)
         extracted = _edge_points(
-            image, seen, SMOOTHING_PX[min(index, 2)], params.edges if index == 0 else None
+            image, seen, LEARNING.smoothing_px[min(index, 2)], params.edges if index == 0 else None
         )
         if extracted is None:
             break
         level_origin = (origin + 0.5) / 2**index - 0.5
         relative = extracted.points - level_origin
-        if levels and np.linalg.norm(relative, axis=1).max() < MIN_TOP_RADIUS_PX:
+        if levels and np.linalg.norm(relative, axis=1).max() < LEARNING.min_top_radius_px:
             break
-        keep = _spread(relative, MAX_POINTS[index])
+        keep = _spread(relative, LEARNING.max_points[index])
         normals = extracted.normals[keep]
         levels.append(ShapeLevel(np.ascontiguousarray(relative[keep]), np.ascontiguousarray(normals)))
         if index == 0:
@@ -171,7 +160,7 @@ def _edge_points(
     # measured with the operator that will measure the image: its bias at corners and arcs cancels
     offsets, slopes = _measured(image, points, normals)
     good = np.isfinite(offsets)
-    if good.sum() < MIN_POINTS:
+    if good.sum() < OUTLINES.min_points:
         return None
     points = points[good] + normals[good] * offsets[good, None]
     return _EdgePoints(points, normals[good], float(np.median(slopes[good])), edges.thin)
@@ -182,11 +171,13 @@ def _measured(image: Image, points: FloatArray, normals: FloatArray) -> tuple[Fl
     offsets, slopes = edges_along_normals(image, points, normals, 1.5, 1)
     height, width = image.shape
     inside = np.minimum(points, np.array([width - 1.0, height - 1.0]) - points).min(axis=1)
-    cut = np.flatnonzero((inside < PADDING_PX) & ~np.isfinite(offsets))
+    cut = np.flatnonzero((inside < LEARNING.padding_px) & ~np.isfinite(offsets))
     if len(cut):
-        padded = np.asarray(cv2.copyMakeBorder(image, *(PADDING_PX,) * 4, cv2.BORDER_REPLICATE), np.uint8)
+        padded = np.asarray(
+            cv2.copyMakeBorder(image, *(LEARNING.padding_px,) * 4, cv2.BORDER_REPLICATE), np.uint8
+        )
         offsets[cut], slopes[cut] = edges_along_normals(
-            padded, points[cut] + PADDING_PX, normals[cut], 1.5, 1
+            padded, points[cut] + LEARNING.padding_px, normals[cut], 1.5, 1
         )
     return offsets, slopes
 

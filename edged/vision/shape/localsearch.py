@@ -15,14 +15,12 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray
 from edged.vision.kernels.jit import kernel
 from edged.vision.shape import refine
+from edged.vision.shape.params import CLIMB
 
-REACH_PX, STRIDE_PX = 6, 2
-"""How far, px of the level, the place may be off along x and y, in steps that the refinement bridges."""
+# numba freezes globals when it compiles: kernels read these by name
+REACH_PX = CLIMB.nearby_reach_px
+STRIDE_PX = CLIMB.nearby_stride_px
 PLACES = 2 * REACH_PX // STRIDE_PX + 1
-STEP_PX, SIZES = 1.5, 3
-"""Motion of the farthest point from one size to the next; steps to both sides."""
-POINTS = 120
-"""Enough to rank poses; they are in random order."""
 
 Array = npt.NDArray[Any]
 
@@ -46,7 +44,7 @@ def best_nearby(
     they are what a fit to half of two outlines shows. view (6,) : linear part and tilt, px of this level, of
     the view that was found, and which is taken back to; None: as taught.
     """
-    points, normals = points[:POINTS], normals[:POINTS]
+    points, normals = points[: CLIMB.nearby_points], normals[: CLIMB.nearby_points]
     poses = _around(points, pose, stretched) if view is None else _around_view(points, pose, view)
     scores = np.empty((len(poses), PLACES, PLACES), np.float32)
     scan_nearby(gx, gy, points, normals, poses, sign, minimum, scores)
@@ -67,7 +65,7 @@ def _around(points: FloatArray, pose: FloatArray, stretched: bool) -> FloatArray
     place = pose[:2] + pose[2:6].reshape(2, 2) @ middle
     radius = float(np.sqrt(size_x * size_y) * np.linalg.norm(points - middle, axis=1).max())
     angle = np.arctan2(c - b, a + d)
-    sizes = 1 + STEP_PX / max(radius, 1.0) * np.arange(-SIZES, SIZES + 1)
+    sizes = 1 + CLIMB.size_step_px / max(radius, 1.0) * np.arange(-CLIMB.sizes, CLIMB.sizes + 1)
     cosines, sines = sizes * np.cos(angle), sizes * np.sin(angle)
     poses = np.zeros((len(sizes), 8))
     poses[:, 2], poses[:, 3] = cosines * size_x, -sines * size_y

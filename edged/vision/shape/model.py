@@ -11,13 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.vision.edges.hysteresis import MIN_POINTS
+from edged.vision.edges.params import OUTLINES
 from edged.vision.shape.modelparams import MAX_LEVELS
-
-MAX_POINTS = (600, 400, 240, 160, 160)
-"""Points kept on each level: enough for the precision of the finest, few for the exhaustive top."""
-SAME_SCORE = 0.985
-"""Above it, what differs is less than what noise and sampling change."""
+from edged.vision.shape.params import LEARNING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +48,7 @@ class ShapeModel:
     @property
     def same_score(self) -> float:
         """Similarity from which two rotations cannot be told apart."""
-        return SAME_SCORE
+        return LEARNING.same_score
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Plain arrays for a file."""
@@ -79,10 +75,12 @@ class ShapeModel:
         levels = []
         for index in range(int(count)):
             points = _checked(arrays, f"points{index}", (-1, 2))
-            if len(points) > max(MAX_POINTS):
-                raise ValueError(f"points{index}: {len(points)} points, expected at most {max(MAX_POINTS)}")
+            if len(points) > max(LEARNING.max_points):
+                raise ValueError(
+                    f"points{index}: {len(points)} points, expected at most {max(LEARNING.max_points)}"
+                )
             normals = _checked(arrays, f"normals{index}", (len(points), 2))
-            if len(points) < MIN_POINTS or np.abs(points).max() > 1e5:
+            if len(points) < OUTLINES.min_points or np.abs(points).max() > 1e5:
                 raise ValueError(f"points{index}: too few or too far points")
             if np.abs(np.linalg.norm(normals, axis=1) - 1).max() > 1e-6:
                 raise ValueError(f"normals{index}: not unit vectors")

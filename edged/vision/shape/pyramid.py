@@ -14,16 +14,9 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.shape import scan
-from edged.vision.shape.scan import STEP_PX
-from edged.vision.shape.symmetry import MIN_CONTRAST, Level
+from edged.vision.shape.params import ROTATIONS, SCAN
+from edged.vision.shape.symmetry import Level
 from edged.vision.shape.workspace import Workspace
-
-TRIAL_POSES = ((0.35, 0.3, 0.6), (1.2, 0.7, 0.1), (2.5, 0.5, 0.5), (-1.0, 0.0, 0.8))
-"""Rotation in rad, shift in px of the level: none on an axis of the pixel grid."""
-ON_GRID = 0.62
-"""Mean similarity that must remain at the pose itself, to the nearest pixel."""
-OFF_GRID = 0.65
-"""... and half a step of the scan's grid away from it, in the mean over the directions of that step."""
 
 
 def surviving_levels(image: Image, origin_px: FloatArray, levels: Sequence[Level]) -> int:
@@ -33,9 +26,11 @@ def surviving_levels(image: Image, origin_px: FloatArray, levels: Sequence[Level
     """
     for count in range(len(levels), 1, -1):
         level = levels[count - 1]
-        trials = np.array([_similarity(image, origin_px, level, count - 1, pose) for pose in TRIAL_POSES])
+        trials = np.array(
+            [_similarity(image, origin_px, level, count - 1, pose) for pose in SCAN.trial_poses]
+        )
         on_grid, off_grid = trials.mean(axis=0)
-        if on_grid > ON_GRID and off_grid > OFF_GRID:
+        if on_grid > SCAN.on_grid and off_grid > SCAN.off_grid:
             return count
     return 1
 
@@ -61,7 +56,7 @@ def _similarity(
     maps = np.zeros((scan.ORIENTATIONS, 2, 2, rows, columns), np.int8)
     scratch = np.empty((2, 2, 2, rows, columns), np.float32)
     gx, gy = work.gradient(index)
-    minimum = int((8 * MIN_CONTRAST) ** 2)
+    minimum = int((8 * ROTATIONS.min_contrast) ** 2)
     scan.fill_responses(gx, gy, np.ones((1, 1), np.uint8), minimum, False, pad, scratch, maps)
     x, y = np.rint((centre + 0.5) / 2.0**index - 0.5).astype(int)
     directions = np.arctan2(level.normals[:, 1], level.normals[:, 0])
@@ -69,7 +64,7 @@ def _similarity(
     full = scan.PEAK * len(level.points)
     scan.place_on_maps(level.points, directions, angle, 1.0, 1.0, pad, placed)
     at = scan.response_sum(maps, placed, int(x), int(y)) / full
-    half_step = 0.5 * STEP_PX / max(float(np.linalg.norm(level.points, axis=1).max()), 1.0)
+    half_step = 0.5 * SCAN.step_px / max(float(np.linalg.norm(level.points, axis=1).max()), 1.0)
     beside = 0.0
     for side in (-half_step, half_step):
         scan.place_on_maps(level.points, directions, angle + side, 1.0, 1.0, pad, placed)

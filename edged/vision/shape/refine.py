@@ -16,15 +16,15 @@ from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, TUKEY, biweight
+from edged.vision.shape.params import CLIMB
 
 Array = npt.NDArray[Any]
 
 RIGID, SIMILARITY, STRETCH, AFFINE, PROJECTIVE = 3, 4, 5, 6, 8
 """Degrees of freedom: position and angle; one scale; scales along the model's x and y; shear; tilt."""
-AGREES_PX = 1.0
-"""Residual up to which an edge is taken for the model's; px of the level."""
-SETTLED_PX = 0.5
-"""A step shorter than this leaves less than a tenth of it: the next one is not worth its time."""
+# numba freezes globals when it compiles: kernels read these by name
+AGREES_PX = CLIMB.agrees_px
+SETTLED_PX = CLIMB.settled_px
 
 
 def start_pose(x_px: float, y_px: float, angle_rad: float, scale_x: float, scale_y: float) -> FloatArray:

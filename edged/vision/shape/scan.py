@@ -21,8 +21,6 @@ PEAK = 7  # response of full agreement
 GROUP = 16  # points whose responses fit into a signed byte together
 SECTORS = 12  # rivals of another 30° sector, as far apart as the hours of a clock face, never hide a pose
 TOP_POINTS = 96  # a multiple of GROUP
-STEP_PX = 2.0
-"""Motion of the outermost top-level point from one angle or scale to the next: what the stride of 2 is."""
 BLOCK = 512  # positions per block: few enough that the points of one pose stay in the first-level cache
 
 SPREAD = 3 * PEAK * 0.45

@@ -14,17 +14,18 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import ImageError
-from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edges_at_widths
+from edged.vision.edges.params import EDGE
+from edged.vision.edges.subpixel import edges_at_widths
 from edged.vision.geometry.rigid import angle_between
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
 from edged.vision.shape.candidates import Hypothesis, scan_top
 from edged.vision.shape.model import ShapeModel, reach_px
-from edged.vision.shape.params import EACH_EDGE_ITSELF, SearchParams, ShapeMatch
+from edged.vision.shape.params import CLIMB, EACH_EDGE_ITSELF, SCAN, SearchParams, ShapeMatch
 from edged.vision.shape.suppression import Placed, disc_overlap, without_overlap
 from edged.vision.shape.views import Views
-from edged.vision.shape.workspace import MIN_LEVEL_SIZE_PX, Workspace
+from edged.vision.shape.workspace import Workspace
 
 __all__ = ["SearchParams", "ShapeMatch", "Workspace", "find_shapes"]
 
@@ -36,44 +37,7 @@ FREEDOM = {
     "affine": refine.AFFINE,
     "projective": refine.PROJECTIVE,
 }
-REFINEMENT_GAIN = 0.3
-"""What refinement may add to the score of a grid pose: quantised directions, half steps in all directions."""
-COARSE_SHARE = 0.65
-"""Share of min_score that a pose must reach on coarse levels, where it may still be half a pixel off."""
-NEARLY_SHARE = 0.8
-"""... and on the last level but one, where a right pose agrees as well as on the finest."""
-NEARBY_LEVELS = (1, 2)
-CLEAR = 0.85
-"""Score above which there is nothing to be gained beside a pose."""
-RIVAL_MARGIN = (0.06, 0.12, 0.25)
-"""A pose at the place of a better one is dropped below this distance of the scores: finest level, next,
-coarser ones."""
-TILT_PRIOR = 0.02
-"""Expected change of magnification from the origin to the rim: 10° of tilt on a part of a fifth of the
-distance. Keeps the perspective at rest where the edges do not show it."""
-STEEP_PRIOR = 0.06
-"""The same of a shape that is looked for tilted by up to 45°."""
-STEEP_STEPS = ((3.0, refine.PROJECTIVE),) * 2 + ((2.0, refine.PROJECTIVE),) * 3
-"""From a view, which is some degrees off in its tilt: it moves in all ways at once, and farther. Below
-the top the first two."""
-MAX_STRETCH = 1.25
-"""A face tilted by up to 35°."""
-STRETCHES = 4
-"""Of the outline: cells of this fraction of the radius, in which local polarity is of one sign."""
-FIRST = 128
-"""Points of the first step on the finest level: enough to come near, as they are in random order."""
-CLIPPED_PX, MAX_CLIPPED = 0.5, 0.7
-"""How far a saturated sensor may displace an edge; share of all edges that may be left out for it."""
-DECIDED_SHARE, MIN_LOSS = 0.5, 0.02
-"""Of the expected distance of two nearly symmetric poses, and the least of that: below it, the image does not
-decide."""
-MAX_RIVALS = 12
-"""Rotations that are tried against one pose; where more are possible it is in doubt."""
-MAX_CHANGES = 3
-SAME_PLACE = 0.25
-"""Of the radius: parts farther apart are two parts that interlock, not one part seen in two ways."""
-SCAN_ERROR = 0.1
-"""Of the scan's score, by what the grid has of a pose: one that is lower by more is no better."""
+STEEP_STEPS = tuple((reach, refine.PROJECTIVE) for reach in CLIMB.steep_reach_px)
 
 DEFAULTS = SearchParams()
 
@@ -100,7 +64,7 @@ def find_shapes(
         )
     if valid is not None and (valid.shape != image.shape or valid.dtype != np.uint8):
         raise ImageError(f"the valid mask is {valid.dtype} {valid.shape}, the image is uint8 {image.shape}")
-    if min(image.shape) < MIN_LEVEL_SIZE_PX:
+    if min(image.shape) < SCAN.min_level_px:
         return []
     listed = [models] if isinstance(models, ShapeModel) else list(models)
     work = workspace or Workspace()
@@ -128,7 +92,7 @@ class _Search:
             # the rest comes in order: not even a perfect refinement makes one of them better
             if (
                 len(good) >= self.params.max_matches
-                and candidate.score + REFINEMENT_GAIN < good[self.params.max_matches - 1]
+                and candidate.score + CLIMB.refinement_gain < good[self.params.max_matches - 1]
             ):
                 break
             if any(self._settles(better, candidate, top) for better in found):
@@ -148,7 +112,11 @@ class _Search:
             if level < top:
                 hypothesis = hypothesis.at(refine.one_level_finer(hypothesis.pose))
             hypothesis = self._on_level(hypothesis, level, level == top)
-            if hypothesis is not None and level in NEARBY_LEVELS and hypothesis.score < CLEAR:
+            if (
+                hypothesis is not None
+                and level in CLIMB.nearby_levels
+                and hypothesis.score < CLIMB.clear_score
+            ):
                 hypothesis = self._best_nearby(hypothesis, level)
             if hypothesis is None or self._hopeless(hypothesis, level, found):
                 return None
@@ -187,7 +155,7 @@ class _Search:
         ):
             return None
         score = float(summary[0])
-        share = COARSE_SHARE if first or level > 1 else NEARLY_SHARE
+        share = CLIMB.coarse_share if first or level > 1 else CLIMB.near_finest_share
         if score < share * self.params.min_score or not self._plausible(pose, 0.06):
             return None
         return replace(hypothesis, pose=pose, score=score)
@@ -216,30 +184,30 @@ class _Search:
         pose = refine.one_level_finer(hypothesis.pose) if climbed else hypothesis.pose.copy()
         summary, matrix = np.zeros(3), np.zeros((8, 8))
         sign, score, sigma, agreeing = self._sign(hypothesis), 0.0, 0.0, np.zeros(len(level.points))
-        for last, count, reach in ((False, FIRST, 2.0), (True, len(level.points), 1.5)):
+        for last, count, reach in ((False, CLIMB.first_points, 2.0), (True, len(level.points), 1.5)):
             points, normals = level.points[:count], level.normals[:count]
             placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
             refine.place(points, normals, pose, placed)
-            seen = edges_at_widths(image, placed[:, :2], placed[:, 2:], reach, sign, (EDGE_SIGMA_PX,), 1.0)
+            seen = edges_at_widths(image, placed[:, :2], placed[:, 2:], reach, sign, (EDGE.sigma_px,), 1.0)
             offsets, slopes = seen.offset_px[0], seen.slope[0]
             edges[:, 0] = np.where(np.abs(slopes) >= self.params.min_contrast, offsets, np.nan)
             if self.params.polarity == "local":
-                _drop_odd_signs(points, slopes, self._radius(0) / STRETCHES, edges)
+                _drop_odd_signs(points, slopes, self._radius(0) / CLIMB.stretches, edges)
             refine.edge_directions(image, placed, sign, edges)
             trial = pose.copy()
             prior = self._tilt_prior() / self._radius(0)
             moved = refine.robust_step(
                 points, placed, edges, trial, freedom or refine.SIMILARITY, prior, 8, summary, matrix
             )
-            if not moved or summary[0] < COARSE_SHARE * self.params.min_score:
+            if not moved or summary[0] < CLIMB.coarse_share * self.params.min_score:
                 return None
             score, sigma = min(float(summary[0]), 1.0), float(summary[2])
             agreeing = np.where(np.abs(edges[:, 0]) < refine.AGREES_PX, slopes, 0.0)
             known = np.isfinite(edges[:, 0])
             clipped = known & seen.clipped
             if clipped.any():
-                sigma = max(sigma, CLIPPED_PX)
-            if last and 0 < clipped.sum() <= MAX_CLIPPED * known.sum():
+                sigma = max(sigma, CLIMB.clipped_px)
+            if last and 0 < clipped.sum() <= CLIMB.max_clipped * known.sum():
                 # edges of the part, so they count for its score, but not where it ends: others tell its place
                 edges[clipped, 0] = np.nan
                 sure = pose.copy()
@@ -250,14 +218,14 @@ class _Search:
             if freedom:
                 pose = trial
         # a match stays where the search found it: far moves are a slide along clutter
-        if score < COARSE_SHARE * self.params.min_score or not self._plausible(pose, 0.03):
+        if score < CLIMB.coarse_share * self.params.min_score or not self._plausible(pose, 0.03):
             return None
         covariance = refine.covariance(matrix, freedom, sigma * math.sqrt(self.model.repetition), pose)
         return replace(hypothesis, pose=pose, score=score, covariance=covariance, slopes=agreeing)
 
     def _tilt_prior(self) -> float:
         """Expected change of magnification from the origin to the rim."""
-        return TILT_PRIOR if self.views is None else STEEP_PRIOR
+        return CLIMB.tilt_prior if self.views is None else CLIMB.steep_prior
 
     def _stretches(self) -> bool:
         return self.params.scale_y_min is not None
@@ -286,13 +254,13 @@ class _Search:
             # a tilt only shortens, and not to all sides: the longest side tells the distance
             longest = _longest(a, b, c, d)
             fits = low * p.scale_min <= longest <= high * p.scale_max
-            fits = fits and longest**2 < MAX_STRETCH * self.views.max_stretch * determinant
+            fits = fits and longest**2 < CLIMB.max_stretch * self.views.max_stretch * determinant
         elif p.scale_y_min is not None and p.scale_y_max is not None:
             fits = low * p.scale_min <= size_x <= high * p.scale_max
             fits = fits and low * p.scale_y_min <= size_y <= high * p.scale_y_max
         else:
             fits = low * p.scale_min <= math.sqrt(determinant) <= high * p.scale_max
-            fits = fits and max(size_x, size_y) < MAX_STRETCH * min(size_x, size_y)
+            fits = fits and max(size_x, size_y) < CLIMB.max_stretch * min(size_x, size_y)
         if p.angle_extent_rad < 2 * math.pi - 1e-9:
             turn = math.atan2(c - b, a + d) - p.angle_start_rad + slack
             fits = fits and turn % (2 * math.pi) <= p.angle_extent_rad + 2 * slack
@@ -309,13 +277,13 @@ class _Search:
     def _same_place(self, h: Hypothesis, level: int, other: Hypothesis) -> bool:
         """Whether a hypothesis on a level and a finished one are of one part, whichever way it is turned."""
         apart = float(np.linalg.norm(self._middle(h, level) - self._middle(other, 0)))
-        return apart < SAME_PLACE * reach_px(self.model)
+        return apart < CLIMB.same_place * reach_px(self.model)
 
     def _settles(self, better: Hypothesis, candidate: Hypothesis, top: int) -> bool:
         """Whether a finished hypothesis leaves nothing to be found at its place by a candidate."""
         if better.ambiguous or better.score < self.params.min_score:
             return False
-        clear = better.score >= CLEAR or candidate.score < better.scanned - SCAN_ERROR
+        clear = better.score >= CLIMB.clear_score or candidate.score < better.scanned - CLIMB.scan_error
         return clear and self._same_place(candidate, top, better)
 
     def _hopeless(self, h: Hypothesis, level: int, found: list[Hypothesis]) -> bool:
@@ -323,7 +291,7 @@ class _Search:
         shrink = 2.0**level
         radius = self.model.radius_px
         origin = [(place + 0.5) * shrink - 0.5 for place in h.origin]
-        margin = RIVAL_MARGIN[min(level, 2)]
+        margin = CLIMB.rival_margin[min(level, 2)]
         for better in found:
             distance = math.dist(origin, better.origin)
             if h.score > better.score + 0.02:
@@ -341,7 +309,7 @@ class _Search:
 
     def _covered(self, h: Hypothesis, better: Hypothesis, distance: float) -> bool:
         """Whether h is a symmetric variant of a better one: those are tried anyway."""
-        if h.sign != better.sign or distance > SAME_PLACE * self.model.radius_px:
+        if h.sign != better.sign or distance > CLIMB.same_place * self.model.radius_px:
             return False
         turn = h.angle - better.angle
         return self.model.round or any(
@@ -384,7 +352,7 @@ class _Search:
         if self.model.round or hypothesis.slopes is None or hypothesis.score < self.params.min_score:
             return hypothesis
         for known in found:
-            as_good = known.score > hypothesis.score - RIVAL_MARGIN[0]
+            as_good = known.score > hypothesis.score - CLIMB.rival_margin[0]
             if known.odds is not None and as_good and self._same_place(hypothesis, 0, known):
                 return replace(hypothesis, odds=known.odds)
         image, contrast, sign = self.work.images[0], self.params.min_contrast, self._sign(hypothesis)
@@ -405,7 +373,7 @@ class _Search:
         equal = self._equal()
         motions = rivals.turns(self.model).motions
         best = hypothesis
-        for _ in range(MAX_CHANGES):
+        for _ in range(CLIMB.max_changes):
             slopes = np.zeros(len(self.model.levels[0].points)) if best.slopes is None else best.slopes
             left = rivals.open_turns(image, self.model, best.pose, self._sign(best), contrast, slopes, odds)
             left = [
@@ -413,8 +381,8 @@ class _Search:
                 for k in left
                 if all(angle_between(float(row[2]), float(motions[k, 2])) > 0.1 for row in equal)
             ]
-            winner, doubt = None, len(left) > MAX_RIVALS
-            for k in left[:MAX_RIVALS]:
+            winner, doubt = None, len(left) > CLIMB.max_rivals
+            for k in left[: CLIMB.max_rivals]:
                 other = self._variant(best, motions[k], climbed)
                 if other is None or not self._is_another(other, best):
                     continue
@@ -429,7 +397,7 @@ class _Search:
 
     def _beats(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether the image says that of two rotations at one place the first is right."""
-        if abs(one.score - other.score) > RIVAL_MARGIN[1]:
+        if abs(one.score - other.score) > CLIMB.rival_margin[1]:
             return one.score > other.score
         image = self.work.images[0]
         poses, signs = (one.pose, other.pose), (self._sign(one), self._sign(other))
@@ -438,14 +406,14 @@ class _Search:
             raise ValueError("rotations of a part whose face was not looked at")
         verdict = rivals.decides(image, self.model, poses, signs, self.params.min_contrast, odds)
         if verdict is None:  # they hardly differ: only all edges together can tell
-            return one.score - other.score >= DECIDED_SHARE * self._loss(one, other) * one.score
+            return one.score - other.score >= CLIMB.decided_share * self._loss(one, other) * one.score
         return verdict
 
     def _loss(self, one: Hypothesis, other: Hypothesis) -> float:
         """Share of the score that the wrong one of two rotations lacks, as teaching measured it."""
         turn = one.angle - other.angle
         known = [1 - row[3] for row in self.model.symmetries if angle_between(turn, float(row[2])) < 0.1]
-        return max(*known, MIN_LOSS) if known else MIN_LOSS
+        return max(*known, CLIMB.min_loss) if known else CLIMB.min_loss
 
     def _variant(self, hypothesis: Hypothesis, motion: FloatArray, climbed: bool) -> Hypothesis | None:
         """The pose after a motion of the model in its own plane, refined as a candidate is."""

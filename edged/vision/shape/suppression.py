@@ -13,10 +13,7 @@ from edged.domain.arrays import FloatArray
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import refine
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.params import SearchParams, ShapeMatch
-
-CLAIMED_SHARE = 0.5
-"""Of what speaks for a match: if better ones of its kind explain so much of it, it is made of their edges."""
+from edged.vision.shape.params import CLIMB, SearchParams, ShapeMatch
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +48,7 @@ def without_overlap(matches: Iterable[Placed], params: SearchParams) -> list[Sha
     for one in sorted(matches, key=lambda p: (-p.match.score, p.match.model, p.match.x_px, p.match.y_px)):
         if any(_share(one, better) > params.max_overlap for better in kept):
             continue
-        if _claimed(one, kept) <= CLAIMED_SHARE * one.match.score:
+        if _claimed(one, kept) <= CLIMB.claimed_share * one.match.score:
             kept.append(one)
     return [one.match for one in kept[: params.max_matches]]
 

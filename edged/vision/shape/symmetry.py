@@ -12,15 +12,9 @@ from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import angle_between, rotation_2d
 from edged.vision.shape import refine, scan
+from edged.vision.shape.params import ROTATIONS
 from edged.vision.shape.workspace import Workspace
 
-CONFUSABLE = 0.82
-"""Self-similarity, relative to the true pose, from which a rotation is watched in every search."""
-ROUND = 0.93
-"""A shape whose similarity never falls below this at any rotation is round."""
-MIN_CONTRAST = 2.0
-"""Grey values per px: as weak an edge as a search accepts may pass for the model's."""
-MAX_ROTATIONS = 24
 MIN_TURN_RAD = 0.2
 
 
@@ -79,10 +73,14 @@ def find_symmetry(image: Image, origin_px: FloatArray, levels: Sequence[Level], 
         maps, level.points, directions, pad, np.array([0.5 * angles[1], 0.0, 0.0]), candidates, values
     )
     scores = values / max(values[0], 1e-9)
-    is_round = bool(scores.min() > ROUND)
+    is_round = bool(scores.min() > ROTATIONS.round)
     found: list[list[float]] = []
     if not is_round:
-        peaks = (scores >= np.roll(scores, 1)) & (scores > np.roll(scores, -1)) & (scores > 0.8 * CONFUSABLE)
+        peaks = (
+            (scores >= np.roll(scores, 1))
+            & (scores > np.roll(scores, -1))
+            & (scores > 0.8 * ROTATIONS.confusable)
+        )
         peaks &= np.minimum(angles, 2 * np.pi - angles) > MIN_TURN_RAD
         own = _score(
             image,
@@ -90,14 +88,14 @@ def find_symmetry(image: Image, origin_px: FloatArray, levels: Sequence[Level], 
             refine.start_pose(float(origin_px[0]), float(origin_px[1]), 0.0, 1.0, 1.0),
             0.5 * contrast,
         )
-        for k in sorted(np.flatnonzero(peaks), key=lambda k: -scores[k])[:MAX_ROTATIONS]:
+        for k in sorted(np.flatnonzero(peaks), key=lambda k: -scores[k])[: ROTATIONS.max_rotations]:
             pose = refine.start_pose(candidates[k, 0], candidates[k, 1], candidates[k, 2], 1.0, 1.0)
             pose[:2] = (pose[:2] + 0.5) * 2**index - 0.5
-            fitted = _score(image, levels[0], pose, MIN_CONTRAST, reach=3.0 * 2**index)
+            fitted = _score(image, levels[0], pose, ROTATIONS.min_contrast, reach=3.0 * 2**index)
             similarity = fitted[0] / max(own[0], 1e-9)
             angle = float(np.arctan2(fitted[1][4], fitted[1][2]))
             known = any(angle_between(angle, other[2]) < 0.1 for other in found)
-            if similarity >= CONFUSABLE and abs(angle) > MIN_TURN_RAD and not known:
+            if similarity >= ROTATIONS.confusable and abs(angle) > MIN_TURN_RAD and not known:
                 found.append([*(fitted[1][:2] - origin_px), angle, min(similarity, 1.0)])
     rotations = _with_inverses(np.array(found, np.float64).reshape(-1, 4))
     return Symmetry(rotations, centre * 2.0**index, is_round)

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import Image
+from edged.vision.shape.params import SCAN
 
-MIN_LEVEL_SIZE_PX = 16
 _ALL_VALID = np.ones((1, 1), np.uint8)
 
 
@@ -34,7 +34,7 @@ class Workspace:
         self.images = [np.ascontiguousarray(image)]
         while len(self.images) < levels:
             height, width = self.images[-1].shape
-            if min(height, width) < 2 * MIN_LEVEL_SIZE_PX:
+            if min(height, width) < 2 * SCAN.min_level_px:
                 break
             below = self.images[-1][: height // 2 * 2, : width // 2 * 2]
             level = self.buffer("image", (height // 2, width // 2), np.uint8, len(self.images))

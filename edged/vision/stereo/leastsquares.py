@@ -18,11 +18,14 @@ import numpy.typing as npt
 from edged.domain.arrays import Image
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
+from edged.vision.stereo.params import PAIRING
 
-SMOOTHING_PX = 0.7  # takes noise from the gradients; less costs precision, more as well
 RADIUS = 3
 _OFFSETS = np.arange(-RADIUS, RADIUS + 1)
-TAPS = np.exp(-0.5 * (_OFFSETS / SMOOTHING_PX) ** 2) / np.exp(-0.5 * (_OFFSETS / SMOOTHING_PX) ** 2).sum()
+TAPS = (
+    np.exp(-0.5 * (_OFFSETS / PAIRING.smoothing_px) ** 2)
+    / np.exp(-0.5 * (_OFFSETS / PAIRING.smoothing_px) ** 2).sum()
+)
 NOISE_GAIN = float(np.sum(TAPS**2) ** 2)
 """Variance of smoothed white noise of variance 1."""
 TAP2_COVARIANCE = float(np.sum(TAPS**2) * np.sum(TAPS[2:] * TAPS[:-2]))
@@ -32,14 +35,13 @@ _RESPONSE = np.cos(np.outer(_FREQUENCY, _OFFSETS)) @ TAPS
 SLOPE_NOISE_GAIN = float(np.sum(TAPS**2) * np.mean((_FREQUENCY * _RESPONSE) ** 2))
 """Variance of the derivative by x of smoothed white noise of variance 1."""
 
-SLOPE_SIGMA = 0.5
-"""Prior of the slopes: a face inclined by 45° at a distance of 2 baselines. Without any, an edge with
-nothing beside it leaves the slope open, and the fit goes astray."""
-MAX_ITERATIONS = 20
-MAX_STEP_PX = 1.5  # the fit refines the peak that the search chose; it must not look for another
-MAX_SLOPE = 0.8
+# numba freezes globals when it compiles: kernels read these by name
+SLOPE_SIGMA = PAIRING.slope_sigma
+MAX_ITERATIONS = PAIRING.max_iterations
+MAX_STEP_PX = PAIRING.max_step_px
+MAX_SLOPE = PAIRING.max_slope
 TINY_PIVOT = 1e-12  # relative to its diagonal element: below, an unknown is left open
-CONVERGED_PX = 1e-3  # the steps shrink tenfold each: what remains is a tenth of this
+CONVERGED_PX = PAIRING.converged_px
 POLE = math.sqrt(3.0) - 2.0  # of the cubic spline's recursive filter
 
 SHIFT, SLOPE_X, SLOPE_Y, GAIN, OFFSET = range(5)

@@ -42,10 +42,11 @@ from edged.vision.stereo.leastsquares import (
     variance_of,
 )
 from edged.vision.stereo.ncc import find_peak, ncc_along_row, sheared_window
+from edged.vision.stereo.params import PAIRING
 
-SLOPES = np.array([(0.0, 0.0), (0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
-"""Shears of the search window; what lies between is within 1 px at the rim of a window of 21 px."""
-SURE_SCORE = 0.9  # no other shear is tried once one fits as well as this
+# numba freezes globals when it compiles: kernels read these by name
+SLOPES = np.array(PAIRING.slopes)
+SURE_SCORE = PAIRING.sure_score
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]

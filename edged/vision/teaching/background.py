@@ -15,20 +15,7 @@ from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rigid import apply
 from edged.vision.teaching.features import TeachingView
-
-MAX_MISMATCH_PX = 1.0
-"""Along the normal, left against right: shading moves an edge of the face by less, chance by more."""
-MAX_SLOPE_RATIO = 2.0
-WINDOW_PX = 25
-"""Length of edge that is judged together."""
-MIN_AGREEING = 0.6
-"""Of a window of the face; of another depth about one in five agrees by chance."""
-CLEAN_SHARE = 0.7
-"""With so much of the region's edges in the face, the rest is the part's own: chamfers, grounds of holes."""
-MIN_KEPT = 100
-"""Edge pixels; fewer are no shape, and the region speaks for itself."""
-BAND_PX = 3
-"""To both sides of an edge that is kept."""
+from edged.vision.teaching.params import TEACHING
 
 
 def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Image) -> Image:
@@ -41,16 +28,18 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
     contours = find_contours(view.images.rectified_left, mask)
     agreeing = [agreeing_with(view, face, contour) for contour in contours]
     total = sum(len(one) for one in agreeing)
-    if not total or sum(np.count_nonzero(one) for one in agreeing) >= CLEAN_SHARE * total:
+    if not total or sum(np.count_nonzero(one) for one in agreeing) >= TEACHING.clean_share * total:
         return mask
     kept = np.zeros_like(mask)
     for contour, agrees in zip(contours, agreeing, strict=True):
-        chosen = _share(agrees, contour.closed) >= MIN_AGREEING
+        chosen = _share(agrees, contour.closed) >= TEACHING.min_agreeing
         pixels = np.rint(contour.points[chosen]).astype(np.intp)
         kept[np.clip(pixels[:, 1], 0, len(kept) - 1), np.clip(pixels[:, 0], 0, kept.shape[1] - 1)] = 255
-    if np.count_nonzero(kept) < MIN_KEPT:
+    if np.count_nonzero(kept) < TEACHING.min_kept:
         return mask
-    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BAND_PX + 1, 2 * BAND_PX + 1))
+    around = cv2.getStructuringElement(
+        cv2.MORPH_ELLIPSE, (2 * TEACHING.band_px + 1, 2 * TEACHING.band_px + 1)
+    )
     return np.minimum(np.asarray(cv2.dilate(kept, around), np.uint8), mask)
 
 
@@ -67,8 +56,8 @@ def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> npt.NDAr
     )
     ratio = slopes / np.maximum(contour.slopes, 1e-9)
     with np.errstate(invalid="ignore"):
-        alike = (ratio < MAX_SLOPE_RATIO) & (ratio > 1 / MAX_SLOPE_RATIO)
-        return np.asarray((np.abs(offsets) <= MAX_MISMATCH_PX) & alike)
+        alike = (ratio < TEACHING.max_slope_ratio) & (ratio > 1 / TEACHING.max_slope_ratio)
+        return np.asarray((np.abs(offsets) <= TEACHING.max_mismatch_px) & alike)
 
 
 def _in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> FloatArray:
@@ -81,10 +70,12 @@ def _in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> Floa
 
 def _share(agrees: npt.NDArray[np.bool_], closed: bool) -> FloatArray:
     """(N,) share of the neighbours along a contour that agree; a shorter contour is one neighbourhood."""
-    if len(agrees) <= WINDOW_PX:
+    if len(agrees) <= TEACHING.window_px:
         return np.full(len(agrees), float(np.mean(agrees)) if len(agrees) else 0.0)
     border = cv2.BORDER_WRAP if closed else cv2.BORDER_REFLECT_101
-    half = WINDOW_PX // 2
+    half = TEACHING.window_px // 2
     column = agrees.astype(np.float64)[:, None]
     padded = cv2.copyMakeBorder(column, half, half, 0, 0, border)
-    return np.asarray(np.convolve(padded[:, 0], np.full(WINDOW_PX, 1 / WINDOW_PX), "valid"), np.float64)
+    return np.asarray(
+        np.convolve(padded[:, 0], np.full(TEACHING.window_px, 1 / TEACHING.window_px), "valid"), np.float64
+    )

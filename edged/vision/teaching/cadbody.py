@@ -20,10 +20,7 @@ from edged.vision.teaching.cadmodel import (
     triangle_normals,
     welded,
 )
-
-SHARP_RAD = math.radians(20.0)
-"""Between two triangles: less is within a rounding."""
-ON_CURVE_MM = 0.02
+from edged.vision.teaching.params import CAD
 
 
 def body_of(
@@ -43,7 +40,7 @@ def body_of(
     plain = CadModel(points, triangles, np.arange(len(triangles)), ())
     outside = triangle_normals(plain)[1]
     sides, beside = neighbours(triangles)
-    sharp = np.einsum("ij,ij->i", outside[beside[:, 0]], outside[beside[:, 1]]) < math.cos(SHARP_RAD)
+    sharp = np.einsum("ij,ij->i", outside[beside[:, 0]], outside[beside[:, 1]]) < math.cos(CAD.body_sharp_rad)
     for curve in gone:
         sharp &= ~_lies_on(curve, points, sides)
     lines = np.column_stack([sides, beside])[sharp]
@@ -57,8 +54,12 @@ def _lies_on(curve: ModelCircle | ModelEdge, points: FloatArray, sides: IntArray
         off = np.linalg.norm(np.cross(points - curve.start_mm, along), axis=1)
         place = (points - curve.start_mm) @ along
         end = float(np.linalg.norm(curve.end_mm - curve.start_mm))
-        near = (off < ON_CURVE_MM) & (place > -ON_CURVE_MM) & (place < end + ON_CURVE_MM)
+        near = (
+            (off < CAD.body_on_curve_mm)
+            & (place > -CAD.body_on_curve_mm)
+            & (place < end + CAD.body_on_curve_mm)
+        )
     else:
         away = np.linalg.norm(points - curve.centre_mm, axis=1)
-        near = np.abs(away - curve.radius_mm) < ON_CURVE_MM
+        near = np.abs(away - curve.radius_mm) < CAD.body_on_curve_mm
     return np.asarray(near[sides].all(axis=1))

@@ -23,7 +23,6 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, transform
 from edged.vision.part.bodysight import hidden_samples
 from edged.vision.part.job import (
-    DEPTH_SHARE,
     CircleFeature,
     CornerFeature,
     EdgeFeature,
@@ -32,40 +31,22 @@ from edged.vision.part.job import (
     known_radius,
     usual_limits,
 )
+from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve, edge_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.cadbody import body_of
-from edged.vision.teaching.cadmatch import BREAK_MM, levelled
+from edged.vision.teaching.cadmatch import levelled
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves, triangle_normals
 from edged.vision.teaching.drawing import (
     BACKGROUND,
-    BLUR_PX,
-    MARGIN_PX,
-    MIN_CIRCLE_PX,
-    MIN_EDGE_PX,
     PART,
     px_per_mm,
 )
 from edged.vision.teaching.levels import mask_along
 from edged.vision.teaching.pair import for_solid
-
-SIGMA_MM = 0.1
-"""Of what a model alone says of a real part's edges: edge breaks by ISO 13715 are 0.1 to 0.5 mm."""
-MAX_SIGMA_MM = 0.3
-"""A job's limit; twice the above, across the face, is in every result."""
-ABOVE = 150.0
-"""Grey of faces that stand above the painted one."""
-FINER = 4
-"""Sub-pixels of the painting, in x and y."""
-LEVEL_MM = 0.01
-LEVEL_SINE = 1 - 1e-6
-MIN_SPAN = 0.6
-"""Of a circle that is cut: with less it is a rounded corner."""
-MEET_MM = 0.1
-SIGHT_POINTS = 48
-"""Of a curve, at which it is asked whether the part hides it."""
+from edged.vision.teaching.params import CAD
 
 
 def teach_model(
@@ -101,11 +82,11 @@ def teach_model(
     rig_from_part = transform(np.eye(3), np.array([-middle[0], -middle[1], depth_mm]))
     image = _painted(model, curves.up, points, rig_from_part, rectification)
     body = body_of(model, part_from_model)
-    flat = [one for one in _curves(circles, edges) if abs(one.height_mm) < LEVEL_MM]
+    flat = [one for one in _curves(circles, edges) if abs(one.height_mm) < CAD.level_mm]
     mask = mask_along(rectification, flat, rig_from_part)
     shape = create_model(image, mask, params=params)
     sizes, witness = known_radius(circles, reference)
-    sigma_mm = math.hypot(SIGMA_MM, max((one.sigma_mm for one in curves.circles), default=0.0))
+    sigma_mm = math.hypot(CAD.sigma_mm, max((one.sigma_mm for one in curves.circles), default=0.0))
     job = Job(
         name=name,
         number=number,
@@ -117,10 +98,13 @@ def teach_model(
         rig_from_part=rig_from_part,
         limits=replace(
             usual_limits(depth_mm, 1 / scale, shape, circles, reference, sigma_mm),
-            max_sigma_mm=MAX_SIGMA_MM * sigma_mm / SIGMA_MM,
+            max_sigma_mm=CAD.max_sigma_mm * sigma_mm / CAD.sigma_mm,
         ),
         search=SearchParams(
-            scale_min=1 / (1 + DEPTH_SHARE), scale_max=1 / (1 - DEPTH_SHARE), max_matches=8, polarity="local"
+            scale_min=1 / (1 + MEASURING.depth_share),
+            scale_max=1 / (1 - MEASURING.depth_share),
+            max_matches=8,
+            polarity="local",
         ),
         edges=tuple(edges),
         corners=tuple(corners),
@@ -150,12 +134,12 @@ def _features(
     rounds = [
         CircleFeature("", apply(level, one.centre_mm), one.radius_mm, 1 if one.hole else -1, double=True)
         for one in curves.circles
-        if one.radius_mm * scale > MIN_CIRCLE_PX and one.span > MIN_SPAN
+        if one.radius_mm * scale > CAD.min_circle_px and one.span > CAD.min_span
     ]
     lines = []
     for one in curves.edges:
         start, end = apply(level, one.start_mm), apply(level, one.end_mm)
-        if float(np.linalg.norm(end - start)) * scale > MIN_EDGE_PX:
+        if float(np.linalg.norm(end - start)) * scale > CAD.min_edge_px:
             left = np.array([start[1] - end[1], end[0] - start[0], 0.0])
             lines.append(EdgeFeature("", start, end, -1 if left @ level[:3, :3] @ one.away > 0 else 1))
     return (
@@ -180,8 +164,8 @@ def _shown(
     pose = transform(np.eye(3), np.array([0.0, 0.0, depth_mm]) - middle)
 
     def is_seen(curve: Curve) -> bool:
-        points = curve.outline(np.linspace(0.0, 1.0, SIGHT_POINTS, endpoint=False)).points
-        return bool((1.0 - hidden_samples(body, rig, pose, points).mean(axis=1)).min() >= MIN_SPAN)
+        points = curve.outline(np.linspace(0.0, 1.0, CAD.sight_points, endpoint=False)).points
+        return bool((1.0 - hidden_samples(body, rig, pose, points).mean(axis=1)).min() >= CAD.min_span)
 
     return (
         [one for one in circles if is_seen(circle_curve(one, True))],
@@ -194,7 +178,11 @@ def _breaks_into(one: CircleFeature, upper: CircleFeature) -> bool:
     aside = float(np.linalg.norm((one.centre_mm - upper.centre_mm)[:2]))
     wider = (upper.radius_mm - one.radius_mm) * one.polarity
     down = float(one.centre_mm[2] - upper.centre_mm[2])
-    return one.polarity == upper.polarity and aside < LEVEL_MM < down < BREAK_MM and 0 < wider < BREAK_MM
+    return (
+        one.polarity == upper.polarity
+        and aside < CAD.level_mm < down < CAD.break_mm
+        and 0 < wider < CAD.break_mm
+    )
 
 
 def _falls_from(one: EdgeFeature, upper: EdgeFeature) -> bool:
@@ -204,19 +192,20 @@ def _falls_from(one: EdgeFeature, upper: EdgeFeature) -> bool:
     parallel = np.linalg.norm(np.cross(along, upper.end_mm - upper.start_mm)) < 1e-3 * upper.length_mm
     aside = abs(float(along[0] * gap[1] - along[1] * gap[0]))
     within = abs(float(along @ gap)) < 0.5 * one.length_mm
-    return bool(parallel) and within and aside < BREAK_MM and LEVEL_MM < float(gap[2]) < BREAK_MM
+    return bool(parallel) and within and aside < CAD.break_mm and CAD.level_mm < float(gap[2]) < CAD.break_mm
 
 
 def _main_face(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -> float:
     """The height, along z, at which most of all edges lies."""
     lengths: dict[float, float] = {}
     for one in _curves(circles, edges):
-        height = round(one.height_mm / LEVEL_MM) * LEVEL_MM
+        height = round(one.height_mm / CAD.level_mm) * CAD.level_mm
         lengths[height] = lengths.get(height, 0.0) + one.perimeter_mm
     if not lengths:
         raise TeachError(
             "the model shows nothing that the cameras could measure at this distance: expected a circle of "
-            f"at least {MIN_CIRCLE_PX:g} px radius or straight edges of {MIN_EDGE_PX:g} px, or another --up"
+            f"at least {CAD.min_circle_px:g} px radius or straight edges of {CAD.min_edge_px:g} px, "
+            "or another up axis"
         )
     return max(lengths, key=lambda height: lengths[height])
 
@@ -226,10 +215,10 @@ def _in_order(
 ) -> tuple[list[CircleFeature], list[EdgeFeature]]:
     """Named, those of the main face first, and then by their size."""
     rounds = sorted(
-        circles, key=lambda c: (abs(c.centre_mm[2] - main_mm) > LEVEL_MM, -c.radius_mm, *c.centre_mm[:2])
+        circles, key=lambda c: (abs(c.centre_mm[2] - main_mm) > CAD.level_mm, -c.radius_mm, *c.centre_mm[:2])
     )
     lines = sorted(
-        edges, key=lambda e: (abs(e.start_mm[2] - main_mm) > LEVEL_MM, -e.length_mm, *e.start_mm[:2])
+        edges, key=lambda e: (abs(e.start_mm[2] - main_mm) > CAD.level_mm, -e.length_mm, *e.start_mm[:2])
     )
     return (
         [replace(one, name=f"c{k}") for k, one in enumerate(rounds)],
@@ -242,7 +231,7 @@ def _corners(edges: Sequence[EdgeFeature]) -> list[CornerFeature]:
     found: list[CornerFeature] = []
     for one, two in itertools.combinations(edges, 2):
         gaps = [np.linalg.norm(a - b) for a in (one.start_mm, one.end_mm) for b in (two.start_mm, two.end_mm)]
-        if min(gaps) < MEET_MM and np.isfinite(crossing(one, two)).all():
+        if min(gaps) < CAD.meet_mm and np.isfinite(crossing(one, two)).all():
             found.append(CornerFeature(f"k{len(found)}", (one.name, two.name)))
     return found
 
@@ -275,22 +264,22 @@ def _painted(
     width, height = rectification.size
     rectified = apply(rig_from_part, points) @ rectification.rectified_from_left.T
     pixels = rectification.focal_px * rectified[:, :2] / rectified[:, 2:] + rectification.centre_left_px
-    low, high = pixels.min(axis=0) - MARGIN_PX, pixels.max(axis=0) + MARGIN_PX
+    low, high = pixels.min(axis=0) - CAD.margin_px, pixels.max(axis=0) + CAD.margin_px
     if not (rectified[:, 2] > 0).all() or (low < 0).any() or (high > [width - 1, height - 1]).any():
         across = high - low
         raise TeachError(
             f"the part does not fit the image at this distance: {across[0]:.0f}x{across[1]:.0f} px with its "
             f"margin, of {width}x{height}; are the file and the distance right?"
         )
-    fine = np.rint(((pixels + 0.5) * FINER - 0.5) * 16).astype(np.int32)
-    canvas = np.full((height * FINER, width * FINER), BACKGROUND, np.uint8)
-    level = triangle_normals(model)[1] @ up > LEVEL_SINE
+    fine = np.rint(((pixels + 0.5) * CAD.finer - 0.5) * 16).astype(np.int32)
+    canvas = np.full((height * CAD.finer, width * CAD.finer), BACKGROUND, np.uint8)
+    level = triangle_normals(model)[1] @ up > CAD.level_sine
     depths = points[model.triangles][:, :, 2].mean(axis=1)
     for grey, chosen in (
-        (PART, level & (np.abs(depths) < LEVEL_MM)),
-        (ABOVE, level & (depths < -LEVEL_MM)),
+        (PART, level & (np.abs(depths) < CAD.level_mm)),
+        (CAD.above_grey, level & (depths < -CAD.level_mm)),
     ):
         for triangle in model.triangles[chosen]:
             cv2.fillConvexPoly(canvas, fine[triangle], grey, cv2.LINE_8, 4)
     image = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR_PX))
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), CAD.blur_px))

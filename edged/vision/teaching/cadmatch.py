@@ -19,29 +19,7 @@ from edged.errors import TeachError
 from edged.vision.geometry.rigid import about_z, transform, unit
 from edged.vision.part.job import CircleFeature, EdgeFeature
 from edged.vision.teaching.cadmodel import ModelCurves
-
-NEAR_MM = 0.6
-"""Curves of a part and of another revision of it are within this, and are still known for each other."""
-BREAK_MM = 1.0
-"""The largest edge break."""
-MIN_ARM_MM = 1.0
-SAME_TURN = math.radians(1.5)
-TURN_BIN = math.radians(0.5)
-LONGEST = 6
-"""Of the taught edges, those that hypotheses are made of."""
-MAX_TURNS = 60
-"""Rotations that are tried, those first for which most edges are parallel."""
-MOST_STARTS = 40_000
-CHUNK = 2_000
-REFINED = 12
-FLOOR_MM = 0.004
-MIN_MATCHED = 0.6
-"""Of the taught curves: with fewer found again it is another part."""
-MIN_CURVES = 2
-RIVAL = 0.02
-"""Share by which one way to lay the part must agree better than another that is not the same."""
-EDGE_WEIGHT = 0.3
-"""Of an edge beside a circle: an edge break shifts the edge, and leaves the centre where it was."""
+from edged.vision.teaching.params import CAD
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +70,7 @@ def register(
     """
     if not model.circles and not model.edges:
         raise TeachError(
-            f"{what}: no circle and no straight edge looks to the cameras: expected another --up, the axis "
+            f"{what}: no circle and no straight edge looks to the cameras: expected another up axis, the one "
             "of the file that points to them"
         )
     turned = levelled(model.up)
@@ -105,17 +83,17 @@ def register(
     flipped = np.diag([-1.0, 1.0, 1.0])
     mirrored = _laid(taught, _mapped(drawn, flipped))
     best, mirror = (0.0 if not one else one[0][0] for one in (found, mirrored))
-    needed = max(MIN_MATCHED * taught.count, MIN_CURVES if taught.count > 1 else 1) * 0.5
+    needed = max(CAD.min_matched * taught.count, CAD.min_curves if taught.count > 1 else 1) * 0.5
     if mirror > max(best + 0.5, needed):
         raise TeachError(
             f"{what}: fits the part only as seen in a mirror: expected the model of this part, not of its "
-            "counterpart, and --up as the part lies"
+            "counterpart, and its up axis as the part lies"
         )
     if not found:
         raise TeachError(_no_fit(what, 0, taught.count))
     _check_rivals(found, drawn, what)
     pose, partners = _refined(circles, edges, taught, model, drawn, found[0][1])
-    if len(partners) < max(MIN_MATCHED * taught.count, min(MIN_CURVES, taught.count)):
+    if len(partners) < max(CAD.min_matched * taught.count, min(CAD.min_curves, taught.count)):
         raise TeachError(_no_fit(what, len(partners), taught.count))
     names = {one.name for one in partners}
     taught_names = [*(one.name for one in circles), *(one.name for one in edges)]
@@ -126,7 +104,7 @@ def register(
 def _no_fit(what: str, matched: int, count: int) -> str:
     return (
         f"{what}: fits {matched} of the {count} curves that the pair shows: expected the model of this part, "
-        "and --up as the axis of the file that points to the cameras"
+        "and as its up axis the one that points to the cameras"
     )
 
 
@@ -159,7 +137,7 @@ def _laid(taught: _Curves, drawn: _Curves) -> list[tuple[float, FloatArray]]:
     if not len(starts):
         return []
     scores = np.concatenate(
-        [_scores(taught, drawn, starts[k : k + CHUNK]) for k in range(0, len(starts), CHUNK)]
+        [_scores(taught, drawn, starts[k : k + CAD.chunk]) for k in range(0, len(starts), CAD.chunk)]
     )
     kept: list[tuple[float, FloatArray]] = []
     seen: list[FloatArray] = []
@@ -168,8 +146,8 @@ def _laid(taught: _Curves, drawn: _Curves) -> list[tuple[float, FloatArray]]:
         if scores[k] <= 0 or len(kept) >= 30:
             break
         if any(
-            abs(math.remainder(turn - one[0], math.tau)) < 2 * SAME_TURN
-            and float(np.abs(one[1:] - shift).max()) < 2 * NEAR_MM
+            abs(math.remainder(turn - one[0], math.tau)) < 2 * CAD.same_turn_rad
+            and float(np.abs(one[1:] - shift).max()) < 2 * CAD.near_mm
             for one in seen
         ):
             continue
@@ -186,16 +164,16 @@ def _starts(taught: _Curves, drawn: _Curves) -> FloatArray:
         rotation = about_z(turn)
         turned = _mapped(drawn, rotation)
         for c, d in itertools.product(range(len(taught.circles)), range(len(drawn.circles))):
-            if abs(taught.circles[c, 3] - drawn.circles[d, 3]) < BREAK_MM:
+            if abs(taught.circles[c, 3] - drawn.circles[d, 3]) < CAD.break_mm:
                 starts.append([turn, *(taught.circles[c, :3] - turned.circles[d, :3])])
         starts += _by_edges(taught, turned, turn, pairs)
-        if len(starts) > MOST_STARTS:
+        if len(starts) > CAD.max_starts:
             break
     if len(taught.circles) and not len(taught.edges) and not starts:  # of one circle, or concentric ones
         for c, d in itertools.product(range(len(taught.circles)), range(len(drawn.circles))):
-            if abs(taught.circles[c, 3] - drawn.circles[d, 3]) < BREAK_MM:
+            if abs(taught.circles[c, 3] - drawn.circles[d, 3]) < CAD.break_mm:
                 starts.append([0.0, *(taught.circles[c, :3] - drawn.circles[d, :3])])
-    return np.array(starts[:MOST_STARTS]).reshape(-1, 4)
+    return np.array(starts[: CAD.max_starts]).reshape(-1, 4)
 
 
 def _by_circles(taught: _Curves, drawn: _Curves) -> list[list[float]]:
@@ -206,16 +184,16 @@ def _by_circles(taught: _Curves, drawn: _Curves) -> list[list[float]]:
     for one, two in itertools.combinations(taught.circles, 2):
         arm = two[:3] - one[:3]
         size = float(np.linalg.norm(arm[:2]))
-        if size < MIN_ARM_MM:
+        if size < CAD.min_arm_mm:
             continue
-        like = (np.abs(length - size) < NEAR_MM) & (np.abs(gaps[..., 2] - arm[2]) < BREAK_MM)
-        like &= (np.abs(wide - one[3]) < BREAK_MM)[:, None] & (np.abs(wide - two[3]) < BREAK_MM)[None]
+        like = (np.abs(length - size) < CAD.near_mm) & (np.abs(gaps[..., 2] - arm[2]) < CAD.break_mm)
+        like &= (np.abs(wide - one[3]) < CAD.break_mm)[:, None] & (np.abs(wide - two[3]) < CAD.break_mm)[None]
         np.fill_diagonal(like, val=False)
         for a, b in np.argwhere(like):
             turn = math.atan2(arm[1], arm[0]) - math.atan2(gaps[a, b, 1], gaps[a, b, 0])
             middle = about_z(turn) @ (0.5 * (drawn.circles[a, :3] + drawn.circles[b, :3]))
             starts.append([turn, *(0.5 * (one[:3] + two[:3]) - middle)])
-            if len(starts) > MOST_STARTS // 2:
+            if len(starts) > CAD.max_starts // 2:
                 return starts
     return starts
 
@@ -231,16 +209,16 @@ def _turns_of_edges(taught: _Curves, drawn: _Curves) -> list[tuple[float, list[t
     fits = np.linalg.norm(run, axis=1)[None] > 0.6 * size[:, None]
     bins: dict[int, list[tuple[int, int]]] = {}
     for e, f in np.argwhere(fits):
-        bins.setdefault(round((gaps[e, f] % math.pi) / TURN_BIN) % round(math.pi / TURN_BIN), []).append(
-            (e, f)
-        )
-    longest = set(np.argsort(-size)[:LONGEST].tolist())
+        bins.setdefault(
+            round((gaps[e, f] % math.pi) / CAD.turn_bin_rad) % round(math.pi / CAD.turn_bin_rad), []
+        ).append((e, f))
+    longest = set(np.argsort(-size)[: CAD.longest].tolist())
     order = sorted(bins, key=lambda one: -sum(size[e] for e in {e for e, _ in bins[one]}))
     found = []
-    for one in order[:MAX_TURNS]:
+    for one in order[: CAD.max_turns]:
         pairs = [(int(e), int(f)) for e, f in bins[one]]
-        offset = np.array([math.remainder(gaps[e, f] - one * TURN_BIN, math.pi) for e, f in pairs])
-        turn = one * TURN_BIN + float(np.median(offset))
+        offset = np.array([math.remainder(gaps[e, f] - one * CAD.turn_bin_rad, math.pi) for e, f in pairs])
+        turn = one * CAD.turn_bin_rad + float(np.median(offset))
         chosen = [(e, f) for e, f in pairs if e in longest]
         found += [(turn, chosen), (turn + math.pi, chosen)]
     return found
@@ -262,7 +240,7 @@ def _by_edges(
             continue
         shift = np.linalg.solve(np.array(rows), np.array(values))
         down = taught.edges[[e, g], 0, 2] - turned.edges[[f, h], 0, 2]
-        if abs(down[0] - down[1]) < BREAK_MM:
+        if abs(down[0] - down[1]) < CAD.break_mm:
             starts.append([turn, *shift, float(down.mean())])
     return starts
 
@@ -275,11 +253,13 @@ def _scores(taught: _Curves, drawn: _Curves, starts: FloatArray) -> FloatArray:
     total = np.zeros(len(starts))
     if len(taught.circles) and len(drawn.circles):
         centres = np.einsum("kij,nj->kni", rotations, drawn.circles[:, :3]) + starts[:, None, 1:]
-        wide = np.abs(taught.circles[:, 3][:, None] - drawn.circles[:, 3][None]) / BREAK_MM
+        wide = np.abs(taught.circles[:, 3][:, None] - drawn.circles[:, 3][None]) / CAD.break_mm
         for k, circle in enumerate(taught.circles):
             gap = centres - circle[:3]
             total += _worth(
-                np.linalg.norm(gap[..., :2], axis=2) / NEAR_MM, np.abs(gap[..., 2]) / BREAK_MM, wide[k][None]
+                np.linalg.norm(gap[..., :2], axis=2) / CAD.near_mm,
+                np.abs(gap[..., 2]) / CAD.break_mm,
+                wide[k][None],
             )
     if len(taught.edges) and len(drawn.edges):
         ends = np.einsum("kij,nej->knei", rotations, drawn.edges) + starts[:, None, None, 1:]
@@ -290,10 +270,10 @@ def _scores(taught: _Curves, drawn: _Curves, starts: FloatArray) -> FloatArray:
             reach = edge[None, None] - ends[:, :, :1]
             across = reach[..., 1] * along[:, :, None, 0] - reach[..., 0] * along[:, :, None, 1]
             middle = np.einsum("knei,kni->kne", reach, along).mean(axis=2)
-            worth_of = np.abs(across).max(axis=2) / BREAK_MM
-            within = (middle > -BREAK_MM) & (middle < size + BREAK_MM)
+            worth_of = np.abs(across).max(axis=2) / CAD.break_mm
+            within = (middle > -CAD.break_mm) & (middle < size + CAD.break_mm)
             total += _worth(
-                np.where(within, worth_of, 2.0), np.abs(reach[..., 0, 2]) / BREAK_MM, np.zeros((1, 1))
+                np.where(within, worth_of, 2.0), np.abs(reach[..., 0, 2]) / CAD.break_mm, np.zeros((1, 1))
             )
     return total
 
@@ -310,7 +290,7 @@ def _check_rivals(found: list[tuple[float, FloatArray]], drawn: _Curves, what: s
     score, pose = found[0]
     itself = _scores(drawn, drawn, np.zeros((1, 4)))[0]
     for other, there in found[1:]:
-        if other < score * (1 - RIVAL):
+        if other < score * (1 - CAD.rival):
             break
         motion = np.linalg.inv(pose) @ there
         turn = math.atan2(motion[1, 0], motion[0, 0])
@@ -335,7 +315,7 @@ def _refined(
     """The pose (4, 4) of least absolute differences, and who is whose partner."""
     turn, shift = math.atan2(pose[1, 0], pose[0, 0]), pose[:3, 3].copy()
     partners: list[Partner] = []
-    for _ in range(REFINED):
+    for _ in range(CAD.refined):
         laid = _mapped(drawn, about_z(turn), shift)
         partners = _partners(circles, edges, taught, model, laid)
         rows, values, weights, down = [], [], [], []
@@ -344,7 +324,7 @@ def _refined(
                 k = next(k for k, c in enumerate(circles) if c.name == one.name)
                 gap = taught.circles[k, :3] - laid.circles[one.index, :3]
                 x, y = laid.circles[one.index, :2] - shift[:2]
-                weight = 1.0 / max(float(np.hypot(*gap[:2])), FLOOR_MM)
+                weight = 1.0 / max(float(np.hypot(*gap[:2])), CAD.floor_mm)
                 rows += [[1.0, 0.0, -y], [0.0, 1.0, x]]
                 values += list(gap[:2])
                 weights += [weight, weight]
@@ -357,7 +337,7 @@ def _refined(
                     x, y = end[:2] - shift[:2]
                     rows.append([normal[0], normal[1], normal[1] * x - normal[0] * y])
                     values.append(off)
-                    weights.append((EDGE_WEIGHT if circles else 1.0) / max(abs(off), FLOOR_MM))
+                    weights.append((CAD.edge_weight if circles else 1.0) / max(abs(off), CAD.floor_mm))
             down.append(one.deeper)
         if not rows:
             break
@@ -387,7 +367,7 @@ def _partners(
         wider = taught.circles[k, 3] - laid.circles[:, 3]
         off = np.hypot(np.hypot(aside, wider), gap[:, 2])
         at = int(off.argmin())
-        if aside[at] < NEAR_MM and abs(wider[at]) < BREAK_MM and abs(gap[at, 2]) < BREAK_MM:
+        if aside[at] < CAD.near_mm and abs(wider[at]) < CAD.break_mm and abs(gap[at, 2]) < CAD.break_mm:
             outwards = 1.0 if model.circles[at].hole else -1.0
             values = float(aside[at]), outwards * float(wider[at]), float(gap[at, 2])
             found.append(Partner(circle.name, "circle", at, *values))
@@ -410,11 +390,11 @@ def _nearest_edge(
         across = reach[:, 1] * along[0] - reach[:, 0] * along[1]
         deeper = float(reach[:, 2].mean())
         angle = math.atan2(abs(float(across[1] - across[0])), float(np.linalg.norm(ends[1] - ends[0])))
-        if not -BREAK_MM < middle < size + BREAK_MM or angle > SAME_TURN:
+        if not -CAD.break_mm < middle < size + CAD.break_mm or angle > CAD.same_turn_rad:
             continue
         offset = float(across.mean())
         off = math.hypot(offset, deeper)
-        if abs(offset) < BREAK_MM and abs(deeper) < BREAK_MM and (best is None or off < best[0]):
+        if abs(offset) < CAD.break_mm and abs(deeper) < CAD.break_mm and (best is None or off < best[0]):
             best = off, at, abs(float(across[1] - across[0])) / 2, -offset * _side(model, at), deeper
     return None if best is None else best[1:]
 

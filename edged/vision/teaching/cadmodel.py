@@ -17,19 +17,11 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import unit
+from edged.vision.teaching.params import CAD
 
 IntArray = npt.NDArray[np.int64]
 
-WELD_MM = 1e-4
-"""Corners nearer to each other are one; single precision of a part of a metre is finer."""
 PARALLEL = 1e-6
-LOOKS_UP = 0.1
-"""Sine of the angle by which a face must look to the cameras to be seen from above."""
-ON_CURVE_MM = 0.02
-"""The triangles' corners lie on the curve that their faces say; else it is another curve."""
-SAME_MM = 1e-3
-MIN_EDGE_MM = 0.5
-"""A shorter straight edge is nothing that a camera of this kind measures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +108,7 @@ def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
     for meeting in _meetings(model):
         sides = [model.surfaces[face] for face in meeting.faces]
         looks = [float(normals[one].mean(axis=0) @ up) for one in meeting.beside]
-        if max(looks) < LOOKS_UP or not _is_outer(meeting, corners, normals):
+        if max(looks) < CAD.looks_up or not _is_outer(meeting, corners, normals):
             continue
         one, two = sides
         if isinstance(one, FlatSurface) and isinstance(two, FlatSurface):
@@ -147,7 +139,7 @@ def triangle_normals(model: CadModel) -> tuple[FloatArray, FloatArray]:
 
 def _welding(points_mm: FloatArray) -> tuple[IntArray, IntArray]:
     """Of points (N, 3): one of each place, and the number of its place (N,)."""
-    keys = np.rint(points_mm / WELD_MM).astype(np.int64)
+    keys = np.rint(points_mm / CAD.weld_mm).astype(np.int64)
     _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return first, number.reshape(-1)
 
@@ -237,7 +229,7 @@ def _edges(
     planes = np.stack([one.normal, two.normal])
     offsets = np.array([one.normal @ one.origin_mm, two.normal @ two.origin_mm])
     point = middle + np.linalg.lstsq(planes, offsets - planes @ middle, rcond=None)[0]
-    if float(np.linalg.norm(point - middle)) > ON_CURVE_MM:
+    if float(np.linalg.norm(point - middle)) > CAD.on_curve_mm:
         return []
     outside = normals[meeting.beside[0][0]] + normals[meeting.beside[1][0]]
     aside = np.cross(up, along)
@@ -245,7 +237,7 @@ def _edges(
     spans = np.sort((meeting.segments - point) @ along, axis=1)
     found = []
     for start, end in _joined(spans):
-        if end - start > MIN_EDGE_MM:
+        if end - start > CAD.min_edge_mm:
             found.append(ModelEdge(point + start * along, point + end * along, away))
     return found
 
@@ -254,7 +246,7 @@ def _joined(spans: FloatArray) -> list[tuple[float, float]]:
     """Intervals (K, 2) that touch as one."""
     joined: list[tuple[float, float]] = []
     for start, end in spans[np.argsort(spans[:, 0])]:
-        if joined and start <= joined[-1][1] + SAME_MM:
+        if joined and start <= joined[-1][1] + CAD.same_mm:
             joined[-1] = (joined[-1][0], max(joined[-1][1], float(end)))
         else:
             joined.append((float(start), float(end)))
@@ -278,7 +270,10 @@ def _circle(
     points = meeting.segments - centre
     level = points - (points @ up)[..., None] * up
     away = np.linalg.norm(level, axis=2)
-    if max(np.abs(away - radius).max(), np.abs(points @ up).max()) > ON_CURVE_MM or radius < ON_CURVE_MM:
+    if (
+        max(np.abs(away - radius).max(), np.abs(points @ up).max()) > CAD.on_curve_mm
+        or radius < CAD.on_curve_mm
+    ):
         return None
     middle = level.mean(axis=1)
     hole = float(np.einsum("ki,ki->", normals[meeting.beside[side]], middle)) < 0
@@ -293,7 +288,7 @@ def _meeting_height(wall: RoundSurface, other: Surface, up: FloatArray) -> float
         return float(other.origin_mm @ up) if _parallel(other.normal, up) else None
     gap = other.origin_mm - wall.origin_mm
     aside = gap - float(gap @ up) * up
-    if not _parallel(other.axis, up) or float(np.linalg.norm(aside)) > SAME_MM:
+    if not _parallel(other.axis, up) or float(np.linalg.norm(aside)) > CAD.same_mm:
         return None
     slopes = [one.slope * float(one.axis @ up) for one in (wall, other)]
     if abs(slopes[0] - slopes[1]) < PARALLEL:
@@ -318,7 +313,7 @@ def merged_circles(circles: Sequence[ModelCircle]) -> tuple[ModelCircle, ...]:
         kept: list[ModelCircle] = []
         for one in group:
             same = [k for k, other in enumerate(kept)
-                    if float(np.linalg.norm(other.centre_mm - one.centre_mm)) < SAME_MM]  # fmt: skip
+                    if float(np.linalg.norm(other.centre_mm - one.centre_mm)) < CAD.same_mm]  # fmt: skip
             if same:
                 before = kept[same[0]]
                 span = min(1.0, before.span + one.span)

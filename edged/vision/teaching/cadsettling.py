@@ -16,16 +16,12 @@ from edged.domain.arrays import FloatArray
 from edged.errors import TeachError
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, unit
-from edged.vision.part.job import DISPLACED_PX, CircleFeature, EdgeFeature, Job
+from edged.vision.part.job import CircleFeature, EdgeFeature, Job
+from edged.vision.part.params import MEASURING
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import Partner, Registration, register
 from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves, ModelEdge
-
-FINE_MM = 0.003
-"""Sigma of a radius that is known from chords, above which the pair knows it better."""
-SCALE_SHARE = 5e-4
-"""Of the distance from the reference: a rig's scale is not better known."""
-MIN_BREAK_MM = 0.03
+from edged.vision.teaching.params import CAD
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +48,7 @@ def settle(job: Job, model: ModelCurves, rectification: Rectification, what: str
     """
     found = register(job.circles, job.edges, model, what)
     depth_mm = float(job.rig_from_part[2, 3])
-    aside_mm = DISPLACED_PX * depth_mm / rectification.focal_px
+    aside_mm = MEASURING.displaced_px * depth_mm / rectification.focal_px
     reach = _Reach(aside_mm, aside_mm * max(1.0, depth_mm / rectification.baseline_mm))
     partners = {one.name: one for one in found.partners}
     _check_revision(job, model, found, reach, what)
@@ -71,7 +67,7 @@ def settle(job: Job, model: ModelCurves, rectification: Rectification, what: str
     )
     faceted = {one.name: model.circles[partners[one.name].index].sigma_mm for one in job.circles
                if one.name in settled}  # fmt: skip
-    used = [sigma_mm for sigma_mm in faceted.values() if sigma_mm <= FINE_MM]
+    used = [sigma_mm for sigma_mm in faceted.values() if sigma_mm <= CAD.fine_mm]
     edges = tuple(
         _on_model(one, model, partners[one.name], found) if one.name in settled else one for one in job.edges
     )
@@ -98,12 +94,12 @@ def _gone(
 
 
 def _radius_mm(seen: CircleFeature, drawn: ModelCircle) -> float:
-    return drawn.radius_mm if drawn.sigma_mm <= FINE_MM else seen.radius_mm
+    return drawn.radius_mm if drawn.sigma_mm <= CAD.fine_mm else seen.radius_mm
 
 
 def _coarse(faceted: Mapping[str, float]) -> list[str]:
     """Circles of which the file has chords that tell less of their radius than the pair."""
-    coarse = {name: sigma_mm for name, sigma_mm in faceted.items() if sigma_mm > FINE_MM}
+    coarse = {name: sigma_mm for name, sigma_mm in faceted.items() if sigma_mm > CAD.fine_mm}
     if not coarse:
         return []
     return [
@@ -128,7 +124,7 @@ def _agrees(job: Job, one: Partner, reach: _Reach, model: ModelCurves) -> bool:
 
 def _aside_limit(job: Job, name: str, reach: _Reach) -> float:
     arm = job.place_of(name) - job.place_of(job.reference)
-    return reach.aside_mm + SCALE_SHARE * float(np.linalg.norm(arm[:2]))
+    return reach.aside_mm + CAD.scale_share * float(np.linalg.norm(arm[:2]))
 
 
 def _on_model(edge: EdgeFeature, model: ModelCurves, one: Partner, found: Registration) -> EdgeFeature:
@@ -178,7 +174,7 @@ def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
     """What displaces the others, those alike in one line."""
     said = []
     others = [one for one in partners if one.name not in settled]
-    broken = [one for one in others if max(one.wider, one.deeper) > MIN_BREAK_MM]
+    broken = [one for one in others if max(one.wider, one.deeper) > CAD.min_break_mm]
     for which, seen in (
         ("upper", {one.name: one.wider for one in broken if one.wider >= one.deeper}),
         ("lower", {one.name: one.deeper for one in broken if one.wider < one.deeper}),
@@ -211,7 +207,7 @@ def _contradicting(found: Registration, settled: Sequence[str]) -> list[float]:
     that, the part stands higher by the break than it seems, and curves that are seen as they are do not fit.
     """
     left = [one for one in found.partners if one.name not in settled]
-    return [_off(one) for one in left if max(one.wider, one.deeper) <= MIN_BREAK_MM]
+    return [_off(one) for one in left if max(one.wider, one.deeper) <= CAD.min_break_mm]
 
 
 def _others(found: Registration) -> list[str]:

@@ -14,20 +14,7 @@ from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import CircleFeature, Job
-
-MARGIN_PX = 24
-"""So far around the region edges are looked for."""
-MIN_OUTSIDE = 10
-"""Edge pixels beyond the border: fewer are the border's own."""
-BORDER_PX = 8
-"""An edge that was learnt and reaches so near to the border of the picture runs out of it."""
-MIN_AT_BORDER = 3
-NEAR_PX = 2.0
-"""From a point of the model: the same edge."""
-MIN_LEARNT = 0.5
-"""Of a contour's points inside: less is texture beside the part, which was not learnt."""
-BAND_PX = 8.0
-"""From a circle: its own edge, or the other edge of its chamfer."""
+from edged.vision.teaching.params import TEACHING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,21 +39,24 @@ def cut_edges(
     rectified_left, region : (h, w) uint8, the region as it lies in that picture.
     """
     valid = rectification.valid_left
-    around = np.minimum(np.asarray(cv2.dilate(region, _square(MARGIN_PX)), np.uint8), valid)
+    around = np.minimum(np.asarray(cv2.dilate(region, _square(TEACHING.cut_margin_px)), np.uint8), valid)
     contours = find_contours(rectified_left, around)
     model = _near(job.shape.origin_px + job.shape.levels[0].points, region.shape)
     framed = cv2.copyMakeBorder(valid, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    whole = np.asarray(cv2.erode(framed, _square(BORDER_PX), borderValue=255), np.uint8)[1:-1, 1:-1]
+    whole = np.asarray(cv2.erode(framed, _square(TEACHING.border_px), borderValue=255), np.uint8)[1:-1, 1:-1]
     cuts: list[Cut] = []
     named: set[str] = set()
-    for by_region, mask, least in ((True, region, MIN_OUTSIDE), (False, whole, MIN_AT_BORDER)):
+    for by_region, mask, least in (
+        (True, region, TEACHING.min_outside),
+        (False, whole, TEACHING.min_at_border),
+    ):
         for contour in contours:
             inside = _at(mask, contour.points)
             learnt = _at(model, contour.points[inside])
             if (
                 np.count_nonzero(~inside) < least
-                or np.count_nonzero(learnt) < MIN_OUTSIDE
-                or learnt.mean() < MIN_LEARNT
+                or np.count_nonzero(learnt) < TEACHING.min_outside
+                or learnt.mean() < TEACHING.min_learnt
             ):
                 continue
             circle = _circle_of(job, contour.points[inside], rectification)
@@ -96,7 +86,7 @@ def _near(points: FloatArray, shape: tuple[int, ...]) -> Image:
     seen = ((pixels >= 0) & (pixels < dots.shape[::-1])).all(axis=1)
     dots[pixels[seen, 1], pixels[seen, 0]] = 255
     # the model keeps one point of several along its edges: the gaps are closed, too
-    reach = 2 * int(3 * NEAR_PX) + 1
+    reach = 2 * int(3 * TEACHING.near_px) + 1
     wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     return np.asarray(cv2.dilate(dots, wide), np.uint8)
 
@@ -120,7 +110,7 @@ def _circle_of(job: Job, rectified_px: FloatArray, rectification: Rectification)
         for one in job.circles
     }
     best = min(job.circles, key=lambda one: apart[one.name], default=None)
-    return best if best is not None and apart[best.name] < BAND_PX * pixel_mm else None
+    return best if best is not None and apart[best.name] < TEACHING.cut_band_px * pixel_mm else None
 
 
 def _crossing(

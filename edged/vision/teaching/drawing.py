@@ -19,7 +19,6 @@ from edged.errors import TeachError
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import transform
 from edged.vision.part.job import (
-    DEPTH_SHARE,
     CircleFeature,
     CornerFeature,
     EdgeFeature,
@@ -27,24 +26,14 @@ from edged.vision.part.job import (
     known_radius,
     usual_limits,
 )
+from edged.vision.part.params import MEASURING
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.coverage import coverage
+from edged.vision.teaching.params import CAD
 
 BACKGROUND, PART = 60.0, 190.0
-BLUR_PX = 0.7
-"""Of a good lens and its pixels."""
-MARGIN_PX = 8.0
-"""Around the part in the painted picture."""
-ROUND_MM = 0.006
-"""A closed outline whose points all lie this near to a circle is one: three times the flattening."""
-ROUND_POINTS = 12
-ROUND_GAP_RAD = np.radians(45.0)
-MIN_CIRCLE_PX = 4.0
-"""Radius of a circle that is worth measuring."""
-MIN_EDGE_PX = 24.0
-"""Length of a straight edge that is worth measuring."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +95,10 @@ def teach_drawing(
         rig_from_part=rig_from_part,
         limits=usual_limits(depth_mm, depth_mm / rectification.focal_px, shape, circles, reference),
         search=SearchParams(
-            scale_min=1 / (1 + DEPTH_SHARE), scale_max=1 / (1 - DEPTH_SHARE), max_matches=8, polarity="local"
+            scale_min=1 / (1 + MEASURING.depth_share),
+            scale_max=1 / (1 - MEASURING.depth_share),
+            max_matches=8,
+            polarity="local",
         ),
         edges=tuple(EdgeFeature(e.name, e.start_mm + shift, e.end_mm + shift, e.polarity) for e in edges),
         corners=tuple(corners),
@@ -139,7 +131,7 @@ def _contains(outline: FloatArray, point: FloatArray) -> bool:
 
 def _as_circle(points: FloatArray) -> tuple[float, float, float] | None:
     """Least squares (I. Kasa, 1976), accepted when every point lies on it and no large part is missing."""
-    if len(points) < ROUND_POINTS:
+    if len(points) < CAD.round_points:
         return None
     middle = points.mean(axis=0)
     x, y = (points - middle).T
@@ -149,7 +141,7 @@ def _as_circle(points: FloatArray) -> tuple[float, float, float] | None:
     distances = np.linalg.norm(points - middle - centre, axis=1)
     angles = np.sort(np.arctan2(y - centre[1], x - centre[0]))
     gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
-    if np.abs(distances - radius).max() > ROUND_MM or gaps.max() > ROUND_GAP_RAD:
+    if np.abs(distances - radius).max() > CAD.round_mm or gaps.max() > CAD.round_gap_rad:
         return None
     # the drawing's own numbers, without the last bits of the fit
     return round(float(middle[0] + centre[0]), 9), round(float(middle[1] + centre[1]), 9), round(radius, 9)
@@ -163,7 +155,7 @@ def _features(
         (
             (one.circle, one.hole)
             for one in outlines
-            if one.circle is not None and one.circle[2] * scale > MIN_CIRCLE_PX
+            if one.circle is not None and one.circle[2] * scale > CAD.min_circle_px
         ),
         key=lambda found: (-round(found[0][2], 6), found[0][1], found[0][0]),
     )
@@ -177,14 +169,14 @@ def _features(
     corners: list[CornerFeature] = []
     for one in outlines:
         first = len(edges)
-        lines = _straight(one.points, MIN_EDGE_PX / scale)
+        lines = _straight(one.points, CAD.min_edge_px / scale)
         for start, end in lines:
             polarity = _brighter_side(one, start, end)
             edges.append(EdgeFeature(f"e{len(edges)}", np.append(start, 0.0), np.append(end, 0.0), polarity))
         names = [edge.name for edge in edges[first:]]
         for k, name in enumerate(names):
             after = (k + 1) % len(names)
-            touching = np.linalg.norm(lines[k][1] - lines[after][0]) < 0.5 * MIN_EDGE_PX / scale
+            touching = np.linalg.norm(lines[k][1] - lines[after][0]) < 0.5 * CAD.min_edge_px / scale
             if after != k and touching and _is_corner(lines[k], lines[after]):
                 corners.append(CornerFeature(f"k{len(corners)}", (name, names[after])))
     return [], edges, corners
@@ -232,7 +224,8 @@ def _reference(
         return one.start_mm[:2] + along * a, corner.name
     raise TeachError(
         "the drawing has no circle and no corner that the cameras could measure at this distance: expected a "
-        f"circle of at least {MIN_CIRCLE_PX:g} px radius, or two edges of {MIN_EDGE_PX:g} px that meet"
+        f"circle of at least {CAD.min_circle_px:g} px radius, or two edges of {CAD.min_edge_px:g} px "
+        "that meet"
     )
 
 
@@ -257,7 +250,7 @@ def _painted(
     width, height = rectification.size
     polygons = [_pixels(one.points, rig_from_part, rectification) for one in outlines]
     everything = np.concatenate(polygons)
-    low, high = everything.min(axis=0) - MARGIN_PX, everything.max(axis=0) + MARGIN_PX
+    low, high = everything.min(axis=0) - CAD.margin_px, everything.max(axis=0) + CAD.margin_px
     if (low < 0).any() or (high > [width - 1, height - 1]).any():
         across = high - low
         raise TeachError(
@@ -270,7 +263,7 @@ def _painted(
         share = coverage(polygon, height, width)
         grey += (-1 if one.hole else 1) * (PART - BACKGROUND) * share
         mask[share > 0] = 255
-    reach = int(2 * MARGIN_PX) - 1
+    reach = int(2 * CAD.margin_px) - 1
     mask = np.asarray(cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))))
-    blurred = cv2.GaussianBlur(np.clip(grey, 0, 255), (0, 0), BLUR_PX)
+    blurred = cv2.GaussianBlur(np.clip(grey, 0, 255), (0, 0), CAD.blur_px)
     return np.rint(blurred).astype(np.uint8), mask

@@ -17,8 +17,6 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import unit
 from edged.vision.teaching.cadmodel import (
-    LOOKS_UP,
-    MIN_EDGE_MM,
     CadModel,
     IntArray,
     ModelCircle,
@@ -28,21 +26,8 @@ from edged.vision.teaching.cadmodel import (
     neighbours,
     triangle_normals,
 )
+from edged.vision.teaching.params import CAD
 
-SHARP_RAD = math.radians(25.0)
-"""Between two facets: less is within a rounding; a chamfer turns by 45°."""
-FACET_RAD = math.radians(32.0)
-"""A circle has at least twelve chords; what turns by more at a corner is a polygon."""
-STRAIGHT_RAD = 2e-4
-MIN_ARC_RAD = 0.3
-"""A shorter arc may be a straight edge whose corners were rounded by the file's digits."""
-LEVEL_SHARE = 1e-4
-"""Of an edge's length, by which its ends may differ in height."""
-LEVEL_MM = 2e-4
-ON_CIRCLE_MM, ON_CIRCLE_SHARE = 2e-3, 2e-4
-"""By which corners may lie off their circle: files with few digits."""
-FEWEST = 4
-"""Corners of an arc: through three there is always a circle."""
 RECTANGULAR = 1 / math.sqrt(12)
 """Sigma of what lies anywhere in a range, in shares of it."""
 
@@ -79,9 +64,9 @@ def _sharp_sides(
     sides, beside = neighbours(model.triangles)
     height = points[sides, 2]
     length = np.linalg.norm(points[sides[:, 1]] - points[sides[:, 0]], axis=1)
-    level = np.abs(height[:, 0] - height[:, 1]) < np.maximum(LEVEL_SHARE * length, LEVEL_MM)
+    level = np.abs(height[:, 0] - height[:, 1]) < np.maximum(CAD.level_share * length, CAD.facet_level_mm)
     cosine = np.einsum("ij,ij->i", normals[beside[:, 0]], normals[beside[:, 1]])
-    chosen = level & (cosine < math.cos(SHARP_RAD))
+    chosen = level & (cosine < math.cos(CAD.sharp_rad))
     sides, beside = sides[chosen], beside[chosen]
     slopes = normals[beside] @ up
     swapped = slopes[:, 0] < slopes[:, 1]
@@ -91,7 +76,7 @@ def _sharp_sides(
         "kij,kj->ki", corners[beside[:, 1]] - model.points_mm[sides[:, :1]], normals[beside[:, 0]]
     )
     farthest = off[np.arange(len(off)), np.abs(off).argmax(axis=1)] if len(off) else np.zeros(0)
-    seen = (slopes[:, 0] >= LOOKS_UP) & (farthest < 0)
+    seen = (slopes[:, 0] >= CAD.looks_up) & (farthest < 0)
     return sides[seen], beside[seen], slopes[seen]
 
 
@@ -100,9 +85,9 @@ def _chains(sides: IntArray, slopes: FloatArray, points: FloatArray) -> Iterator
 
     Of one kind: at one height, between facets of the same slopes.
     """
-    kind = np.column_stack([np.rint(points[sides[:, 0], 2] / (2 * LEVEL_MM)), np.rint(20 * slopes)])
+    kind = np.column_stack([np.rint(points[sides[:, 0], 2] / (2 * CAD.facet_level_mm)), np.rint(20 * slopes)])
     order = np.lexsort(kind.T)
-    apart = np.abs(np.diff(points[sides[order, 0], 2])) > 2 * LEVEL_MM
+    apart = np.abs(np.diff(points[sides[order, 0], 2])) > 2 * CAD.facet_level_mm
     apart |= np.abs(np.diff(slopes[order], axis=0)).max(axis=1) > 0.1
     for rows in np.split(order, np.flatnonzero(apart) + 1):
         yield from _followed(sides, rows)
@@ -156,7 +141,7 @@ def _parts(place: FloatArray, closed: bool) -> tuple[list[tuple[int, int]], list
     steps = np.diff(place, axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
     turn = np.angle(np.exp(1j * np.diff(heading)))
-    bends = (np.abs(turn) > STRAIGHT_RAD) & (np.abs(turn) < FACET_RAD)
+    bends = (np.abs(turn) > CAD.straight_rad) & (np.abs(turn) < CAD.facet_rad)
     arcs, straight = [], []
     first = 0
     while first < count:
@@ -166,7 +151,7 @@ def _parts(place: FloatArray, closed: bool) -> tuple[list[tuple[int, int]], list
             first = last
             continue
         last = first + 1
-        while last < count and abs(turn[last - 1]) < STRAIGHT_RAD:
+        while last < count and abs(turn[last - 1]) < CAD.straight_rad:
             last += 1
         straight.append((first, last))
         first = last
@@ -177,7 +162,7 @@ def _parts(place: FloatArray, closed: bool) -> tuple[list[tuple[int, int]], list
 
 def _arc_from(place: FloatArray, turn: FloatArray, bends: npt.NDArray[np.bool_], first: int) -> int:
     """Last side + 1 of the arc that begins with a side; 0 where none does."""
-    last = first + FEWEST - 1
+    last = first + CAD.min_corners - 1
     if (
         last > len(place) - 1
         or not _bends_on(turn, bends, first, last)
@@ -192,7 +177,7 @@ def _arc_from(place: FloatArray, turn: FloatArray, bends: npt.NDArray[np.bool_],
             last += 1
         else:
             break
-    return last if abs(float(turn[first : last - 1].sum())) > MIN_ARC_RAD else 0
+    return last if abs(float(turn[first : last - 1].sum())) > CAD.min_arc_rad else 0
 
 
 def _bends_on(turn: FloatArray, bends: npt.NDArray[np.bool_], first: int, last: int) -> bool:
@@ -208,7 +193,8 @@ def _is_round(place: FloatArray) -> bool:
     off = np.abs(np.linalg.norm(place - centre, axis=1) - radius).max()
     longest = np.linalg.norm(np.diff(place, axis=0), axis=1).max()
     return bool(
-        off < max(ON_CIRCLE_MM, ON_CIRCLE_SHARE * radius) and longest < 2 * radius * math.sin(FACET_RAD / 2)
+        off < max(CAD.on_circle_mm, CAD.on_circle_share * radius)
+        and longest < 2 * radius * math.sin(CAD.facet_rad / 2)
     )
 
 
@@ -242,7 +228,7 @@ def _edge(
     place: FloatArray, outside: FloatArray, first: int, last: int, frame: FloatArray
 ) -> list[ModelEdge]:
     start, end = place[first], place[last]
-    if float(np.linalg.norm(end - start)) < MIN_EDGE_MM:
+    if float(np.linalg.norm(end - start)) < CAD.min_edge_mm:
         return []
     along = unit(np.append(end[:2] - start[:2], 0.0))
     aside = np.array([-along[1], along[0], 0.0])

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_plane
-from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.contours import Contour, find_contours, pieces
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.plane import Plane
@@ -22,27 +21,8 @@ from edged.vision.geometry.rigid import transform, wrapped
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
+from edged.vision.teaching.params import TEACHING
 from edged.vision.teaching.slots import fit_slot
-
-BAND_PX = 7
-"""Around a circle that is already a feature: its own edge and the other edge of its chamfer."""
-STEP_SIGMA_PX = 2.5
-"""Across it the outline of something is still a step; a machining mark has averaged out."""
-MIN_STEP_SHARE = 0.4
-"""Of the strong steps in the region; a line of texture is weaker."""
-MIN_EDGE_PX = 24.0
-"""An edge keeps 5 px from its corners at both ends and has to show at least a dozen samples."""
-MIN_SUPPORT = 0.75
-MAX_RMS_PX = 0.5
-MAX_MISMATCH_PX = 0.3
-"""Left against right: beyond it an edge lies off the face."""
-MAX_FEATURES = 16
-TWIN_MM = 0.5
-"""Parallel edges nearer than this are the two sides of a chamfer: one feature."""
-CORNER_GAP_PX = 12.0
-MIN_CORNER_RAD = math.radians(20)
-PLANE_POINTS = 800
-PARAMS = FitParams(reach_px=(3.0, 2.0), min_support=0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +78,7 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
         return None
     points = np.concatenate([contour.points for contour in contours])
     normals = np.concatenate([contour.normals for contour in contours])
-    chosen = np.arange(0, len(points), max(1, len(points) // PLANE_POINTS))
+    chosen = np.arange(0, len(points), max(1, len(points) // TEACHING.plane_points))
     plane = find_plane(view.images, points[chosen], normals[chosen], 1, depth_mm)
     if plane is None:
         return None
@@ -117,7 +97,7 @@ def outline_mask(view: TeachingView) -> Image:
     mask = np.zeros_like(view.mask)
     for contour in _strong(view, find_contours(view.images.rectified_left, view.mask)):
         pixels = np.rint(contour.points).astype(np.int32)
-        cv2.polylines(mask, [pixels], contour.closed, 255, 2 * BAND_PX + 1)
+        cv2.polylines(mask, [pixels], contour.closed, 255, 2 * TEACHING.feature_band_px + 1)
     return np.asarray(np.minimum(mask, view.mask))
 
 
@@ -138,7 +118,7 @@ def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFi
     for _ in range(4):
         if not candidates:
             return None
-        fit = fit_plane(view.images.rig, view.images.raw, face, [*circles, *candidates], PARAMS)
+        fit = fit_plane(view.images.rig, view.images.raw, face, [*circles, *candidates], TEACHING.feature_fit)
         if fit is None:
             return None
         good = {one.curve.name for one in fit.fits if _is_clear(one)}
@@ -151,9 +131,9 @@ def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFi
 
 def _is_clear(fit: CurveFit) -> bool:
     return bool(
-        fit.least_support >= MIN_SUPPORT
-        and fit.rms_px <= MAX_RMS_PX
-        and abs(fit.mismatch_px) <= MAX_MISMATCH_PX
+        fit.least_support >= TEACHING.feature_support
+        and fit.rms_px <= TEACHING.feature_rms_px
+        and abs(fit.mismatch_px) <= TEACHING.feature_mismatch_px
     )
 
 
@@ -162,14 +142,16 @@ def _strong(view: TeachingView, contours: list[Contour]) -> list[Contour]:
     everything = find_contours(view.images.rectified_left, view.mask)
     if not everything:
         return []
-    needed = MIN_STEP_SHARE * float(np.percentile(np.concatenate([_steps(view, c) for c in everything]), 90))
+    needed = TEACHING.min_step_share * float(
+        np.percentile(np.concatenate([_steps(view, c) for c in everything]), 90)
+    )
     return [contour for contour in contours if float(np.median(_steps(view, contour))) >= needed]
 
 
 def _steps(view: TeachingView, contour: Contour) -> FloatArray:
     """(N,) slopes across a contour through an operator too wide for machining marks."""
     _, slopes = edges_along_normals(
-        view.images.rectified_left, contour.points, contour.normals, 2.0, 1, STEP_SIGMA_PX
+        view.images.rectified_left, contour.points, contour.normals, 2.0, 1, TEACHING.step_sigma_px
     )
     return np.nan_to_num(slopes)
 
@@ -181,7 +163,7 @@ def _without(view: TeachingView, face: Face, circles: Sequence[Curve]) -> Image:
         ring = circle.outline(np.linspace(0, 1, 200)).points
         raw = view.images.rig.left.project(face.to_rig(ring))
         pixels = np.rint(view.images.rectification.rectify_points("left", raw)).astype(np.int32)
-        cv2.polylines(mask, [pixels], True, 0, BAND_PX)
+        cv2.polylines(mask, [pixels], True, 0, TEACHING.feature_band_px)
     return mask
 
 
@@ -203,7 +185,7 @@ def _slots(view: TeachingView, face: Face, contours: list[Contour]) -> list[Curv
         outward = np.sum((ahead - points) * (points - slot[:2]), axis=1)
         found.append(Curve(f"slot{len(found)}", "slot", slot, 1 if np.median(outward) > 0 else -1))
     found.sort(key=lambda curve: -curve.parameters[3])
-    return found[:MAX_FEATURES]
+    return found[: TEACHING.max_features]
 
 
 def _within(view: TeachingView, face: Face, contour: Contour, slots: list[Curve]) -> bool:
@@ -219,7 +201,7 @@ def _edges(view: TeachingView, face: Face, contours: list[Contour]) -> list[Curv
     """Straight pieces of the contours, longest first; directed so that they are brighter on their normals."""
     found: list[Curve] = []
     for contour, piece in pieces(contours):
-        if piece.kind != "line" or piece.length_px < MIN_EDGE_PX:
+        if piece.kind != "line" or piece.length_px < TEACHING.min_edge_px:
             continue
         middle = 0.5 * (piece.start + piece.end)
         bright = np.median(contour.normals[piece.indices], axis=0)
@@ -238,7 +220,7 @@ def _edges(view: TeachingView, face: Face, contours: list[Contour]) -> list[Curv
     for edge in found:
         if not any(_twins(edge, other) for other in distinct):
             distinct.append(edge)
-    return distinct[:MAX_FEATURES]
+    return distinct[: TEACHING.max_features]
 
 
 def _twins(edge: Curve, longer: Curve) -> bool:
@@ -247,7 +229,7 @@ def _twins(edge: Curve, longer: Curve) -> bool:
     gap = edge.parameters[:2] - longer.parameters[:2]
     parallel = abs(float(edge.direction @ across)) < 0.1
     beside = abs(float(gap @ longer.direction)) < 0.5 * (longer.length_mm + edge.length_mm)
-    return parallel and beside and abs(float(gap @ across)) < TWIN_MM
+    return parallel and beside and abs(float(gap @ across)) < TEACHING.twin_mm
 
 
 def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
@@ -258,7 +240,7 @@ def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
     edges.sort(key=_order(lambda curve: curve.length_mm))
     named = [replace(curve, name=f"e{k}") for k, curve in enumerate(edges)]
     origin_z = float(fit.face.origin[2])
-    gap_mm = CORNER_GAP_PX * origin_z / view.images.rig.left.fx
+    gap_mm = TEACHING.corner_gap_px * origin_z / view.images.rig.left.fx
     return FoundFeatures(
         tuple(edge_feature(curve) for curve in named),
         tuple(slot_feature(replace(curve, name=f"s{k}")) for k, curve in enumerate(slots)),
@@ -299,7 +281,7 @@ def _corners(edges: list[Curve], gap_mm: float) -> tuple[CornerFeature, ...]:
     found = []
     for one, two in itertools.combinations(edges, 2):
         sine = abs(float(one.direction @ (-two.direction[1], two.direction[0])))
-        if sine < math.sin(MIN_CORNER_RAD):
+        if sine < math.sin(TEACHING.min_corner_rad):
             continue
         normals = np.stack([(-edge.direction[1], edge.direction[0]) for edge in (one, two)])
         offsets = [normals[k] @ edge.parameters[:2] for k, edge in enumerate((one, two))]

@@ -17,26 +17,8 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
+from edged.vision.teaching.params import TEACHING
 from edged.vision.teaching.region import MAX_CORNERS, MIN_WIDTH_PX, first_crossing
-
-WIDTH_PX = 480
-"""Of the picture that is looked at: edges of a texture are averaged away, outlines are not."""
-LEVELS = 24
-MIN_SHARE, MAX_SHARE = 0.002, 0.7
-"""Of the picture's area."""
-WEAKEST = 0.15
-"""Quantile of the slope along an outline by which it is judged."""
-MIN_SLOPE = 2.0
-"""Grey values per px of the small picture: less is noise."""
-OVER_TEXTURE = 1.5
-"""Times the slope that half of the picture stays below."""
-RIVAL = 0.5
-"""Of the strongest outline: one as strong as this is an outline, too."""
-ONE_SHARE, ONE_PX = 0.08, 6.0
-"""By so much two outlines' radii differ at most that are the same edge: blur moves level sets along it."""
-MARGIN_PX = 5
-"""Of the small picture, around the outline: the whole of its edge is learnt."""
-CORNER_PX = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +32,7 @@ class _Outline:
     def is_beside(self, other: _Outline) -> bool:
         """Whether both are of one edge, one being inside the other."""
         radii = [np.sqrt(one.area / np.pi) for one in (self, other)]
-        return bool(abs(radii[0] - radii[1]) <= max(ONE_PX, ONE_SHARE * max(radii)))
+        return bool(abs(radii[0] - radii[1]) <= max(TEACHING.same_px, TEACHING.same_share * max(radii)))
 
 
 def likely_part(left: Image) -> FloatArray | None:
@@ -77,7 +59,7 @@ def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
             "part, or light it so that it differs from the table",
             "nothing_there",
         )
-    least = RIVAL * max(one.strength for one in around)
+    least = TEACHING.rival * max(one.strength for one in around)
     nested: list[_Outline] = []
     # of outlines of nearly one size the strongest is the edge itself
     for one in sorted((one for one in around if one.strength >= least), key=lambda one: -one.strength):
@@ -89,7 +71,7 @@ def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
 def _shrunk(left: Image) -> tuple[Image, float]:
     """A small picture, and its px per px of the left image."""
     height, width = left.shape
-    scale = min(1.0, WIDTH_PX / width)
+    scale = min(1.0, TEACHING.width_px / width)
     size = max(round(width * scale), 1), max(round(height * scale), 1)
     small = left if scale == 1.0 else cv2.resize(left, size, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(small, (0, 0), 1.2), np.uint8), size[0] / width
@@ -102,16 +84,16 @@ def _outlines(small: Image) -> list[_Outline]:
         cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=0.125)
     )
     near = np.asarray(cv2.dilate(slope, np.ones((3, 3), np.uint8)), np.float32)
-    least = max(MIN_SLOPE, OVER_TEXTURE * float(np.median(near)))
+    least = max(TEACHING.min_slope, TEACHING.over_texture * float(np.median(near)))
     found = []
     for points in _level_sets(small, slope, least):
         area = float(cv2.contourArea(points))
-        if not MIN_SHARE * small.size <= area <= MAX_SHARE * small.size:
+        if not TEACHING.min_area * small.size <= area <= TEACHING.max_area * small.size:
             continue
         x, y, width, height = cv2.boundingRect(points)
         if min(x, y) < 1 or x + width > small.shape[1] - 1 or y + height > small.shape[0] - 1:
             continue
-        strength = float(np.quantile(near[points[:, 1], points[:, 0]], WEAKEST))
+        strength = float(np.quantile(near[points[:, 1], points[:, 0]], TEACHING.weakest))
         if strength >= least:
             found.append(_Outline(points, area, strength))
     return found
@@ -126,7 +108,9 @@ def _level_sets(
     apart = np.abs(small.astype(np.int16) - round(table)).astype(np.uint8)
     for picture, both in ((small, True), (apart, False)):
         low, high = np.quantile(picture, (0.005, 0.995))
-        for level in np.unique(np.linspace(float(low), float(high), LEVELS + 2)[1:-1].astype(np.uint8)):
+        for level in np.unique(
+            np.linspace(float(low), float(high), TEACHING.levels + 2)[1:-1].astype(np.uint8)
+        ):
             yield from _borders(picture > level)
             if both:
                 yield from _borders(picture <= level)
@@ -147,11 +131,11 @@ def _around(outline: _Outline, scale: float, shape: tuple[int, ...]) -> FloatArr
     """Corners (N, 2) of a polygon around an outline of a small picture (h, w), with a margin; raw px."""
     inside = np.zeros(shape, np.uint8)
     cv2.fillPoly(inside, [outline.points], 255)
-    wide = cv2.dilate(inside, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN_PX + 1,) * 2))
+    wide = cv2.dilate(inside, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * TEACHING.margin_px + 1,) * 2))
     border = max(cv2.findContours(wide, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0], key=cv2.contourArea)
     corners = np.asarray(cv2.convexHull(border)[:, 0], np.float64)
     for step in (1, 2, 4, 8):
-        found = np.asarray(cv2.approxPolyDP(border, step * CORNER_PX, True)[:, 0], np.float64)
+        found = np.asarray(cv2.approxPolyDP(border, step * TEACHING.corner_px, True)[:, 0], np.float64)
         # simplifying may let two sides cross
         if 3 <= len(found) <= MAX_CORNERS // 4 and first_crossing(found) is None:
             corners = found

@@ -18,7 +18,6 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
-from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.contours import find_contours
 from edged.vision.edges.ellipses import ImageEllipse
 from edged.vision.geometry.plane import Plane
@@ -38,19 +37,7 @@ from edged.vision.teaching.features import (
     part_frame,
     slot_feature,
 )
-
-APART_MM = 0.3
-"""Faces less far apart are one; edge breaks are smaller, too."""
-BREAK_MM = 1.0
-"""Two edges of one curve that differ by less in radius and height are those of a chamfer: one feature."""
-DOMINANT = 1.2
-"""By so much more edges another face must show than the reference circle's, to be searched for instead."""
-CIRCLE_PARAMS = FitParams(reach_px=(4.0, 3.0, 2.0))
-SAME_LINE_PX = 4.0
-BAND_PX = 15
-OUTLINE_POINTS = 200
-TOGETHER_PARAMS = FitParams(reach_px=(2.0,), min_support=0.5)
-ROUNDS = 4
+from edged.vision.teaching.params import TEACHING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +77,7 @@ def find_levels(
     if not found:
         return None
     normal, heights = _turned_alike(found, face.normal)
-    if float(np.ptp(heights)) < APART_MM:
+    if float(np.ptp(heights)) < TEACHING.apart_mm:
         return None
     again = [_anew(images, one, normal) for one in found]
     kept = [one for one in again if one is not None]
@@ -129,7 +116,7 @@ def circle_on(
         plane.normal,
         radius,
         polarity,
-        CIRCLE_PARAMS,
+        TEACHING.level_fit,
         fixed_normal=fixed_normal,
     )
     return None if fit is None else circle_in_rig(fit, "circle")
@@ -145,7 +132,7 @@ def _anew(images: StereoImages, one: FoundCircle, normal: FloatArray) -> FoundCi
         normal,
         circle.radius_mm,
         one.fit.curve.polarity,
-        TOGETHER_PARAMS,
+        TEACHING.together,
         fixed_normal=True,
     )
     return None if fit is None else circle_in_rig(fit, "circle")
@@ -166,10 +153,10 @@ def _same(one: FoundCircle, other: FoundCircle, normal: FloatArray) -> bool:
     aside = float(np.linalg.norm(gap - (normal @ gap) * normal))
     apart = abs(one.circle.radius_mm - other.circle.radius_mm)
     return (
-        aside < APART_MM
-        and height < BREAK_MM
-        and apart < BREAK_MM
-        and (height > 0.5 * apart or apart < APART_MM)
+        aside < TEACHING.apart_mm
+        and height < TEACHING.break_mm
+        and apart < TEACHING.break_mm
+        and (height > 0.5 * apart or apart < TEACHING.apart_mm)
     )
 
 
@@ -178,7 +165,7 @@ def _turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[Flo
     centres = np.array([one.circle.centre_mm for one in found])
     sizes = np.array([one.circle.radius_mm for one in found])
     heights = centres @ normal
-    for _ in range(ROUNDS):
+    for _ in range(TEACHING.rounds):
         faces = _grouped(centres @ normal)
         normal = _tilted(centres, sizes, faces, normal)
         along = centres @ normal
@@ -189,7 +176,7 @@ def _turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[Flo
 def _grouped(heights_mm: FloatArray) -> npt.NDArray[np.int64]:
     """(N,) number of the face of each circle."""
     order = np.argsort(heights_mm)
-    steps = np.concatenate([[0], np.cumsum(np.diff(heights_mm[order]) > APART_MM)])
+    steps = np.concatenate([[0], np.cumsum(np.diff(heights_mm[order]) > TEACHING.apart_mm)])
     faces = np.empty(len(heights_mm), np.int64)
     faces[order] = steps
     return faces
@@ -256,7 +243,7 @@ def solid_features(view: TeachingView, levels: Levels) -> SolidFeatures | None:
     curves = [*circles, *(edge_curve(edge, True) for edge in found.edges)]
     curves += [slot_curve(slot, True) for slot in found.slots]
     images, face = view.images, Face(frame[:3, 3], frame[:3, :3].T)
-    fit = fit_plane(images.rig, images.raw, face, curves, TOGETHER_PARAMS)
+    fit = fit_plane(images.rig, images.raw, face, curves, TEACHING.together)
     if fit is None or fit.fit_of("c0") is None:
         return None
     return _as_features(fit, found)
@@ -271,7 +258,7 @@ def main_face_mask(view: TeachingView, circles: Sequence[CircleFeature], solid: 
     curves = [circle_curve(circle, True) for circle in circles]
     curves += [edge_curve(edge, True) for edge in solid.found.edges]
     curves += [slot_curve(slot, True) for slot in solid.found.slots]
-    flat = [curve for curve in curves if abs(curve.height_mm) <= APART_MM]
+    flat = [curve for curve in curves if abs(curve.height_mm) <= TEACHING.apart_mm]
     return np.asarray(np.minimum(mask_along(view.images.rectification, flat, solid.rig_from_part), view.mask))
 
 
@@ -281,10 +268,10 @@ def mask_along(rectification: Rectification, curves: Sequence[Curve], rig_from_p
     width, height = rectification.size
     mask = np.zeros((height, width), np.uint8)
     for curve in curves:
-        line = curve.outline(np.linspace(0.0, 1.0, OUTLINE_POINTS)).points
+        line = curve.outline(np.linspace(0.0, 1.0, TEACHING.outline_points)).points
         raw = rectification.rig.left.project(face.to_rig(line))
         pixels = np.rint(rectification.rectify_points("left", raw)).astype(np.int32)
-        cv2.polylines(mask, [pixels], curve.closed, 255, BAND_PX)
+        cv2.polylines(mask, [pixels], curve.closed, 255, TEACHING.level_band_px)
     return mask
 
 
@@ -298,7 +285,7 @@ def dominant_face(view: TeachingView, levels: Levels) -> float:
     largest = max(range(len(levels.circles)), key=lambda k: levels.circles[k].circle.radius_mm)
     own = float(levels.heights_mm[largest])
     most = max(seen, key=lambda face_mm: seen[face_mm])
-    return most if seen[most] > DOMINANT * seen[own] else own
+    return most if seen[most] > TEACHING.dominant * seen[own] else own
 
 
 def _laid(one: FoundCircle, frame: FloatArray, name: str, height_mm: float) -> Curve:
@@ -373,7 +360,7 @@ def _one_line(one: FloatArray, other: FloatArray) -> bool:
     gaps = one - other[0]
     across = np.abs(gaps[:, 0] * along[1] - gaps[:, 1] * along[0])
     places = gaps @ along
-    return bool(across.max() < SAME_LINE_PX and places.max() > 0 and places.min() < length)
+    return bool(across.max() < TEACHING.same_line_px and places.max() > 0 and places.min() < length)
 
 
 def _as_features(fit: PlaneFit, found: FoundFeatures) -> SolidFeatures:

@@ -22,7 +22,6 @@ from edged.vision.part.edgeidentity import is_double
 from edged.vision.part.frames import FoundCircle, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import (
-    DEPTH_SHARE,
     LIGHT_PX,
     CircleFeature,
     Job,
@@ -30,6 +29,7 @@ from edged.vision.part.job import (
     known_radius,
     usual_limits,
 )
+from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.modelparams import ModelParams
@@ -44,24 +44,13 @@ from edged.vision.teaching.features import (
     part_frame,
 )
 from edged.vision.teaching.levels import SolidFeatures, circle_on, find_levels, main_face_mask, solid_features
+from edged.vision.teaching.params import TEACHING
 from edged.vision.teaching.region import Area, Region, painted_region
 
-FACE_TOLERANCE_MM = 0.15
-"""A circle farther from the face belongs to another plane; shading displaces such edges: left out."""
-SOLID_SCORE = 0.5
-"""Of a thick part's main face: walls as bright as the face hide some of its outline, and a false match is
-refused by both cameras when the whole part is laid onto it."""
-SOLID_TOP_POINTS = 100
-"""Of the coarsest level: with fewer, half of which its walls may hide, a tilted view is like many things."""
-IN_FACE_MM = FACE_TOLERANCE_MM
+IN_FACE_MM = TEACHING.face_tolerance_mm
 """Machined faces are flat to better than this. Measured singly, a hole whose break each camera sees at
 another end stands off by 1 / (2 tan 12°) of what these lie apart (24° between the cameras). Heights of 0.05
 and 0.06 mm that breaks of 0.1 mm gave two holes tilted a milled plate by 0.2° (`tools/bench breaks`)."""
-MIN_SUPPORT = 0.75
-HEIGHT_SHARE = 0.12
-"""Of the distance: farther from the reference circle no face is of the same part."""
-MAX_RMS_PX = 0.5
-"""As a job's own limit: edges that scatter more are those of two different things, one in each image."""
 
 
 def teach(
@@ -160,10 +149,12 @@ def _solid_job(
 def for_solid(job: Job) -> Job:
     """The job of a part of several heights, looked for by the edges of one face."""
     levels = job.shape.levels
-    while len(levels) > 2 and len(levels[-1].points) < SOLID_TOP_POINTS:
+    while len(levels) > 2 and len(levels[-1].points) < TEACHING.solid_top_points:
         levels = levels[:-1]
     return replace(
-        job, shape=replace(job.shape, levels=levels), search=replace(job.search, min_score=SOLID_SCORE)
+        job,
+        shape=replace(job.shape, levels=levels),
+        search=replace(job.search, min_score=TEACHING.solid_score),
     )
 
 
@@ -171,7 +162,9 @@ def _near_depths(rectification: Rectification, reference: FoundCircle) -> tuple[
     """Rectified depths at which other faces of the reference circle's part may lie."""
     depth = float((rectification.rectified_from_left @ reference.circle.centre_mm)[2])
     nearest, farthest = _common_depths(rectification)
-    return max(nearest, depth * (1 - HEIGHT_SHARE)), min(farthest, depth * (1 + HEIGHT_SHARE))
+    return max(nearest, depth * (1 - TEACHING.height_share)), min(
+        farthest, depth * (1 + TEACHING.height_share)
+    )
 
 
 def _from_edges(view: TeachingView) -> tuple[FloatArray, str, FoundFeatures] | None:
@@ -229,8 +222,8 @@ def _job(
         rig_from_part=rig_from_part,
         limits=usual_limits(depth, pixel_mm, shape, circles, reference, sigma_mm),
         search=SearchParams(
-            scale_min=1 / (1 + DEPTH_SHARE),
-            scale_max=1 / (1 - DEPTH_SHARE),
+            scale_min=1 / (1 + MEASURING.depth_share),
+            scale_max=1 / (1 - MEASURING.depth_share),
             max_matches=8,
             # a dark part on a bright table inverts its outline, but not the shadow in its holes
             polarity="local",
@@ -278,7 +271,7 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
 
 def _is_clear(fit: CurveFit) -> bool:
     """Whether both images show this circle, whole and in one place."""
-    return fit.least_support >= MIN_SUPPORT and fit.rms_px <= MAX_RMS_PX
+    return fit.least_support >= TEACHING.min_support and fit.rms_px <= TEACHING.max_rms_px
 
 
 def _others(
@@ -294,7 +287,7 @@ def _others(
         off_face = abs(float(face.normal @ circle.centre_mm) - face.offset)
         sigma = float(np.sqrt(face.normal @ circle.covariance[:3, :3] @ face.normal))
         if (
-            off_face > max(FACE_TOLERANCE_MM, 3 * sigma)
+            off_face > max(TEACHING.face_tolerance_mm, 3 * sigma)
             or circle.radius_mm > 0.98 * reference.circle.radius_mm
         ):
             continue

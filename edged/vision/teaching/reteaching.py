@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import fields, replace
 
-from edged.vision.part.job import DEPTH_SHARE, Job, Limits, MeasurementSpec, known_radius
+from edged.vision.part.job import Job, Limits, MeasurementSpec, known_radius
+from edged.vision.part.params import MEASURING
 from edged.vision.shape.search import SearchParams
-
-SAME_SHARE = 0.02
-"""Taught tolerances of one part differ by less from one teaching to the next: the rest was edited."""
+from edged.vision.teaching.params import TEACHING
 
 
 def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
@@ -46,7 +45,7 @@ def _names(job: Job) -> set[str]:
 def _limits(former: Job, taught: Job, said: list[str]) -> Limits:
     was, now = former.limits, taught.limits
     depth_mm = float(former.rig_from_part[2, 3])
-    usual = depth_mm * (1 - DEPTH_SHARE), depth_mm * (1 + DEPTH_SHARE)
+    usual = depth_mm * (1 - MEASURING.depth_share), depth_mm * (1 + MEASURING.depth_share)
     if not all(abs(a - b) < 1e-6 * depth_mm for a, b in zip(was.depth_mm, usual, strict=True)):
         now = replace(now, depth_mm=was.depth_mm)
         said.append(_kept("limits.depth_mm", was.depth_mm, taught.limits.depth_mm))
@@ -93,7 +92,7 @@ def _measurements(
 def _differ(before: object, after: object) -> bool:
     """Whether a value was edited: not what teaching gives, within what one teaching differs from another."""
     if isinstance(before, float) and isinstance(after, float):
-        return abs(before - after) > SAME_SHARE * abs(after)
+        return abs(before - after) > TEACHING.same_tolerance * abs(after)
     return before != after
 
 

@@ -9,16 +9,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
-
-MIN_POINTS = 40
-MIN_STRETCH = 1.15
-"""Length over width; what is rounder is a circle."""
-TOLERANCE = 0.03
-"""Of the width: a rectangle's corners lie 0.2 of it outside."""
-MIN_INSIDE = 0.9
-MIN_COVERAGE = 0.75
-STEPS = 12
-BINS = 40
+from edged.vision.teaching.params import TEACHING
 
 
 def fit_slot(points: FloatArray) -> FloatArray | None:
@@ -26,7 +17,7 @@ def fit_slot(points: FloatArray) -> FloatArray | None:
 
     Most points have to lie on it, and most of its outline has to have some.
     """
-    if len(points) < MIN_POINTS:
+    if len(points) < TEACHING.slot_points:
         return None
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
@@ -36,9 +27,9 @@ def fit_slot(points: FloatArray) -> FloatArray | None:
         + 0.5 * (((points - centre) @ axes.T).min(axis=0) + ((points - centre) @ axes.T).max(axis=0)) @ axes
     )
     slot = np.array([*middle, math.atan2(axes[0, 1], axes[0, 0]), *spans])
-    if not spans[1] > 0 or spans[0] < MIN_STRETCH * spans[1]:
+    if not spans[1] > 0 or spans[0] < TEACHING.slot_stretch * spans[1]:
         return None
-    for _ in range(STEPS):
+    for _ in range(TEACHING.slot_steps):
         distance = slot_distance(points, slot)
         weights = tukey_weights(distance, max(mad_sigma(distance), 1e-6))
         units = 1e-6 * np.eye(5)
@@ -49,12 +40,12 @@ def fit_slot(points: FloatArray) -> FloatArray | None:
         if np.linalg.cond(normal) > 1e12:
             return None
         slot = slot - np.linalg.solve(normal, (design * weights[:, None]).T @ distance)
-        if not (np.isfinite(slot).all() and slot[4] > 0 and slot[3] > MIN_STRETCH * slot[4]):
+        if not (np.isfinite(slot).all() and slot[4] > 0 and slot[3] > TEACHING.slot_stretch * slot[4]):
             return None
-    good = np.abs(slot_distance(points, slot)) < TOLERANCE * slot[4]
+    good = np.abs(slot_distance(points, slot)) < TEACHING.slot_tolerance * slot[4]
     around = _around(points[good], slot)
-    covered = len(np.unique((around * BINS).astype(int))) / BINS
-    return slot if good.mean() >= MIN_INSIDE and covered >= MIN_COVERAGE else None
+    covered = len(np.unique((around * TEACHING.slot_bins).astype(int))) / TEACHING.slot_bins
+    return slot if good.mean() >= TEACHING.slot_inside and covered >= TEACHING.slot_coverage else None
 
 
 def slot_distance(points: FloatArray, slot: FloatArray) -> FloatArray:

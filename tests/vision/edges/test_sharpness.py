@@ -11,7 +11,8 @@ from edged.domain.arrays import FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import Placed, Scene, Sensor, Surface, Table, View
 from edged.sim.stage import stage_board
-from edged.vision.edges.sharpness import SHARP_PX, cost_of_spread, sharpness
+from edged.vision.edges.params import SHARPNESS
+from edged.vision.edges.sharpness import cost_of_spread, sharpness
 from edged.vision.edges.subpixel import edges_at_widths
 
 PIXEL_PX = 12.0**-0.5
@@ -84,4 +85,6 @@ def test_what_blur_costs_is_what_edges_scatter(psf_px: float) -> None:
         found = edges_at_widths(image, points, np.tile((1.0, 0.0), (len(rows), 1)), 3.0, 1)
         return float(np.nanstd(found.offset_px, axis=1).min())
 
-    assert scatter_px(psf_px) / scatter_px(SHARP_PX) == pytest.approx(cost_of_spread(psf_px), rel=0.1)
+    assert scatter_px(psf_px) / scatter_px(SHARPNESS.sharp_px) == pytest.approx(
+        cost_of_spread(psf_px), rel=0.1
+    )

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from naive import edges as naive
 
 from edged.domain.arrays import FloatArray, Image
-from edged.vision.edges.subpixel import EDGE_SIGMA_PX, edge_profiles, edges_along_normals, edges_at_widths
+from edged.vision.edges.params import EDGE
+from edged.vision.edges.subpixel import edge_profiles, edges_along_normals, edges_at_widths
 
 SIZE = (64, 80)  # rows, columns
 MIDDLE = np.array([39.0, 31.0])
@@ -52,13 +53,13 @@ def test_a_blurred_step_is_found_where_it_is(distance_px: float, angle_rad: floa
     sampled; to 0.035 px, and 0.02 px on the average along the edge, when coarsely."""
     points, normals = across(angle_rad)
     image = exposed(step_image(distance_px, angle_rad, blur_px))
-    fine = edges_at_widths(image, points, normals, 4.0, 1, [EDGE_SIGMA_PX])
+    fine = edges_at_widths(image, points, normals, 4.0, 1, [EDGE.sigma_px])
     assert np.abs(fine.offset_px - distance_px).max() < 0.02
     coarse, slope = edges_along_normals(image, points, normals, 4.0, 1)
     assert np.abs(coarse - distance_px).max() < 0.035
     assert abs(np.mean(coarse) - distance_px) < 0.02
     # the operator and the blur together are one Gaussian: its peak times the step
-    expected = 160 / math.sqrt(2 * math.pi * (blur_px**2 + EDGE_SIGMA_PX**2))
+    expected = 160 / math.sqrt(2 * math.pi * (blur_px**2 + EDGE.sigma_px**2))
     np.testing.assert_allclose(slope, expected, rtol=0.03)
     np.testing.assert_allclose(fine.slope[0], expected, rtol=0.03)
 

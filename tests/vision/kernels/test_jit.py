@@ -8,12 +8,13 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from edged.vision.kernels.jit import kernel, load_all, load_called
+from edged.vision.kernels.jitcache import frozen_numbers
 
 STORED = """
 import numpy as np
@@ -118,6 +119,28 @@ def test_a_kernel_that_another_calls_keeps_its_declared_types() -> None:
 
     assert 6.0 == twice(np.array([3.0]))
     assert 1 == len(first.signatures)
+
+
+FACTOR = 2.0
+
+
+@kernel("f8(f8)")
+def _times_factor(value: float) -> float:
+    return FACTOR * value
+
+
+@kernel("f8(f8)")
+def _and_one(value: float) -> float:
+    return _times_factor(value) + 1.0
+
+
+def test_a_stored_kernel_is_known_by_the_numbers_frozen_into_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also by those of kernels that it calls: one changed in another file compiles it anew."""
+    before = frozen_numbers(cast(Any, _and_one).py_func)
+    monkeypatch.setitem(globals(), "FACTOR", 3.0)
+
+    assert "'FACTOR'), '2.0'" in before
+    assert before != frozen_numbers(cast(Any, _and_one).py_func)
 
 
 def test_threads_may_call_a_kernel_first() -> None:

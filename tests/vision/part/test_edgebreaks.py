@@ -15,7 +15,7 @@ from helpers.flatparts import cell, only
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject, Target
 from edged.pipeline import PreparedRig, inspect, locate, prepare
-from edged.vision.curves.edgebreaks import USUAL_MM
+from edged.vision.curves.params import BREAKS
 from edged.vision.geometry.rigid import invert
 from edged.vision.part.acceptance import judged, vaguest_mm
 from edged.vision.part.job import Job
@@ -98,7 +98,7 @@ def test_a_radius_at_the_other_end_is_a_break() -> None:
     region = region_around(rig().rig, pose()[:3, 3], 15.0)
     job = teach(*dark, rig().rectification, region, "narrow")
     (measured,) = inspect(frame_pair(*bright), job, rig()).measured
-    assert {USUAL_MM} == {one.scatter.break_mm for one in measured.fits}
+    assert {BREAKS.usual_mm} == {one.scatter.break_mm for one in measured.fits}
     assert worst_sigmas(job, measured.target, pose()) < 4.0
 
 

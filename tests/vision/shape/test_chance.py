@@ -12,9 +12,10 @@ from helpers.drawings import draw, flange
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.shape import ambiguity as rivals
-from edged.vision.shape.chance import CLEAR_PX, EVIDENCE, PLACES, Chance, clumping, elsewhere
+from edged.vision.shape.chance import EVIDENCE, PLACES, Chance, clumping, elsewhere
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel
+from edged.vision.shape.params import ROTATIONS
 from edged.vision.shape.refine import start_pose
 
 MIDDLE = (200.0, 160.0)
@@ -55,13 +56,13 @@ def test_elsewhere_is_on_the_face_and_off_its_edges() -> None:
     """Every place is a turned point of the model, within its outline and clear of every edge."""
     found, level = elsewhere(model()), model().levels[0]
     apart = np.linalg.norm(found.points[:, None] - level.points[None], axis=2).min(axis=1)
-    assert apart.min() > CLEAR_PX - 1.5  # of pixels
+    assert apart.min() > ROTATIONS.clear_px - 1.5  # of pixels
     centre = model().centre_px
     np.testing.assert_allclose(
         np.linalg.norm(found.points - centre, axis=1),
         np.linalg.norm(level.points[found.of] - centre, axis=1),
     )
-    assert np.linalg.norm(found.points, axis=1).max() < 62 - CLEAR_PX + 1.5
+    assert np.linalg.norm(found.points, axis=1).max() < 62 - ROTATIONS.clear_px + 1.5
     assert set(np.unique(found.place)) <= set(range(1, PLACES))
     assert len(found.of) > 1000
 

@@ -15,9 +15,10 @@ from rich.console import Console
 from edged.commands.teach import PairSource, teach
 from edged.files.rig import save_rig
 from edged.vision.geometry.rigid import wrapped
-from edged.vision.shape.inspection import NOISE, Inspection, inspect_model
+from edged.vision.shape.inspection import Inspection, inspect_model
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel
+from edged.vision.shape.params import LEARNING
 from edged.vision.shape.search import SearchParams, find_shapes
 
 RIGID = SearchParams(sub_pixel="similarity", scale_min=0.95, scale_max=1.05)
@@ -54,7 +55,7 @@ def test_the_expected_precision_is_reached() -> None:
         rng = np.random.default_rng(seed)
         pose = (150 + rng.uniform(), 140 + rng.uniform(), rng.uniform(-3, 3), 1.0, 1.0)
         clean = drawings.draw(drawings.BRACKET, pose, (320, 280), noise=0.0).astype(np.float64)
-        noisy = np.clip(np.rint(clean + rng.normal(0, NOISE, clean.shape)), 0, 255).astype(np.uint8)
+        noisy = np.clip(np.rint(clean + rng.normal(0, LEARNING.noise, clean.shape)), 0, 255).astype(np.uint8)
         (match,) = find_shapes(noisy, model, RIGID)
         turn = wrapped(match.angle_rad - pose[2])
         errors.append([match.x_px - pose[0], match.y_px - pose[1], turn, match.scale_x - 1])

@@ -150,5 +150,5 @@ def test_what_the_pair_must_show_and_does_not_is_said() -> None:
 def test_a_side_without_features_is_named() -> None:
     """Nothing looks up: another axis is asked for."""
     empty = replace(model_of("D3"), circles=(), edges=())
-    with pytest.raises(TeachError, match="expected another --up"):
+    with pytest.raises(TeachError, match="expected another up axis"):
         register(*taught(model_of("D3"), np.eye(4)), empty, "D3")

@@ -1,0 +1,157 @@
+"""The tuned numbers of the stages in this package, each with its source."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.vision.curves.planestate import FitParams
+
+
+@dataclass(frozen=True, slots=True)
+class TeachingParams:
+    """What a pair teaches: region, levels, features, texture that is left out.
+
+    Where a line names no source, `tools/bench ablate --only TeachingParams` shows what the number earns.
+    """
+
+    max_mismatch_px: float = 1.0
+    """Along the normal, left against right: shading moves an edge of the face by less."""
+    max_slope_ratio: float = 2.0  # of one edge's slopes in both images
+    window_px: int = 25  # length of edge that is judged together
+    min_agreeing: float = 0.6  # of a window of the face; at another depth one in five agrees by chance
+    clean_share: float = 0.7
+    """Of the region's edges in the face, at which the rest is the part's own: chamfers, grounds of holes."""
+    min_kept: int = 100  # edge pixels; fewer are no shape, and the region is used as given
+    band_px: int = 3  # to both sides of an edge that is kept
+    cut_margin_px: int = 24  # around the region, in which edges are looked for
+    min_outside: int = 10  # edge pixels beyond the border: fewer are the border's own
+    border_px: int = 8  # an edge this near to the picture's border runs out of it
+    min_at_border: int = 3  # its pixels there
+    near_px: float = 2.0  # from a point of the model: the same edge
+    min_learnt: float = 0.5  # of a contour's points inside: less is texture beside the part
+    cut_band_px: float = 8.0  # from a circle: its own edge, or the other edge of its chamfer
+    feature_band_px: int = 7  # around a circle that is a feature already
+    step_sigma_px: float = 2.5  # across it an outline is still a step; a machining mark has averaged out
+    min_step_share: float = 0.4  # of the region's strong steps; a line of texture is weaker
+    min_edge_px: float = 24.0  # an edge keeps 5 px from its corners and has a dozen samples
+    feature_support: float = 0.75  # of its samples in each image
+    feature_rms_px: float = 0.5  # of its samples about the curve
+    feature_mismatch_px: float = 0.3  # left against right: beyond it an edge lies off the face
+    max_features: int = 16  # of a job, the longest first
+    twin_mm: float = 0.5  # parallel edges nearer than this are both sides of a chamfer: one feature
+    corner_gap_px: float = 12.0  # between the ends of two edges that meet
+    min_corner_rad: float = math.radians(20)  # between their directions
+    plane_points: int = 800  # edge points that the face's plane is fitted to
+    feature_fit: FitParams = FitParams(reach_px=(3.0, 2.0), min_support=0.5)  # how features are measured
+    width_px: int = 480  # of the small picture: edges of a texture average away, outlines stay
+    levels: int = 24  # grey values at which outlines are drawn
+    min_area: float = 0.002  # of the picture
+    max_area: float = 0.7  # of the picture
+    weakest: float = 0.15  # quantile of the slope along an outline by which it is judged
+    min_slope: float = 2.0  # grey values per px of the small picture: less is noise
+    over_texture: float = 1.5  # times the picture's median slope
+    rival: float = 0.5  # of the strongest outline: one as strong is an outline, too
+    same_share: float = 0.08
+    """Relative difference of two outlines' radii that are one edge: blur moves level sets."""
+    same_px: float = 6.0  # px of that difference
+    margin_px: int = 5  # around the outline, so that the whole of its edge is learnt
+    corner_px: float = 0.8  # tolerance of the polygon that is drawn
+    apart_mm: float = 0.3  # faces less far apart are one; edge breaks are smaller, too
+    break_mm: float = 1.0
+    """Two edges of one curve that differ by less in radius and height are a chamfer: one feature."""
+    dominant: float = 1.2
+    """Times the reference face's edges that another face must show to be searched for instead."""
+    level_fit: FitParams = FitParams(reach_px=(4.0, 3.0, 2.0))  # how circles of other faces are laid
+    same_line_px: float = 4.0  # between two that are one edge
+    level_band_px: int = 15  # around a circle of another face
+    outline_points: int = 200  # of a circle that is drawn
+    together: FitParams = FitParams(reach_px=(2.0,), min_support=0.5)  # how all are measured
+    rounds: int = 4  # of faces and their circles
+    face_tolerance_mm: float = 0.15  # from a circle to the face; shading displaces farther ones
+    solid_score: float = 0.5
+    """Of a thick part's main face: walls as bright as it hide some outline; both cameras refuse false
+    matches."""
+    solid_top_points: int = 100
+    """Of the coarsest level: with fewer, half hidden by walls, a tilted view is like many things."""
+    min_support: float = 0.75  # of the reference circle
+    height_share: float = 0.12  # of the distance, from the reference circle to another face of the part
+    max_rms_px: float = 0.5  # as a job's own limit: edges that scatter more are two different things
+    same_tolerance: float = 0.02  # relative difference of taught tolerances that were not edited
+    slot_points: int = 40  # of a slot's outline
+    slot_stretch: float = 1.15  # length over width; what is rounder is a circle
+    slot_tolerance: float = 0.03  # of the width: a rectangle's corners lie 0.2 of it outside
+    slot_inside: float = 0.9  # of the points within that
+    slot_coverage: float = 0.75  # of the outline with points
+    slot_steps: int = 12  # of Gauss-Newton
+    slot_bins: int = 40  # of the outline, for its coverage
+
+
+TEACHING = TeachingParams()
+
+
+@dataclass(frozen=True, slots=True)
+class CadParams:
+    """A part's edges from STEP files and drawings, and how they are laid on what a pair taught.
+
+    Where a line names no source, `tools/bench ablate --only CadParams` shows what the number earns.
+    """
+
+    body_sharp_rad: float = math.radians(20.0)  # between two triangles: less is within a rounding
+    body_on_curve_mm: float = 0.02  # from a triangle's corner to a curve that it lies on
+    sigma_mm: float = 0.1
+    """Of what a model alone says of a real part's edges: edge breaks are 0.1-0.5 mm (ISO 13715)."""
+    max_sigma_mm: float = 0.3  # a job's limit; twice the above, across the face, is in every result
+    above_grey: float = 150.0  # of faces above the painted one
+    finer: int = 4  # sub-pixels of the painting, in x and y
+    level_mm: float = 0.01  # heights of one face
+    level_sine: float = 1 - 1e-6  # of a level face's normal
+    min_span: float = 0.6  # of a circle that is cut: with less it is a rounded corner
+    meet_mm: float = 0.1  # between the ends of two edges that meet
+    sight_points: int = 48  # of a curve, at which hiding is tested
+    near_mm: float = 0.6  # between the curves of a part and of another revision of it
+    break_mm: float = 1.0  # the largest edge break
+    min_arm_mm: float = 1.0  # between two curves that tell a turn
+    same_turn_rad: float = math.radians(1.5)  # between two turns that are one
+    turn_bin_rad: float = math.radians(0.5)  # of the histogram of turns
+    longest: int = 6  # taught edges that hypotheses are made of
+    max_turns: int = 60  # tried, those first for which most edges are parallel
+    max_starts: int = 40_000  # poses that are rated
+    chunk: int = 2_000  # of them at a time, which bounds the memory
+    refined: int = 12  # best ones that are refined
+    floor_mm: float = 0.004  # of the robust scale
+    min_matched: float = 0.6  # of the taught curves: with fewer it is another part
+    min_curves: int = 2  # in common
+    rival: float = 0.02  # share by which one way to lay the part must agree better than another
+    edge_weight: float = 0.3  # of an edge beside a circle: a break shifts the edge and leaves the centre
+    weld_mm: float = 1e-4  # between corners that are one; single precision of a part of a metre is finer
+    looks_up: float = 0.1  # sine of the angle by which a face must look to the cameras
+    on_curve_mm: float = 0.02  # from a triangle's corner to the curve that its face names
+    same_mm: float = 1e-3  # between two curves that are one
+    min_edge_mm: float = 0.5  # no camera of this kind measures a shorter straight edge
+    fine_mm: float = 0.003  # sigma of a radius from chords, above which the pair knows it better
+    scale_share: float = 5e-4  # of the distance from the reference: a rig's scale is not better known
+    min_break_mm: float = 0.03  # of a break that is told
+    blur_px: float = 0.7  # of a good lens and its pixels
+    margin_px: float = 8.0  # around the part in the painted picture
+    round_mm: float = 0.006  # from a closed outline's points to their circle: three times the flattening
+    round_points: int = 12  # of such an outline
+    round_gap_rad: float = np.radians(45.0)  # between two of them
+    min_circle_px: float = 4.0  # radius of a circle that is worth measuring
+    min_edge_px: float = 24.0  # length of a straight edge that is worth measuring
+    sharp_rad: float = math.radians(25.0)
+    """Between two facets: less is within a rounding; a chamfer turns by 45°."""
+    facet_rad: float = math.radians(32.0)
+    """A circle has at least twelve chords; a corner that turns more is a polygon's."""
+    straight_rad: float = 2e-4  # between two chords of one straight edge
+    min_arc_rad: float = 0.3  # a shorter arc may be a straight edge with rounded digits
+    level_share: float = 1e-4  # of an edge's length by which its ends may differ in height
+    facet_level_mm: float = 2e-4  # added to it
+    on_circle_mm: float = 0.002  # by which corners may lie off their circle: files with few digits
+    on_circle_share: float = 0.0002  # of its radius
+    min_corners: int = 4  # of an arc: through three there is always a circle
+
+
+CAD = CadParams()
