@@ -1,7 +1,6 @@
-"""The texts of the pages that the cell writes itself, and in which language somebody gets them.
+"""Texts of the pages that the cell writes itself, and the language of a request.
 
-They stand in .ftl files, as those of the pages that a browser writes; of Fluent only texts of one line with
-values (`{ $name }`) are read here.
+They stand in Fluent files, static/PART.LANGUAGE.ftl, as the texts of the pages that a browser writes.
 """
 
 from __future__ import annotations
@@ -13,53 +12,51 @@ from importlib.resources import files
 from typing import Protocol
 
 from aiohttp import web
+from fluent.runtime import FluentBundle, FluentResource
+from fluent.syntax.ast import TextElement
+from fluent.syntax.visitor import Transformer
 from markupsafe import Markup, escape
 
 COOKIE = "edged_language"
-"""What was chosen on this device: a page's script writes it (texts.js)."""
-OTHERWISE = "en"
-_TEXT = re.compile(r"^([a-z][a-z0-9-]*) = (.+)$", re.MULTILINE)
-_VALUE = re.compile(r"\{ \$(\w+) \}")
+"""The language chosen on this device; a page's script writes it (texts.js)."""
+DEFAULT = "en"
 _WEIGHT = re.compile(r"q=([01](?:\.\d{0,3})?)")
 
 
 class Say(Protocol):
-    """One language: a text by its id, as HTML; each value comes out as it is, `Markup` as HTML."""
+    """One language: a text by its id, as HTML; values are escaped, except `Markup`."""
 
     def __call__(self, name: str, /, **values: object) -> Markup:
-        """Raises `KeyError` for an id that is not there, and for a value that is missing."""
+        """Raises `KeyError` for an unknown id, and for a missing value."""
 
 
 class Texts:
-    """Of one part, static/PART.LANGUAGE.ftl."""
+    """The texts of one part in every language: static/PART.LANGUAGE.ftl."""
 
     def __init__(self, part: str) -> None:
-        self._by_language: dict[str, dict[str, str]] = {}
+        self._bundles: dict[str, FluentBundle] = {}
         for entry in (files(__package__) / "static").iterdir():
-            name, _, kind = entry.name.rpartition(".")
-            if kind == "ftl" and name.startswith(f"{part}."):
-                self._by_language[name.removeprefix(f"{part}.")] = dict(
-                    _TEXT.findall(entry.read_text("utf-8"))
-                )
+            if found := re.fullmatch(rf"{part}\.(\w+)\.ftl", entry.name):
+                self._bundles[found[1]] = _bundle(found[1], entry.read_text("utf-8"))
 
     @property
     def languages(self) -> Collection[str]:
-        """Tags, such as "de"."""
-        return self._by_language.keys()
+        """Language tags, such as "de"."""
+        return self._bundles.keys()
 
     def in_language(self, tag: str) -> Say:
-        """How it is said in one of `languages`."""
-        return partial(_say, self._by_language[tag])
+        """Return the texts in one of `languages`."""
+        return partial(_say, self._bundles[tag])
 
 
 def language_of(request: web.Request, languages: Collection[str]) -> str:
-    """Which of them somebody gets: as chosen on this device, else as their browser would like."""
-    wanted = [request.cookies.get(COOKIE, ""), *_liked(request.headers.get("Accept-Language", ""))]
-    return next((tag for tag in wanted if tag in languages), OTHERWISE)
+    """Return the language chosen on this device, else the one that the browser prefers."""
+    wanted = [request.cookies.get(COOKIE, ""), *_accepted(request.headers.get("Accept-Language", ""))]
+    return next((tag for tag in wanted if tag in languages), DEFAULT)
 
 
-def _liked(header: str) -> list[str]:
-    """Of Accept-Language (RFC 9110), "de-CH, de;q=0.9", without regions, the dearest first."""
+def _accepted(header: str) -> list[str]:
+    """Languages of Accept-Language (RFC 9110), "de-CH, de;q=0.9", without regions, the preferred first."""
     weighed = list[tuple[float, str]]()
     for part in header.split(","):
         tag, has_weight, rest = part.partition(";")
@@ -67,8 +64,28 @@ def _liked(header: str) -> list[str]:
         value = float(weight[1]) if weight else 0.0 if has_weight else 1.0
         if value > 0.0:
             weighed.append((value, tag.strip().lower().partition("-")[0]))
-    return [tag for _, tag in sorted(weighed, key=lambda one: -one[0])]
+    return [tag for _, tag in sorted(weighed, key=lambda pair: -pair[0])]
 
 
-def _say(texts: dict[str, str], name: str, /, **values: object) -> Markup:
-    return Markup(_VALUE.sub(lambda found: str(escape(values[found[1]])), str(escape(texts[name]))))
+class _Escape(Transformer):
+    """Makes the words of a file HTML; values are escaped when they are filled in."""
+
+    def visit_TextElement(self, node: TextElement) -> TextElement:  # noqa: N802  (named after the node)
+        node.value = str(escape(node.value))
+        return node
+
+
+def _bundle(tag: str, text: str) -> FluentBundle:
+    bundle = FluentBundle([tag], use_isolating=False)
+    bundle.add_resource(_Escape().visit(FluentResource(text)))
+    return bundle
+
+
+def _say(bundle: FluentBundle, name: str, /, **values: object) -> Markup:
+    pattern = bundle.get_message(name).value
+    if pattern is None:
+        raise KeyError(name)
+    text, errors = bundle.format_pattern(pattern, {key: str(escape(value)) for key, value in values.items()})
+    if errors:
+        raise KeyError(name, *errors)
+    return Markup(str(text))
