@@ -35,7 +35,7 @@ from hypothesis import strategies as st
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
 from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate, translated
-from edged.adapters.aravis.stream import BLOCK_IDS, FrameCounter
+from edged.adapters.aravis.stream import BLOCK_IDS, Decoder, FrameCounter, pump
 from edged.cell.stereohead import StereoHead
 from edged.domain.frames import Frame
 from edged.errors import (
@@ -162,6 +162,25 @@ def test_a_repeated_frame_keeps_its_id_and_a_restart_counts_on() -> None:
     assert [13, 14] == [counter.count(raw) for raw in (1, 2)]
     counter.restart()
     assert [15] == [counter.count(raw) for raw in (7,)]
+
+
+def test_a_buffer_without_a_packet_of_an_image_is_no_image() -> None:
+    """Aravis hands one out for a stranger's packet: it goes back, and the image after it is the first."""
+    aravis = library("left").aravis
+    stop, given_back, delivered = threading.Event(), [], []
+    stranger = aravis.Buffer.new_allocate(16)
+    assert aravis.BufferStatus.CLEARED == stranger.get_status()
+
+    class Stream:
+        def timeout_pop_buffer(self, _timeout_us: int) -> Any:
+            stop.set()
+            return stranger
+
+        push_buffer = staticmethod(given_back.append)
+
+    pump(Decoder(aravis, FrameCounter(0), None, None), Stream(), stop, delivered.append)
+    assert [stranger] == given_back
+    assert [] == delivered
 
 
 # --- features ---------------------------------------------------------------------------------------

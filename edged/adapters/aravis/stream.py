@@ -68,16 +68,21 @@ class FrameCounter:
 
 
 def pump(decoder: Decoder, stream: Any, stop: threading.Event, deliver: Callable[[Arrival], None]) -> None:
-    """Take buffers out of the stream until told to stop; each goes back at once, copied."""
+    """Take buffers out of the stream until told to stop; each goes back at once, copied.
+
+    Aravis' packet socket hears the whole network interface until its filter is set (`_ring_buffer_loop`,
+    Aravis 0.8.26): a stranger's packet gives a buffer that was never filled, and no image of this camera.
+    """
     while not stop.is_set():
         buffer = stream.timeout_pop_buffer(PUMP_POLL_US)
         if buffer is None:
             continue
         try:
-            arrival = decoder.arrival(buffer)
+            arrival = decoder.arrival(buffer) if decoder.was_filled(buffer) else None
         finally:
             stream.push_buffer(buffer)
-        deliver(arrival)
+        if arrival is not None:
+            deliver(arrival)
 
 
 class Decoder:
@@ -91,6 +96,10 @@ class Decoder:
     ) -> None:
         self._aravis, self._counter, self._placement, self._check = aravis, counter, placement, check
         self._extended = aravis.BufferPayloadType.EXTENDED_CHUNK_DATA
+
+    def was_filled(self, buffer: Any) -> bool:
+        """Whether any packet of an image went into a buffer."""
+        return bool(buffer.get_status() != self._aravis.BufferStatus.CLEARED)
 
     def arrival(self, buffer: Any) -> Arrival:
         """The image in a buffer, or why there is none."""

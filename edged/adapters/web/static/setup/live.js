@@ -187,15 +187,18 @@ export function told(type) {
   return others.get(type);
 }
 
-// The answer to a request about what is also told: a message may overtake it, and is the newer one then.
+// The answer to a request about what is also told: a message may overtake it, and is the newer one then. Null for what is discarded.
+const discarded = new Set();
 export async function newest(heard, request) {
   const before = heard.peek();
   const answer = await request;
+  if (discarded.has(answer.id)) return null;
   const now = heard.peek();
   return now !== before && now?.id === answer.id && now.revision >= answer.revision ? now : answer;
 }
 
 function hear({ type, ...message }) {
+  if (message.gone) discarded.add(message.id);
   if (type === "cell") {
     const isOther = message.rig?.id !== cell.value?.rig?.id;
     cell.value = message;

@@ -18,7 +18,7 @@ effect(() => {
 
 // What is newer than what is shown; answers and messages may come in any order.
 export function see(document) {
-  if (document.id === teaching.peek()?.id && document.revision >= teaching.peek().revision) teaching.value = document;
+  if (document && document.id === teaching.peek()?.id && document.revision >= teaching.peek().revision) teaching.value = document;
 }
 
 export function open(document) {

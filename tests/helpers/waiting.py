@@ -1,0 +1,25 @@
+"""Waiting for a condition: one limit for all tests, as a limit costs nothing where the condition comes."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+LIMIT_S = 60.0
+"""What a machine that does much else may need; nothing sleeps for it."""
+
+POLL_S = 0.002
+
+
+async def until(condition: Callable[[], object], limit_s: float = LIMIT_S) -> None:
+    """Wait for a condition on the event loop."""
+    deadline_s = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline_s, f"not within {limit_s:g} s"
+        await asyncio.sleep(POLL_S)
+
+
+def wait_until(condition: Callable[[], object], limit_s: float = LIMIT_S) -> None:
+    """Wait for what other threads or processes do."""
+    asyncio.run(until(condition, limit_s))
