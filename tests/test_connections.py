@@ -8,11 +8,9 @@ import socket
 import subprocess
 import sys
 
-from helpers.scriptedhead import until
+from helpers.waiting import LIMIT_S, until
 
 from edged.connections import Door, Guest, Rate, Rates
-
-WAIT_S = 10.0
 
 FEW_DESCRIPTORS = """
 import asyncio, logging, resource, sys
@@ -41,7 +39,7 @@ def run(test) -> None:
     """A test's coroutine, bounded."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(WAIT_S):
+        async with asyncio.timeout(LIMIT_S):
             await test()
 
     asyncio.run(bounded())
@@ -61,10 +59,10 @@ def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -
     port = int(process.stdout.readline())
     many = [socket.create_connection(("127.0.0.1", port)) for _ in range(100)]
     try:
-        many[0].settimeout(WAIT_S)
+        many[0].settimeout(LIMIT_S)
         many[0].sendall(b"first")
         assert b"first" == many[0].recv(5)
-        with socket.create_connection(("127.0.0.1", port), WAIT_S) as last:
+        with socket.create_connection(("127.0.0.1", port), LIMIT_S) as last:
             last.sendall(b"last")
             for one in many:
                 one.close()
@@ -72,7 +70,7 @@ def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -
     finally:
         for one in many:
             one.close()
-        _, log = process.communicate(timeout=WAIT_S)
+        _, log = process.communicate(timeout=LIMIT_S)
 
     assert ["echo: nobody can connect: Too many open files"] == [
         line.partition("edged.connections:")[2] for line in log.splitlines()

@@ -11,9 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers.scriptedhead import until
 from helpers.smallcell import SmallCell, SmallWorld, free_port, pictures
 from helpers.snapshots import make_transform
+from helpers.waiting import until
 
 from edged.app import daemon as module
 from edged.app.cell import LoadedCell, load_cell
@@ -242,7 +242,7 @@ def test_a_cell_measures_whose_opcua_server_does_not_start(
         with SmallWorld(pictures(hanging_opcua.virtual, 1)) as world:
             daemon = Daemon(path, load_cell(path), world=world, observers=[seen])
             running = asyncio.create_task(daemon.run())
-            await until(lambda: seen.cycles > 2, 30)
+            await until(lambda: seen.cycles > 2)
             parts = daemon._running  # noqa: SLF001  (what page and metrics ask)
             assert re.search("opcua on .*has not started within", str(facts(parts)["OPC UA"]["problem"]))
             assert 1 == figures(parts)["servers_failing"][1]

@@ -15,6 +15,7 @@ from typing import cast
 import cv2
 import pytest
 from helpers.smallcell import DaemonProcess, SmallCell
+from helpers.waiting import LIMIT_S
 
 from edged.app.daemon import Daemon
 from edged.app.process import serve
@@ -165,7 +166,7 @@ def holds(process: int, number: signal.Signals) -> bool:
 
 def wait_held(daemon: DaemonProcess, *numbers: signal.Signals) -> None:
     """Wait until the process does with them what it does; numpy is not loaded by then."""
-    deadline_s = time.monotonic() + 30
+    deadline_s = time.monotonic() + LIMIT_S
     while not all(holds(daemon.process.pid, number) for number in numbers):
         assert time.monotonic() < deadline_s
     assert "numpy" not in Path(f"/proc/{daemon.process.pid}/maps").read_text()
@@ -182,7 +183,7 @@ def test_a_hang_up_before_the_daemon_stands_is_a_reload_after_its_start(small: S
             assert daemon.process.poll() is None, daemon.process.returncode
             time.sleep(0.02)
         daemon.wait_ready()
-        deadline_s = time.monotonic() + 30
+        deadline_s = time.monotonic() + LIMIT_S
         while not any("reloaded" in line for line in daemon.log):
             assert time.monotonic() < deadline_s, daemon.log
             time.sleep(0.05)

@@ -10,6 +10,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from helpers.waiting import WHOLE_S
 from helpers.zenohcell import free_port
 from rich.console import Console
 
@@ -219,7 +220,7 @@ def test_check_doctor_and_daemon_say_it(
             running = asyncio.create_task(daemon.run())
             await asyncio.sleep(0)  # the start goes first
             try:
-                async with asyncio.timeout(60):
+                async with asyncio.timeout(WHOLE_S):
                     assert await daemon.reload()
             finally:
                 daemon.stop()

@@ -19,6 +19,7 @@ from typing import cast
 import pytest
 from helpers.certificates import make_certificates
 from helpers.smallcell import free_port
+from helpers.waiting import LIMIT_S, WHOLE_S
 from helpers.zenohcell import ask
 
 from edged.app.servers import Servers, wanted_servers
@@ -346,7 +347,7 @@ def writes(file: Path, content: str) -> Callable[[], None]:
 
 async def until(condition: Callable[[], bool]) -> None:
     """Wait for it, 30 s at most."""
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(WHOLE_S):
         while not condition():  # noqa: ASYNC110  (threads change it, and servers that know no event)
             await asyncio.sleep(0.02)
 
@@ -380,7 +381,7 @@ class Hanging:
         real = cast(Callable[..., object], derive(place))
 
         def late(*args: object, **options: object) -> object:
-            self.may_go.wait(30)
+            self.may_go.wait(LIMIT_S)
             return real(*args, **options)
 
         self._patch.setattr(place, late)
@@ -487,7 +488,7 @@ def test_a_server_that_starts_slowly_is_named_and_started_later(
     async def main() -> None:
         servers = Servers(_Commander(), _no_jobs, lambda: b"", lambda: told.append(None))
         try:
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(WHOLE_S):
                 await servers.start(config(tmp_path, slow.sections))
             assert is_taken(slow.well)
             ((section, why),) = servers.problems.items()
@@ -518,7 +519,7 @@ def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
         try:
             await servers.start(config(tmp_path, slow.before))
             running = dict(servers.started)
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(WHOLE_S):
                 with pytest.raises(ListenError, match=re.escape(slow.place)) as refused:
                     await servers.exchange(config(tmp_path, slow.sections))
             assert re.search(r"within|longer", str(refused.value))
@@ -568,7 +569,7 @@ def test_a_server_that_does_not_close_is_left_behind(
         sections = f"[zenoh]\nenabled = false\n[modbus]\nport = {port}\n[web]\nport = {page}\n"
         await servers.start(config(tmp_path, sections))
         web = servers.started["web"]
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(WHOLE_S):
             await servers.close()
         assert not is_taken(port)
         await cast(Callable[..., Awaitable[object]], real)(web)

@@ -29,6 +29,7 @@ from helpers.gigecell import (
     settles,
     shoot,
 )
+from helpers.waiting import LIMIT_S
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -125,7 +126,7 @@ async def main():
     await camera.close()
 asyncio.run(main())
 """
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=LIMIT_S)
 
 
 # --- frame ids --------------------------------------------------------------------------------------
@@ -449,7 +450,7 @@ class Process:
     def kill(self) -> None:
         if self._process is not None:
             self._process.send_signal(signal.SIGKILL)
-            self._process.wait(10)
+            self._process.wait(LIMIT_S)
             self._process = None
 
 
@@ -503,7 +504,7 @@ def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle(proce
         await settles(head, head.open, 20)
         process.kill()
         process.start()
-        deadline_s = time.monotonic() + 10
+        deadline_s = time.monotonic() + LIMIT_S
         with pytest.raises(CaptureError):
             while time.monotonic() < deadline_s:
                 await head.open()
@@ -528,7 +529,7 @@ def test_thirty_connections_leave_nothing_behind(cell: Cell) -> None:
 
     async def falls_back_to(tasks: int, files: int) -> None:
         """Threads that were told to end have ended, and their files are closed."""
-        deadline_s = time.monotonic() + 5
+        deadline_s = time.monotonic() + LIMIT_S
         while True:
             used = (count("task"), count("fd"))
             if used[0] <= tasks and used[1] <= files:

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 from helpers.gigecell import Cell, left_camera, run, running, shoot
-from helpers.scriptedhead import Ear, make_setup, until
+from helpers.scriptedhead import Ear, make_setup
+from helpers.waiting import until
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
 from edged.cell.cycle import Cycle

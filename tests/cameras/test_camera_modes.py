@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.gigecell import LEFT, RIGHT, Cell, left_camera, run, running, shoot
+from helpers.waiting import LIMIT_S
 
 from edged.adapters.aravis import AravisCamera, Output, aravis_missing
 from edged.adapters.aravis.clock import CLOCK_DRIFT
@@ -63,7 +64,7 @@ def is_one_exposure(cell: Cell, pair: FramePair) -> bool:
 
 async def armed(cell: Cell) -> None:
     """Both cameras take exposures."""
-    deadline_s = time.monotonic() + 10
+    deadline_s = time.monotonic() + LIMIT_S
     while not all(camera.controlled and camera.registers.acquiring for camera in (cell.left, cell.right)):
         assert time.monotonic() < deadline_s
         await asyncio.sleep(0.005)

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.waiting import LIMIT_S
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.aravis import aravis_missing
@@ -115,7 +116,7 @@ class Cell:
         start_s = time.monotonic()
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
-        code = self.process.wait(20)
+        code = self.process.wait(LIMIT_S)
         self._reader.join()
         assert code == 0, "\n".join(self.log)
         return time.monotonic() - start_s
@@ -148,7 +149,7 @@ def test_a_terminal_that_closes_ends_the_daemon(tmp_path: Path) -> None:
         os.close(terminal)
         os.close(keyboard)
         cell.process.send_signal(signal.SIGHUP)  # the kernel's, where it is the terminal of a session
-        assert 0 == cell.process.wait(20)
+        assert 0 == cell.process.wait(LIMIT_S)
     finally:
         cell.stop()
     assert any("the terminal was closed: the cell stops" in line for line in cell.log)
@@ -169,7 +170,7 @@ def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> 
         ],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LIMIT_S,
         check=True,
     )
     messages = [json.loads(line) for line in watch.stdout.splitlines()]
@@ -189,7 +190,7 @@ def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> 
         [*command, "-r", "301", "-c", "48", "-1", "-q", "127.0.0.1"],
         capture_output=True,
         text=True,
-        timeout=20,
+        timeout=LIMIT_S,
         check=False,
     )
     assert polled.returncode == 0, polled.stdout + polled.stderr
@@ -234,7 +235,7 @@ def test_a_second_daemon_on_the_same_port_says_so_and_leaves_the_first_alone(
         [sys.executable, "-m", "edged", "run", str(config)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LIMIT_S,
         check=False,
     )
     assert second.returncode == 2

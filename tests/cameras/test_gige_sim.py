@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from helpers.gigeclient import Client
+from helpers.waiting import LIMIT_S
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
 from edged.domain.arrays import Image
@@ -128,7 +129,7 @@ def test_one_controller_at_a_time_and_a_silent_one_loses_control(client: Client)
         assert client.write(g.CONTROL_PRIVILEGE, 2) == SUCCESS
         assert client.write(g.HEARTBEAT_MS, 500) == SUCCESS
         assert second.write(g.CONTROL_PRIVILEGE, 2) == ACCESS_DENIED
-        deadline_s = time.monotonic() + 5
+        deadline_s = time.monotonic() + LIMIT_S
         while second.write(g.CONTROL_PRIVILEGE, 2) != SUCCESS:
             assert time.monotonic() < deadline_s
             time.sleep(0.05)

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 
 import pytest
+from helpers.waiting import LIMIT_S
 
 LEFT, RIGHT = "127.0.55.1", "127.0.55.2"
 
@@ -48,7 +49,7 @@ class Sim:
 
     def ended(self) -> int:
         """Its exit code when it ends by itself."""
-        code = self.process.wait(20)
+        code = self.process.wait(LIMIT_S)
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
                 pipe.close()
@@ -65,7 +66,7 @@ def sim() -> Iterator[Sim]:
 
 def run(*command: str) -> str:
     """What a command prints."""
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=LIMIT_S).stdout
 
 
 def test_it_says_what_it_serves_and_takes_commands(sim: Sim) -> None:
@@ -84,7 +85,7 @@ def test_it_says_what_it_serves_and_takes_commands(sim: Sim) -> None:
 def test_quit_ends_it() -> None:
     """Exit code 0, also with a sensor that pulses the lines."""
     other = Sim("--pattern", "64x48", "--left", "127.0.55.3", "--right", "127.0.55.4", "--pulse", "50")
-    other.process.communicate("pulse both\nquit\n", timeout=20)
+    other.process.communicate("pulse both\nquit\n", timeout=LIMIT_S)
     assert other.ended() == 0
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 import pytest
-from helpers.scriptedhead import until
 from helpers.stagecell import Newcomer, free_port, run
+from helpers.waiting import LIMIT_S, until
 
 from edged.adapters.aravis import aravis_missing
 from edged.domain.arrays import SIDES
@@ -180,7 +180,7 @@ def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> No
             assert line, said
             said += line
         process.send_signal(signal.SIGINT)
-        rest = process.communicate(timeout=20)[0]
+        rest = process.communicate(timeout=LIMIT_S)[0]
     assert (0, "") == (process.returncode, rest)
     assert f"http://127.0.0.1:{ports[0]}/setup" in said
     assert {".cell.state", "cell.toml", "recordings"} == {path.name for path in (tmp_path / "cell").iterdir()}

@@ -15,7 +15,8 @@ from typing import Any
 import pytest
 from helpers.certificates import make_certificates
 from helpers.snapshots import make_snapshot, make_transform
-from helpers.zenohcell import READY, WAIT_S, Cell, free_port
+from helpers.waiting import LIMIT_S
+from helpers.zenohcell import READY, Cell, free_port
 from rich.console import Console, ConsoleDimensions
 
 from edged.adapters.zenoh import open_session, session_config
@@ -40,7 +41,7 @@ async def watching(cell: Cell, snapshots: list[Snapshot], **options: Any) -> str
     # daemonic: a watch that never has enough fails this test and hangs nothing
     thread = threading.Thread(target=lambda: codes.append(watch(wanted, console)), daemon=True)
     thread.start()
-    deadline_s = time.monotonic() + WAIT_S
+    deadline_s = time.monotonic() + LIMIT_S
     for snapshot in itertools.cycle(snapshots):
         cell.publisher.announce(snapshot)
         await asyncio.sleep(0.03)
@@ -199,7 +200,7 @@ def test_a_router_that_goes_is_said(capsys):
     """What stands on the screen is old from then on; when it is back, that is said too."""
     port, codes = free_port(), []
     endpoint = f"tcp/127.0.0.1:{port}"
-    said, deadline_s = "", time.monotonic() + WAIT_S
+    said, deadline_s = "", time.monotonic() + LIMIT_S
     thread = threading.Thread(
         target=lambda: codes.append(watch(WatchOptions((endpoint,), count=1), Console(file=io.StringIO()))),
         daemon=True,
@@ -268,7 +269,7 @@ def test_a_router_with_mtls_lets_a_certificate_in(tmp_path):
     thread = threading.Thread(
         target=lambda: codes.extend(
             watch(WatchOptions(endpoints, count=1, timeout_s=limit_s, tls=tls), silent)
-            for limit_s, tls in ((3.0, ClientTls(authority=pem["ca.pem"])), (WAIT_S, known))
+            for limit_s, tls in ((3.0, ClientTls(authority=pem["ca.pem"])), (LIMIT_S, known))
         ),
         daemon=True,
     )

@@ -11,8 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from helpers.scriptedhead import Ear, Head, held, locate_command, make_setup, until
+from helpers.scriptedhead import Ear, Head, held, locate_command, make_setup
 from helpers.snapshots import make_target, make_transform
+from helpers.waiting import LIMIT_S, until
 
 from edged.cell.cycle import FAULT_REST_S, Cycle
 from edged.cell.loaded import LoadedJob, Setup
@@ -47,7 +48,7 @@ def drive(setup: Setup, script, head: Head | None = None) -> tuple[Ear, Head]:
             await script(cycle, ear, head)
         finally:
             cycle.stop()
-            await asyncio.wait_for(task, 5)
+            await asyncio.wait_for(task, LIMIT_S)
 
     asyncio.run(main())
     return ear, head
@@ -448,7 +449,7 @@ def test_a_bug_in_the_pipeline_is_not_swallowed() -> None:
         head = Head()
         cycle = Cycle(head, make_setup(period_s=0.0, locate=broken))
         with pytest.raises(ZeroDivisionError):
-            await asyncio.wait_for(cycle.run(), 5)
+            await asyncio.wait_for(cycle.run(), LIMIT_S)
         return head
 
     assert asyncio.run(main()).closed == 1

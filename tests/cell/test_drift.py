@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import cells
-from helpers.scriptedhead import Ear, Head, until
+from helpers.scriptedhead import Ear, Head
 from helpers.snapshots import make_target
+from helpers.waiting import LIMIT_S, until
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
@@ -217,7 +218,7 @@ def test_a_wrong_calibration_takes_the_coordinates_away() -> None:
         task = asyncio.create_task(cycle.run())
         await until(lambda: len(plc.snapshots()) >= 8)
         cycle.stop()
-        await asyncio.wait_for(task, 5)
+        await asyncio.wait_for(task, LIMIT_S)
         assert [one.status for one in plc.snapshots()[:8]] == [Status.OK] * 4 + [Status.LOW_QUALITY] * 4
 
     asyncio.run(main())

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.waiting import WHOLE_S
 
 from edged.cell.stereohead import REOPEN_AFTER, StereoHead
 from edged.domain.frames import Frame, FramePair, TimeBase
@@ -67,7 +68,7 @@ def streaming(script: Callable[[StereoHead, Streaming, Streaming], Awaitable[Any
             await head.close()
             assert before == asyncio.all_tasks(), "a task was left behind"
 
-    return asyncio.run(asyncio.wait_for(main(), 20))
+    return asyncio.run(asyncio.wait_for(main(), WHOLE_S))
 
 
 def numbers(pair: FramePair) -> tuple[int, int]:

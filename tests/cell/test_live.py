@@ -7,7 +7,8 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from helpers.scriptedhead import Head, make_setup, until
+from helpers.scriptedhead import Head, make_setup
+from helpers.waiting import WHOLE_S, until
 
 from edged.cell.cycle import Cycle
 from edged.cell.lease import live as live_pictures
@@ -40,7 +41,7 @@ def play(test: Callable[[Scene], Awaitable[None]], monkeypatch: pytest.MonkeyPat
         cycle = Cycle(head, make_setup())
         task = asyncio.create_task(cycle.run())
         try:
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(WHOLE_S):
                 scene = Scene(cycle, head, await cycle.enter_setup("Anna"))
                 await test(scene)
                 await scene.live.close()

@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.cells import flange, frame_pair, pictures, pose, scene
-from helpers.scriptedhead import Ear, Head, until
+from helpers.scriptedhead import Ear, Head
 from helpers.snapshots import make_snapshot, make_transform
+from helpers.waiting import LIMIT_S, until
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -103,10 +104,10 @@ def published(shown: list[str]) -> _Recalling:
         cycle.set_publishers([ear])
         task = asyncio.create_task(cycle.run())
         try:
-            await until(lambda: len(ear.snapshots()) >= len(shown), 60.0)
+            await until(lambda: len(ear.snapshots()) >= len(shown))
         finally:
             cycle.stop()
-            await asyncio.wait_for(task, 60.0)
+            await asyncio.wait_for(task, LIMIT_S)
 
     asyncio.run(main())
     return ear

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.scriptedhead import Ear, Head, make_setup, until
+from helpers.scriptedhead import Ear, Head, make_setup
+from helpers.waiting import LIMIT_S, until
 
 from edged.cell import registering
 from edged.cell.cycle import Cycle
@@ -98,7 +99,7 @@ def drive(script: Script, setup: Setup | None = None, registrar: Registrar | Non
             await script(Program(cycle, ear), registrar, head)
         finally:
             cycle.stop()
-            await asyncio.wait_for(task, 5)
+            await asyncio.wait_for(task, LIMIT_S)
 
     asyncio.run(main())
     return ear

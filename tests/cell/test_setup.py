@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers.scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup, until
+from helpers.scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup
+from helpers.waiting import LIMIT_S, until
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -36,7 +37,7 @@ def drive(setup: Setup, script, head: Head | None = None, note: SetupNote | None
             await script(cycle, ear, head)
         finally:
             cycle.stop()
-            await asyncio.wait_for(task, 5)
+            await asyncio.wait_for(task, LIMIT_S)
 
     asyncio.run(main())
     return ear

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.waiting import LIMIT_S, WHOLE_S
 
 from edged import errors
 from edged.cell.stereohead import REOPEN_AFTER, StereoHead
@@ -89,7 +90,7 @@ def run(script: Callable[[Bench], Awaitable[Any]], bench: Bench | None = None) -
             assert not used.left.is_open
             assert not used.right.is_open
 
-    return asyncio.run(asyncio.wait_for(main(), 20))
+    return asyncio.run(asyncio.wait_for(main(), WHOLE_S))
 
 
 SIDES = pytest.mark.parametrize("name", ["left", "right"])
@@ -185,7 +186,7 @@ def test_both_cameras_expose_at_the_same_time() -> None:
     barrier = threading.Barrier(2)
 
     def meet(request: ExposureRequest) -> Image:
-        barrier.wait(5)
+        barrier.wait(LIMIT_S)
         return noise(request)
 
     run(lambda bench: bench.head.capture(), Bench(meet, timeout_s=10.0))
@@ -200,7 +201,7 @@ def test_the_loop_keeps_running_while_an_image_is_rendered() -> None:
         def render(request: ExposureRequest) -> Image:
             turned = threading.Event()
             loop.call_soon_threadsafe(turned.set)
-            assert turned.wait(5), "the event loop stood still"
+            assert turned.wait(LIMIT_S), "the event loop stood still"
             return noise(request)
 
         left, right = (InProcessCamera(name, render, width=16, height=12) for name in ("left", "right"))
@@ -307,7 +308,7 @@ def test_one_failing_camera_does_not_keep_the_other_waiting() -> None:
         bench.left.faults.stall = True
         bench.right.faults.fail_next_trigger = FrameIncomplete("right", "packets missing")
         with pytest.raises(FrameIncomplete):
-            await asyncio.wait_for(bench.head.capture(), 5)
+            await asyncio.wait_for(bench.head.capture(), LIMIT_S)
 
     run(script, Bench(timeout_s=60.0))
 
@@ -583,10 +584,10 @@ def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: str) ->
         camera.close, camera.open = slow_close, noted_open
         camera.faults.fail_next_trigger = CameraUnreachable(name, "gone")
         with pytest.raises(CameraUnreachable, match="gone"):
-            await asyncio.wait_for(bench.head.capture(), 5)
+            await asyncio.wait_for(bench.head.capture(), LIMIT_S)
         await asyncio.sleep(0.05)
         with pytest.raises(CameraUnreachable, match="gone"):
-            await asyncio.wait_for(bench.head.capture(), 5)
+            await asyncio.wait_for(bench.head.capture(), LIMIT_S)
         gate.set()
         await bench.recovers()
         assert ["closed", "opened"] == order
@@ -615,7 +616,7 @@ def test_closing_ends_an_attempt_to_open() -> None:
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
-        await asyncio.wait_for(bench.head.close(), 5)
+        await asyncio.wait_for(bench.head.close(), LIMIT_S)
 
     run(script, Bench(open_timeout_s=60.0))
 

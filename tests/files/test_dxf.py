@@ -12,6 +12,7 @@ import ezdxf
 import numpy as np
 import pytest
 from ezdxf.document import Drawing
+from helpers.waiting import LIMIT_S
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -268,7 +269,11 @@ def test_a_drawing_that_costs_too_much_is_refused(tmp_path: Path) -> None:
         "print(len(dxf.read_dxf(Path(sys.argv[2]))))\n"
     )
     ended = subprocess.run(
-        [sys.executable, "-c", script, costly, other], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", script, costly, other],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=True,
     )
 
     assert [

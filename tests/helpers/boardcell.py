@@ -20,6 +20,7 @@ from edged.sim.inprocess import InProcessCamera
 from helpers.boardpairs import pairs
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
 from helpers.smallcell import free_port
+from helpers.waiting import WHOLE_S
 from helpers.webcell import HASH
 
 
@@ -82,7 +83,7 @@ class BoardCell:
 
     async def until(self, path: str, condition: Callable[[Any], object]) -> Any:
         """The first answer that fulfils a condition."""
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(WHOLE_S):
             while True:
                 _, document = await self.ask("GET", path)
                 if condition(document):

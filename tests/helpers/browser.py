@@ -15,9 +15,28 @@ from typing import Any
 
 import aiohttp
 
+from helpers.waiting import LIMIT_S
+
 AXE = Path(__file__).parents[1] / "data" / "axe" / "axe.min.js"
 REST_MS = 40
-START_S, PATIENCE_S = 30.0, 20.0
+GUARD = """(at) => {
+  window.aim = { at, missed: false, clicked: false };
+  const check = (event) => {
+    if (event.target === aim.at || aim.clicked) return void (aim.clicked ||= event.type === "click");
+    aim.missed = true;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+  };
+  aim.end = () => EVENTS.forEach((type) => removeEventListener(type, check, true));
+  EVENTS.forEach((type) => addEventListener(type, check, true));
+}""".replace("EVENTS", '["pointerdown", "mousedown", "pointerup", "mouseup", "click"]')
+"""Until `aim.end()` only the element that was aimed at gets a press: the page may move it away meanwhile."""
+MISSED = """(() => {
+  if (!window.aim) return false;  // the press led to another page
+  const { at, missed, clicked, end } = aim;
+  end();
+  return missed || (!clicked && !at.isConnected);
+})()"""
 
 
 class Gone(Exception):
@@ -77,23 +96,21 @@ class Browser:
 
     async def until(self, expression: str) -> None:
         """Wait for something in the page to be true, or in the one that it leads to."""
-        try:
-            await self._wait_for(expression)
-        except Gone:
-            await self._wait_for(expression)
-
-    async def _wait_for(self, expression: str) -> None:
-        await self.value(
-            f"""new Promise((done, failed) => {{
-              const shown = () => document.body.innerText;
-              const late = setTimeout(() => failed(new Error("never true: " + shown())), {1e3 * PATIENCE_S});
-              const look = () => {{
-                if (!({expression})) return setTimeout(look, 20);
-                clearTimeout(late);
-                done();
-              }};
-              look(); }})"""
-        )
+        while True:
+            with contextlib.suppress(Gone):
+                await self.value(
+                    f"""new Promise((done, failed) => {{
+                      const shown = () => document.body.innerText;
+                      const late = () => failed(new Error("never true: " + shown()));
+                      const timer = setTimeout(late, {1e3 * LIMIT_S});
+                      const look = () => {{
+                        if (!({expression})) return setTimeout(look, 20);
+                        clearTimeout(timer);
+                        done();
+                      }};
+                      look(); }})"""
+                )
+                return
 
     async def press(self, key: str) -> None:
         """A key, as a person would."""
@@ -103,9 +120,20 @@ class Browser:
 
     async def click(self, selector: str) -> None:
         """The middle of an element, as a person would: what covers it gets the click."""
-        x, y = await self.middle(selector)
-        for kind in ("mousePressed", "mouseReleased"):
-            await self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        await self.click_on(f"document.querySelector({json.dumps(selector)})")
+
+    async def click_on(self, element: str) -> None:
+        """The same for an expression; once more where the page moved it away under the pointer."""
+        while True:
+            x, y = await self._middle(element)
+            await self.value(f"({GUARD})(document.elementFromPoint({x}, {y}))")
+            for kind in ("mousePressed", "mouseReleased"):
+                await self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+            try:
+                if not await self.value(MISSED):
+                    return
+            except Gone:
+                return
 
     async def tap(self, selector: str) -> None:
         """The same with a finger."""
@@ -130,10 +158,15 @@ class Browser:
 
     async def middle(self, selector: str) -> tuple[float, float]:
         """Of an element, scrolled into view, when what is around it has come to rest."""
+        return await self._middle(f"document.querySelector({json.dumps(selector)})")
+
+    async def _middle(self, element: str) -> tuple[float, float]:
+        await self.until(element)
         x, y = await self.value(
             f"""(async () => {{
+              let e = null;
               const middle = () => {{
-                const e = document.querySelector({json.dumps(selector)});
+                e = {element} ?? e;
                 e.scrollIntoView({{block: "center", inline: "center"}});
                 const b = e.getBoundingClientRect();
                 return [b.x + b.width / 2, b.y + b.height / 2];
@@ -179,7 +212,7 @@ async def browser() -> AsyncIterator[Browser]:
             stderr=asyncio.subprocess.PIPE,
         )
         try:
-            async with asyncio.timeout(START_S):
+            async with asyncio.timeout(LIMIT_S):
                 assert process.stderr is not None
                 while not (found := re.search(rb"ws://([^/]+)/", await process.stderr.readline())):
                     pass

@@ -5,10 +5,12 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+from helpers.waiting import LIMIT_S
+
 
 def openssl(folder: Path, *arguments: str) -> None:
     """Run openssl in a folder."""
-    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=60)
+    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=LIMIT_S)
 
 
 def make_certificates(folder: Path) -> None:

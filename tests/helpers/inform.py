@@ -18,6 +18,7 @@ import numpy as np
 from edged.robot.orientations import Brand, pose_of
 from helpers.robotlink import Link
 from helpers.robotwords import Declared
+from helpers.waiting import LIMIT_S
 
 HERE = Path(__file__).parent / "motoplus"
 WAITS, SENT, FAILS, READS, PLACE, NUMBERS = 200, 201, 202, 203, 210, 256
@@ -36,7 +37,7 @@ def translate(source: str, folder: Path) -> Path:
     made = folder / "controller"
     files = [str(folder / "edged.c"), str(HERE / "controller.c")]
     command = ["gcc", *STRICT, f"-I{HERE}", *files, "-o", str(made), "-lpthread"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     assert 0 == done.returncode, done.stderr
     return made
 
@@ -73,7 +74,7 @@ class Controller:
         """The task has looked at the request that is there; its first accesses failed."""
         self.memory[[WAITS, FAILS, READS]] = 0, 7, 0
         task = subprocess.Popen(self.command, stdin=subprocess.PIPE)
-        deadline_s = time.monotonic() + 10
+        deadline_s = time.monotonic() + LIMIT_S
         while not self.memory[READS]:
             assert time.monotonic() < deadline_s and task.poll() is None
             time.sleep(0.001)
@@ -152,5 +153,5 @@ class Controller:
     def close(self) -> None:
         """Power off."""
         if self.task:
-            self.task.communicate(b"\n", timeout=10)
+            self.task.communicate(b"\n", timeout=LIMIT_S)
             self.task = None

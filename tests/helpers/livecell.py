@@ -21,6 +21,7 @@ from edged.domain.measurement import Outcome, Status, Target
 from edged.domain.picking import Grasp, Picking
 from edged.errors import FrameTimeout
 from helpers.snapshots import make_target, make_transform
+from helpers.waiting import LIMIT_S
 
 T = TypeVar("T")
 PART_FROM_TCP = make_transform((0.4, 0.0, -1.0), (30.0, -10.0, 5.0))
@@ -80,14 +81,14 @@ class LiveCell:
 
     def __enter__(self) -> LiveCell:
         self._thread.start()
-        assert self._started.wait(10)
+        assert self._started.wait(LIMIT_S)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.call(self.cycle.stop)
-        self._thread.join(20)
+        self._thread.join(LIMIT_S)
         assert not self._thread.is_alive()
 
     @property
@@ -101,7 +102,7 @@ class LiveCell:
         async def run() -> T:
             return work()
 
-        return asyncio.run_coroutine_threadsafe(run(), self.loop).result(10)
+        return asyncio.run_coroutine_threadsafe(run(), self.loop).result(LIMIT_S)
 
     def reload(self, **changes: object) -> None:
         """As a reload that changed these fields of the setup; returns when it is in force."""
@@ -113,7 +114,7 @@ class LiveCell:
 
     def _locate(self, _pair: FramePair, lap: Callable[[str], None]) -> Outcome:
         time.sleep(self.slow_s)
-        assert self.may_end.wait(20)
+        assert self.may_end.wait(LIMIT_S)
         lap("find")
         return Outcome(Status.OK if self.targets else Status.NO_TARGET, self.targets)
 

@@ -17,6 +17,7 @@ from edged.adapters.modbus import ModbusSettings
 from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings
 from edged.identity.passwords import hash_password
 from helpers.livecell import LiveCell
+from helpers.waiting import LIMIT_S
 
 PASSWORD = "a password for tests"
 PASSWORD_HASH = hash_password(PASSWORD)
@@ -100,7 +101,7 @@ class OpcUaCell(LiveCell):
 
     def __enter__(self) -> OpcUaCell:
         super().__enter__()
-        asyncio.run_coroutine_threadsafe(self.publisher.start(), self.loop).result(30)
+        asyncio.run_coroutine_threadsafe(self.publisher.start(), self.loop).result(LIMIT_S)
         # before Modbus, though it shows what Modbus has taken note of: the order must not matter
         self.call(lambda: self.cycle.set_publishers([self.publisher, self.server]))
         return self
@@ -108,7 +109,7 @@ class OpcUaCell(LiveCell):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        asyncio.run_coroutine_threadsafe(self.publisher.close(), self.loop).result(10)
+        asyncio.run_coroutine_threadsafe(self.publisher.close(), self.loop).result(LIMIT_S)
         super().__exit__(kind, error, trace)
 
     @property

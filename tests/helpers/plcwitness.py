@@ -20,6 +20,7 @@ from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
 from edged.plc.registers import INT32_MIN, RESULT, STATUS, Flag, StatusBit, crc16, decode
+from helpers.waiting import LIMIT_S
 
 RESULT_CODES = {1: "OK", 2: "NO_TARGET", 3: "LOW_QUALITY", 4: "CAPTURE_FAULT"}
 SLACK_S = 0.25
@@ -187,6 +188,6 @@ class Witness:
     ) -> None:
         self._stop.set()
         self.report = self._reports.get(timeout=30)
-        self._process.join(30)
+        self._process.join(LIMIT_S)
         self._reports.close()
         self._reports.join_thread()

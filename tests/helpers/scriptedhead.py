@@ -15,6 +15,7 @@ from edged.domain.events import Command, CommandFailed, CommandKind, Event, JobC
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Outcome, Status
 from edged.errors import FrameTimeout
+from helpers.waiting import LIMIT_S
 
 
 class Head:
@@ -75,14 +76,6 @@ class Ear:
         return [event for event in self.events if isinstance(event, kinds) and event.command == command]
 
 
-async def until(condition: Callable[[], object], timeout_s: float = 5.0) -> None:
-    """Wait for a condition on the event loop."""
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "condition not met in time"
-        await asyncio.sleep(0.001)
-
-
 def found_nothing(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
     """A pipeline that never finds anything."""
     lap("find")
@@ -107,7 +100,7 @@ def held() -> tuple[threading.Event, Callable[[FramePair, Callable[[str], None]]
     release = threading.Event()
 
     def slow(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
-        release.wait(5)
+        release.wait(LIMIT_S)
         return Outcome(Status.NO_TARGET)
 
     return release, slow

@@ -10,6 +10,8 @@ import threading
 import tty
 from types import TracebackType
 
+from helpers.waiting import LIMIT_S
+
 
 class SerialCable:
     """Both ends are devices that a program can open; use it as a context."""
@@ -33,7 +35,7 @@ class SerialCable:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         os.write(self._woken, b"!")
-        self._thread.join(10)
+        self._thread.join(LIMIT_S)
         for end in (*self._masters, *self._slaves, self._wake, self._woken):
             os.close(end)
 

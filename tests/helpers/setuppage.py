@@ -86,9 +86,7 @@ async def press(page: Browser, text: str) -> None:
     """A button, by what stands on it, when it can be pressed."""
     found = f"""[...document.querySelectorAll("button")].find((b) => b.textContent.trim() === {text!r})"""
     await page.until(f"{found}?.disabled === false")
-    await page.value("""document.querySelector("[data-pressed]")?.removeAttribute("data-pressed"), 0""")
-    await page.value(f"""{found}.setAttribute("data-pressed", "")""")
-    await page.click("[data-pressed]")
+    await page.click_on(found)
 
 
 def said(text: str) -> str:

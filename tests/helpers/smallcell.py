@@ -26,6 +26,7 @@ from edged.sim.inprocess import InProcessCamera
 from edged.sim.render.scene import Disc, Part, Surface
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import CameraModel, StereoRig
+from helpers.waiting import LIMIT_S
 
 SHRINK = 4
 WIDTH, HEIGHT = 1280 // SHRINK, 960 // SHRINK
@@ -207,7 +208,7 @@ class DaemonProcess:
         return time.monotonic() - start_s
 
     def _end(self) -> None:
-        self.process.wait(30)
+        self.process.wait(LIMIT_S)
         for thread in self._threads:
             thread.join()
         self._notify.close()

@@ -17,8 +17,8 @@ from blark import transform as ast
 from blark.parse import parse_source_code
 
 from helpers.robotwords import Declared
+from helpers.waiting import LIMIT_S
 
-WAIT_S = 20.0
 LITERALS = {
     "ANY_INT": {"INT", "DINT", "UINT", "UDINT", "HW_ANY", "CONN_OUC"},
     "ANY_HEX": {"INT", "DINT", "UINT", "UDINT", "BYTE", "WORD", "DWORD"},
@@ -335,7 +335,7 @@ class Driven:
 
     def until(self, name: str, value: Any = True) -> None:
         """Scans until an output has a value."""
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + LIMIT_S
         while self.values[name] != value:
             assert time.monotonic() < deadline_s, f"not in time: {name} = {value}"
             self.block.scan()

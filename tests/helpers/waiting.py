@@ -9,6 +9,9 @@ from collections.abc import Callable
 LIMIT_S = 60.0
 """What a machine that does much else may need; nothing sleeps for it."""
 
+WHOLE_S = 5 * LIMIT_S
+"""A whole test, of many such conditions."""
+
 POLL_S = 0.002
 
 

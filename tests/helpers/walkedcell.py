@@ -30,6 +30,7 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, transform
 from helpers.smallcell import HEIGHT, SIDES, STILL_UPRIGHT, TOKEN, WIDTH, free_port, tiny_rig
 from helpers.snapshots import make_transform
+from helpers.waiting import LIMIT_S
 
 BOARD = "chessboard:9x6:4.0"
 PLATE = chessboard_plate(9, 6, 4.0)
@@ -43,7 +44,6 @@ ROBOT_FROM_RIG = make_transform((2.9, 0.3, -0.2), (420.0, -60.0, 510.0))
 FLANGE_FROM_BOARD = make_transform((0.2, 0.1, -0.5), (12.0, 5.0, 80.0))
 FLANGE_FROM_RIG = make_transform((0.02, -0.03, 1.2), (55.0, -8.0, 90.0))
 ROBOT_FROM_BOARD = make_transform((3.0, -0.05, 0.7), (610.0, -120.0, 35.0))
-WAIT_S = 30.0
 
 
 class Arm(VirtualWorld):
@@ -135,19 +135,19 @@ class WalkedCell:
 
     def __enter__(self) -> WalkedCell:
         self._thread.start()
-        assert self._ready.wait(WAIT_S)
+        assert self._ready.wait(LIMIT_S)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._loop.call_soon_threadsafe(self._daemon.stop)
-        self._thread.join(WAIT_S)
+        self._thread.join(LIMIT_S)
         assert not self._thread.is_alive()
 
     def reload(self) -> bool:
         """As SIGHUP."""
-        return asyncio.run_coroutine_threadsafe(self._daemon.reload(), self._loop).result(WAIT_S)
+        return asyncio.run_coroutine_threadsafe(self._daemon.reload(), self._loop).result(LIMIT_S)
 
     @property
     def rig(self) -> StereoRig:
@@ -188,7 +188,7 @@ class Talk:
     def __init__(self, cell: WalkedCell) -> None:
         self._cell = cell
         self._sequence = 0
-        self._socket = socket.create_connection(("127.0.0.1", cell.line_port), timeout=WAIT_S)
+        self._socket = socket.create_connection(("127.0.0.1", cell.line_port), timeout=LIMIT_S)
         self._lines = self._socket.makefile("rb")
 
     def __enter__(self) -> Talk:

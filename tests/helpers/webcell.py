@@ -21,6 +21,7 @@ from edged.robot.orientations import Convention
 from edged.setup.plcroutes import PlcRoutes
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
 from helpers.scriptedhead import Ear, Head, make_setup
+from helpers.waiting import WHOLE_S
 
 HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
 """Cheap to check: many tests log in."""
@@ -63,7 +64,7 @@ def run(
     ear = Ear()
 
     async def bounded() -> None:
-        async with asyncio.timeout(30), running(ear, commissioning, users) as cell:
+        async with asyncio.timeout(WHOLE_S), running(ear, commissioning, users) as cell:
             await test(cell)
 
     asyncio.run(bounded())

@@ -18,11 +18,9 @@ from typing import Any
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Command
+from helpers.waiting import LIMIT_S
 
 PEER = Path(__file__).parents[1] / "wire" / "zenoh_peer.py"
-
-
-WAIT_S = 15.0  # what a loaded machine may need; nothing here sleeps for it
 
 
 READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
@@ -51,7 +49,7 @@ class Peer:
         for line in self.process.stdout:
             self.lines.put(json.loads(line))
 
-    def line(self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float = WAIT_S) -> dict[str, Any]:
+    def line(self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float = LIMIT_S) -> dict[str, Any]:
         """The next line that is wanted."""
         deadline_s = time.monotonic() + timeout_s
         while True:
@@ -60,7 +58,7 @@ class Peer:
                 return line
 
     async def until(
-        self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float = WAIT_S
+        self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float = LIMIT_S
     ) -> dict[str, Any]:
         """`line` without blocking the loop."""
         return await asyncio.to_thread(self.line, wanted, timeout_s)
@@ -70,7 +68,7 @@ class Peer:
             self.process.stdin.close()
         if kill:
             self.process.kill()
-        self.process.wait(WAIT_S)
+        self.process.wait(LIMIT_S)
         self.reader.join()
         self.process.stdout.close()
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from helpers.waiting import LIMIT_S
 
 from edged.identity import audit as audit_module
 from edged.identity.audit import HEAD, LINES, AuditFile, Deed
@@ -258,5 +259,5 @@ def test_processes_that_add_at_once_make_one_chain(tmp_path: Path) -> None:
         "for _ in range(20): AuditFile(Path(sys.argv[1])).add(Deed('root', '', '', 'make', 'x', 'ok'))"
     )
     others = [subprocess.Popen([sys.executable, "-c", work, str(tmp_path)]) for _ in range(2)]
-    assert [0, 0] == [other.wait(30) for other in others]
+    assert [0, 0] == [other.wait(LIMIT_S) for other in others]
     assert ("", 40) == ((verdict := AuditFile(tmp_path).verify()).problem, len(verdict.records))

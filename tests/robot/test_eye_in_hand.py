@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.cells import small_rig
-from helpers.scriptedhead import Ear, Head, until
+from helpers.scriptedhead import Ear, Head
 from helpers.snapshots import make_target, make_transform
+from helpers.waiting import LIMIT_S, until
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
@@ -107,7 +108,7 @@ def test_a_plc_that_says_where_the_flange_is_gets_robot_coordinates(convention: 
             assert int(shown["FLAGS"]) & reg.Flag.ROBOT_FRAME
             assert int(shown["FLAGS"]) & reg.Flag.VALID
         cycle.stop()
-        await asyncio.wait_for(task, 5)
+        await asyncio.wait_for(task, LIMIT_S)
 
     asyncio.run(main())
 
@@ -132,7 +133,7 @@ def test_a_command_without_the_flange_is_refused_and_an_old_pose_is_not_used() -
         with pytest.raises(CommandRefused, match="pose of the flange"):
             cycle.submit(Command(CommandKind.LOCATE, "test", 1))
         cycle.stop()
-        await asyncio.wait_for(task, 5)
+        await asyncio.wait_for(task, LIMIT_S)
         assert len(plc.snapshots()) == 1
 
     asyncio.run(main())

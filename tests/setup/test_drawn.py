@@ -13,6 +13,7 @@ import numpy as np
 from helpers.cells import flange
 from helpers.flangedrawing import flange_drawing
 from helpers.partcell import PartCell
+from helpers.waiting import WHOLE_S
 from rich.console import Console
 
 from edged.commands.teach import DrawingSource, teach
@@ -27,7 +28,7 @@ def run(folder: Path, test: Callable[[PartCell], Awaitable[None]]) -> PartCell:
     cell = PartCell(folder)
 
     async def bounded() -> None:
-        async with asyncio.timeout(120), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             await test(cell)
 
     asyncio.run(bounded())

@@ -10,6 +10,7 @@ import pytest
 from helpers.boardcell import BoardCell
 from helpers.browsersession import BrowserSession
 from helpers.everyroute import check_document, check_questions, check_roles
+from helpers.waiting import WHOLE_S
 from helpers.webcell import HASH, USERS
 
 from edged.files.statefolder import state_folder
@@ -26,7 +27,7 @@ def asked(tmp_path: Path) -> Callable[[Callable[[BrowserSession], Awaitable[None
 
     def run(test: Callable[[BrowserSession], Awaitable[None]]) -> None:
         async def bounded() -> None:
-            async with asyncio.timeout(60), cell.running():
+            async with asyncio.timeout(WHOLE_S), cell.running():
                 await test(BrowserSession(cell.session))
 
         asyncio.run(bounded())

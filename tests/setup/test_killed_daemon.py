@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from helpers.browsersession import BrowserSession, Visitor, browsing
 from helpers.smallcell import free_port
+from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig
@@ -111,7 +112,7 @@ def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
     async def test() -> None:
         ports = free_port(), free_port(), free_port()
         for one in (taking, solving, activating, running):
-            async with asyncio.timeout(120), stage(tmp_path / "cell", ports) as cell:
+            async with asyncio.timeout(WHOLE_S), stage(tmp_path / "cell", ports) as cell:
                 await one(cell)
 
     asyncio.run(test())

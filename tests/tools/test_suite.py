@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.waiting import LIMIT_S
 
 TESTS = Path(__file__).parents[1]
 
@@ -34,7 +35,7 @@ def suite(folder: Path, reason: str, ci: str) -> subprocess.CompletedProcess[str
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LIMIT_S,
         check=False,
     )
 
@@ -67,7 +68,7 @@ def test_the_versions_of_what_is_not_pinned_stand_in_one_line() -> None:
         env=os.environ | {"EDGED_PYTHON": sys.executable},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LIMIT_S,
         check=False,
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from helpers.everyroute import BASIC, check_document, check_questions, check_roles
-from helpers.scriptedhead import until
+from helpers.waiting import until
 from helpers.webcell import USERS, Cell, run
 
 from edged.adapters.web.routes import Body, Leased, RouteTable

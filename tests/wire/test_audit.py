@@ -7,7 +7,7 @@ import logging
 
 import pytest
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import until
+from helpers.waiting import until
 from helpers.webcell import Cell, run
 
 from edged.adapters.web.auditing import REFUSED_BURST, RUN, Auditor

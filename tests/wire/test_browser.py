@@ -14,6 +14,7 @@ from helpers.browser import Browser, browser
 from helpers.cells import flange, frame_pair
 from helpers.setuppage import TOO_WIDE, UNTRANSLATED, come_back, freeze, leave, thaw
 from helpers.snapshots import make_snapshot, make_target
+from helpers.waiting import WHOLE_S
 from wire.test_web import sources
 
 from edged.adapters.web import WebPublisher, WebSettings
@@ -83,7 +84,7 @@ def on_the_page(
         await web.start()
         try:
             fill(web)
-            async with asyncio.timeout(60), browser() as page:
+            async with asyncio.timeout(WHOLE_S), browser() as page:
                 await page.open(f"http://127.0.0.1:{web.port}/{query}", width, height)
                 await page.until('document.querySelector("#left image[href]")')
                 await test(page, web)

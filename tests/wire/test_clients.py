@@ -21,6 +21,7 @@ import pytest
 from helpers import structured_text, urscript
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.snapshots import make_target, make_transform
+from helpers.waiting import LIMIT_S
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 
@@ -34,12 +35,10 @@ from edged.robot.orientations import Brand, Convention, transform_of
 from edged.robots.texts import render
 from edged.vision.geometry.rigid import rotation_vector
 
-WAIT_S = 20.0
-
 
 def until(condition: Callable[[], Any], what: str) -> Any:
     """Wait for a true value and return it."""
-    deadline_s = time.monotonic() + WAIT_S
+    deadline_s = time.monotonic() + LIMIT_S
     while True:
         value = condition()
         if value:

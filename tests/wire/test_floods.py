@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from helpers.scriptedhead import Ear
+from helpers.waiting import WHOLE_S
 from helpers.webcell import Cell, running
 
 from edged.adapters.modbus import ModbusSettings
@@ -77,7 +78,7 @@ def beside(kind: str, connections: int) -> tuple[int, int]:
     """Commands that a PLC has answered, and floods that were closed; who has logged in can still look."""
 
     async def bounded() -> tuple[int, int]:
-        async with asyncio.timeout(60), running(Ear(), True, modbus=ModbusSettings(port=0)) as cell:
+        async with asyncio.timeout(WHOLE_S), running(Ear(), True, modbus=ModbusSettings(port=0)) as cell:
             assert cell.modbus is not None
             strangers = cell.cookies()
             await cell.log_in("Vera")

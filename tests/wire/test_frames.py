@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.snapshots import make_target
+from helpers.waiting import LIMIT_S
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.plc.frames import ANSWER, FrameRequest, read_answer
@@ -51,7 +52,7 @@ class Robot:
 @contextmanager
 def connected(cell: LiveCell, brand: Brand = Brand.KUKA) -> Iterator[Robot]:
     """A robot on the socket of a cell that is ready."""
-    deadline_s = time.monotonic() + 10
+    deadline_s = time.monotonic() + LIMIT_S
     while not cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1:
         assert time.monotonic() < deadline_s
         time.sleep(0.005)

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.snapshots import make_target
+from helpers.waiting import LIMIT_S
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymodbus.client import ModbusTcpClient
@@ -70,7 +71,7 @@ def connected(cell: LiveCell) -> Iterator[Robot]:
 
 def ready(cell: LiveCell) -> None:
     """Wait until commands are carried out."""
-    deadline_s = time.monotonic() + 10
+    deadline_s = time.monotonic() + LIMIT_S
     while not cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1:
         assert time.monotonic() < deadline_s
         time.sleep(0.005)

@@ -12,6 +12,7 @@ from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
 from helpers.scriptedhead import Ear
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, log_in
+from helpers.waiting import WHOLE_S
 from helpers.webcell import Cell, run, running
 
 from edged.adapters.web.assets import read_assets
@@ -172,7 +173,7 @@ def test_they_can_be_read_and_used_by_everybody() -> None:
         assert "de" == await page.value("document.documentElement.lang")
 
     async def bounded() -> None:
-        async with asyncio.timeout(60), running(Ear(), True) as cell, browser() as page:
+        async with asyncio.timeout(WHOLE_S), running(Ear(), True) as cell, browser() as page:
             await test(page, cell)
 
     asyncio.run(bounded())

@@ -13,6 +13,7 @@ from pathlib import Path
 import aiohttp
 import pytest
 from helpers.browsersession import browsing
+from helpers.waiting import WHOLE_S
 from yarl import URL
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings
@@ -63,7 +64,7 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
     """A test's coroutine, bounded."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(WHOLE_S):
             await test()
 
     asyncio.run(bounded())

@@ -31,8 +31,8 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
 from cryptography.x509.oid import NameOID
 from helpers.certificates import make_certificates
-from helpers.scriptedhead import until
 from helpers.snapshots import make_snapshot
+from helpers.waiting import LIMIT_S, WHOLE_S, until
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from rich.console import Console
@@ -51,7 +51,6 @@ from edged.plc import registers as reg
 from edged.plc.registers import StatusBit, crc16
 
 READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
-WAIT_S = 10.0  # what a loaded machine may need; nothing here sleeps for it
 
 
 class Cell:
@@ -114,10 +113,10 @@ def serve(test: Callable[[Rig], Coroutine[Any, Any, None]], settings: ModbusSett
     async def run() -> None:
         rig = Rig(settings or ModbusSettings(port=0))
         await rig.server.start()
-        rig.client = AsyncModbusTcpClient("127.0.0.1", port=rig.server.port, timeout=WAIT_S)
+        rig.client = AsyncModbusTcpClient("127.0.0.1", port=rig.server.port, timeout=LIMIT_S)
         try:
             assert await rig.client.connect()
-            await asyncio.wait_for(test(rig), 60)
+            await asyncio.wait_for(test(rig), WHOLE_S)
         finally:
             rig.client.close()
             await rig.server.close()
@@ -148,16 +147,16 @@ async def ask(rig: Rig, pdu: bytes, unit: int = 1) -> bytes:
 
 async def response(reader: asyncio.StreamReader, transaction: int) -> bytes:
     """Read one response and check its header."""
-    header = await asyncio.wait_for(reader.readexactly(7), WAIT_S)
+    header = await asyncio.wait_for(reader.readexactly(7), LIMIT_S)
     got, protocol, length, _ = struct.unpack(">HHHB", header)
     assert (transaction, 0) == (got, protocol)
-    return await asyncio.wait_for(reader.readexactly(length - 1), WAIT_S)
+    return await asyncio.wait_for(reader.readexactly(length - 1), LIMIT_S)
 
 
 async def ended(reader: asyncio.StreamReader) -> bool:
     """Whether the server closes the connection (after whatever it still says)."""
     try:
-        while await asyncio.wait_for(reader.read(4096), WAIT_S):
+        while await asyncio.wait_for(reader.read(4096), LIMIT_S):
             pass
     except ConnectionError:
         pass
@@ -619,7 +618,7 @@ def test_a_plc_that_lost_its_power_gets_in_again(monkeypatch: pytest.MonkeyPatch
 
     async def test(rig: Rig) -> None:
         dead_reader, dead = await raw(rig)
-        async with asyncio.timeout(WAIT_S):
+        async with asyncio.timeout(LIMIT_S):
             while True:
                 assert not (await rig.client.read_holding_registers(0, count=1)).isError()
                 reader, writer = await raw(rig)
@@ -726,7 +725,7 @@ async def rtu_answer(line: Line, data: bytes, size: int) -> bytes:
     loop.add_reader(line.master, arrived.set)
     try:
         while len(received) < size:
-            await asyncio.wait_for(arrived.wait(), WAIT_S)
+            await asyncio.wait_for(arrived.wait(), LIMIT_S)
             received += os.read(line.master, 4096)
             arrived.clear()
     finally:
@@ -770,7 +769,7 @@ def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Pa
             line.unplug()
             await asyncio.sleep(0.2)
             line = Line(tmp_path / "line")
-            async with asyncio.timeout(WAIT_S):
+            async with asyncio.timeout(LIMIT_S):
                 while True:  # the server looks for the device every 50 ms
                     try:
                         answer = await asyncio.wait_for(rtu_answer(line, rtu_frame(1, READ_MAGIC), 7), 0.3)
@@ -807,7 +806,7 @@ def test_a_serial_line_comes_back_over_errors_of_the_terminal(
             monkeypatch.setattr(serial, "Serial", half_there)
             line.unplug()
             line = Line(tmp_path / "line")
-            async with asyncio.timeout(WAIT_S):
+            async with asyncio.timeout(LIMIT_S):
                 while True:
                     with contextlib.suppress(TimeoutError):
                         answer = await asyncio.wait_for(rtu_answer(line, rtu_frame(1, READ_MAGIC), 7), 0.3)
@@ -960,7 +959,7 @@ def serve_tls(settings: ModbusSettings, test: Callable[[ModbusPublisher], Corout
         server = ModbusPublisher(settings, Cell())
         await server.start()
         try:
-            await asyncio.wait_for(test(server), 60)
+            await asyncio.wait_for(test(server), WHOLE_S)
         finally:
             await server.close()
 
@@ -1054,7 +1053,7 @@ def test_the_longest_silent_of_many_writers_makes_room(monkeypatch: pytest.Monke
             return await asyncio.open_connection("127.0.0.1", rig.server.port, local_addr=(host, 0))
 
         dead = [await connect(last) for last in (2, 3, 4)]
-        async with asyncio.timeout(WAIT_S):
+        async with asyncio.timeout(LIMIT_S):
             while True:
                 assert not (await rig.client.read_holding_registers(0, count=1)).isError()
                 plc = await connect(9)
@@ -1103,7 +1102,7 @@ def test_one_that_takes_many_places_gives_one_up(monkeypatch: pytest.MonkeyPatch
 
     async def test(rig: Rig) -> None:
         many = [await raw(rig) for _ in range(3)]
-        async with asyncio.timeout(WAIT_S):
+        async with asyncio.timeout(LIMIT_S):
             while True:
                 assert not (await rig.client.read_holding_registers(0, count=1)).isError()
                 plc = await asyncio.open_connection("127.0.0.1", rig.server.port, local_addr=("127.0.0.9", 0))
@@ -1130,7 +1129,7 @@ def test_a_server_that_closes_ends_the_handshakes(tls: TlsSettings) -> None:
         with pytest.raises(ssl.SSLWantReadError):
             client.do_handshake()
         ends[1][1].write(hello.read())
-        assert await asyncio.wait_for(ends[1][0].read(1), WAIT_S)  # the server's hello: it is under way
+        assert await asyncio.wait_for(ends[1][0].read(1), LIMIT_S)  # the server's hello: it is under way
         ends[2][1].write(b"no TLS")
         await server.close()
         for reader, writer in ends:

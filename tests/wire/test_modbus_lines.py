@@ -17,6 +17,7 @@ from helpers.certificates import make_certificates
 from helpers.livecell import LiveCell
 from helpers.serialline import SerialCable
 from helpers.snapshots import make_target
+from helpers.waiting import LIMIT_S
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusTlsClient
 
 from edged.adapters.modbus import ModbusSettings, SerialSettings, TlsSettings, rtu
@@ -25,8 +26,6 @@ from edged.domain.events import CommandKind
 from edged.errors import ListenError
 from edged.plc import registers as reg
 from edged.plc.registers import StatusBit
-
-WAIT_S = 20.0
 
 
 class Line(Protocol):
@@ -69,7 +68,7 @@ class Mbpoll:
     def _run(self, address: int, more: list[str], words: list[int]) -> str:
         command = ["mbpoll", *self._mode, "-a", "1", "-1", "-q", "-o", "2", "-t", "4", "-r", str(address + 1)]
         command += [*more, self._target, *map(str, words)]
-        run = subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S)
+        run = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
         assert 0 == run.returncode, run.stdout + run.stderr
         return run.stdout
 
@@ -119,7 +118,7 @@ def pick(line: Line) -> None:
 
 def wait_for(line: Line, condition: Any) -> dict[str, reg.Number]:
     """Read the status until it is so."""
-    deadline_s = time.monotonic() + WAIT_S
+    deadline_s = time.monotonic() + LIMIT_S
     while True:
         status = reg.decode(reg.STATUS, line.read(200, reg.STATUS.words))
         if condition(status):

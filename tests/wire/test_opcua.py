@@ -22,6 +22,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from helpers.opcuacell import JOBS, PASSWORD, OpcUaCell, make_certificate, secure_settings
 from helpers.smallcell import DaemonProcess, SmallCell, free_port
 from helpers.snapshots import make_target
+from helpers.waiting import LIMIT_S
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.modbus import ModbusSettings
@@ -74,7 +75,7 @@ async def connected(
 ) -> AsyncIterator[Client]:
     """A client with its certificate and password."""
     folder = secure.certificate.parent if secure.certificate is not None else Path()
-    client = Client(cell.url, timeout=10)
+    client = Client(cell.url, timeout=LIMIT_S)
     client.application_uri = f"urn:test:{name}"
     await client.set_security(
         SecurityPolicyBasic256Sha256,
@@ -755,7 +756,7 @@ import json, sys, time
 from opcua import Client, ua
 from opcua.crypto.security_policies import SecurityPolicyBasic256Sha256
 url, folder, password = sys.argv[1:]
-client = Client(url, timeout=10)
+client = Client(url, timeout=LIMIT_S)
 client.application_uri = "urn:test:friend"
 client.set_security(SecurityPolicyBasic256Sha256, f"{folder}/friend.der", f"{folder}/friend.key.der",
     f"{folder}/server.der", ua.MessageSecurityMode.SignAndEncrypt)
@@ -799,7 +800,7 @@ def test_another_client_commands_and_reads(cell: OpcUaCell, secure: OpcUaSetting
         [sys.executable, "-c", OTHER_CLIENT, cell.url, str(folder), PASSWORD],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=LIMIT_S,
         check=False,
     )
 

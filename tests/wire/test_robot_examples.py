@@ -14,6 +14,7 @@ from helpers.livecell import LiveCell
 from helpers.robotexamples import DOCS, EXAMPLES, Example, text_of
 from helpers.robotlink import Link
 from helpers.snapshots import make_target, make_transform
+from helpers.waiting import LIMIT_S
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.arrays import FloatArray
@@ -37,7 +38,7 @@ def bits(cell: LiveCell) -> int:
 
 def ready(cell: LiveCell) -> None:
     """Wait until commands are carried out."""
-    deadline_s = time.monotonic() + 10
+    deadline_s = time.monotonic() + LIMIT_S
     while not bits(cell) & StatusBit.READY:
         assert time.monotonic() < deadline_s
         time.sleep(0.005)

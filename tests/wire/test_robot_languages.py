@@ -28,6 +28,7 @@ from helpers.robotsides import (
     honest,
 )
 from helpers.snapshots import make_target
+from helpers.waiting import LIMIT_S
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.measurement import Target
@@ -37,7 +38,6 @@ from edged.robot.orientations import Brand, transform_of
 from edged.robots.robotlines import Failure
 from edged.vision.geometry.rigid import rotation_matrix, transform
 
-WAIT_S = 20.0
 TALKERS = [one for one in SIDES if hasattr(one, "acknowledge")]
 talkers = pytest.mark.parametrize("make", TALKERS, ids=lambda one: one.__name__)
 """Those that fetch the next target by a call of its own."""
@@ -90,7 +90,7 @@ def bits(cell: LiveCell) -> int:
 
 def until(condition: Callable[[], Any]) -> Any:
     """Wait for something true."""
-    deadline_s = time.monotonic() + WAIT_S
+    deadline_s = time.monotonic() + LIMIT_S
     while not (value := condition()):
         assert time.monotonic() < deadline_s, "not in time"
         time.sleep(0.005)
@@ -133,7 +133,7 @@ class Liar:
 
     def __exit__(self, *_: object) -> None:
         self.ringer.send(b"!")
-        self.thread.join(10)
+        self.thread.join(LIMIT_S)
         for one in (self.listener, self.bell, self.ringer):
             one.close()
 
@@ -192,7 +192,7 @@ def test_a_pose_arrives_as_the_cell_measured_it(make: type[Any]) -> None:
             np.testing.assert_allclose(pose[:3, :3], target.rig_from_part[:3, :3], atol=5e-5)
             *sigma, age_s = side.sigma_age()
             np.testing.assert_allclose(sigma, target.sigma_mm, atol=1e-4)
-            assert 0 <= age_s < WAIT_S
+            assert 0 <= age_s < LIMIT_S
         assert 12 == cell.head.captures
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import until
+from helpers.waiting import until
 from helpers.webcell import Cell, run
 
 from edged.domain.cell import CellPhase

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import Ear, until
+from helpers.scriptedhead import Ear
 from helpers.setuppage import (
     DIALOG,
     LEASE,
@@ -27,6 +27,7 @@ from helpers.setuppage import (
     take,
     thaw,
 )
+from helpers.waiting import WHOLE_S, until
 from helpers.webcell import Cell, running
 
 from edged.domain.cell import CellPhase
@@ -46,7 +47,7 @@ def on_the_page(
     """Run a test on the page of whoever logged in; nothing may fail unseen."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(60), running(Ear(), True) as cell, browser() as page:
+        async with asyncio.timeout(WHOLE_S), running(Ear(), True) as cell, browser() as page:
             await log_in(page, cell.origin, "Anna", PASSWORD, place, (width, height))
             await test(page, cell)
             assert [] == page.complaints

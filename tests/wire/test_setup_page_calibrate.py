@@ -24,6 +24,7 @@ from helpers.setuppage import (
     take_over,
 )
 from helpers.stagecell import Newcomer, run
+from helpers.waiting import WHOLE_S
 from workshop.test_calibrations import with_views
 
 from edged.commands.stage import USER
@@ -169,7 +170,7 @@ def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -> None
     cell = BoardCell(tmp_path)
 
     async def bounded() -> None:
-        async with asyncio.timeout(150), cell.running(), browser() as page:
+        async with asyncio.timeout(WHOLE_S), cell.running(), browser() as page:
             place, token = await with_views(cell, 6)
             _, begun = await cell.ask("POST", f"{place}/solve", {})
             assert "done" == (await cell.done(begun["task"]))["state"]

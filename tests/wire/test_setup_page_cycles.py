@@ -16,6 +16,7 @@ from helpers.browsersession import PASSWORD
 from helpers.recordedcell import RecordingCell, exposures, record
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
 from helpers.smallcell import SmallCell
+from helpers.waiting import WHOLE_S
 
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
@@ -92,7 +93,7 @@ def on_the_page(
 
     async def bounded() -> None:
         cell = made()
-        async with asyncio.timeout(90), cell.running(), browser() as page:
+        async with asyncio.timeout(WHOLE_S), cell.running(), browser() as page:
             origin = f"http://127.0.0.1:{cell.port}"
             await log_in(page, origin, "Anna", PASSWORD, place, (width, height))
             await page.until(there)

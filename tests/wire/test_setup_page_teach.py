@@ -31,6 +31,7 @@ from helpers.setuppage import (
     take_over,
 )
 from helpers.stagecell import Newcomer, staged
+from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
@@ -74,7 +75,7 @@ class Stand:
         """A test's coroutine, bounded; nothing may fail unseen."""
 
         async def bounded() -> None:
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(WHOLE_S):
                 await test()
                 assert [] == self.page.complaints
 

@@ -20,6 +20,7 @@ from typing import Any
 import pytest
 from helpers.livecell import LiveCell
 from helpers.smallcell import DaemonProcess, SmallCell
+from helpers.waiting import LIMIT_S
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.modbus import ModbusSettings
@@ -33,7 +34,6 @@ from edged.plc import registers as reg
 from edged.plc.answers import Reason
 from edged.plc.registers import StatusBit, Warn
 
-WAIT_S = 30.0  # what a loaded machine may need; nothing here sleeps for it
 PASSWORD = "correct horse"
 LEAVE = StatusBit.READY | StatusBit.RESULT_VALID | StatusBit.OK | StatusBit.EXPOSURE_DONE
 """What lets a robot move, or a PLC command."""
@@ -72,7 +72,7 @@ class Plc:
 
     def until(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The first status for which it holds."""
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + LIMIT_S
         while True:
             status = self.read(reg.STATUS)
             if condition(status):
@@ -89,7 +89,7 @@ def in_setup(status: dict[str, Any]) -> bool:
 
 def on_loop(cell: LiveCell, work: Callable[[], Any]) -> Any:
     """Await something on the cell's event loop."""
-    return asyncio.run_coroutine_threadsafe(work(), cell.loop).result(WAIT_S)
+    return asyncio.run_coroutine_threadsafe(work(), cell.loop).result(LIMIT_S)
 
 
 @pytest.fixture(params=[None, 0.005], ids=["commanded", "free-running"])
@@ -154,14 +154,14 @@ def test_in_setup_nothing_is_ready_valid_or_carried_out(cell: LiveCell) -> None:
     finally:
         stop.set()
         for thread in threads:
-            thread.join(WAIT_S)
+            thread.join(LIMIT_S)
 
     assert [] == wrong
     assert min(counts.values()) >= 12
 
 
 def _until(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + WAIT_S
+    deadline_s = time.monotonic() + LIMIT_S
     while not condition():
         assert time.monotonic() < deadline_s
         time.sleep(0.001)
@@ -216,7 +216,7 @@ def test_mbpoll_sees_setup_and_ends_it(cell: LiveCell) -> None:
 
     def mbpoll(*arguments: str) -> str:
         command = ["mbpoll", "-m", "tcp", "-p", str(cell.port), "-a", "1", "-1", "-q", "-t", "4", *arguments]
-        return subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S, check=True).stdout
+        return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=True).stdout
 
     def words() -> dict[int, int]:
         text = mbpoll("-r", "201", "-c", "19", "127.0.0.1")
@@ -281,7 +281,7 @@ def test_a_cell_without_a_calibration_runs_in_setup_until_it_has_one(tmp_path: P
 def _ready(port: int) -> tuple[int, str]:
     """Code and reason of /ready."""
     try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/ready", timeout=WAIT_S) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/ready", timeout=LIMIT_S) as answer:
             return answer.status, json.load(answer)["error"]
     except urllib.error.HTTPError as error:
         return error.code, json.load(error)["error"]
@@ -338,13 +338,13 @@ class Browser:
         keeping = urllib.request.HTTPCookieProcessor(http.cookiejar.CookieJar())
         self._opener = urllib.request.build_opener(keeping)
         form = urllib.parse.urlencode({"name": "Anna", "password": PASSWORD}).encode()
-        self._opener.open(f"{self._host}/login", form, timeout=WAIT_S).close()
+        self._opener.open(f"{self._host}/login", form, timeout=LIMIT_S).close()
 
     def ask(self, method: str, path: str, document: dict[str, str]) -> Any:
         """The answer's object; None for one without."""
         headers = {"Origin": self._host, "Content-Type": "application/json"}
         url, data = f"{self._host}/api/v1/{path}", json.dumps(document).encode()
         request = urllib.request.Request(url, data, headers, method=method)
-        with self._opener.open(request, timeout=WAIT_S) as answer:
+        with self._opener.open(request, timeout=LIMIT_S) as answer:
             text = answer.read()
         return json.loads(text) if text else None

@@ -26,6 +26,7 @@ from helpers.setuppage import (
     thaw,
 )
 from helpers.stagecell import PASSWORD, Newcomer, staged
+from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
@@ -102,7 +103,7 @@ class Walk:
         """A test's coroutine, bounded; nothing may fail unseen. refused : a status that is part of it."""
 
         async def bounded() -> None:
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(WHOLE_S):
                 await test()
                 complaints = self.page.complaints + self.other.complaints
                 self.page.complaints.clear()

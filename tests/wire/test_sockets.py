@@ -11,7 +11,7 @@ import aiohttp
 import cv2
 import numpy as np
 import pytest
-from helpers.scriptedhead import until
+from helpers.waiting import LIMIT_S, until
 from helpers.webcell import Cell, run
 
 from edged.adapters.web import Overview, server, sockets
@@ -249,7 +249,7 @@ def test_there_are_so_many_sockets_and_no_more(monkeypatch: pytest.MonkeyPatch) 
         with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
             await opened(cell)
         await tabs[0].socket.close()
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(LIMIT_S):
             while True:
                 try:
                     tabs[0] = await opened(cell)

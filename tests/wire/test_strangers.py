@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 from helpers.smallcell import DaemonProcess, SmallCell
+from helpers.waiting import LIMIT_S
 
 DESCRIPTORS = 1024
 STRANGERS = 1100
-WAIT_S = 20.0
 PLC = "127.0.0.9"
 
 
@@ -32,7 +32,7 @@ def descriptors(wanted: int) -> Iterator[None]:
 
 def until(condition: Callable[[], bool]) -> None:
     """Wait for a condition."""
-    deadline_s = time.monotonic() + WAIT_S
+    deadline_s = time.monotonic() + LIMIT_S
     while not condition():
         assert time.monotonic() < deadline_s, "condition not met in time"
         time.sleep(0.05)
@@ -42,7 +42,7 @@ def magic(port: int) -> bool:
     """Whether a PLC that connects anew reads the first register."""
     with socket.socket() as plc, contextlib.suppress(OSError):
         plc.bind((PLC, 0))
-        plc.settimeout(WAIT_S)
+        plc.settimeout(LIMIT_S)
         plc.connect(("127.0.0.1", port))
         plc.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 0, 1))
         return len(plc.recv(100)) == 11
@@ -53,7 +53,7 @@ def is_ready(port: int) -> bool:
     """What the page says to a program."""
     with (
         contextlib.suppress(OSError),
-        urllib.request.urlopen(f"http://127.0.0.1:{port}/ready", timeout=WAIT_S) as answer,
+        urllib.request.urlopen(f"http://127.0.0.1:{port}/ready", timeout=LIMIT_S) as answer,
     ):
         return bool(json.load(answer)["ready"])
     return False
@@ -79,7 +79,7 @@ def test_more_strangers_than_descriptors_take_nothing_from_the_cell(tmp_path: Pa
             with descriptors(2 * STRANGERS), contextlib.ExitStack() as strangers:
                 for _ in range(STRANGERS):
                     one = strangers.enter_context(socket.socket())
-                    one.settimeout(WAIT_S)
+                    one.settimeout(LIMIT_S)
                     with contextlib.suppress(OSError):
                         one.connect(("127.0.0.1", port))
                 until(lambda: magic(cell.modbus_port))

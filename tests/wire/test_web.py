@@ -25,6 +25,7 @@ from helpers.browsersession import browsing
 from helpers.cells import flange, frame_pair
 from helpers.livecell import GRASPS
 from helpers.snapshots import make_snapshot, make_target, make_transform
+from helpers.waiting import LIMIT_S, WHOLE_S
 from rich.console import Console
 
 from edged.adapters.web import Sources, WebPublisher, WebSettings, login, page, server, viewers
@@ -112,7 +113,7 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
     """A test's coroutine, bounded."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(WHOLE_S):
             await test()
 
     asyncio.run(bounded())
@@ -213,7 +214,7 @@ def test_closing_ends_every_viewer() -> None:
     async def test() -> None:
         async with served() as (web, session), session.get("/events") as answer:
             await next_event(answer.content)
-            await asyncio.wait_for(web.close(), 5)
+            await asyncio.wait_for(web.close(), LIMIT_S)
             assert (await answer.content.read()).strip() == b""
 
     run(test)
@@ -674,7 +675,7 @@ def test_log_ins_at_once_cost_one_hash(monkeypatch: pytest.MonkeyPatch) -> None:
     def slow(_: str, password: str) -> bool:
         hashed.append(password)
         started.set()
-        return may_end.wait(20) and password == PASSWORD
+        return may_end.wait(LIMIT_S) and password == PASSWORD
 
     monkeypatch.setattr("edged.identity.access.is_password", slow)
 

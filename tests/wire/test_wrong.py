@@ -14,6 +14,7 @@ from typing import Any
 import zenoh
 from helpers.livecell import LiveCell
 from helpers.snapshots import make_snapshot
+from helpers.waiting import LIMIT_S
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.modbus import ModbusSettings
@@ -23,7 +24,6 @@ from edged.domain.events import Command, CommandKind, ExposureDone
 from edged.plc import registers as reg
 from edged.plc.registers import StatusBit
 
-WAIT_S = 20.0
 PATIENT = ModbusSettings(port=0, validity_s=30.0)
 
 
@@ -67,7 +67,7 @@ class Plc:
 
     def until(self, look: Callable[[], Any], is_so: Callable[[Any], bool]) -> Any:
         """Look until it is so; what was seen."""
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + LIMIT_S
         while not is_so(seen := look()):
             assert time.monotonic() < deadline_s, seen
             time.sleep(0.005)
@@ -202,7 +202,7 @@ def test_zenohs_router_goes() -> None:
     router = zenoh.open(config(mode="router", listen__endpoints=[endpoint]))
     with LiveCell(PATIENT) as cell, plc_at(cell) as plc:
         publisher = ZenohPublisher(ZenohSettings("cell1", (), (endpoint,)), None)
-        asyncio.run_coroutine_threadsafe(publisher.start(), cell.loop).result(WAIT_S)
+        asyncio.run_coroutine_threadsafe(publisher.start(), cell.loop).result(LIMIT_S)
         try:
             cell.call(lambda: cell.cycle.set_publishers([cell.server, publisher]))
             plc.until(publisher.links, bool)
@@ -214,7 +214,7 @@ def test_zenohs_router_goes() -> None:
                 bits, _ = plc.answer(plc.trigger())
                 assert StatusBit.RESULT_VALID in bits
         finally:
-            asyncio.run_coroutine_threadsafe(publisher.close(), cell.loop).result(WAIT_S)
+            asyncio.run_coroutine_threadsafe(publisher.close(), cell.loop).result(LIMIT_S)
 
 
 def test_the_clock_of_the_pc_is_set() -> None:

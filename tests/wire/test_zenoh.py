@@ -19,10 +19,9 @@ import numpy as np
 import pytest
 import zenoh
 from helpers.schema_check import load_schema, violations
-from helpers.scriptedhead import until
 from helpers.snapshots import make_snapshot
-from helpers.waiting import wait_until
-from helpers.zenohcell import READY, WAIT_S, Cell, Peer, ask, free_port, ignore, is_message, peer
+from helpers.waiting import LIMIT_S, until, wait_until
+from helpers.zenohcell import READY, Cell, Peer, ask, free_port, ignore, is_message, peer
 
 from edged.adapters.zenoh import (
     ZenohPublisher,
@@ -252,7 +251,7 @@ def test_last_says_how_old_it_is_and_when_there_is_none():
     for without in (before, reloaded):
         assert without["document"]["error"] == "nothing has been measured since the start or the last reload"
     # the stamps are years old: a clock that somebody sets makes no result younger or older
-    assert 10_000 <= after["document"]["age_ms"] < 10_000 + 1000 * WAIT_S
+    assert 10_000 <= after["document"]["age_ms"] < 10_000 + 1000 * LIMIT_S
     assert [] == violations(after["document"], SCHEMA, SCHEMA)
 
 
@@ -370,10 +369,10 @@ def test_results_come_back_when_the_router_does(caplog):
                             await asyncio.wait({heard}, timeout=0.1)
                         await heard
                         expected.append("connected")
-                        await until(lambda: told() == expected, WAIT_S)
+                        await until(lambda: told() == expected)
                         router.close(kill=True)
                         expected.append("gone")
-                        await until(lambda: told() == expected, WAIT_S)
+                        await until(lambda: told() == expected)
 
     def told() -> list[str]:
         lines = [line for line in caplog.messages if "the router" in line]
@@ -400,7 +399,7 @@ def test_strangers_do_not_take_every_descriptor(monkeypatch):
     async def main() -> None:
         async with Cell() as cell:
             reader, writer = await asyncio.open_connection("127.0.0.1", cell.port)
-            async with asyncio.timeout(WAIT_S):
+            async with asyncio.timeout(LIMIT_S):
                 with contextlib.suppress(ConnectionError):
                     assert b"" == await reader.read()
             writer.close()
@@ -425,10 +424,10 @@ def test_ros2_nodes_get_good_poses_and_see_the_publisher(monkeypatch):
             try:
                 other.declare_subscriber("5/edged/cell1/**", samples.put)
                 other.liveliness().declare_subscriber("@ros2_lv/5/**", samples.put, history=True)
-                tokens = [await asyncio.to_thread(samples.get, timeout=WAIT_S) for _ in range(3)]
+                tokens = [await asyncio.to_thread(samples.get, timeout=LIMIT_S) for _ in range(3)]
                 cell.publisher.announce(make_snapshot(1, Status.CAPTURE_FAULT))
                 cell.publisher.announce(make_snapshot(2))
-                return tokens + [await asyncio.to_thread(samples.get, timeout=WAIT_S) for _ in range(2)]
+                return tokens + [await asyncio.to_thread(samples.get, timeout=LIMIT_S) for _ in range(2)]
             finally:
                 other.close()
 
@@ -461,7 +460,7 @@ def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
             other = open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"]))
             try:
                 other.declare_subscriber("edged/cell1/preview/left", samples.put)
-                deadline_s = time.monotonic() + WAIT_S
+                deadline_s = time.monotonic() + LIMIT_S
                 while samples.empty() and time.monotonic() < deadline_s:
                     cell.publisher.announce(exposure)
                     await asyncio.sleep(0.02)
@@ -487,15 +486,15 @@ def test_a_full_outbox_loses_its_oldest_job():
 
     def stall() -> None:
         started.set()
-        gate.wait(WAIT_S)
+        gate.wait(LIMIT_S)
 
     worker.start()
     worker.post(stall)
-    assert started.wait(WAIT_S)
+    assert started.wait(LIMIT_S)
     for number in range(10):
         worker.post(lambda number=number: done.append(number))
     gate.set()
-    worker.stop(WAIT_S)
+    worker.stop(LIMIT_S)
     assert [7, 8, 9] == done
     assert 7 == worker.dropped
 
@@ -506,6 +505,6 @@ def test_a_job_that_fails_does_not_end_the_worker(caplog):
     worker.post(lambda: 1 / 0)
     worker.post(lambda: done.append(True))
     worker.start()
-    worker.stop(WAIT_S)
+    worker.stop(LIMIT_S)
     assert ([True], 1) == (done, worker.failed)
     assert "ZeroDivisionError" in caplog.text

@@ -20,9 +20,9 @@ from typing import Any
 import pytest
 import zenoh
 from helpers.schema_check import load_schema, violations
-from helpers.scriptedhead import until
 from helpers.snapshots import make_snapshot
-from helpers.zenohcell import READY, WAIT_S, Cell
+from helpers.waiting import LIMIT_S, WHOLE_S, until
+from helpers.zenohcell import READY, Cell
 from rich.console import Console
 
 from edged.adapters.zenoh import open_session, session_config
@@ -145,7 +145,7 @@ def test_who_has_the_key_hears_the_cell_alone():
                 await until(lambda: dropped(subscriber) == len(FALSE) + 1)
                 assert [1, 2] == subscriber.cycles
 
-    asyncio.run(asyncio.wait_for(main(), 60))
+    asyncio.run(asyncio.wait_for(main(), WHOLE_S))
 
 
 def dropped(subscriber: Subscriber) -> int:
@@ -170,7 +170,7 @@ def test_who_comes_late_or_meets_a_restart_hears_the_cell():
                     await until(lambda: subscriber.cycles == [1, 2])
                 assert [] == subscriber.listening.doubts()
 
-    asyncio.run(asyncio.wait_for(main(), 60))
+    asyncio.run(asyncio.wait_for(main(), WHOLE_S))
 
 
 def test_without_a_key_two_sessions_of_a_name_are_named():
@@ -192,7 +192,7 @@ def test_without_a_key_two_sessions_of_a_name_are_named():
                 assert session in doubt
                 assert "0badf00d" in doubt
 
-    asyncio.run(asyncio.wait_for(main(), 60))
+    asyncio.run(asyncio.wait_for(main(), WHOLE_S))
 
 
 @pytest.mark.parametrize("key", [KEY, None])
@@ -208,7 +208,7 @@ def test_an_answer_is_bound_to_what_was_asked(key: bytes | None):
                     parameters = f"nonce={os.urandom(8).hex()}"
                     (reply,) = await asyncio.to_thread(
                         lambda name=name, asked=parameters: list(
-                            asker.session.get(f"edged/cell1/{name}?{asked}", timeout=WAIT_S)
+                            asker.session.get(f"edged/cell1/{name}?{asked}", timeout=LIMIT_S)
                         )
                     )
                     payload, seal = reply.ok.payload.to_bytes(), json.loads(reply.ok.attachment.to_bytes())
@@ -218,11 +218,11 @@ def test_an_answer_is_bound_to_what_was_asked(key: bytes | None):
                     assert mac == seal.get("mac")
                     assert [] == violations(seal, SCHEMA["$defs"]["attachment"], SCHEMA)
                 (reply,) = await asyncio.to_thread(
-                    lambda: list(asker.session.get("edged/cell1/trigger?kind=x", timeout=WAIT_S))
+                    lambda: list(asker.session.get("edged/cell1/trigger?kind=x", timeout=LIMIT_S))
                 )
                 assert seal["session"] == json.loads(reply.err.payload.to_bytes())["session"]
 
-    asyncio.run(asyncio.wait_for(main(), 60))
+    asyncio.run(asyncio.wait_for(main(), WHOLE_S))
 
 
 async def watched(
@@ -261,7 +261,7 @@ def test_watch_shows_what_is_the_cells_own_and_says_what_is_not(
             with stranger_at(cell.port) as stranger:
                 return await watched(cell, stranger, file if has_key else None, capsys)
 
-    shown, said = asyncio.run(asyncio.wait_for(main(), 60))
+    shown, said = asyncio.run(asyncio.wait_for(main(), WHOLE_S))
     assert has_key == ("cycle     99" not in shown)
     assert ("cell1: 1 message dropped: false, repeated, or signed with another key" in said) == has_key
     assert ("cell1: two Zenoh sessions publish for it" in said) != has_key
@@ -303,7 +303,7 @@ class Program:
 
     def __exit__(self, *_: object) -> None:
         self._process.kill()
-        self._process.wait(WAIT_S)
+        self._process.wait(LIMIT_S)
         self._reader.join()
         self._process.stdout.close()
 
@@ -329,6 +329,6 @@ def test_the_manuals_subscriber_tells_false_messages_apart(tmp_path: Path):
                 await until(lambda: "2 OK\n" in running.lines)
                 return running.lines
 
-    lines = asyncio.run(asyncio.wait_for(main(), 60))
+    lines = asyncio.run(asyncio.wait_for(main(), WHOLE_S))
     assert {"1 OK\n"} == set(lines[:-1])
     assert "2 OK\n" == lines[-1]

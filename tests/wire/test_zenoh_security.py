@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 from helpers.snapshots import make_snapshot
-from helpers.zenohcell import WAIT_S, Cell, free_port, is_message, peer
+from helpers.waiting import LIMIT_S
+from helpers.zenohcell import Cell, free_port, is_message, peer
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 
@@ -24,7 +25,7 @@ def certificates(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("tls")
 
     def openssl(*arguments: str) -> None:
-        subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=30)
+        subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=LIMIT_S)
 
     curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
     for authority in ("ca", "other"):
@@ -106,7 +107,7 @@ async def ask_as(certificates: Path, name: str, port: int, *selectors: str) -> l
     def run() -> list[dict[str, Any]]:
         replies: list[dict[str, Any]] = []
         with peer("get", *selectors, **config) as process:
-            process.process.wait(20)
+            process.process.wait(LIMIT_S)
         while not process.lines.empty():
             replies.append(process.lines.get())
         return [reply for reply in replies if "done" not in reply]
@@ -162,7 +163,7 @@ def test_a_fleet_router_with_the_example_is_closed_to_who_is_not_named(certifica
                 await who_may_what(cell, certificates, port)
             async with Cell(listen=(), connect=(endpoint,), config_file=joins("cell2")) as impostor:
                 impostor.publisher.announce(make_snapshot(66))
-                async with asyncio.timeout(WAIT_S):
+                async with asyncio.timeout(LIMIT_S):
                     # let in as cell2: what follows is the rules' work
                     while not impostor.publisher.links():  # noqa: ASYNC110  (Zenoh has no event for it)
                         await asyncio.sleep(0.05)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from helpers.boardcell import BoardCell
 from helpers.boardpairs import RIG, SPEC, pairs
+from helpers.waiting import WHOLE_S
 from rich.console import Console
 
 from edged.commands.calibrate import calibrate
@@ -31,7 +32,7 @@ def run(folder: Path, test: Callable[[BoardCell], Awaitable[None]]) -> BoardCell
     cell = BoardCell(folder)
 
     async def bounded() -> None:
-        async with asyncio.timeout(120), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             await test(cell)
 
     asyncio.run(bounded())
@@ -164,7 +165,7 @@ def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
     cell = BoardCell(tmp_path)
 
     async def first() -> Any:
-        async with asyncio.timeout(120), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             place, _ = await with_views(cell, 3)
             await cell.ask("DELETE", f"{place}/views/view_002", {})
             _, draft = await cell.ask("POST", f"{place}/undo", {})
@@ -172,7 +173,7 @@ def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
             return await cell.until(place, lambda draft: not draft["guiding"])
 
     async def second(before: Any) -> None:
-        async with asyncio.timeout(120), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             place = f"/calibrations/{before['id']}"
             after = await cell.until(place, lambda draft: not draft["guiding"])
             for key in ("revision", "boards", "views", "sigma_um", "suggestion", "can_redo"):

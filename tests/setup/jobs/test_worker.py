@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.scriptedhead import until
+from helpers.waiting import LIMIT_S, WHOLE_S, until
 
 from edged.errors import CalibrationError, TaskFailed, TaskTooLarge
 from edged.setup.jobs import worker as workers
@@ -44,7 +44,7 @@ def run(
     async def bounded() -> None:
         worker = Worker(TASKS, lambda: cpus, limits)
         try:
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(WHOLE_S):
                 await test(worker)
         finally:
             pid = worker.pid
@@ -217,7 +217,7 @@ def test_it_ends_with_who_started_it() -> None:
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     ended = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, env=environment, timeout=30, check=False
+        [sys.executable, "-c", script], capture_output=True, env=environment, timeout=LIMIT_S, check=False
     )
 
     assert -signal.SIGKILL == ended.returncode

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import pytest
 from helpers.recordedcell import RecordingCell, exposures, record
 from helpers.smallcell import SmallCell
+from helpers.waiting import WHOLE_S
 
 from edged.domain.frames import FramePair
 from edged.errors import FileFormatError
@@ -50,7 +51,7 @@ def beside(recorded: Recorded, folder: Path, test: Callable[[RecordingCell], Awa
     cell = RecordingCell(folder / "cell", recorded.template, recorded.recordings, recorded.pairs)
 
     async def bounded() -> None:
-        async with asyncio.timeout(60), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             await test(cell)
 
     asyncio.run(bounded())

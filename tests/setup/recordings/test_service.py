@@ -18,6 +18,7 @@ import pytest
 from helpers.boardcell import BoardCell
 from helpers.recordedcell import exposures, record
 from helpers.smallcell import SmallCell
+from helpers.waiting import WHOLE_S
 
 from edged.domain.frames import FramePair
 from edged.errors import FileFormatError, UserError
@@ -361,7 +362,7 @@ def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, t
         assert 422 == (await cell.ask("POST", what_if, {"features": {"c0": False}}))[0]
 
     async def bounded() -> None:
-        async with asyncio.timeout(60), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             await test()
 
     asyncio.run(bounded())

@@ -11,12 +11,12 @@ from urllib.request import Request, urlopen
 
 import pytest
 from argon2 import PasswordHasher
+from helpers.waiting import LIMIT_S
 from helpers.walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell, free_port
 
 from edged.vision.geometry.rigid import apply, transform
 
 PASSWORD = "correct horse"
-WAIT_S = 20.0
 pytestmark = pytest.mark.slow
 
 
@@ -36,12 +36,12 @@ class Page:
         asked = Request(
             f"http://127.0.0.1:{self._port}/api/v1/{path}", headers={"Authorization": f"Basic {code}"}
         )
-        with urlopen(asked, timeout=WAIT_S) as answer:
+        with urlopen(asked, timeout=LIMIT_S) as answer:
             return json.load(answer)
 
     def draft(self, **wanted: object) -> dict[str, Any]:
         """The youngest, when it is as wanted and judged."""
-        deadline_s = time.monotonic() + WAIT_S
+        deadline_s = time.monotonic() + LIMIT_S
         while True:
             assert time.monotonic() < deadline_s, wanted
             lines = self.ask("registrations")["registrations"]

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from helpers.cells import flange
 from helpers.partcell import PartCell
+from helpers.waiting import WHOLE_S
 
 from edged.domain.events import Command, CommandKind
 from edged.files.jobs import save_job
@@ -44,7 +45,7 @@ def run(cell: PartCell, test: Any) -> None:
     """A test's coroutine beside a running cell, bounded."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(60), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             await cell.until("/cell", lambda now: now["state"] == "READY")
             await test()
 

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from helpers.cells import flange, frame_pair
 from helpers.partcell import PartCell
+from helpers.waiting import WHOLE_S
 from rich.console import Console
 
 from edged.commands.check import check
@@ -38,7 +39,7 @@ def run(folder: Path, test: Callable[[PartCell], Awaitable[None]]) -> PartCell:
     cell = PartCell(folder)
 
     async def bounded() -> None:
-        async with asyncio.timeout(120), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             await test(cell)
 
     asyncio.run(bounded())
@@ -191,7 +192,7 @@ def test_two_people_and_a_kill(tmp_path: Path) -> None:
     assert kept[0]["revision"] == json.loads(state.read_text())["revision"]
 
     async def second() -> None:
-        async with asyncio.timeout(60), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             after = await cell.learnt(kept[0]["id"])
             assert kept[0] == after
 

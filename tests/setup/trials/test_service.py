@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from helpers.cells import flange
 from helpers.partcell import PartCell, turned
+from helpers.waiting import WHOLE_S
 
 from edged.files.jobs import save_job
 from edged.pipeline import prepare
@@ -45,7 +46,7 @@ async def told(
     socket: aiohttp.ClientWebSocketResponse, condition: Callable[[dict[str, Any]], object]
 ) -> dict[str, Any]:
     """The next trial that fulfils a condition; pictures are seen."""
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(WHOLE_S):
         async for message in socket:
             if message.type is aiohttp.WSMsgType.BINARY:
                 await socket.send_json({"seen": int.from_bytes(message.data[1:9], "big")})
@@ -183,7 +184,7 @@ def run(cell: PartCell, test: Any) -> None:
     """Beside the daemon, bounded."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(120), cell.running():
+        async with asyncio.timeout(WHOLE_S), cell.running():
             await test
 
     asyncio.run(bounded())
