@@ -63,7 +63,7 @@ class CamerasRoom:
 
     def configured(self) -> dict[Side, dict[str, Any]]:
         """Of each side, as it is configured, and as it is tried."""
-        cameras, changes = self._loaded().cell.config.cameras, self._cycle.camera_changes
+        cameras, changes = self._loaded().cell.config.cameras, self._cycle.session.camera_changes
         return {
             side: {
                 "device": getattr(cameras, side).device or self._address(side),
@@ -89,7 +89,7 @@ class CamerasRoom:
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
         """What it can be set to. Raises `SetupRefused`, `CaptureError`."""
-        return await self._cycle.limits(token, side)
+        return await self._cycle.session.limits(token, side)
 
     async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
         """Set what is stated until SETUP ends; returns what is in force, as read back.
@@ -98,7 +98,7 @@ class CamerasRoom:
         """
         if values != CameraValues() and (problem := (await self.limits(token, side)).problem(values)):
             raise UserError(problem)
-        self._values[side] = await self._cycle.adjust(token, side, values)
+        self._values[side] = await self._cycle.session.adjust(token, side, values)
         return self._values[side]
 
     async def assign(self, token: str, side: Side, serial: str) -> None:
@@ -127,7 +127,7 @@ class CamerasRoom:
                     f"{wanted.serial} is the {other} one, and the camera to take its place is silent"
                 )
             changes[other] = _with_camera(before)
-        elif (kept := self._cycle.camera_changes.get(other)) is not None and kept.device is not None:
+        elif (kept := self._cycle.session.camera_changes.get(other)) is not None and kept.device is not None:
             changes[other] = CameraChanges(kept.device, kept.serial)
         await self._try(token, changes)
 
@@ -137,8 +137,8 @@ class CamerasRoom:
         Raises `UserError` where a rig was calibrated with other cameras, where the file cannot be written,
         and where the cell cannot be loaded with it; then nothing has changed. Raises `SetupRefused`.
         """
-        self._cycle.renew_setup(token)
-        loaded, changes = self._loaded(), self._cycle.camera_changes
+        self._cycle.session.renew_setup(token)
+        loaded, changes = self._loaded(), self._cycle.session.camera_changes
         stated = {side: change.stated() for side, change in changes.items()}
         if loaded.cell.rig is not None and any("device" in change for change in stated.values()):
             raise UserError(
@@ -177,10 +177,10 @@ class CamerasRoom:
     async def _waved_at(self, token: str) -> Side | None:
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + WAVE_S
-        first = await self._cycle.capture(token)
+        first = await self._cycle.session.capture(token)
         seen: list[Side | None] = []
         while loop.time() < deadline_s:
-            pair = await self._cycle.capture(token)
+            pair = await self._cycle.session.capture(token)
             shares: dict[Side, float] = {
                 "left": changed_share(first.left.image, pair.left.image),
                 "right": changed_share(first.right.image, pair.right.image),
@@ -210,14 +210,14 @@ class CamerasRoom:
 
     async def _try(self, token: str, cameras: Mapping[Side, CameraChanges]) -> None:
         """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
-        loaded, tried = self._loaded(), self._cycle.camera_changes
+        loaded, tried = self._loaded(), self._cycle.session.camera_changes
         section = with_tried(loaded.cell.config.cameras, cameras)
         sizes: tuple[Size, Size] | None = None
         if (rig := loaded.cell.rig) is not None:
             left, right = rig.left, rig.right
             sizes = (left.width, left.height), (right.width, right.height)
         head = head_of(section, self._world, external=loaded.setup.listens, calibrated=sizes)
-        await self._cycle.try_head(token, head, cameras)
+        await self._cycle.session.try_head(token, head, cameras)
         for side, change in tried.items():
             values = CameraValues(change.exposure_us, change.gain_db)
             if values != CameraValues():

@@ -106,7 +106,7 @@ class Daemon:
         self._job_use = JobUse()
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, self._job_use, *observers)
         self._notices = Notices()
-        self._live = LivePictures(self._cycle, self._notices)
+        self._live = LivePictures(self._cycle.session, self._notices)
         self._cameras_room = CamerasRoom(
             self._cycle, lambda: self._loaded, world, self._notices, self._live, self.reload
         )
@@ -115,7 +115,7 @@ class Daemon:
             lambda: self._running,
             self._metrics.render,
             self._tell_cycle,
-            commissioner=self._cycle,
+            commissioner=self._cycle.session,
             notices=self._notices,
             live=self._live,
             rooms=self._rooms,

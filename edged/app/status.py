@@ -180,7 +180,7 @@ def overview(running: Running) -> Overview:
         ),
         rig=rig,
         plc_owner=modbus.owner if isinstance(modbus, ModbusPublisher) else "",
-        auto_lock=running.cycle.setup_locked,
+        auto_lock=running.cycle.session.lease.locked,
         stage=running.staged,
     )
 

@@ -123,8 +123,8 @@ class Workshop:
             self._worker,
             self._tasks,
             notices,
-            cycle.capture,
-            cycle.renew_setup,
+            cycle.session.capture,
+            cycle.session.renew_setup,
             lambda: running().loaded.cell.config.cell.rig,
             lambda identity: identity == _calibration_id(running()),
         )
@@ -139,13 +139,18 @@ class Workshop:
             lambda draft: self.teachings.candidate(draft),
         )
         self._activation = Activation(
-            shelf, config.resolve(), self._cell_now, cycle.renew_setup, reload, self._regressions.check
+            shelf,
+            config.resolve(),
+            self._cell_now,
+            cycle.session.renew_setup,
+            reload,
+            self._regressions.check,
         )
         self._checks = Checks(
             folder / "check.json",
             self._worker,
             notices,
-            cycle.capture,
+            cycle.session.capture,
             lambda: _rig_in_use(running()),
             lambda: _jobs(running()),
         )
@@ -158,7 +163,7 @@ class Workshop:
             folder / "registrations",
             self._worker,
             notices,
-            cycle.capture,
+            cycle.session.capture,
             lambda: _rig_in_use(running()),
             lambda: _jobs(running()),
         )
@@ -168,7 +173,7 @@ class Workshop:
             self._worker,
             self._tasks,
             notices,
-            cycle.capture,
+            cycle.session.capture,
             lambda: _rig_in_use(running()),
             lambda: _jobs_in_use(running()),
             self._cycles.file,
@@ -178,8 +183,8 @@ class Workshop:
             self._worker,
             self._tasks,
             notices,
-            cycle.capture,
-            cycle.renew_setup,
+            cycle.session.capture,
+            cycle.session.renew_setup,
             lambda: _rig_in_use(running()),
             lambda: _jobs(running()),
             self.teachings.job,
@@ -234,14 +239,14 @@ class Workshop:
 
     def _cell_now(self) -> CellNow:
         loaded = self._running().loaded
-        changes = self._cycle.camera_changes
+        changes = self._cycle.session.camera_changes
         return CellNow(
             rig=loaded.cell.config.cell.rig,
             fingerprint=loaded.setup.fingerprint,
             is_complete=loaded.rig is not None,
             cameras={side: {**one.stated()} for side, one in changes.items() if one.stated()},
-            locked=self._cycle.setup_locked,
-            holder=self._cycle.setup_by,
+            locked=self._cycle.session.lease.locked,
+            holder=self._cycle.session.lease.name,
             contents=loaded.cell.contents,
             jobs=loaded.cell.config.cell.jobs,
         )

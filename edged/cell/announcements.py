@@ -1,4 +1,4 @@
-"""Who is told, what was told last, and what the log says of it: once, not in every cycle."""
+"""The publishers of one cell, the state they know, and log lines of faults and misses."""
 
 from __future__ import annotations
 
@@ -12,53 +12,47 @@ from edged.logs import FaultLog, fields
 from edged.ports import Publisher
 
 log = logging.getLogger("edged.cell.cycle")
-"""The loop's: whoever searches the journal for it finds these lines, too."""
+"""Logger of the loop and its parts, so that one filter of the journal finds all their lines."""
 
 
 class Announcements:
-    """The publishers of one cell, and the state that they know."""
+    """Passes events to every publisher. Used on the event loop only.
+
+    basis : what results stand on. state : announced last; None before the first.
+    faults : log of camera faults, each at its start and with a count at its end.
+    """
 
     def __init__(self, basis: Basis) -> None:
-        self._publishers: tuple[Publisher, ...] = ()
-        self._basis = basis
-        self._state: CellState | None = None
-        self._faults = FaultLog(log)
+        self.basis = basis
+        self.state: CellState | None = None
+        self.faults = FaultLog(log)
         self._misses = FaultLog(log, level=logging.INFO, kind="result")
-
-    @property
-    def state(self) -> CellState | None:
-        """What was told last; None before anything was."""
-        return self._state
+        self._publishers: tuple[Publisher, ...] = ()
 
     def set_publishers(self, publishers: Iterable[Publisher]) -> None:
-        """Who is told from now on; a newcomer hears at once what results stand on, and the present state."""
+        """Replace the publishers; each new one gets the basis and the state at once."""
         listening = tuple(publishers)
         for newcomer in [publisher for publisher in listening if publisher not in self._publishers]:
-            newcomer.announce(self._basis)
-            if self._state is not None:
-                newcomer.announce(self._state)
+            newcomer.announce(self.basis)
+            if self.state is not None:
+                newcomer.announce(self.state)
         self._publishers = listening
 
     def announce(self, event: Event) -> None:
-        """Tell every publisher."""
+        """Pass an event to every publisher."""
         for publisher in self._publishers:
             publisher.announce(event)
 
-    @property
-    def basis(self) -> Basis:
-        """What results stand on."""
-        return self._basis
-
     def tell_exchange(self, calibration_id: str, fingerprint: str) -> None:
-        """Announce that what results stand on is another one from now on."""
-        self._basis = Basis(self._basis.number + 1, calibration_id, fingerprint)
-        self.announce(self._basis)
+        """Announce a new basis."""
+        self.basis = Basis(self.basis.number + 1, calibration_id, fingerprint)
+        self.announce(self.basis)
 
     def tell_state(self, new: CellState, drift: DriftState, calibration_id: str) -> None:
-        """Announce a state that is news. drift, calibration_id : what its `calibrated` comes from."""
-        if new == self._state:
+        """Announce a state unless it is the known one; log a change of `calibrated`, which drift explains."""
+        if new == self.state:
             return
-        if self._state is not None and new.calibrated is not self._state.calibrated:
+        if self.state is not None and new.calibrated is not self.state.calibrated:
             log.warning(
                 "calibration %s: rows %.3f px, known length %+.3f %%",
                 new.calibrated.name,
@@ -66,19 +60,11 @@ class Announcements:
                 drift.length_percent,
                 extra=fields(calibration=calibration_id),
             )
-        self._state = new
+        self.state = new
         self.announce(new)
 
-    def tell_fault(self, error: str, code: int) -> None:
-        """Log a fault of the cameras: once, and how often it happened at its end."""
-        self._faults.failed(error, code)
-
-    def tell_well(self) -> None:
-        """Log that the faults are over, where there were any."""
-        self._faults.well()
-
-    def tell_miss(self, snapshot: Snapshot) -> None:
-        """A part that is missing or refused is no fault, but told as one: once, and how often at its end."""
+    def log_miss(self, snapshot: Snapshot) -> None:
+        """Log that a part is missing or refused: at the start, and with a count at the end."""
         grabbed = snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB
         if snapshot.status is Status.CAPTURE_FAULT or grabbed:
             return

@@ -1,16 +1,15 @@
-"""One cycle up to its snapshot: one job or all of them, the drift, what a robot gets, and the times."""
+"""One cycle up to its snapshot: one job or all of them, the drift, picking limits and stage times."""
 
 from __future__ import annotations
 
-import asyncio
-import logging
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from edged.cell.drift import DriftMonitor, refused
-from edged.cell.loaded import LoadedJob, Setup
+from edged.cell.announcements import log
+from edged.cell.context import CellContext
+from edged.cell.drift import refused
+from edged.cell.loaded import LoadedJob
 from edged.domain.cell import Calibrated
 from edged.domain.events import Command, Snapshot
 from edged.domain.frames import FramePair
@@ -18,11 +17,8 @@ from edged.domain.measurement import Outcome, Status
 from edged.errors import CaptureError
 from edged.robot.picking import picked
 
-log = logging.getLogger("edged.cell.cycle")
-"""The loop's: whoever searches the journal for it finds these lines, too."""
-
 TRY_ALL_S = 3.0
-"""A command that tries every job begins with no further one after so long."""
+"""A command that tries every job starts no further job after this time."""
 
 
 class _Stopwatch:
@@ -42,112 +38,107 @@ class _Stopwatch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measurement:
-    """A cycle that runs; exactly one of `failed`, `grabbed` and `located` ends it.
+class CycleRun:
+    """A running cycle; exactly one of `failed`, `grabbed` and `located` ends it.
 
-    basis : the number of what `setup` is. command : None for a tick. drift : sees every part that is located.
-    vision : where jobs are tried.
-    lap : called at the end of each stage.
+    cell : its setup and active job do not change during a cycle. command : None for a tick.
+    utc_ns : clock of the result's time stamp. lap : called at the end of each stage.
     """
 
-    number: int
-    basis: int
-    setup: Setup
-    active: LoadedJob
+    cell: CellContext
     command: Command | None
-    drift: DriftMonitor
-    vision: Executor
     utc_ns: Callable[[], int]
     lap: _Stopwatch = field(default_factory=_Stopwatch, init=False)
 
     def failed(self, error: CaptureError) -> Snapshot:
-        """There is no exposure."""
-        return self._snapshot(self._job, Status.CAPTURE_FAULT, error=error)
+        """Snapshot without an exposure."""
+        blank = self._blank(self._job, Status.CAPTURE_FAULT)
+        return replace(blank, error=str(error), error_code=error.code)
 
     def grabbed(self, pair: FramePair) -> Snapshot:
-        """Only the images were wanted."""
-        return self._snapshot(self._job, Status.NO_TARGET, pair=pair)
+        """Snapshot of an exposure that is not measured."""
+        return self._exposed(self._job, pair, Outcome(Status.NO_TARGET))
 
     async def located(self, pair: FramePair) -> Snapshot:
-        """What the job finds, or the best of all jobs. A bug in the pipeline propagates."""
+        """Snapshot of an exposure measured by its job, or by the best of all jobs.
+
+        Raises what the pipeline raises: a bug.
+        """
         if self.command is not None and self.command.tries_all:
             job, outcome = await self._best(pair)
         else:
             job, outcome = self._job, await self._located(self._job, pair)
-        outcome = self._watched(job, outcome)
-        return self._snapshot(job, outcome.status, pair=pair, outcome=outcome)
+        return self._exposed(job, pair, self._picked(job, self._watched(job, outcome)))
 
     @property
     def _job(self) -> LoadedJob:
-        """The one that the command names, else the active one."""
+        """The job that the command names, else the active one."""
         named = self.command is not None and self.command.job
-        return self.setup.jobs[named] if named else self.active
+        return self.cell.setup.jobs[named] if named else self.cell.active
 
     async def _located(self, job: LoadedJob, pair: FramePair) -> Outcome:
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self.vision, job.locate, pair, self.lap)
+        return await self.cell.on_vision_thread(job.locate, pair, self.lap)
 
     async def _best(self, pair: FramePair) -> tuple[LoadedJob, Outcome]:
-        """Every job on one exposure, the active one first, the others by number, as far as the time goes.
+        """Try every job on one exposure, the active one first, then by number, until time is up.
 
-        The good part that agrees best counts; without any the bad one that does, or that nothing was found.
+        The good part with the highest score wins; without a good part, the highest score.
         """
-        frame, _ = self.setup.frame(self.command)
-        others = [job for _, job in sorted(self.setup.jobs.items()) if job is not self.active]
+        active = self.cell.active
+        others = [job for _, job in sorted(self.cell.setup.jobs.items()) if job is not active]
         end_s = time.monotonic() + TRY_ALL_S
         tried: list[tuple[LoadedJob, Outcome]] = []
-        for job in (self.active, *others):
+        for job in (active, *others):
             if not tried or time.monotonic() < end_s:
                 tried.append((job, await self._located(job, pair)))
         if len(tried) <= len(others):
             log.warning("%d of %d jobs were tried within %g s", len(tried), 1 + len(others), TRY_ALL_S)
 
-        def agreement(one: tuple[LoadedJob, Outcome]) -> tuple[bool, float]:
-            job, outcome = one
-            allowed = picked(outcome, self.setup.picking(job, self.command), frame)
+        def agreement(attempt: tuple[LoadedJob, Outcome]) -> tuple[bool, float]:
+            allowed = self._picked(*attempt)
             return allowed.status is Status.OK, max((t.match.score for t in allowed.targets), default=-1.0)
 
         return max(tried, key=agreement)
 
+    def _picked(self, job: LoadedJob, outcome: Outcome) -> Outcome:
+        """The outcome with the targets in picking order, and those out of the robot's limits refused."""
+        frame, _ = self.cell.setup.frame(self.command)
+        return picked(outcome, self.cell.setup.picking(job, self.command), frame)
+
     def _watched(self, job: LoadedJob, outcome: Outcome) -> Outcome:
         """The outcome with good results refused while the calibration is known to be wrong."""
         for target in outcome.targets:
-            self.drift.add(target, job.witness)
-        return refused(outcome) if self.drift.state().verdict is Calibrated.INVALID else outcome
+            self.cell.drift.add(target, job.witness)
+        return refused(outcome) if self.cell.drift.state().verdict is Calibrated.INVALID else outcome
 
-    def _snapshot(
-        self,
-        job: LoadedJob,
-        status: Status,
-        *,
-        pair: FramePair | None = None,
-        outcome: Outcome | None = None,
-        error: CaptureError | None = None,
-    ) -> Snapshot:
-        frame, registration = self.setup.frame(self.command)
-        if outcome is not None:
-            outcome = picked(outcome, self.setup.picking(job, self.command), frame)
-            status = outcome.status
+    def _exposed(self, job: LoadedJob, pair: FramePair, outcome: Outcome) -> Snapshot:
+        return replace(
+            self._blank(job, outcome.status),
+            exposed_ns=pair.exposed_ns,
+            exposed_bound_ns=pair.exposed_bound_ns,
+            targets=outcome.targets,
+            dismissed=outcome.dismissed,
+            nearest=outcome.nearest,
+        )
+
+    def _blank(self, job: LoadedJob, status: Status) -> Snapshot:
+        """A snapshot without exposure and result."""
+        setup = self.cell.setup
+        frame, registration = setup.frame(self.command)
         return Snapshot(
-            cycle=self.number,
+            cycle=self.cell.number,
             status=status,
             command=self.command,
             job=job.name,
             job_number=job.number,
-            calibration_id=self.setup.calibration_id,
-            fingerprint=self.setup.fingerprint,
-            simulated=self.setup.simulated,
-            exposed_ns=pair.exposed_ns if pair is not None else 0,
-            exposed_bound_ns=pair.exposed_bound_ns if pair is not None else None,
+            calibration_id=setup.calibration_id,
+            fingerprint=setup.fingerprint,
+            simulated=setup.simulated,
+            exposed_ns=0,
             published_ns=self.utc_ns(),
-            targets=outcome.targets if outcome is not None else (),
-            dismissed=outcome.dismissed if outcome is not None else (),
-            nearest=outcome.nearest if outcome is not None else None,
             timing_ms=self.lap.timing_ms(),
-            error=str(error) if error is not None else "",
-            error_code=error.code if error is not None else 0,
             robot_from_rig=frame.robot_from_rig,
             registration_covariance=registration,
-            drift=self.drift.state(),
-            basis=self.basis,
+            drift=self.cell.drift.state(),
+            basis=self.cell.announcements.basis.number,
         )

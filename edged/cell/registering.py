@@ -1,37 +1,37 @@
-"""A registration by a robot's own program, as the loop sees it: who began it, and that it ends.
+"""A registration of the rig by a robot's own program.
 
-It is kept in memory alone: after a restart or a reload nothing is left of it, and the cell measures by the
-registration that it had.
+It lives in memory only: a restart or reload ends it, and the previous registration stays in force.
 """
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from typing import Protocol
 
+from edged.cell.announcements import log
+from edged.cell.context import CellContext
 from edged.cell.loaded import Setup
-from edged.domain.events import Command, CommandKind, Registered
+from edged.domain.cell import CellPhase, SetupSource
+from edged.domain.events import Command, CommandKind, ExposureDone, Idle, Registered
 from edged.domain.frames import FramePair
 from edged.domain.registration import Obstacle, Registration
-
-log = logging.getLogger("edged.cell.cycle")
-"""The loop's: whoever searches the journal for it finds these lines, too."""
+from edged.errors import CaptureError, EdgedError
 
 REST_S = 1800.0
-"""Without a command of it for so long a registration ends. Going to a point by hand takes minutes."""
+"""Without a command for so long a registration ends. Going to a point by hand takes minutes."""
+STARTS = (CommandKind.HAND_EYE_START, CommandKind.TOUCH_START)
 
 
 class Registrar(Protocol):
     """Keeps the poses or points of one registration, solves and saves it; `add`, `solve` on any thread."""
 
     def problem(self, kind: CommandKind) -> str:
-        """Why it cannot begin so; "" when it can."""
+        """Why this kind of registration cannot begin; "" when it can."""
         ...
 
     def begin(self, command: Command) -> Registered:
-        """Forget what was taken before."""
+        """Begin anew, without samples."""
         ...
 
     def add(self, command: Command, pair: FramePair) -> Registered:
@@ -39,76 +39,131 @@ class Registrar(Protocol):
         ...
 
     def solve(self, command: Command) -> Registered:
-        """Judge; nothing is saved."""
+        """Solve and judge; nothing is saved."""
         ...
 
     async def activate(self) -> Setup:
-        """Save what was solved, and return what is measured by now. Raises `EdgedError`, `OSError`."""
+        """Save the solution and return the setup that has it. Raises `EdgedError`, `OSError`."""
         ...
 
 
-class Registering:
-    """Whether a registration is under way, and whose it is.
+class RobotRegistration:
+    """Carries out registration commands, one client at a time.
 
-    registrar : None: nobody may register by commands.
+    registrar : None: registration by commands is not configured.
     """
 
-    def __init__(self, registrar: Registrar | None, clock_s: Callable[[], float] = time.monotonic) -> None:
-        self.registrar = registrar
+    def __init__(
+        self, cell: CellContext, registrar: Registrar | None, clock_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._cell = cell
+        self._registrar = registrar
         self._clock_s = clock_s
-        self._source = ""
         self._until_s = 0.0
         self._state = Registration()
 
     @property
     def is_on(self) -> bool:
-        """Between its START and its end."""
-        return bool(self._source)
+        """Between a START command and the end."""
+        return bool(self._cell.registrant)
 
-    @property
-    def is_silent(self) -> bool:
-        """Nobody goes on with it."""
-        return self.is_on and self._clock_s() >= self._until_s
-
-    def problem(self, command: Command, *, locked: bool) -> str:
-        """Why a command of a registration is refused; "" when it is not. locked : the plant forbids SETUP."""
-        if self.registrar is None:
+    def problem(self, command: Command) -> str:
+        """Why a registration command is refused; "" when it is accepted."""
+        if self._registrar is None:
             return "no robot's program may register the rig: there is no [registration] in the configuration"
-        if self.is_on and command.source != self._source:
-            return f"a registration by {self._source} is under way"
-        if command.kind is CommandKind.REGISTER_ADD:
-            return (
-                "" if command.robot_from_flange is not None else "REGISTER_ADD needs the pose of the flange"
-            )
-        if command.kind is CommandKind.REGISTER_SOLVE:
+        if self.is_on and command.source != self._cell.registrant:
+            return f"a registration by {self._cell.registrant} is under way"
+        if command.kind is CommandKind.REGISTER_ADD and command.robot_from_flange is None:
+            return "REGISTER_ADD needs the pose of the flange"
+        if command.kind not in STARTS:
             return ""
-        if locked:
+        if self._cell.lease.locked:
             return "the plant runs: its PLC forbids SETUP (AUTO_LOCK is 1)"
-        return self.registrar.problem(command.kind)
+        return self._registrar.problem(command.kind)
 
-    def begun(self, told: Registered) -> None:
-        """It is under way from now on."""
-        self._source = told.command.source
-        self.note(told)
-
-    def note(self, told: Registered) -> None:
-        """A command of it has ended; and a line for people."""
-        self._state, self._until_s = told.registration, self._clock_s() + REST_S
-        if told.obstacle is None:
-            log.info("registration: %s", told.why)
+    async def serve(self) -> None:
+        """Carry out one waiting command, or wait a moment."""
+        cell = self._cell
+        cell.wake.clear()
+        cell.announce(Idle())
+        if cell.commands:
+            await self.carry_out(cell.commands.take())
+        elif self.is_on and self._clock_s() >= self._until_s:
+            self.end("no further command came")
         else:
-            log.warning("registration: %s: %s", told.obstacle.name, told.why or told.obstacle.value)
+            await cell.wait()
 
-    def refused(self, command: Command, obstacle: Obstacle, why: str = "") -> Registered:
-        """A command that changes nothing."""
-        return Registered(command, self._state, obstacle, why or obstacle.value)
+    async def carry_out(self, command: Command) -> None:
+        """Carry out a registration command and announce `Registered`."""
+        registrar = self._registrar
+        if registrar is None or not (command.kind in STARTS or self.is_on):
+            self._cell.announce(self._refused(command, Obstacle.NO_REGISTRATION))
+        elif command.kind in STARTS:
+            event = registrar.begin(command)
+            self._cell.registrant = command.source
+            self._note(event)
+            self._cell.announce(event)
+            if not self._cell.in_setup:
+                self._cell.begin_setup()
+        elif command.kind is CommandKind.REGISTER_ADD:
+            event = await self._add(registrar, command)
+            if self.is_on:
+                self._note(event)
+            self._cell.announce(event)
+        else:
+            event = await self._solve(registrar, command)
+            if self.is_on:
+                self._note(event)
+            if event.obstacle is None:
+                self._finish()
+            self._cell.announce(event)
 
     def end(self, why: str) -> None:
-        """Whatever was taken is forgotten; the registration of before holds."""
+        """Drop the samples; the previous registration stays in force. Nothing to do when none is on."""
         if self.is_on:
             log.warning("registration: it has ended without a result: %s", why)
-        self.done()
+        self._forget()
 
-    def done(self) -> None:
-        """It is over."""
-        self._source, self._state = "", Registration()
+    async def _add(self, registrar: Registrar, command: Command) -> Registered:
+        try:
+            pair = await self._cell.setup_picture()
+        except CaptureError as error:
+            return self._refused(command, Obstacle.CAPTURE_FAULT, str(error))
+        self._cell.announce(ExposureDone(self._cell.number, command, pair))
+        return await self._cell.on_vision_thread(registrar.add, command, pair)
+
+    async def _solve(self, registrar: Registrar, command: Command) -> Registered:
+        event = await self._cell.on_vision_thread(registrar.solve, command)
+        if event.obstacle is not None:
+            return event
+        if self._cell.setup_source is not SetupSource.ROBOT or self._cell.pending is not None:
+            return self._refused(command, Obstacle.NO_REGISTRATION, "it was ended meanwhile")
+        try:
+            setup = await registrar.activate()
+        except (EdgedError, OSError) as error:
+            return self._refused(command, Obstacle.FAILED, f"it cannot be saved: {error}")
+        self._cell.use(setup)
+        self._cell.tell_exchange()
+        return event
+
+    def _finish(self) -> None:
+        """End after a result. READY comes before the answer: who gets the answer may measure at once."""
+        self._forget()
+        if self._cell.setup_source is SetupSource.NONE:
+            self._cell.in_setup = False
+            self._cell.cameras.hand_back()
+            self._cell.tell_state(CellPhase.READY)
+
+    def _note(self, event: Registered) -> None:
+        self._state, self._until_s = event.registration, self._clock_s() + REST_S
+        if event.obstacle is None:
+            log.info("registration: %s", event.why)
+        else:
+            log.warning("registration: %s: %s", event.obstacle.name, event.why or event.obstacle.value)
+
+    def _refused(self, command: Command, obstacle: Obstacle, why: str = "") -> Registered:
+        """The answer to a command that changes nothing."""
+        return Registered(command, self._state, obstacle, why or obstacle.value)
+
+    def _forget(self) -> None:
+        self._cell.registrant, self._state = "", Registration()

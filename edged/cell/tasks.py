@@ -1,10 +1,14 @@
-"""Tasks that end when they are told to, and are seen to end."""
+"""Tasks that are cancelled and awaited, and blocking calls with a time limit."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+import contextlib
+import threading
+from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
+
+from edged.errors import TookTooLong
 
 Result = TypeVar("Result")
 
@@ -47,3 +51,44 @@ async def cancel_and_await(*tasks: asyncio.Future[Any]) -> None:
             task.exception()  # seen: or asyncio complains that it was never retrieved
     if cancelled is not None:
         raise cancelled
+
+
+async def bounded(
+    work: Callable[[], Result], timeout_s: float, what: str, undo: Callable[[Result], object] | None = None
+) -> Result:
+    """Run what may block on a thread of its own. Raises `TookTooLong`.
+
+    undo : for a result that comes when nobody waits any more.
+    Not `asyncio.to_thread`: its threads are joined at exit, and one that hangs would hang the exit.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[Result] = loop.create_future()
+    is_left = threading.Event()
+
+    def settle(setter: Callable[[Any], None], value: object) -> None:
+        if not done.done():
+            setter(value)
+
+    def run() -> None:
+        setter: Callable[[Any], None]
+        value: object
+        try:
+            result = work()
+            setter, value = done.set_result, result
+            if is_left.is_set() and undo is not None:
+                undo(result)
+        except Exception as error:  # noqa: BLE001  (whatever it is, it is raised by the await below)
+            setter, value = done.set_exception, error
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            loop.call_soon_threadsafe(settle, setter, value)
+
+    thread = threading.Thread(target=run, name=what, daemon=True)
+    thread.start()
+    try:
+        return await asyncio.wait_for(done, timeout_s)
+    except TimeoutError as error:
+        raise TookTooLong(f"{what} took longer than {timeout_s:g} s") from error
+    finally:
+        is_left.set()
+        if not done.cancelled():
+            thread.join()  # it is at its last line

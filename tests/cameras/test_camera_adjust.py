@@ -160,16 +160,16 @@ def test_setup_tries_and_ready_has_what_is_configured(cell: Cell) -> None:
         task = asyncio.create_task(cycle.run())
         try:
             await until(lambda: ear.state() is CellPhase.READY)
-            token = await cycle.enter_setup("Anna")
-            assert CameraValues(700.0, 0.0) == await cycle.adjust(token, "left", CameraValues(700.0))
-            assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await cycle.limits(token, "right")
-            await cycle.capture(token)
-            assert {"left": CameraChanges(exposure_us=700.0)} == cycle.camera_changes
+            token = await cycle.session.enter_setup("Anna")
+            assert CameraValues(700.0, 0.0) == await cycle.session.adjust(token, "left", CameraValues(700.0))
+            assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await cycle.session.limits(token, "right")
+            await cycle.session.capture(token)
+            assert {"left": CameraChanges(exposure_us=700.0)} == cycle.session.camera_changes
             with pytest.raises(CameraSetupError):
-                await cycle.adjust(token, "right", CameraValues(gain_db=99.0))
-            cycle.leave_setup(token)
+                await cycle.session.adjust(token, "right", CameraValues(gain_db=99.0))
+            cycle.session.leave_setup(token)
             await until(lambda: ear.state() is CellPhase.READY)
-            assert {} == cycle.camera_changes
+            assert {} == cycle.session.camera_changes
             assert [700.0, 3000.0] == [request.exposure_us for request in cell.left_sensor.requests]
         finally:
             cycle.stop()

@@ -15,9 +15,9 @@ from helpers.scriptedhead import Ear, Head, held, locate_command, make_setup
 from helpers.snapshots import make_target, make_transform
 from helpers.waiting import LIMIT_S, until
 
+from edged.cell.context import QUEUE_LENGTH
 from edged.cell.cycle import FAULT_REST_S, Cycle
 from edged.cell.loaded import LoadedJob, Setup
-from edged.cell.queue import QUEUE_LENGTH
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import (
     PLC_SOURCE,
@@ -396,7 +396,7 @@ def test_a_dead_camera_is_a_status_and_the_loop_heals() -> None:
 
 def test_a_camera_that_dies_between_commands_shows_before_the_next_command(monkeypatch) -> None:
     """Idle in command mode, the loop looks after the cameras."""
-    monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 0.01)
+    monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
 
     async def script(cycle, ear, head):
         await until(lambda: ear.state() is CellPhase.READY)
@@ -410,7 +410,7 @@ def test_a_camera_that_dies_between_commands_shows_before_the_next_command(monke
 
 def test_an_idle_loop_shows_that_it_lives(monkeypatch) -> None:
     """Without commands nothing else is announced: the watchdog feeds on these."""
-    monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 0.01)
+    monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
 
     async def script(cycle, ear, head):
         await until(lambda: sum(isinstance(event, Idle) for event in ear.events) >= 3)

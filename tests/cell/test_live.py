@@ -26,7 +26,7 @@ class Scene:
         self.told: list[dict[str, Any]] = []
         notices = Notices()
         notices.listen(lambda kind, document: self.told.append({"kind": kind, **document}))
-        self.live = LivePictures(cycle, notices, lambda: self.now_s)
+        self.live = LivePictures(cycle.session, notices, lambda: self.now_s)
         self.numbers: list[int] = []
         self.stop = self.live.listen(lambda number, _pair: self.numbers.append(number))
 
@@ -42,7 +42,7 @@ def play(test: Callable[[Scene], Awaitable[None]], monkeypatch: pytest.MonkeyPat
         task = asyncio.create_task(cycle.run())
         try:
             async with asyncio.timeout(WHOLE_S):
-                scene = Scene(cycle, head, await cycle.enter_setup("Anna"))
+                scene = Scene(cycle, head, await cycle.session.enter_setup("Anna"))
                 await test(scene)
                 await scene.live.close()
         finally:
@@ -62,7 +62,7 @@ def test_pictures_come_while_they_are_wanted(monkeypatch: pytest.MonkeyPatch) ->
         scene.live.unwant("tab")
         await until(lambda: not scene.live.is_on)
         taken = scene.head.captures
-        await scene.cycle.capture(scene.token)
+        await scene.cycle.session.capture(scene.token)
         assert taken + 1 == scene.head.captures
         assert [True, False] == [one["on"] for one in scene.told]
 
@@ -78,7 +78,7 @@ def test_only_who_has_the_cell_gets_them(monkeypatch: pytest.MonkeyPatch) -> Non
         assert not scene.live.is_on
         scene.live.want("tab", scene.token)
         await until(lambda: scene.numbers)
-        await scene.cycle.enter_setup("Ben", take_over=True)
+        await scene.cycle.session.enter_setup("Ben", take_over=True)
         await until(lambda: not scene.live.is_on)
         assert ("live", False, "setup_refused") == tuple(
             scene.told[-1][name] for name in ("kind", "on", "code")

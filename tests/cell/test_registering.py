@@ -144,11 +144,11 @@ def test_from_its_begin_to_its_end_nothing_is_measured(period_s: float | None) -
 
 
 async def _person(robot: Program) -> None:
-    await robot.cycle.enter_setup("Anna")
+    await robot.cycle.session.enter_setup("Anna")
     assert (SetupSource.PERSON, "Anna") == (robot.state.setup, robot.state.setup_by)
     with pytest.raises(BeingSetUp):
         robot.cycle.submit(robot.command(ADD))
-    robot.cycle.end_setup("Anna")
+    robot.cycle.session.end_setup("Anna")
 
 
 async def _reload(robot: Program) -> None:
@@ -162,7 +162,7 @@ async def _lock(robot: Program) -> None:
 
 
 async def _somebody(robot: Program) -> None:
-    robot.cycle.end_setup("Anna")
+    robot.cycle.session.end_setup("Anna")
 
 
 @pytest.mark.parametrize("comes", [_person, _reload, _lock, _somebody])

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from edged.cell.cycle import Cycle
-from edged.cell.lease.lease import LEASE_S, SetupDesk
+from edged.cell.lease.lease import LEASE_S, SetupLease
 from edged.cell.loaded import Setup
 from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import CommandFailed, ExposureDone, Idle, Snapshot
@@ -57,7 +57,7 @@ def test_whoever_enters_has_the_cell_after_the_running_cycle() -> None:
         cycle.submit(first)
         await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
         cycle.submit(waiting)
-        entering = asyncio.create_task(cycle.enter_setup("Anna"))
+        entering = asyncio.create_task(cycle.session.enter_setup("Anna"))
         await asyncio.sleep(0)
         with pytest.raises(BeingSetUp):
             cycle.submit(locate_command(3))
@@ -80,13 +80,13 @@ def test_nobody_else_hears_of_pictures_in_setup() -> None:
     """They go to who asked; then one test pair, and the cell is ready."""
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
-        token = await cycle.enter_setup("Anna")
-        pair = await cycle.capture(token)
+        token = await cycle.session.enter_setup("Anna")
+        pair = await cycle.session.capture(token)
         assert (1, 1) == (pair.left.frame_id, head.captures)
-        tried, outcome = await cycle.try_job(token, found_nothing)
+        tried, outcome = await cycle.session.try_job(token, found_nothing)
         assert (2, Status.NO_TARGET) == (tried.left.frame_id, outcome.status)
         await until(lambda: latest(ear).cameras_ok)
-        cycle.leave_setup(token)
+        cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.READY)
         assert 3 == head.captures
 
@@ -99,12 +99,12 @@ def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> None:
     """Not before: in SETUP a cable may be in somebody's hand."""
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
-        token = await cycle.enter_setup("Anna")
+        token = await cycle.session.enter_setup("Anna")
         head.broken = True
         with pytest.raises(FrameTimeout):
-            await cycle.capture(token)
+            await cycle.session.capture(token)
         assert (CellPhase.SETUP, "", False) == (latest(ear).state, latest(ear).error, latest(ear).cameras_ok)
-        cycle.leave_setup(token)
+        cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.FAULT)
         head.broken = False
         await until(lambda: ear.state() is CellPhase.READY)
@@ -119,10 +119,10 @@ def test_a_draft_that_cannot_measure_ends_nothing() -> None:
         raise ImageError("of another size")
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
-        token = await cycle.enter_setup("Anna")
+        token = await cycle.session.enter_setup("Anna")
         with pytest.raises(ImageError):
-            await cycle.try_job(token, unfit)
-        await cycle.capture(token)
+            await cycle.session.try_job(token, unfit)
+        await cycle.session.capture(token)
 
     drive(make_setup(), script)
 
@@ -132,11 +132,11 @@ def test_other_cameras_are_for_setup_alone() -> None:
     draft = Head()
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
-        token = await cycle.enter_setup("Anna")
-        await cycle.try_head(token, draft)
+        token = await cycle.session.enter_setup("Anna")
+        await cycle.session.try_head(token, draft)
         assert 1 == head.closed
-        await cycle.capture(token)
-        cycle.leave_setup(token)
+        await cycle.session.capture(token)
+        cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.READY)
         assert (1, 1) == (draft.captures, draft.closed)
         assert 1 == head.captures
@@ -146,19 +146,19 @@ def test_other_cameras_are_for_setup_alone() -> None:
 
 def test_the_loop_shows_that_it_lives_in_setup(monkeypatch: pytest.MonkeyPatch) -> None:
     """With nothing to do, and with one picture after the other: the watchdog feeds on these alone."""
-    monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 0.01)
+    monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
 
     def idle(ear: Ear) -> int:
         return sum(isinstance(event, Idle) for event in ear.events)
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
-        token = await cycle.enter_setup("Anna")
+        token = await cycle.session.enter_setup("Anna")
         before = idle(ear)
         await until(lambda: idle(ear) >= before + 3)
-        monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 60.0)
+        monkeypatch.setattr("edged.cell.context.IDLE_S", 60.0)
         before = idle(ear)
         for _ in range(5):
-            await cycle.capture(token)
+            await cycle.session.capture(token)
         assert idle(ear) >= before + 4
 
     drive(make_setup(), script)
@@ -168,7 +168,7 @@ def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Another program may take the pictures to calibrate from; with rig and jobs it is ready."""
-    monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 0.01)
+    monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
     head = Head()
     opened: list[bool] = []
     opening = head.open
@@ -183,10 +183,10 @@ def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alone(
             cycle.submit(locate_command(1))
         assert [] == opened
         closed = head.closed
-        token = await cycle.enter_setup("Anna")
+        token = await cycle.session.enter_setup("Anna")
         assert SetupSource.PERSON is latest(ear).setup
-        await cycle.capture(token)
-        cycle.leave_setup(token)
+        await cycle.session.capture(token)
+        cycle.session.leave_setup(token)
         await until(lambda: head.closed > closed)
         assert SetupSource.NO_CALIBRATION is latest(ear).setup
         cycle.exchange(make_setup())
@@ -202,13 +202,13 @@ def test_setup_is_left_by_a_person_only() -> None:
     """Neither what a reload brings, nor a lease that lapses, makes a cell ready that somebody has taken."""
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
-        await cycle.enter_setup("Anna")
+        await cycle.session.enter_setup("Anna")
         cycle.exchange(make_setup(period_s=0.01))
         for _ in range(20):
             await asyncio.sleep(0.005)
         assert CellPhase.SETUP is ear.state()
         assert [] == ear.snapshots()
-        cycle.end_setup("Ben")
+        cycle.session.end_setup("Ben")
         await until(ear.snapshots)
 
     drive(LACKING, script)
@@ -218,9 +218,9 @@ def test_no_tick_is_made_up_for_after_setup() -> None:
     """A free-running cell goes on with one cycle, and has missed none."""
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
-        token = await cycle.enter_setup("Anna")
+        token = await cycle.session.enter_setup("Anna")
         await asyncio.sleep(0.1)
-        cycle.leave_setup(token)
+        cycle.session.leave_setup(token)
         await until(lambda: len(ear.snapshots()) >= 2)
         assert 0 == latest(ear).missed_triggers
 
@@ -234,7 +234,7 @@ def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:
     async def killed() -> None:
         cycle = Cycle(Head(), make_setup(), notebook=note)
         task = asyncio.create_task(cycle.run())
-        await cycle.enter_setup("Anna")
+        await cycle.session.enter_setup("Anna")
         assert "Anna\n" == note.path.read_text()
         task.cancel()  # as far as the note goes, this is a kill
         with pytest.raises(asyncio.CancelledError):
@@ -243,8 +243,8 @@ def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         await until(lambda: ear.state() is CellPhase.SETUP)
         assert ("", "setup, and nobody looks after it") == (latest(ear).setup_by, latest(ear).why)
-        token = await cycle.enter_setup("Ben")
-        cycle.leave_setup(token)
+        token = await cycle.session.enter_setup("Ben")
+        cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.READY)
         assert not note.path.exists()
 
@@ -260,7 +260,7 @@ def test_setup_that_cannot_be_noted_is_refused(tmp_path: Path) -> None:
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         with pytest.raises(SetupRefused, match="cannot be noted"):
-            await cycle.enter_setup("Anna")
+            await cycle.session.enter_setup("Anna")
         await until(lambda: ear.state() is CellPhase.READY)
 
     drive(make_setup(), script, note=note)
@@ -270,21 +270,21 @@ def test_the_plant_refuses_setup_and_ends_it() -> None:
     """A picture that is being taken is finished; whatever else was asked is not done."""
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
-        token = await cycle.enter_setup("Anna")
+        token = await cycle.session.enter_setup("Anna")
         head.capture_s = 0.05
-        taking = asyncio.create_task(cycle.capture(token))
-        asked = asyncio.create_task(cycle.capture(token))
+        taking = asyncio.create_task(cycle.session.capture(token))
+        asked = asyncio.create_task(cycle.session.capture(token))
         await asyncio.sleep(0.01)
         cycle.lock_setup(True)
         assert 1 == (await taking).left.frame_id
         with pytest.raises(SetupRefused, match="AUTO_LOCK"):
             await asked
         await until(lambda: ear.state() is CellPhase.READY)
-        for entering in (cycle.enter_setup("Anna"), cycle.capture(token)):
+        for entering in (cycle.session.enter_setup("Anna"), cycle.session.capture(token)):
             with pytest.raises(SetupRefused):
                 await entering
         cycle.lock_setup(False)
-        await cycle.enter_setup("Anna")
+        await cycle.session.enter_setup("Anna")
 
     drive(make_setup(), script)
 
@@ -296,9 +296,9 @@ def test_a_stopping_daemon_answers_who_has_the_cell() -> None:
         head = Head()
         cycle = Cycle(head, make_setup())
         task = asyncio.create_task(cycle.run())
-        token = await cycle.enter_setup("Anna")
+        token = await cycle.session.enter_setup("Anna")
         head.capture_s = 0.05
-        first, second = (asyncio.create_task(cycle.capture(token)) for _ in range(2))
+        first, second = (asyncio.create_task(cycle.session.capture(token)) for _ in range(2))
         await asyncio.sleep(0.01)
         cycle.stop()
         await task
@@ -316,12 +316,12 @@ def test_cameras_that_others_trigger_are_waited_for(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("edged.cell.lease.cameras.LISTEN_S", 0.03)
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
-        token = await cycle.enter_setup("Anna")
+        token = await cycle.session.enter_setup("Anna")
         with pytest.raises(FrameTimeout, match="nobody triggered"):
-            await cycle.capture(token)
+            await cycle.session.capture(token)
         made = await head.capture()
         head.exposures.put_nowait(made)
-        assert made is await cycle.capture(token)
+        assert made is await cycle.session.capture(token)
 
     drive(replace(make_setup(), listens=True), script)
 
@@ -332,7 +332,7 @@ class AnybodyAtTheDesk(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.now_s = 0.0
-        self.desk = SetupDesk(lambda: None, lambda: self.now_s)
+        self.desk = SetupLease(lambda: None, lambda: self.now_s)
         self.tokens: list[str] = []
         self.holder = ""
         self.until_s = 0.0

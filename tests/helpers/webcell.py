@@ -108,7 +108,7 @@ async def running(
             "cell1",
             settings,
             sources,
-            commissioner=cycle,
+            commissioner=cycle.session,
             clock_s=lambda: time.monotonic() + asleep_s[0],
             rooms=[] if plc is None else [PlcRoutes(lambda: plc).add_to],
         )

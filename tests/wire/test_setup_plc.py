@@ -143,12 +143,12 @@ def test_in_setup_nothing_is_ready_valid_or_carried_out(cell: LiveCell) -> None:
         thread.start()
     try:
         for _ in range(12):
-            token = on_loop(cell, lambda: cell.cycle.enter_setup("Anna"))
+            token = on_loop(cell, lambda: cell.cycle.session.enter_setup("Anna"))
             seen = counts["setup"], counts["refused"]
             entered_ns.append(time.time_ns())
             _until(lambda seen=seen: counts["setup"] > seen[0] and counts["refused"] > seen[1] + 1)
-            on_loop(cell, lambda token=token: cell.cycle.capture(token))
-            cell.call(lambda token=token: cell.cycle.leave_setup(token))
+            on_loop(cell, lambda token=token: cell.cycle.session.capture(token))
+            cell.call(lambda token=token: cell.cycle.session.leave_setup(token))
             done = counts["carried out"]
             _until(lambda done=done: counts["carried out"] > done)
     finally:
@@ -172,11 +172,11 @@ def test_a_result_does_not_survive_setup(cell: LiveCell) -> None:
     with Plc(cell.port) as plc:
         status = plc.command(CommandKind.LOCATE)
         assert status["STATUS_BITS"] & StatusBit.RESULT_VALID
-        token = on_loop(cell, lambda: cell.cycle.enter_setup("Anna"))
+        token = on_loop(cell, lambda: cell.cycle.session.enter_setup("Anna"))
         assert in_setup(plc.read(reg.STATUS))
         assert SetupSource.PERSON == plc.read(reg.STATUS)["SETUP_SOURCE"]
         assert reg.INT32_MIN == plc.read(reg.RESULT)["X"]
-        cell.call(lambda: cell.cycle.leave_setup(token))
+        cell.call(lambda: cell.cycle.session.leave_setup(token))
         status = plc.until(lambda status: bool(status["STATUS_BITS"] & StatusBit.READY))
         assert not status["STATUS_BITS"] & StatusBit.RESULT_VALID
         assert reg.INT32_MIN == plc.read(reg.RESULT)["X"]
@@ -186,15 +186,15 @@ def test_a_result_does_not_survive_setup(cell: LiveCell) -> None:
 def test_auto_lock_refuses_and_ends_setup_for_as_long_as_its_connection(cell: LiveCell) -> None:
     """1 ends it, and it is refused until 0, or until the PLC is gone: then no plant runs by this cell."""
     with Plc(cell.port) as plc:
-        token = on_loop(cell, lambda: cell.cycle.enter_setup("Anna"))
+        token = on_loop(cell, lambda: cell.cycle.session.enter_setup("Anna"))
         plc.write("AUTO_LOCK", [1])
         plc.until(lambda status: not in_setup(status))
         with pytest.raises(SetupRefused, match="ended"):
-            on_loop(cell, lambda: cell.cycle.capture(token))
+            on_loop(cell, lambda: cell.cycle.session.capture(token))
         with pytest.raises(SetupRefused, match="AUTO_LOCK"):
-            on_loop(cell, lambda: cell.cycle.enter_setup("Anna"))
+            on_loop(cell, lambda: cell.cycle.session.enter_setup("Anna"))
         plc.write("AUTO_LOCK", [0])
-        token = on_loop(cell, lambda: cell.cycle.enter_setup("Anna"))
+        token = on_loop(cell, lambda: cell.cycle.session.enter_setup("Anna"))
         plc.write("AUTO_LOCK", [1])
         plc.until(lambda status: not in_setup(status))
     with Plc(cell.port) as plc:
@@ -204,7 +204,7 @@ def test_auto_lock_refuses_and_ends_setup_for_as_long_as_its_connection(cell: Li
 
 def _may_enter(cell: LiveCell) -> bool:
     try:
-        cell.cycle._desk.check()  # noqa: SLF001  (entering would be SETUP)
+        cell.cycle.session.lease.check()
     except SetupRefused:
         return False
     return True
@@ -223,7 +223,7 @@ def test_mbpoll_sees_setup_and_ends_it(cell: LiveCell) -> None:
         rows = (line.split() for line in text.splitlines() if line.startswith("["))
         return {int(row[0].strip("[]:")) - 1: int(row[1]) for row in rows}
 
-    on_loop(cell, lambda: cell.cycle.enter_setup("Anna"))
+    on_loop(cell, lambda: cell.cycle.session.enter_setup("Anna"))
     seen = words()
     assert (5, Warn.SETUP, SetupSource.PERSON) == (seen[200], seen[205] & Warn.SETUP, seen[218])
     assert not seen[201] & LEAVE

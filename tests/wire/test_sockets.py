@@ -179,7 +179,7 @@ def test_only_an_engineer_lets_cameras_run() -> None:
 
 def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.MonkeyPatch) -> None:
     """AUTO_LOCK changes nothing of a cell that is ready: when it is idle it is looked at, too."""
-    monkeypatch.setattr("edged.cell.cycle.IDLE_CHECK_S", 0.05)
+    monkeypatch.setattr("edged.cell.context.IDLE_S", 0.05)
 
     async def test(cell: Cell) -> None:
         await cell.log_in()

@@ -20,7 +20,7 @@ from pymodbus.pdu import DecodePDU
 from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.pdu import respond
 from edged.adapters.modbus.settings import SerialSettings
-from edged.cell.bounded import bounded
+from edged.cell.tasks import bounded
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc.registers import CRC_START, crc16

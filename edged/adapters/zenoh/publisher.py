@@ -33,7 +33,7 @@ from edged.adapters.zenoh.triggerquery import parse_trigger
 from edged.adapters.zenoh.triggers import Triggers
 from edged.adapters.zenoh.worker import Worker
 from edged.cell.ages import ExposureClock
-from edged.cell.bounded import bounded
+from edged.cell.tasks import bounded
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import (
     Basis,

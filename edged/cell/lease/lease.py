@@ -1,7 +1,7 @@
-"""Who has the cell for setting it up: one person at a time, by a lease, and one request at a time.
+"""The lease on the cell for setting it up: one person at a time, and one request at a time.
 
-A lease that is not renewed lapses: others may take the cell then, but it stays taken until somebody says that
-it is free again. Whoever had it may stand between robot and cameras, with a board in his hands.
+A lease that is not renewed lapses. Another person may take the cell then, but it stays taken until somebody
+frees it: the last holder may stand between robot and cameras, with a board in his hands.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from typing import Any, TypeVar
 from edged.errors import SetupRefused
 
 LEASE_S = 60.0
-"""Without a sign of life for so long, another person may take the cell."""
+"""Without a renewal for so long, another person may take the cell."""
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Request:
-    """Work of the measuring loop for whoever has the cell. answer : has its result, or what it raised."""
+class SetupRequest:
+    """Work that the loop does for the holder. answer : gets its result, or what it raised."""
 
     work: Callable[[], Awaitable[Any]]
     answer: asyncio.Future[Any]
 
 
-class SetupDesk:
-    """Whose turn it is, and what they ask.
+class SetupLease:
+    """The holder of the cell and the requests that wait.
 
-    wake : called whenever there is something to do. taken : somebody had the cell when the daemon ended.
+    wake : called whenever there is something to do. taken : the cell was held when the daemon ended.
     """
 
     def __init__(
@@ -43,21 +43,21 @@ class SetupDesk:
         self._taken = taken
         self._locked = False
         self._token, self._name, self._until_s = "", "", 0.0
-        self._requests: deque[Request] = deque()
+        self._requests: deque[SetupRequest] = deque()
 
     @property
     def taken(self) -> bool:
-        """A person has the cell, or had it last and never gave it back."""
+        """Whether a person holds the cell, or held it and never gave it back."""
         return self._taken
 
     @property
     def name(self) -> str:
-        """Who has it; "" when nobody looks after it."""
+        """The holder's name; "" when no lease is held."""
         return self._name if self._taken and self._clock_s() < self._until_s else ""
 
     @property
     def locked(self) -> bool:
-        """The plant forbids SETUP."""
+        """Whether the plant forbids SETUP (AUTO_LOCK)."""
         return self._locked
 
     def check(self) -> None:
@@ -73,50 +73,50 @@ class SetupDesk:
         return self._lease(name)
 
     def take_over(self, name: str) -> str:
-        """Take the cell from whoever has it; their token is worth nothing any more. Raises `SetupRefused`."""
+        """Take the cell from its holder, whose token becomes invalid. Raises `SetupRefused`."""
         if self._locked or not self._taken:
             self.check()
             raise SetupRefused("nobody has the cell")
-        self._drop(f"{name} has taken the cell over")
+        self._refuse_waiting(f"{name} has taken the cell over")
         return self._lease(name)
 
     def renew(self, token: str) -> None:
-        """A sign of life. Raises `SetupRefused` for a token that is no longer the cell's."""
+        """Extend the lease. Raises `SetupRefused` for an invalid token."""
         self._check_token(token)
         self._until_s = self._clock_s() + LEASE_S
 
     def leave(self, token: str) -> None:
-        """Give the cell back. Raises `SetupRefused`."""
+        """Give the cell back. Raises `SetupRefused` for an invalid token."""
         self._check_token(token)
         self.end("the cell was given back")
 
     def end(self, reason: str) -> None:
-        """Whoever has the cell has it no longer."""
+        """End the lease; requests that wait are refused with this reason."""
         self._taken, self._token, self._name = False, "", ""
-        self._drop(reason)
+        self._refuse_waiting(reason)
         self._wake()
 
     def stop(self) -> None:
-        """The daemon ends: the cell stays taken, but nothing is done for anybody any more."""
+        """Refuse all further requests as the daemon ends; the cell stays taken."""
         self._token = ""
-        self._drop("the daemon is stopping")
+        self._refuse_waiting("the daemon is stopping")
 
     def lock(self, locked: bool) -> None:
-        """Whether the plant forbids SETUP; that ends it, too."""
+        """Forbid SETUP, which ends it, or allow it again."""
         self._locked = locked
         if locked and self._taken:
             self.end("the plant runs: its PLC has ended SETUP (AUTO_LOCK)")
 
     async def ask(self, token: str, work: Callable[[], Awaitable[T]]) -> T:
-        """Let the loop do it, after what was asked before. Raises `SetupRefused`, and what it raises."""
+        """Let the loop do this work after earlier requests. Raises `SetupRefused`, and what work raises."""
         self.renew(token)
         answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-        self._requests.append(Request(work, answer))
+        self._requests.append(SetupRequest(work, answer))
         self._wake()
         return await answer
 
-    def take(self) -> Request | None:
-        """The next request that somebody still waits for."""
+    def take(self) -> SetupRequest | None:
+        """Remove and return the next request whose answer is still awaited."""
         while self._requests:
             request = self._requests.popleft()
             if not request.answer.done():
@@ -133,6 +133,6 @@ class SetupDesk:
         if not self._taken or not secrets.compare_digest(token.encode(), self._token.encode()):
             raise SetupRefused(f"{self.name} has the cell" if self.name else "SETUP has ended")
 
-    def _drop(self, reason: str) -> None:
+    def _refuse_waiting(self, reason: str) -> None:
         while (request := self.take()) is not None:
             request.answer.set_exception(SetupRefused(reason))

@@ -1,103 +1,184 @@
-"""SETUP as the loop does it: one request at a time, the note that a person has the cell, the cameras."""
+"""SETUP: what people ask of the cell, and how the loop does it, one request at a time."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
+from collections.abc import Mapping
 from typing import Protocol
 
-from edged.cell.lease.cameras import SetupCameras
-from edged.cell.lease.lease import Request, SetupDesk
-from edged.errors import EdgedError
+from edged.cell.announcements import log
+from edged.cell.context import CellContext
+from edged.cell.lease.cameras import CameraChanges
+from edged.cell.lease.lease import SetupRequest
+from edged.cell.loaded import Locate
+from edged.cell.registering import RobotRegistration
+from edged.domain.arrays import Side
+from edged.domain.cell import CellPhase
+from edged.domain.events import Idle
+from edged.domain.exposure import CameraLimits, CameraValues
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Outcome
+from edged.errors import CaptureError, EdgedError
 from edged.ports import Head
-
-log = logging.getLogger("edged.cell.cycle")
-"""The loop's: whoever searches the journal for it finds these lines, too."""
 
 
 class Notebook(Protocol):
-    """Where it is noted that a person has the cell, so that it is known after the daemon was killed."""
+    """A note on disc that a person holds the cell, for after the daemon was killed."""
 
     def is_taken(self) -> bool:
-        """Whether somebody has."""
+        """Whether a person holds the cell."""
         ...
 
     def note(self, name: str) -> None:
-        """Somebody has. Raises `OSError`; then SETUP is refused."""
+        """Note the holder. Raises `OSError`; then SETUP is refused."""
         ...
 
     def clear(self) -> None:
-        """Nobody has. Raises `OSError`."""
+        """Note that the cell is free. Raises `OSError`."""
         ...
 
 
 class SetupSession:
-    """What the loop does for whoever has the cell.
+    """Where people take the cell for SETUP (`Commissioner`), and the loop's part of it.
 
-    notebook : None: who has the cell is forgotten with this process.
+    notebook : None: the lease is forgotten with this process.
     """
 
-    def __init__(self, desk: SetupDesk, cameras: SetupCameras, notebook: Notebook | None) -> None:
-        self._desk = desk
-        self._cameras = cameras
+    def __init__(self, cell: CellContext, registration: RobotRegistration, notebook: Notebook | None) -> None:
+        self._cell = cell
+        self._registration = registration
         self._notebook = notebook
-        self._is_noted = desk.taken
+        self.lease = cell.lease
+        self._is_noted = cell.lease.taken
 
-    async def enter(self, name: str, *, take_over: bool) -> str:
-        """Take the cell, also from whoever has it; returns the token when the loop serves it.
+    # --- asked by people ---------------------------------------------------------------------
 
-        Raises `SetupRefused`.
+    async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
+        """Take the cell after the running cycle; returns a token once every client knows of it.
+
+        The lease lapses unless `renew_setup` is called every minute; the cell stays in SETUP all the same.
+        take_over : also from another holder. Raises `SetupRefused`.
         """
-        has_it = take_over and self._desk.taken
-        token = self._desk.take_over(name) if has_it else self._desk.enter(name)
+        is_held = take_over and self.lease.taken
+        token = self.lease.take_over(name) if is_held else self.lease.enter(name)
 
         async def begun() -> None:
             pass
 
-        await self._desk.ask(token, begun)
+        await self.lease.ask(token, begun)
         return token
 
-    async def serve(self, configured: Head) -> bool:
-        """Do one thing that was asked for; False when there is none. Cameras that nobody has are closed."""
-        await self._keep_note()
-        if not self._desk.taken:
-            await self._cameras.put_down(configured)
-        request = self._desk.take()
-        if request is None:
-            return False
-        await _carry_out(request)
-        return True
+    def renew_setup(self, token: str) -> None:
+        """Extend the lease. Raises `SetupRefused`."""
+        self.lease.renew(token)
 
-    async def end(self, configured: Head) -> None:
-        """The cameras are the loop's again."""
-        await self._keep_note()
-        await self._cameras.put_down(configured)
-        self._cameras.hand_back()
+    def leave_setup(self, token: str) -> None:
+        """Give the cell back. Raises `SetupRefused`."""
+        self.lease.leave(token)
 
-    async def stop(self, configured: Head) -> None:
-        """The daemon ends: nothing is done for anybody any more, and every camera is closed."""
-        self._desk.stop()
-        self._cameras.hand_back()
-        await self._cameras.put_down(configured)
+    def end_setup(self, name: str) -> None:
+        """End SETUP for any holder, and a robot's registration. name : of the person who says so."""
+        self._registration.end(f"{name} has ended SETUP")
+        self.lease.end(f"{name} has ended SETUP")
+
+    async def capture(self, token: str) -> FramePair:
+        """One exposure, which is not announced. Raises `SetupRefused`, `CaptureError`."""
+        return await self.lease.ask(token, self._cell.setup_picture)
+
+    async def try_job(self, token: str, locate: Locate) -> tuple[FramePair, Outcome]:
+        """One exposure, measured by a draft. Raises `SetupRefused`, and what `locate` raises."""
+
+        async def tried() -> tuple[FramePair, Outcome]:
+            pair = await self._cell.setup_picture()
+            return pair, await self._cell.on_vision_thread(locate, pair, lambda _stage: None)
+
+        return await self.lease.ask(token, tried)
+
+    async def try_head(
+        self, token: str, head: Head, changes: Mapping[Side, CameraChanges] | None = None
+    ) -> None:
+        """Use other cameras until SETUP ends. Raises `SetupRefused`, `CaptureError`.
+
+        changes : how they differ from the configured ones, if they are to replace them.
+        """
+        await self.lease.ask(token, lambda: self._cell.cameras.exchange(self._cell.head, head, changes))
+
+    async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
+        """Set the stated values of a camera until SETUP ends; returns all values as read back.
+
+        `CameraValues()` only reads. Raises `SetupRefused`, `CaptureError`.
+        """
+        return await self.lease.ask(token, lambda: self._cell.cameras.adjust(self._cell.head, side, values))
+
+    async def limits(self, token: str, side: Side) -> CameraLimits:
+        """What a camera can be set to now. Raises `SetupRefused`, `CaptureError`."""
+        return await self.lease.ask(token, lambda: self._cell.cameras.limits(self._cell.head, side))
+
+    @property
+    def camera_changes(self) -> Mapping[Side, CameraChanges]:
+        """How the cameras in use differ from the configured ones, by side."""
+        return self._cell.cameras.changes
+
+    # --- done by the loop --------------------------------------------------------------------
+
+    async def serve(self) -> None:
+        """Carry out one request, or wait a moment. Cameras are closed while no person holds the cell."""
+        cell = self._cell
+        cell.wake.clear()
+        if not cell.in_setup or self._registration.is_on:
+            self._registration.end("a person has taken the cell")
+            cell.begin_setup()
+        cell.tell_state(CellPhase.SETUP)
+        await self._keep_note()
+        if not self.lease.taken:
+            await cell.cameras.put_down(cell.head)
+        request = self.lease.take()
+        if request is not None:
+            await _carry_out(request)
+        if request is not None or not await cell.wait():
+            cell.announce(Idle())  # also after a request: many in a row must not look like a loop that hangs
+
+    async def end(self) -> None:
+        """Back to the configured cameras, one test pair, then READY or FAULT."""
+        cell = self._cell
+        await self._keep_note()
+        await cell.cameras.put_down(cell.head)
+        cell.cameras.hand_back()
+        cell.in_setup = False
+        try:
+            await cell.head.open()
+            if not cell.setup.listens:
+                await cell.head.capture()
+        except CaptureError as error:
+            cell.tell_fault(error)
+            return
+        log.info("READY: SETUP has ended, job %d (%s)", cell.active.number, cell.active.name)
+        cell.tell_state(CellPhase.READY)
+
+    async def stop(self) -> None:
+        """Refuse all further requests and close every camera, as the daemon ends."""
+        self.lease.stop()
+        self._cell.cameras.hand_back()
+        await self._cell.cameras.put_down(self._cell.head)
 
     async def _keep_note(self) -> None:
-        """Note that a person has the cell, or has it no longer. SETUP that cannot be noted ends."""
-        if self._notebook is None or self._desk.taken == self._is_noted:
+        """Bring the note up to date. SETUP that cannot be noted ends."""
+        if self._notebook is None or self.lease.taken == self._is_noted:
             return
         try:
-            if self._desk.taken:
-                await asyncio.to_thread(self._notebook.note, self._desk.name)
+            if self.lease.taken:
+                await asyncio.to_thread(self._notebook.note, self.lease.name)
             else:
                 await asyncio.to_thread(self._notebook.clear)
         except OSError as error:
-            if self._desk.taken:
-                self._desk.end(f"it cannot be noted who has the cell: {error}")
+            if self.lease.taken:
+                self.lease.end(f"the holder of the cell cannot be noted: {error}")
                 return
             log.exception("SETUP has ended, but that cannot be noted: after a restart it begins again")
-        self._is_noted = self._desk.taken
+        self._is_noted = self.lease.taken
 
 
-async def _carry_out(request: Request) -> None:
+async def _carry_out(request: SetupRequest) -> None:
     try:
         answer = await request.work()
     except EdgedError as error:

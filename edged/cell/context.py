@@ -1,0 +1,172 @@
+"""What the loop and its parts share: what is in use, the commands that wait, and what was announced."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from edged.cell.announcements import Announcements, log
+from edged.cell.drift import DriftMonitor
+from edged.cell.lease.cameras import SetupCameras
+from edged.cell.lease.lease import SetupLease
+from edged.cell.loaded import NO_JOB, Setup
+from edged.domain.cell import CellPhase, CellState, SetupSource
+from edged.domain.events import PLC_SOURCE, Basis, Command, CommandFailed, Idle
+from edged.domain.frames import FramePair
+from edged.errors import CaptureError, CommandRefused
+from edged.ports import Head
+
+T = TypeVar("T")
+
+IDLE_S = 1.0
+"""Longest wait for something to do: then the cameras are checked, or a sign of life is given."""
+QUEUE_LENGTH = 8
+"""Waiting commands of the PLC, and as many of all other clients; a further one is refused (OVERRUN)."""
+
+
+class CommandQueue:
+    """Commands that wait. The PLC's go first and have places of their own, which no other client can fill."""
+
+    def __init__(self) -> None:
+        self._plc: deque[Command] = deque()
+        self._others: deque[Command] = deque()
+
+    def __len__(self) -> int:
+        return len(self._plc) + len(self._others)
+
+    def add(self, command: Command) -> None:
+        """Append a command. Raises `CommandRefused` when the places of its source are taken."""
+        queue = self._plc if command.source == PLC_SOURCE else self._others
+        if len(queue) >= QUEUE_LENGTH:
+            raise CommandRefused(f"{QUEUE_LENGTH} commands wait already")
+        queue.append(command)
+
+    def take(self) -> Command:
+        """Remove and return the next command. Raises `IndexError` when none waits."""
+        return (self._plc or self._others).popleft()
+
+
+class CellContext:
+    """Used on the event loop only; written by the loop, SETUP and the robot's registration.
+
+    head, setup, active : the cameras, files and job that are measured with.
+    pending : setup, and cameras if they change too, to exchange between two cycles.
+    registrant : source of the client that registers the rig by commands; "" when none does.
+    in_setup : the loop serves SETUP and measures nothing.
+    number, missed : of the newest cycle; triggers missed since the start.
+    """
+
+    def __init__(self, head: Head, setup: Setup, *, was_taken: bool = False) -> None:
+        self.head = head
+        self.setup = setup
+        self.active = setup.jobs.get(setup.active_job, NO_JOB)
+        self.drift = DriftMonitor(setup.drift)
+        self.commands = CommandQueue()
+        self.announcements = Announcements(Basis(0, setup.calibration_id, setup.fingerprint))
+        self.announce = self.announcements.announce
+        self.wake = asyncio.Event()
+        self.stopping = asyncio.Event()
+        self.lease = SetupLease(self.wake.set, taken=was_taken)
+        self.cameras = SetupCameras(self._is_picture_wanted)
+        self.pending: tuple[Setup, Head | None] | None = None
+        self.registrant = ""
+        self.in_setup = False
+        self.number = 0
+        self.missed = 0
+        self.vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
+
+    @property
+    def setup_source(self) -> SetupSource:
+        """Why the cell is, or should be, in SETUP."""
+        if self.lease.taken:
+            return SetupSource.PERSON
+        return SetupSource.ROBOT if self.registrant else self.setup.lacks
+
+    def use(self, setup: Setup) -> bool:
+        """Measure by this setup from now on; a job that is gone falls back to the default.
+
+        Returns whether calibration or files differ from those used before.
+        """
+        before, self.setup = self.setup, setup
+        if (setup.calibration_id, setup.drift) != (before.calibration_id, before.drift):
+            self.drift = DriftMonitor(setup.drift)
+        number = self.active.number if self.active.number in setup.jobs else setup.active_job
+        self.active = setup.jobs.get(number, NO_JOB)
+        return (setup.calibration_id, setup.fingerprint) != (before.calibration_id, before.fingerprint)
+
+    def begin_setup(self) -> None:
+        """Enter SETUP, and fail the commands that wait."""
+        self.tell_state(CellPhase.SETUP)  # first: from now on no answer says ready, valid or open
+        self.in_setup = True
+        log.warning("SETUP: %s", "" if self.announcements.state is None else self.announcements.state.why)
+        self.fail_waiting("the cell is being set up")
+
+    def fail_waiting(self, why: str) -> None:
+        """End every waiting command with `CommandFailed`."""
+        while self.commands:
+            self.announce(CommandFailed(self.commands.take(), why))
+
+    async def wait(self, timeout_s: float = math.inf) -> bool:
+        """Wait until there is something to do; False after `timeout_s`, or after `IDLE_S`."""
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self.wake.wait(), min(timeout_s, IDLE_S))
+            return True
+        return False
+
+    async def on_vision_thread(self, work: Callable[..., T], *arguments: object) -> T:
+        """Run on the one thread where jobs are measured; raises what it raises."""
+        return await asyncio.get_running_loop().run_in_executor(self.vision, work, *arguments)
+
+    async def setup_picture(self) -> FramePair:
+        """Return one exposure of the cameras used in SETUP. Raises `CaptureError`."""
+        return await self.cameras.capture(self.head, listens=self.setup.listens)
+
+    def tell_exchange(self) -> None:
+        """Announce that results have a new basis."""
+        self.announcements.tell_exchange(self.setup.calibration_id, self.setup.fingerprint)
+
+    def tell_fault(self, error: CaptureError) -> None:
+        """Announce FAULT."""
+        self.tell_state(CellPhase.FAULT, error=str(error), code=error.code)
+
+    def tell_state(
+        self, phase: CellPhase, *, error: str = "", code: int = 0, keep_error: bool = False
+    ) -> None:
+        """Announce the state when it has changed, and log when a fault begins or ends.
+
+        keep_error : the error that was announced last still holds.
+        """
+        out = self.announcements
+        if keep_error and out.state is not None:
+            error, code = out.state.error, out.state.error_code
+        if error and not keep_error:
+            out.faults.failed(error, code)
+        elif phase is CellPhase.READY and not error:
+            out.faults.well()
+        able = phase in (CellPhase.READY, CellPhase.BUSY) and not error
+        in_setup = phase is CellPhase.SETUP
+        drift = self.drift.state()
+        state = CellState(
+            state=phase,
+            ready=able,
+            cameras_ok=self.cameras.are_well if in_setup else able,
+            job=self.active.name,
+            job_number=self.active.number,
+            missed_triggers=self.missed,
+            error=error,
+            error_code=code,
+            calibrated=drift.verdict,
+            setup=self.setup_source if in_setup else SetupSource.NONE,
+            setup_by=self.lease.name if in_setup else "",
+        )
+        out.tell_state(state, drift, self.setup.calibration_id)
+
+    def _is_picture_wanted(self) -> bool:
+        """Whether somebody still waits for a picture; also a sign of life, as the loop waits for it."""
+        self.announce(Idle())
+        return (self.lease.taken or bool(self.registrant)) and not self.stopping.is_set()
