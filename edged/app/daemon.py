@@ -25,14 +25,14 @@ from edged.cell.loaded import Setup
 from edged.cell.stereohead import StereoHead
 from edged.errors import EdgedError, TookTooLong, UserError
 from edged.files.setupnote import SetupNote
-from edged.files.statefolder import state_folder
 from edged.logs import fields
 from edged.ports import Publisher
+from edged.setup.cell import CellInUse
 from edged.setup.cellfiles import exposed_secrets
 from edged.setup.releases.jobuse import JobUse
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation, one without the page without both
-    from edged.app.workshop import Workshop
+    from edged.app.setup import SetupServices
     from edged.setup.registration.registering import Registered
     from edged.sim.world import VirtualWorld
 
@@ -101,6 +101,7 @@ class Daemon:
             notebook=_setup_note(path),
             registrar=self._registrar,
         )
+        self._cell = CellInUse(path.resolve(), loaded.cell, self._cycle.session, self._read_again)
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, lambda: figures(self._running))
         self._job_use = JobUse()
@@ -119,9 +120,9 @@ class Daemon:
             notices=self._notices,
             live=self._live,
             rooms=self._rooms,
-            state=state_folder(path),
+            state=self._cell.state,
         )
-        self._workshop: Workshop | None = None
+        self._setup: SetupServices | None = None
         self._reloading = asyncio.Lock()
 
     async def run(self) -> None:
@@ -145,8 +146,8 @@ class Daemon:
             await self._servers.close()
             await self._live.close()
             await self._cameras_room.close()
-            if self._workshop is not None:
-                await self._workshop.close()
+            if self._setup is not None:
+                await self._setup.close()
             for observer in started:
                 await close_within(observer, type(observer).__name__)
 
@@ -197,6 +198,7 @@ class Daemon:
                 self._notifier.reloaded(refused="a bug, see the log")
                 raise
             self._loaded, self._head = loaded, head or self._head
+            self._cell.files = loaded.cell
             self._cycle.exchange(loaded.setup, head)
             self._notifier.reloaded()
             fingerprint_ = loaded.setup.fingerprint
@@ -224,6 +226,7 @@ class Daemon:
                 return with_registration(base)
 
             self._loaded = await asyncio.to_thread(save_and_load)
+            self._cell.files = self._loaded.cell
             log.info("registered, fingerprint %s", self._loaded.setup.fingerprint)
             return self._loaded.setup
 
@@ -246,20 +249,19 @@ class Daemon:
     def _rooms(self) -> Sequence[Room]:
         """What is set up on the page; a cell without the page loads none of it."""
         from edged.adapters.web.cameras import CameraRoutes
-        from edged.app.workshop import Workshop
+        from edged.app.setup import SetupServices
 
-        if self._workshop is None:
-            self._workshop = Workshop(
-                self._path,
+        if self._setup is None:
+            self._setup = SetupServices(
+                self._cell,
                 self._cycle,
-                lambda: self._running,
+                self._servers.started,
                 self._notices,
                 self._live,
-                self._read_again,
                 self._job_use,
             )
-            self._registrar.witness = self._workshop.program
-        return (CameraRoutes(self._cameras_room).add_to, *self._workshop.rooms(), *self._more_rooms)
+            self._registrar.witness = self._setup.program
+        return (CameraRoutes(self._cameras_room).add_to, *self._setup.routes(), *self._more_rooms)
 
     @property
     def _running(self) -> Running:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Callable
+from collections.abc import Mapping
 from datetime import UTC, datetime
 
 from aiohttp import web
@@ -104,14 +104,14 @@ class PlcDocument(Answer):
 
 
 class PlcRoutes:
-    """The routes. server : of Modbus, as it is then; None where it is off."""
+    """The routes. servers : those that run, by the name of their section."""
 
-    def __init__(self, server: Callable[[], Publisher | None]) -> None:
-        self._server = server
+    def __init__(self, servers: Mapping[str, Publisher]) -> None:
+        self._servers = servers
 
     @property
     def _modbus(self) -> ModbusPublisher | None:
-        server = self._server()
+        server = self._servers.get("modbus")
         return server if isinstance(server, ModbusPublisher) else None
 
     def add_to(self, table: RouteTable) -> None:

@@ -110,7 +110,7 @@ async def running(
             sources,
             commissioner=cycle.session,
             clock_s=lambda: time.monotonic() + asleep_s[0],
-            rooms=[] if plc is None else [PlcRoutes(lambda: plc).add_to],
+            rooms=[] if plc is None else [PlcRoutes({"modbus": plc}).add_to],
         )
         await web.start()
         if plc is not None:

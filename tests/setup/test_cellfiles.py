@@ -13,8 +13,8 @@ from edged.app.cell import load_cell
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.cell import SetupSource
 from edged.errors import ConfigError
-from edged.files import cellfiles
 from edged.files.jobs import job_of
+from edged.setup import cellfiles
 from edged.setup.cellfiles import UnfinishedCell, read_any_cell, read_cell
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.vision.geometry.camera import StereoRig

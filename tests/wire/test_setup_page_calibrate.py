@@ -25,7 +25,7 @@ from helpers.setuppage import (
 )
 from helpers.stagecell import Newcomer, run
 from helpers.waiting import WHOLE_S
-from workshop.test_calibrations import with_views
+from setup.calibration.test_service import with_views
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig

@@ -115,6 +115,16 @@ class SetupSession:
         return await self.lease.ask(token, lambda: self._cell.cameras.limits(self._cell.head, side))
 
     @property
+    def holder(self) -> str:
+        """Name of the lease's holder; "" without a lease."""
+        return self._cell.lease.name
+
+    @property
+    def is_locked(self) -> bool:
+        """Whether the PLC forbids SETUP."""
+        return self._cell.lease.locked
+
+    @property
     def camera_changes(self) -> Mapping[Side, CameraChanges]:
         """How the cameras in use differ from the configured ones, by side."""
         return self._cell.cameras.changes

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import math
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from edged.domain.frames import FramePair
 from edged.errors import SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
 from edged.setup.calibration.checking import Finding, Limits, offered_lengths
+from edged.setup.cell import RigInUse
 from edged.setup.jobs.worker import Worker
 from edged.vision.boards.board import NominalBoard
 from edged.vision.calibration.verification import COVERAGE, Verdict
@@ -95,22 +94,6 @@ class Checked(BaseModel):
     is_current: bool
     boards: list[str] = Field(description="of the last check, and of the calibration in use, as far as known")
     parts: list[OfferedPart]
-
-
-@dataclass(frozen=True, slots=True)
-class RigInUse:
-    """calibration_id, and the file as the cell has read it; path : where it lies."""
-
-    calibration_id: str
-    content: bytes
-    path: Path
-
-    @property
-    def boards(self) -> list[str]:
-        """It was calibrated with, as far as its file says so: that of another program does not."""
-        quality = json.loads(self.content).get("quality")
-        board = quality.get("board") if isinstance(quality, dict) else None
-        return board.split(",") if isinstance(board, str) and board else []
 
 
 class Checks:

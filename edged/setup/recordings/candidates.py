@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 
 from edged.errors import UserError
 from edged.files.jobs import SHAPE, TEXT, check_text, job_files, job_of
+from edged.setup.cell import CellInUse
 from edged.setup.recordings.setups import RIG, Contents
 from edged.setup.recordings.whatif import JobChange, changed_job
 from edged.setup.releases.archive import jobs_of, rig_in
@@ -15,42 +16,40 @@ from edged.setup.releases.jobsfolder import contents_with
 from edged.setup.releases.jobsinuse import Candidate
 from edged.setup.releases.shelf import Shelf
 
-Solution = Callable[[str], Awaitable[bytes]]
-"""The rig's file that a draft of a calibration was solved to; raises `KeyError`, `EdgedError`."""
+Solution = Callable[[str], Awaitable[tuple[object, bytes]]]
+"""What a draft of a calibration was solved to, and its rig's file; raises `KeyError`, `EdgedError`."""
 Taught = Callable[[str], Awaitable[Candidate]]
 """The job of a draft of a teaching, likewise."""
 
 
 class Candidates:
-    """active : files of the cell as it runs."""
+    """What may be tried in place of what runs."""
 
-    def __init__(
-        self, active: Callable[[], Contents], shelf: Shelf, solution: Solution, taught: Taught
-    ) -> None:
-        self._active = active
+    def __init__(self, cell: CellInUse, shelf: Shelf, solution: Solution, taught: Taught) -> None:
+        self._cell = cell
         self._shelf = shelf
         self._solution = solution
         self._taught = taught
 
     async def of_calibration(self, identity: str) -> Contents:
         """By the rig of a draft that was solved. Raises `KeyError`, `EdgedError`."""
-        return {**self._active(), RIG: await self._solution(identity)}
+        return {**self._cell.contents, RIG: (await self._solution(identity))[1]}
 
     async def of_teaching(self, identity: str) -> Contents:
         """By the job of a draft, as it would become active. Raises `KeyError`, `EdgedError`."""
-        job, active = await self._taught(identity), self._active()
+        job, active = await self._taught(identity), self._cell.contents
         jobs = {name.removeprefix("jobs/"): data for name, data in active.items() if name.startswith("jobs/")}
         return contents_with(active, job.put(jobs))
 
     async def of_release(self, number: int) -> Contents:
         """By rig and jobs of a release, as it would become active. Raises `KeyError`, `EdgedError`."""
         kept = await asyncio.to_thread(self._shelf.open, number)
-        jobs, active = jobs_of(kept), self._active()
+        jobs, active = jobs_of(kept), self._cell.contents
         return {**(contents_with(active, jobs) if jobs else active), RIG: rig_in(kept).rig}
 
     async def of_change(self, name: str, change: JobChange) -> Contents:
         """By one job with other limits, features or contrast. Raises `UserError`."""
-        active = self._active()
+        active = self._cell.contents
         place = PurePosixPath("jobs") / name
 
         def changed() -> dict[str, bytes]:

@@ -10,7 +10,6 @@ import logging
 import secrets
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from pydantic import ValidationError
 from edged.errors import FileFormatError, RegressionNeeded, UserError
 from edged.files import recording
 from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.setup.cell import CellInUse
 from edged.setup.jobs.tasks import Tasks
 from edged.setup.jobs.worker import Worker
 from edged.setup.pairs import Progress
@@ -43,48 +43,26 @@ CHUNK_S = 2.0
 STAGE = "measuring recorded cycles"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Active:
-    """What the cell measures by now. is_complete : rig and jobs are there."""
-
-    contents: Contents
-    fingerprint: str
-    is_complete: bool
-
-
 class Regressions:
-    """Used on the event loop. kept : folder of results. folder : of the recordings now, or None."""
+    """Used on the event loop. kept : folder of results."""
 
-    def __init__(
-        self,
-        kept: Path,
-        folder: Callable[[], Path | None],
-        active: Callable[[], Active],
-        worker: Worker,
-        tasks: Tasks,
-    ) -> None:
+    def __init__(self, kept: Path, cell: CellInUse, worker: Worker, tasks: Tasks) -> None:
         self._kept = kept
-        self._folder = folder
-        self._active = active
+        self._cell = cell
         self._worker = worker
         self._tasks = tasks
         self._records: Records | None = None
         self._turn = asyncio.Lock()
-
-    @property
-    def active(self) -> Active:
-        """What the cell measures by now."""
-        return self._active()
 
     async def begin(self, candidate: Contents, what: Candidate, author: str) -> tuple[str, str]:
         """Try it on all recordings that it concerns; ids of the task and of the result to be.
 
         Raises `UserError` where nothing runs, nothing is recorded, or nothing would be measured otherwise.
         """
-        active = self._active()
-        if not active.is_complete:
+        active, fingerprint = self._cell.contents, self._cell.fingerprint
+        if not self._cell.is_complete:
             raise UserError("nothing runs yet that it could be compared with")
-        entries = await self._in_turn(lambda: self._concerned(active.contents, candidate))
+        entries = await self._in_turn(lambda: self._concerned(active, candidate))
         if not entries:
             raise UserError("no recorded cycle is measured by what it changes")
         now = datetime.now(UTC)
@@ -92,15 +70,15 @@ class Regressions:
 
         async def work(progress: Progress) -> None:
             begun_s = time.monotonic()
-            tried = await self._tried(entries, active.contents, candidate, progress)
+            tried = await self._tried(entries, active, candidate, progress)
             document = document_of(
-                await asyncio.to_thread(compare, tried, of_rig=_is_other_rig(active.contents, candidate)),
+                await asyncio.to_thread(compare, tried, of_rig=_is_other_rig(active, candidate)),
                 identity=identity,
                 at=now,
                 by=author,
                 what=what,
-                against=active.fingerprint,
-                digests=(digest_of(active.contents), digest_of(candidate)),
+                against=fingerprint,
+                digests=(digest_of(active), digest_of(candidate)),
                 seconds=time.monotonic() - begun_s,
             )
             await asyncio.to_thread(self._keep, document)
@@ -122,13 +100,13 @@ class Regressions:
 
         Raises `RegressionNeeded` unless all good cycles stay good, or somebody signs why they need not.
         """
-        active = self._active()
-        if not active.is_complete or self._folder() is None:
+        active = self._cell.contents
+        if not self._cell.is_complete or self._cell.recordings is None:
             return None
-        entries = await self._in_turn(lambda: self._concerned(active.contents, candidate))
+        entries = await self._in_turn(lambda: self._concerned(active, candidate))
         if not entries:
             return None
-        digests = digest_of(active.contents), digest_of(candidate)
+        digests = digest_of(active), digest_of(candidate)
         done = await asyncio.to_thread(self._newest, *digests)
         good_to_bad = None if done is None else done.counts.good_to_bad
         if signed is None and good_to_bad != 0:
@@ -148,7 +126,7 @@ class Regressions:
 
     def _concerned(self, active: Contents, candidate: Contents) -> list[recording.Entry]:
         """Recordings, newest first, that it may measure otherwise. Raises `FileFormatError`."""
-        folder = self._folder()
+        folder = self._cell.recordings
         if folder is None:
             return []
         if self._records is None or self._records.folder != folder:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -20,9 +20,10 @@ from edged.domain.arrays import Image, Side
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.files.images import load_image
+from edged.setup.cell import CellInUse
 from edged.setup.jobs.worker import Worker
 from edged.setup.recordings.recorded import Damaged, Line, Records, Wanted
-from edged.setup.recordings.setups import Contents, Setups, facts_of_jobs, job_of_cycle
+from edged.setup.recordings.setups import Setups, facts_of_jobs, job_of_cycle
 from edged.setup.recordings.sight import PartSight, parts_of, taught_part
 from edged.setup.recordings.whatif import Change, WhatIf
 from edged.setup.teaching.drafts import TAUGHT
@@ -107,27 +108,11 @@ class CycleDocument(Line):
     beside: Sight | None
 
 
-@dataclass(frozen=True, slots=True)
-class JobsNow:
-    """The jobs that the cell has now. place : their folder. contents : of the files that it measures by."""
-
-    place: Path
-    contents: Contents
-
-    def folder_of(self, name: str, number: int, digest: str | None) -> tuple[str | None, bool]:
-        """The folder of the job that a recorded cycle is of, and whether that measures as it did then."""
-        job = job_of_cycle(facts_of_jobs(self.contents), name, number)
-        return (None, False) if job is None else (job.folder, job.digest == digest)
-
-
 class Cycles:
-    """Used on the event loop. folder : where the cell records now; None: it does not. jobs : that it has."""
+    """Used on the event loop only."""
 
-    def __init__(
-        self, folder: Callable[[], Path | None], worker: Worker, jobs: Callable[[], JobsNow]
-    ) -> None:
-        self._folder = folder
-        self._jobs = jobs
+    def __init__(self, cell: CellInUse, worker: Worker) -> None:
+        self._cell = cell
         self._worker = worker
         self._disc = ThreadPoolExecutor(1, thread_name_prefix="cycles")
         # of that thread alone
@@ -174,12 +159,17 @@ class Cycles:
 
     def _known(self) -> Records:
         """The recordings of the folder that is used now. Raises `KeyError` where none is."""
-        folder = self._folder()
+        folder = self._cell.recordings
         if folder is None:
             raise KeyError("the cell records nothing")
         if self._records is None or self._records.folder != folder:
             self._records = Records(folder)
         return self._records
+
+    def _folder_of(self, name: str, number: int, digest: str | None) -> tuple[str | None, bool]:
+        """The folder of the job that a recorded cycle is of, and whether that measures as it did then."""
+        job = job_of_cycle(facts_of_jobs(self._cell.contents), name, number)
+        return (None, False) if job is None else (job.folder, job.digest == digest)
 
     def _listed(self, wanted: Wanted) -> CycleList:
         try:
@@ -206,7 +196,7 @@ class Cycles:
         try:
             prepared, job = self._setups.of(entry.path, snapshot)
             digest = self._setups.setup_of(entry.path, snapshot).job_digests[job.number]
-            folder, is_same = self._jobs().folder_of(line.job, line.job_number, digest)
+            folder, is_same = self._folder_of(line.job, line.job_number, digest)
         except FileFormatError as error:
             return CycleDocument(**facts, trouble="setup", trouble_text=str(error), **nothing)
         rig = prepared.rig
@@ -249,7 +239,7 @@ class Cycles:
         return Pictures(left=left, right=right)
 
     def _taught_file(self, folder: str, side: Side) -> Path:
-        return self._jobs().place / folder / TAUGHT / f"{side}.png"
+        return self._cell.config.cell.jobs / folder / TAUGHT / f"{side}.png"
 
     def _picture(self, number: int, side: Side) -> bytes:
         return _jpeg(recording.load_picture(self._known().entry(number).path, side))
@@ -257,7 +247,7 @@ class Cycles:
     def _taught_picture(self, number: int, side: Side) -> bytes:
         line, folder = self._known().line(self._known().entry(number)), None
         if not isinstance(line, Damaged):
-            folder, _ = self._jobs().folder_of(line.job, line.job_number, None)
+            folder, _ = self._folder_of(line.job, line.job_number, None)
         if folder is None or not self._taught_file(folder, side).is_file():
             raise KeyError(number)
         return _jpeg(load_image(self._taught_file(folder, side)))

@@ -12,34 +12,23 @@ from edged.cell.tasks import cancel_and_await
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError
-from edged.robot.orientations import Brand, Convention, pose_of
+from edged.robot.orientations import pose_of
+from edged.setup.cell import CellInUse
 from edged.setup.registration.drafts import Kind, Mount
 from edged.setup.registration.service import Given, Registrations
 
 log = logging.getLogger(__name__)
 
-WHOSE = {
-    Convention.FIXED_XYZ: Brand.FANUC,
-    Convention.KUKA_ABC: Brand.KUKA,
-    Convention.UR_ROTATION_VECTOR: Brand.UR,
-    Convention.STAUBLI_XYZ: Brand.STAUBLI,
-    Convention.KAWASAKI_OAT: Brand.KAWASAKI,
-    Convention.ABB_ZYX: Brand.ABB,
-}
-"""Whose pendant shows poses as the registers hold them, of several the first."""
 MOST_WAITING = 20
 """Pairs of pictures; with more, one that came is left out."""
 
 
 class RobotProgram:
-    """Hears of what a robot's program registers; from any thread, and never makes it wait.
+    """Hears of what a robot's program registers; from any thread, and never makes it wait."""
 
-    brand : how the draft writes poses.
-    """
-
-    def __init__(self, registrations: Registrations, brand: Callable[[], Brand]) -> None:
+    def __init__(self, registrations: Registrations, cell: CellInUse) -> None:
         self._registrations = registrations
-        self._brand = brand
+        self._cell = cell
         self._loop = asyncio.get_running_loop()
         self._heard: asyncio.Queue[Callable[[], Awaitable[None]]] = asyncio.Queue()
         self._draft: str | None = None
@@ -54,7 +43,7 @@ class RobotProgram:
 
         async def work() -> None:
             self._draft = None
-            self._draft = await self._registrations.adopt(mount, kind, self._brand(), board, limit_mm)
+            self._draft = await self._registrations.adopt(mount, kind, self._cell.brand, board, limit_mm)
 
         self._tell(work)
 
@@ -89,7 +78,7 @@ class RobotProgram:
         self._tell(work)
 
     def _shown(self, pose: FloatArray) -> Given:
-        return Given(pose_of(self._brand(), pose))
+        return Given(pose_of(self._cell.brand, pose))
 
     def _tell(self, work: Callable[[], Awaitable[None]]) -> None:
         self._loop.call_soon_threadsafe(self._put, work)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from pydantic import model_validator
 
 from edged.adapters.web.routes import Body, Call, Problem, RouteTable, Token
@@ -51,12 +49,11 @@ class Copying(Body):
 
 
 class JobRoutes:
-    """The routes. use : changes the job as a PLC would; raises `CommandRefused`, `SetupRefused`."""
+    """The routes."""
 
-    def __init__(self, jobs: Jobs, activation: Activation, use: Callable[[int], None]) -> None:
+    def __init__(self, jobs: Jobs, activation: Activation) -> None:
         self._jobs = jobs
         self._activation = activation
-        self._use = use
 
     def add_to(self, table: RouteTable) -> None:
         """Add them."""
@@ -139,9 +136,9 @@ class JobRoutes:
         return await known(self._jobs.versions(call.part("name")))
 
     async def _take(self, call: Call[Nothing]) -> None:
-        try:
-            number = self._jobs.number_of(call.part("name"))
-        except KeyError:
-            raise Problem(404, "unknown", "there is no such job") from None
         call.trail.object = call.part("name")
-        self._use(number)
+        try:
+            self._jobs.take(call.part("name"))
+        except KeyError:
+            call.trail.object = ""
+            raise Problem(404, "unknown", "there is no such job") from None

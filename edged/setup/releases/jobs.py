@@ -5,16 +5,19 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from edged.errors import FileFormatError, UserError
+from edged.adapters.modbus import ModbusPublisher
+from edged.domain.events import Command, CommandKind
+from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
+from edged.ports import Commander, Publisher
 from edged.setup.calibration.documents import Document
+from edged.setup.cell import CellInUse
 from edged.setup.history import Kept, Text
 from edged.setup.releases.jobsfolder import Jobs as Files
 from edged.setup.releases.jobsfolder import of_job, renamed, with_job, without_job
@@ -84,35 +87,46 @@ _KEPT = TypeAdapter(dict[str, Retired])
 
 
 class Jobs:
-    """Used on the event loop only. retired : file of those that were taken out of use."""
+    """Used on the event loop only. servers : those that run, by the name of their section."""
 
     def __init__(
         self,
-        retired: Path,
+        cell: CellInUse,
         shelf: Shelf,
         activation: Activation,
-        jobs: Callable[[], JobsInUse],
         use: JobUse,
+        commander: Commander,
+        servers: Mapping[str, Publisher],
     ) -> None:
-        self._retired = retired
+        self._cell = cell
+        self._retired = cell.state / "retired.json"
         self._shelf = shelf
         self._activation = activation
-        self._jobs = jobs
         self._use = use
+        self._commander = commander
+        self._servers = servers
+        self._commands = 0
 
     async def listed(self) -> JobList:
         """All of them."""
         return await asyncio.to_thread(self._listed)
 
-    def number_of(self, job: str) -> int:
-        """Raises `KeyError` for a job that is not in use."""
-        return self._jobs().line(job).number
+    def take(self, job: str) -> None:
+        """Measure by a job, as a PLC's command would have it, where none owns the right to write.
+
+        Raises `KeyError`, `SetupRefused`, `CommandRefused`.
+        """
+        number, modbus = self._cell.jobs_in_use.line(job).number, self._servers.get("modbus")
+        if isinstance(modbus, ModbusPublisher) and modbus.owner:
+            raise SetupRefused(f"the PLC at {modbus.owner} has the right to write: it changes the job itself")
+        self._commands += 1
+        self._commander.submit(Command(CommandKind.CHANGE_JOB, "page", self._commands, job=number))
 
     async def change(
         self, job: str, author: str, note: str, signed: str | None, *, name: str | None, number: int | None
     ) -> Release:
         """Rename it, or give it another number. Raises `KeyError`, `UserError`; then nothing has changed."""
-        jobs = self._jobs()
+        jobs = self._cell.jobs_in_use
         line, folder = jobs.line(job), jobs.line(job).folder
         if name is not None and name != line.name:
             _check_unnamed(line, jobs)
@@ -130,9 +144,9 @@ class Jobs:
         self, job: str, author: str, note: str, signed: str | None, *, name: str, number: int | None
     ) -> Release:
         """The same job once more, under another name and number. Raises as `change`."""
-        folder = self._jobs().line(job).folder
-        wanted = number or self._jobs().free_number
-        self._jobs().check_free(name, wanted, None)
+        folder = self._cell.jobs_in_use.line(job).folder
+        wanted = number or self._cell.jobs_in_use.free_number
+        self._cell.jobs_in_use.check_free(name, wanted, None)
 
         def copied(there: Files) -> Files:
             return with_job(there, name, renamed(of_job(there, folder), name=name, number=wanted), None)
@@ -141,7 +155,7 @@ class Jobs:
 
     async def versions(self, job: str) -> VersionList:
         """Of a job in use, as far as releases that were active know."""
-        folder = self._jobs().line(job).folder
+        folder = self._cell.jobs_in_use.line(job).folder
         releases, active = await self._activation.listed()
         now = next((one.digests.get(folder) for one in releases if one.number == active), None)
         found, before = list[VersionDocument](), None
@@ -155,7 +169,7 @@ class Jobs:
 
     async def retire(self, job: str, author: str, note: str, signed: str | None) -> Release:
         """Take it out of use; its release keeps it. Raises `KeyError`, `UserError` for the last one."""
-        jobs = self._jobs()
+        jobs = self._cell.jobs_in_use
         line, folder = jobs.line(job), jobs.line(job).folder
         _check_unnamed(line, jobs)
         if len(jobs.lines) == 1:
@@ -181,7 +195,7 @@ class Jobs:
         folder = job if job in retired else {one.name: name for name, one in retired.items()}[job]
         kept = retired[folder]
         wanted = number or kept.number
-        self._jobs().check_free(kept.name, wanted, None)
+        self._cell.jobs_in_use.check_free(kept.name, wanted, None)
         files = await asyncio.to_thread(self._files, folder)
         if number is not None:
             files = renamed(files, name=None, number=number)
@@ -192,7 +206,7 @@ class Jobs:
         return release
 
     def _listed(self) -> JobList:
-        jobs = self._jobs()
+        jobs = self._cell.jobs_in_use
         found = [self._document(line, jobs) for line in sorted(jobs.lines, key=lambda line: line.number)]
         for folder, kept in sorted(self._kept().items(), key=lambda item: item[1].number):
             found.append(
@@ -250,7 +264,7 @@ class Jobs:
         except (OSError, ValidationError) as error:
             log.warning("%s cannot be read, as if no job were retired: %s", self._retired, error)
             return {}
-        in_use = {line.folder for line in self._jobs().lines}
+        in_use = {line.folder for line in self._cell.jobs_in_use.lines}
         return {folder: one for folder, one in kept.items() if folder not in in_use}
 
     def _note(self, folder: str, kept: Retired | None) -> None:

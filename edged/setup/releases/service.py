@@ -5,17 +5,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
-from edged.domain.arrays import Side
 from edged.errors import EdgedError, FileFormatError, SetupRefused, UserError
 from edged.files.atomic import make_folders, sync, write_atomically
 from edged.files.rig import read_rig, rig_of
-from edged.files.statefolder import state_folder
+from edged.setup.cell import CellInUse
 from edged.setup.recordings.setups import RIG, Contents
 from edged.setup.releases.archive import Made, RigFiles, make, rig_in
 from edged.setup.releases.jobsfolder import (
@@ -29,25 +28,6 @@ from edged.setup.releases.jobsfolder import (
 from edged.setup.releases.shelf import Release, Shelf, Tested
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class CellNow:
-    """The cell as it runs. rig, jobs : where they lie.  is_complete : it has both.
-
-    cameras : what is tried of them in SETUP.
-    locked : the plant forbids changes. holder : who has the cell, or "".
-    contents : of the files that it measures by, as `CellFiles` has them.
-    """
-
-    rig: Path
-    fingerprint: str
-    is_complete: bool
-    cameras: Mapping[Side, Mapping[str, str | float]]
-    locked: bool
-    holder: str
-    jobs: Path
-    contents: Contents = field(default_factory=dict)
 
 
 Gate = Callable[[Contents, str | None], Awaitable[Tested | None]]
@@ -73,38 +53,32 @@ class _Parts:
 class Activation:
     """What makes rigs and jobs active, one after the other; used on the cell's event loop.
 
-    config : the cell's file.  running : the cell, as it is then.
-    renew : raises `SetupRefused` for a token that is not that of who has the cell.
-    reload : reads the configuration again; returns why it was refused, or "".
     gate : asked before anything is written.
     """
 
-    def __init__(
-        self,
-        shelf: Shelf,
-        config: Path,
-        running: Callable[[], CellNow],
-        renew: Callable[[str], None],
-        reload: Callable[[], Awaitable[str]],
-        gate: Gate = _open,
-    ) -> None:
+    def __init__(self, shelf: Shelf, cell: CellInUse, gate: Gate = _open) -> None:
         self._shelf = shelf
-        self._config = config
-        self._running = running
-        self._renew = renew
-        self._reload = reload
+        self._cell = cell
         self._gate = gate
         self._turn = asyncio.Lock()
 
     @property
+    def _rig(self) -> Path:
+        return self._cell.config.cell.rig
+
+    @property
+    def _jobs(self) -> Path:
+        return self._cell.config.cell.jobs
+
+    @property
     def fingerprint(self) -> str:
         """Of what the cell runs by."""
-        return self._running().fingerprint
+        return self._cell.fingerprint
 
     @property
     def active(self) -> int | None:
         """The release that the cell runs by; None for one that was changed by hand since."""
-        fingerprint = self._running().fingerprint
+        fingerprint = self._cell.fingerprint
         found = (one.number for one in self._shelf.all() if one.activated and one.fingerprint == fingerprint)
         return next(found, None)
 
@@ -119,13 +93,13 @@ class Activation:
     def check(self, token: str | None) -> None:
         """Raises `SetupRefused` when nothing may be changed now, by somebody without or with a token."""
         if token is not None:
-            self._renew(token)
-        elif holder := self._running().holder:
+            self._cell.renew(token)
+        elif holder := self._cell.session.holder:
             raise SetupRefused(f"{holder} has the cell")
         self._check_unlocked()
 
     def _check_unlocked(self) -> None:
-        if self._running().locked:
+        if self._cell.session.is_locked:
             raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
 
     async def activate(self, rig: bytes, author: str, note: str, signed: str | None = None) -> Release:
@@ -137,9 +111,9 @@ class Activation:
         rig_of(rig, Path("the new rig"))
 
         def wanted(there: _Parts) -> _Parts:
-            running, cameras = self._running(), there.cameras
-            if running.cameras:
-                cameras = with_changes(cameras, chosen_file(running.rig), running.cameras)
+            stated = {side: change.stated() for side, change in self._cell.session.camera_changes.items()}
+            tried = {side: values for side, values in stated.items() if values}
+            cameras = with_changes(there.cameras, chosen_file(self._rig), tried) if tried else there.cameras
             return replace(there, rig=rig, cameras=cameras)
 
         return await self._activate(wanted, author, note, signed)
@@ -170,7 +144,7 @@ class Activation:
         """Do what a kill or a power cut has interrupted: rig and cameras are of one release again."""
         if await asyncio.to_thread(self._finish):
             log.warning("a release was being activated when the daemon ended: that is finished now")
-            await self._reload()
+            await self._cell.reload()
 
     async def _activate(
         self, wanted: Callable[[_Parts], _Parts], author: str, note: str, signed: str | None
@@ -194,7 +168,7 @@ class Activation:
             if release is None:
                 release = await asyncio.to_thread(self._keep, made, wanted, former, author, note)
             await asyncio.to_thread(self._exchange, release, wanted, former, again is None, tested)
-            refused = await self._reload()
+            refused = await self._cell.reload()
             if refused:
                 await asyncio.to_thread(self._put_back, release, former, again is None)
                 raise UserError(f"the cell does not run by it, and runs on as before: {refused}")
@@ -204,29 +178,28 @@ class Activation:
 
     def _contents(self, wanted: _Parts) -> Contents:
         """What the cell would measure by."""
-        contents = contents_with(self._running().contents, wanted.jobs)
+        contents = contents_with(self._cell.contents, wanted.jobs)
         return contents if wanted.rig is None else {**contents, RIG: wanted.rig}
 
     def _there(self) -> _Parts:
         """What is exchanged, as it is now."""
-        running = self._running()
-        rig = read_rig(running.rig) if running.rig.exists() else None
-        return _Parts(rig, read_chosen(running.rig), jobs_in(running.jobs))
+        rig = read_rig(self._rig) if self._rig.exists() else None
+        return _Parts(rig, read_chosen(self._rig), jobs_in(self._jobs))
 
     def _proven(self, wanted: _Parts) -> tuple[Made, Release | None]:
         """The cell to be, proven to load, beside the cell as it is; and the release that it is already."""
         if wanted.rig is None:
             raise UserError("there is no calibration: calibrate first")
-        made = make(self._config, RigFiles(wanted.rig, wanted.cameras), without_pictures(wanted.jobs))
-        if made.backup.fingerprint == self._running().fingerprint:
+        made = make(self._cell.path, RigFiles(wanted.rig, wanted.cameras), without_pictures(wanted.jobs))
+        if made.backup.fingerprint == self._cell.fingerprint:
             raise UserError("the cell runs by this already")
         all_of_it = self._shelf.all()
         return made, next((one for one in all_of_it if one.fingerprint == made.backup.fingerprint), None)
 
     def _keep(self, made: Made, wanted: _Parts, former: _Parts, author: str, note: str) -> Release:
         """A release of the cell to be; and one of the cell as it is, if it is none: there is a way back."""
-        if self._running().is_complete and self.active is None:
-            found = make(self._config, jobs=without_pictures(former.jobs))
+        if self._cell.is_complete and self.active is None:
+            found = make(self._cell.path, jobs=without_pictures(former.jobs))
             kept = self._add(found, former, "edged", "as it was found", None)
             self._shelf.note_active(kept.number, datetime.now(UTC))
         return self._add(made, wanted, author, note, self.active)
@@ -277,26 +250,25 @@ class Activation:
 
         Each by itself is in one step, and every mixture loads: a daemon that starts amid them ends it.
         """
-        running = self._running()
         try:
-            make_folders(running.rig.parent)
+            make_folders(self._rig.parent)
             if wanted.cameras != there.cameras:
-                _put(chosen_file(running.rig), wanted.cameras)
+                _put(chosen_file(self._rig), wanted.cameras)
             if wanted.rig != there.rig:
-                _put(running.rig, wanted.rig)
+                _put(self._rig, wanted.rig)
         except OSError as error:
-            raise self._refused("cell.rig", running.rig, error) from error
+            raise self._refused("cell.rig", self._rig, error) from error
         try:
-            write_jobs(running.jobs, wanted.jobs, there.jobs)
+            write_jobs(self._jobs, wanted.jobs, there.jobs)
         except OSError as error:
-            raise self._refused("cell.jobs", running.jobs, error) from error
+            raise self._refused("cell.jobs", self._jobs, error) from error
 
     def _refused(self, key: str, place: Path, error: OSError) -> FileFormatError:
         kind = "a file in" if key == "cell.rig" else "a folder in"
         return FileFormatError(
             f"{place}: the daemon cannot write there ({error.strerror or error}): let {key} of "
-            f"{self._config} name {kind} its state directory, for example "
-            f"{state_folder(self._config) / place.name}, and reload"
+            f"{self._cell.path} name {kind} its state directory, for example "
+            f"{self._cell.state / place.name}, and reload"
         )
 
     def _finish(self) -> bool:

@@ -9,11 +9,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import pickle
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from pydantic import ValidationError
@@ -22,12 +21,10 @@ from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
-from edged.domain.picking import Bounds
 from edged.errors import EdgedError, SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
-from edged.robot.orientations import Convention
-from edged.setup.calibration.checks import RigInUse
 from edged.setup.calibration.documents import trouble_in
+from edged.setup.cell import CellInUse, RigInUse
 from edged.setup.jobs.tasks import Tasks
 from edged.setup.jobs.worker import Worker
 from edged.setup.pairs import Progress
@@ -62,14 +59,6 @@ class What:
 
     job: str | None = None
     teaching: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class CellSettings:
-    """Of the cell that a trial is judged by. bounds : where its robot may go; convention : of A, B, C."""
-
-    bounds: Bounds
-    convention: Convention
 
 
 @dataclass(eq=False, slots=True)
@@ -158,34 +147,23 @@ NOTHING = TrialDocument(
 class Trials:
     """Used on the event loop only.
 
-    kept : file of the last still test. capture : an exposure, for the token of who has the cell. renew :
-    raises `SetupRefused` for another token. rig : the one in use; None without. jobs : of the cell, by name.
     draft : the job of a teaching draft by its id; raises `KeyError`.
     """
 
     def __init__(
         self,
-        kept: Path,
+        cell: CellInUse,
         worker: Worker,
         tasks: Tasks,
         notices: Notices,
-        capture: Callable[[str], Awaitable[FramePair]],
-        renew: Callable[[str], None],
-        rig: Callable[[], RigInUse | None],
-        jobs: Callable[[], Mapping[str, Job]],
         draft: Callable[[str], Awaitable[Job]],
-        settings: Callable[[], CellSettings],
     ) -> None:
-        self._kept = kept
+        self._cell = cell
+        self._kept = cell.state / "still.json"
         self._worker = worker
         self._tasks = tasks
         self._notices = notices
-        self._capture = capture
-        self._renew = renew
-        self._rig = rig
-        self._jobs = jobs
         self._draft = draft
-        self._settings = settings
         self._known: dict[What, _Trial] = {}  # asked for last at the end
         self._tried = What()  # what is tried, or was last
         self._token: str | None = None  # of who has the cell, while it is
@@ -209,7 +187,7 @@ class Trials:
 
         Raises `SetupRefused`, `UserError`, and `KeyError` for a draft that there is not.
         """
-        self._renew(token)
+        self._cell.renew(token)
         if on:
             self._tried = (await self._trial_of(what)).what
         self._token = token if on else None
@@ -231,7 +209,7 @@ class Trials:
 
     async def hold_still(self, token: str, what: What, pictures: int, author: str) -> str:
         """Begin the still test; returns the task. Raises as `turn`."""
-        self._renew(token)
+        self._cell.renew(token)
         if self._tasks.is_running(self._still):
             raise SetupRefused("a still test is running")
         trial = await self._trial_of(what)
@@ -255,7 +233,7 @@ class Trials:
     async def _try(self, what: What, token: str, number: int, pair: FramePair) -> None:
         trial = self._known.get(what)
         try:
-            self._renew(token)
+            self._cell.renew(token)
             trial = await self._trial_of(what)
             images = pair.left.image, pair.right.image
             trial.note(number, await self._worker.run("try_pair", self._setup(trial), images))
@@ -292,20 +270,20 @@ class Trials:
             return await self._draft(what.teaching)
         if what.job is None:
             raise UserError("which job is to be tried?")
-        job = self._jobs().get(what.job)
+        job = self._cell.jobs.get(what.job)
         if job is None:
             raise UserError(f"there is no job {what.job}", "no_job", name=what.job)
         return job
 
     def _in_use(self) -> RigInUse:
-        rig = self._rig()
+        rig = self._cell.rig
         if rig is None:
             raise SetupRefused("there is no calibration: nothing can be measured")
         return rig
 
     def _setup(self, trial: _Trial) -> TrialSetup:
-        rig, settings = self._in_use(), self._settings()
-        return TrialSetup(rig.content, rig.path, trial.content, settings.bounds, settings.convention)
+        rig, bounds = self._in_use(), self._cell.config.limits.bounds()
+        return TrialSetup(rig.content, rig.path, trial.content, bounds, self._cell.convention)
 
     def _document(self) -> TrialDocument:
         trial = self._known.get(self._tried)
@@ -324,7 +302,7 @@ class Trials:
         stands: list[Stand | None] = []
         for number in range(pictures):
             progress(f"picture {number + 1} of {pictures}", number, pictures)
-            pair = await self._capture(token)
+            pair = await self._cell.capture(token)
             images = pair.left.image, pair.right.image
             stands.append(await self._worker.run("stand", self._setup(trial), images))
             if stands[-1] is None:

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers.boardcell import BoardCell
+from helpers.cellinuse import cell_in_use
 from helpers.recordedcell import exposures, record
 from helpers.smallcell import SmallCell
 from helpers.waiting import WHOLE_S
@@ -29,7 +30,7 @@ from edged.setup.jobs.worker import Worker
 from edged.setup.pairs import silent
 from edged.setup.recordings import work as cyclework
 from edged.setup.recordings.recorded import Damaged, Records, Wanted
-from edged.setup.recordings.service import FUNCTIONS, Cycles, JobsNow
+from edged.setup.recordings.service import FUNCTIONS, Cycles
 from edged.setup.recordings.setups import Setups
 from edged.setup.recordings.sight import NOT_FOUND, OUTSIDE, PartSight, parts_of, taught_part
 from edged.setup.recordings.whatif import Change, LimitChange, WhatIf, changed_job
@@ -286,10 +287,15 @@ def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, t
     folder = tmp_path / "recordings"
     shutil.copytree(recorded.folder, folder)
     shutil.rmtree(folder / "setups")
+    config = tmp_path / "cell.toml"
+    config.write_text(
+        '[cell]\nname = "cell1"\nrig = "rig.json"\njobs = "jobs"\n'
+        '[cameras]\nsource = "virtual-inprocess"\n[recorder]\nfolder = "recordings"\n'
+    )
 
     async def asked() -> None:
         worker = Worker(FUNCTIONS)
-        cycles = Cycles(lambda: folder, worker, lambda: JobsNow(tmp_path, {}))
+        cycles = Cycles(cell_in_use(config), worker)
         document = await cycles.document(GOOD)
         assert ("setup", None, True) == (document.trouble, document.now, document.has_pictures)
         assert (await cycles.picture(GOOD, "left"))[:2] == b"\xff\xd8"

@@ -13,19 +13,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from helpers.cellinuse import StillSession
 from helpers.powercuts import Record, cut
 from helpers.smallcell import SmallCell
 
+from edged.cell.lease.cameras import CameraChanges
 from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import replace_folder
 from edged.files.rig import load_rig, rig_text
-from edged.setup.cellfiles import read_cell
+from edged.setup.cell import CellInUse
+from edged.setup.cellfiles import read_any_cell, read_cell
 from edged.setup.recordings.candidates import Candidates
 from edged.setup.releases import service as activating
 from edged.setup.releases import shelf
 from edged.setup.releases.jobsfolder import jobs_in, of_job, renamed, with_job
 from edged.setup.releases.jobsinuse import Candidate
-from edged.setup.releases.service import Activation, CellNow
+from edged.setup.releases.service import Activation
 from edged.setup.releases.shelf import Release, Shelf
 
 
@@ -45,12 +48,12 @@ class RunningCell:
     """A cell in a folder; what it runs by follows its files when it reloads."""
 
     def __init__(self, folder: Path) -> None:
-        self.config, self.rig = folder / "cell.toml", folder / "rig.json"
+        self.config, self.rig, self.jobs = folder / "cell.toml", folder / "rig.json", folder / "jobs"
         self.shelf = Shelf(folder / "state" / "releases")
-        self.now = CellNow(self.rig, read_cell(self.config).fingerprint, True, {}, False, "", folder / "jobs")
-        self.now = replace(self.now, contents=read_cell(self.config).contents)
+        self.session = StillSession()
+        self.now = CellInUse(self.config, read_cell(self.config), self.session, self._reload)
         self.refuses = ""
-        self.activation = Activation(self.shelf, self.config, lambda: self.now, self._renew, self._reload)
+        self.activation = Activation(self.shelf, self.now)
 
     def files(self) -> dict[str, bytes]:
         """All of it, the shelf apart."""
@@ -64,14 +67,9 @@ class RunningCell:
         moved[:3, 3] *= factor
         return rig_text(replace(rig, right_from_left=moved, calibration_id=f"cal-{factor}"))
 
-    def _renew(self, token: str) -> None:
-        if token != "theirs":
-            raise SetupRefused("SETUP has ended")
-
     async def _reload(self) -> str:
         if not self.refuses:
-            read = read_cell(self.config)
-            self.now = replace(self.now, fingerprint=read.fingerprint, contents=read.contents)
+            self.now.files = read_cell(self.config)
         return self.refuses
 
 
@@ -135,7 +133,7 @@ def test_an_older_release_under_newer_settings_is_one_of_its_own(cell: RunningCe
     """Settings stay as they are: the cell that comes of it never was there before."""
     activate(cell, cell.wider(1.001))
     cell.config.write_text(cell.config.read_text().replace("timeout_s = 2.0", "timeout_s = 3.0"))
-    cell.now = replace(cell.now, fingerprint=read_cell(cell.config).fingerprint)
+    cell.now.files = read_cell(cell.config)
     assert None is cell.activation.active
 
     release = activate_again(cell, 1)
@@ -147,7 +145,7 @@ def test_an_older_release_under_newer_settings_is_one_of_its_own(cell: RunningCe
 
 def job_files(cell: RunningCell, name: str, number: int) -> dict[str, bytes]:
     """A job as the flange, with a pair that it keeps."""
-    there = of_job(jobs_in(cell.now.jobs), "flange")
+    there = of_job(jobs_in(cell.jobs), "flange")
     return {**renamed(there, name=name, number=number), "taught/left.png": b"pixels"}
 
 
@@ -181,7 +179,7 @@ def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerp
     assert (2, after) == (activate_again(cell, 2).number, cell.files())
     assert [] == [entry.name for entry in cell.config.parent.iterdir() if entry.name.startswith(".jobs")]
     activate_job(cell, "disc", 2, replaced="ring")
-    assert not (cell.now.jobs / "ring").exists()
+    assert not (cell.jobs / "ring").exists()
     assert [(1, "flange"), (2, "disc")] == sorted(
         (one.number, one.name) for one in read_cell(cell.config).jobs
     )
@@ -228,12 +226,12 @@ def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> N
             raise UserError("3 good ones would be bad")
         return shelf.Tested(regression=None, cycles=9, good_to_bad=3, signed=signed)
 
-    cell.activation._gate = gate  # noqa: SLF001  (as the workshop gives it)
+    cell.activation._gate = gate  # noqa: SLF001  (as the daemon gives it)
     files = cell.files()
     with pytest.raises(UserError, match="3 good ones"):
         activate_job(cell, "ring", 2)
     assert (files, []) == (cell.files(), cell.shelf.all())
-    wanted = with_job(jobs_in(cell.now.jobs), "ring", job_files(cell, "ring", 2), None)
+    wanted = with_job(jobs_in(cell.jobs), "ring", job_files(cell, "ring", 2), None)
     release = asyncio.run(cell.activation.activate_jobs(lambda _: wanted, "Anna", "ring", "seen all three"))
     assert (3, "seen all three") == (release.tested.good_to_bad, asked[1][1])
     assert read_cell(cell.config).contents == asked[1][0]
@@ -253,11 +251,11 @@ def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCe
     async def draft(_identity: str) -> Candidate:
         return candidate
 
-    async def rig(_identity: str) -> bytes:
+    async def rig(_identity: str) -> tuple[None, bytes]:
         raise KeyError
 
-    cell.activation._gate = gate  # noqa: SLF001  (as the workshop gives it)
-    candidates = Candidates(lambda: cell.now.contents, cell.shelf, rig, draft)
+    cell.activation._gate = gate  # noqa: SLF001  (as the daemon gives it)
+    candidates = Candidates(cell.now, cell.shelf, rig, draft)
     tried = asyncio.run(candidates.of_teaching("20260101-000000-abcd"))
     asyncio.run(cell.activation.activate_jobs(candidate.put, "Anna", "cover"))
     assert [tried] == told
@@ -288,7 +286,7 @@ def test_a_first_rig_that_is_refused_is_gone_again(cell: RunningCell) -> None:
     """There was none before it, and there is none after it."""
     rig = cell.wider(1.001)
     cell.rig.unlink()
-    cell.now, cell.refuses = replace(cell.now, fingerprint="", is_complete=False), "no"
+    cell.now.files, cell.refuses = read_any_cell(cell.config), "no"
 
     with pytest.raises(UserError):
         activate(cell, rig)
@@ -326,13 +324,13 @@ def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
 def test_the_plant_forbids_it(cell: RunningCell) -> None:
     """AUTO_LOCK, before anybody asks and while somebody has; so does whoever has the cell."""
     cell.activation.check(None)
-    cell.now = replace(cell.now, holder="Ben")
+    cell.session.holder = "Ben"
     with pytest.raises(SetupRefused, match="Ben has the cell"):
         cell.activation.check(None)
     with pytest.raises(SetupRefused, match="SETUP has ended"):
         cell.activation.check("stale")
     cell.activation.check("theirs")
-    cell.now = replace(cell.now, locked=True)
+    cell.session.is_locked = True
     with pytest.raises(SetupRefused, match="AUTO_LOCK"):
         cell.activation.check("theirs")
     files = cell.files()
@@ -343,13 +341,13 @@ def test_the_plant_forbids_it(cell: RunningCell) -> None:
 
 def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
     """And go with it again: they are of one release."""
-    cell.now = replace(cell.now, cameras={"left": {"exposure_us": 1234.0}})
+    cell.session.camera_changes = {"left": CameraChanges(exposure_us=1234.0)}
 
     activate(cell, cell.wider(1.001))
 
     chosen = cell.config.parent / "rig.cameras.json"
     assert {"left": {"exposure_us": 1234.0}, "right": {}} == json.loads(chosen.read_text())
-    cell.now = replace(cell.now, cameras={})
+    cell.session.camera_changes = {}
     before = cell.files()
     cell.refuses = "no"
     with pytest.raises(UserError):
@@ -362,7 +360,9 @@ def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -
     assert before == cell.files()
 
 
-@pytest.mark.parametrize("cameras", [{}, {"left": {"device": "other"}}], ids=["rig", "rig and cameras"])
+@pytest.mark.parametrize(
+    "cameras", [{}, {"left": CameraChanges(device="other")}], ids=["rig", "rig and cameras"]
+)
 def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     template: Path, tmp_path: Path, cameras: dict
 ) -> None:
@@ -373,7 +373,7 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     with record.watching():
         replace_folder(root / "cell", files_in(template))
         cell = RunningCell(root / "cell")
-        cell.now = replace(cell.now, cameras=cameras)
+        cell.session.camera_changes = cameras
         start = len(record.calls)
         before = cell.now.fingerprint
         after = activate(cell, cell.wider(1.001)).fingerprint
@@ -435,7 +435,7 @@ def test_a_pair_is_kept_once_for_all_releases(cell: RunningCell) -> None:
     assert not any(name.endswith("left.png") for name in cell.shelf.open(3).files)
     activate_again(cell, 1)
     after = activate_again(cell, 3)
-    assert b"pixels" == (cell.now.jobs / "ring" / "taught" / "left.png").read_bytes()
+    assert b"pixels" == (cell.jobs / "ring" / "taught" / "left.png").read_bytes()
     assert after.fingerprint == cell.now.fingerprint
     next(pictures.iterdir()).write_bytes(b"damaged")
     assert "ring/taught/left.png" not in cell.shelf.jobs(3)

@@ -1,0 +1,140 @@
+"""The services of setting up a cell over its page, and their routes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import ChainMap
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from edged.cell.cycle import Cycle
+from edged.cell.lease.live import LivePictures
+from edged.cell.lease.notices import Notices
+from edged.cell.tasks import cancel_and_await
+from edged.domain.frames import FramePair
+from edged.ports import Publisher
+from edged.setup.calibration import service as calibrations
+from edged.setup.calibration.checks import Checks
+from edged.setup.calibration.service import Calibrations
+from edged.setup.cell import CellInUse
+from edged.setup.jobs.tasks import Tasks
+from edged.setup.jobs.worker import Worker
+from edged.setup.recordings import regressions
+from edged.setup.recordings import service as cycles
+from edged.setup.recordings.candidates import Candidates
+from edged.setup.recordings.regressions import Regressions
+from edged.setup.recordings.service import Cycles
+from edged.setup.registration import service as registrations
+from edged.setup.registration.program import RobotProgram
+from edged.setup.registration.service import Registrations
+from edged.setup.releases.jobs import Jobs
+from edged.setup.releases.jobuse import JobUse
+from edged.setup.releases.service import Activation
+from edged.setup.releases.shelf import Shelf
+from edged.setup.teaching import service as teachings
+from edged.setup.teaching.service import Teachings
+from edged.setup.trials import service as trials
+from edged.setup.trials.service import Trials
+
+if TYPE_CHECKING:
+    from edged.adapters.web.routes import RouteTable
+
+
+class SetupServices:
+    """Built for the first page by which the cell may be set up; outlives its reloads."""
+
+    def __init__(
+        self,
+        cell: CellInUse,
+        cycle: Cycle,
+        servers: Mapping[str, Publisher],
+        notices: Notices,
+        live: LivePictures,
+        job_use: JobUse,
+    ) -> None:
+        self._servers = servers
+        state = cell.state
+        services = calibrations, cycles, registrations, regressions, teachings, trials
+        functions = ChainMap(*(service.FUNCTIONS for service in services))
+        # while the cell measures, one processor is left to it alone
+        self._worker = worker = Worker(functions, lambda: 2 if cycle.in_setup else 1)
+        self._tasks = tasks = Tasks(notices)
+        self._calibrations = Calibrations(
+            state / "drafts",
+            worker,
+            tasks,
+            notices,
+            cell.capture,
+            cell.renew,
+            lambda: cell.config.cell.rig,
+            lambda identity: identity == cell.calibration_id,
+        )
+        shelf = Shelf(state / "releases")
+        self._regressions = Regressions(state / "regressions", cell, worker, tasks)
+        self._activation = Activation(shelf, cell, self._regressions.check)
+        self._checks = Checks(
+            state / "check.json", worker, notices, cell.capture, lambda: cell.rig, lambda: cell.jobs
+        )
+        self._cycles = Cycles(cell, worker)
+        self._registrations = Registrations(
+            state / "registrations", worker, notices, cell.capture, lambda: cell.rig, lambda: cell.jobs
+        )
+        self.program = RobotProgram(self._registrations, cell)
+        self._teachings = Teachings(
+            state / "teachings",
+            worker,
+            tasks,
+            notices,
+            cell.capture,
+            lambda: cell.rig,
+            lambda: cell.jobs_in_use,
+            self._cycles.file,
+        )
+        self._candidates = Candidates(cell, shelf, self._calibrations.solution, self._teachings.candidate)
+        self._trials = Trials(cell, worker, tasks, notices, self._teachings.job)
+        self._jobs = Jobs(cell, shelf, self._activation, job_use, cycle, servers)
+        self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
+        self._stop = live.listen(self._offer)
+
+    def routes(self) -> Sequence[Callable[[RouteTable], None]]:
+        """What adds the routes; aiohttp is imported only for a page."""
+        from edged.setup.calibration.checkroutes import CheckRoutes
+        from edged.setup.calibration.routes import CalibrationRoutes
+        from edged.setup.plcroutes import PlcRoutes
+        from edged.setup.recordings.regressionroutes import RegressionRoutes
+        from edged.setup.recordings.routes import CycleRoutes
+        from edged.setup.registration.routes import RegistrationRoutes
+        from edged.setup.releases.jobroutes import JobRoutes
+        from edged.setup.releases.routes import ReleaseRoutes
+        from edged.setup.teaching.routes import TeachingRoutes
+        from edged.setup.trials.routes import TrialRoutes
+
+        return [
+            CalibrationRoutes(self._calibrations, self._tasks).add_to,
+            ReleaseRoutes(self._calibrations, self._activation, self._worker).add_to,
+            CheckRoutes(self._checks).add_to,
+            CycleRoutes(self._cycles).add_to,
+            RegistrationRoutes(self._registrations, self._activation).add_to,
+            PlcRoutes(self._servers).add_to,
+            TeachingRoutes(self._teachings, self._activation).add_to,
+            TrialRoutes(self._trials).add_to,
+            JobRoutes(self._jobs, self._activation).add_to,
+            RegressionRoutes(self._regressions, self._candidates).add_to,
+        ]
+
+    def _offer(self, number: int, pair: FramePair) -> None:
+        """A live pair goes to the trial that is on, else to the calibration."""
+        service = self._trials if self._trials.is_on else self._calibrations
+        service.offer(number, pair)
+
+    async def close(self) -> None:
+        """End the worker process; drafts are on disc."""
+        self._stop()
+        await cancel_and_await(self._finishing)
+        await self._calibrations.close()
+        await self._trials.close()
+        await self.program.close()
+        await self._registrations.close()
+        await self._tasks.close()
+        await self._cycles.close()
+        await self._worker.close()
