@@ -1,4 +1,4 @@
-"""The examples in docstrings are run: what they show is what comes out."""
+"""The examples in docstrings and on the pages of the manual are run: what they show is what comes out."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import doctest
 import importlib
 from pathlib import Path
 
+import cv2
 import pytest
 
 ROOT = Path(__file__).parents[2]
 SHOWING = [path for path in sorted((ROOT / "edged").rglob("*.py")) if ">>> " in path.read_text()]
+PAGE = ROOT / "docs/tutorial/library.md"
 
 
 @pytest.mark.parametrize("path", SHOWING, ids=lambda path: str(path.relative_to(ROOT)))
@@ -19,3 +21,17 @@ def test_examples_show_what_comes_out(path: Path) -> None:
     ran = doctest.testmod(importlib.import_module(name))
     assert ran.attempted > 0
     assert 0 == ran.failed
+
+
+@pytest.mark.slow
+def test_the_tutorial_of_the_library_shows_what_comes_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From public pictures to the ellipse that the page shows; its picture is drawn where it is run."""
+    (tmp_path / "tests").symlink_to(ROOT / "tests")
+    monkeypatch.chdir(tmp_path)
+    ran = doctest.testfile(str(PAGE), module_relative=False, optionflags=doctest.ELLIPSIS)
+
+    assert ran.attempted > 30
+    assert 0 == ran.failed
+    assert cv2.imread(str(PAGE.with_name("ellipse.png"))).shape == cv2.imread("ellipse.png").shape

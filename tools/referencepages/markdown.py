@@ -45,7 +45,7 @@ def anchor(heading: str) -> str:
     return "-".join(kept.split())
 
 
-def first_line(thing: type) -> str:
+def first_line(thing: object) -> str:
     """The first line of a docstring, without its full stop."""
     return (inspect.getdoc(thing) or "").partition("\n")[0].removesuffix(".")
 

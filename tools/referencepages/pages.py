@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from referencepages import cli, configuration, errors, files, payloads, registers
+from referencepages import cli, configuration, errors, files, library, payloads, registers
 from referencepages.markdown import ROOT
 
 FOLDER = ROOT / "docs" / "reference"
@@ -25,6 +25,7 @@ PAGES: dict[str, Mapping[str, Callable[[], str]]] = {
     "payloads": payloads.PARTS,
     "files": files.PARTS,
     "errors": errors.PARTS,
+    "library": library.PARTS,
 }
 PART = re.compile(r"(?<=<!-- generated: )(?P<name>[a-z-]+) -->\n.*?(?=<!-- end -->)", re.DOTALL)
 
