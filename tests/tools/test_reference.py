@@ -33,7 +33,7 @@ from edged.sim.cell import demo_rig
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from referencepages.markdown import ROOT, member_docs
-from referencepages.pages import FOLDER, PAGES, current, main
+from referencepages.pages import PAGES, current, main
 
 CODES: tuple[type[enum.Enum], ...] = (
     *(Status, Reject, CommandKind, Calibrated, Reason, Convention),
@@ -43,7 +43,7 @@ CODES: tuple[type[enum.Enum], ...] = (
 
 def page(name: str) -> str:
     """The committed text of a page."""
-    return (FOLDER / f"{name}.md").read_text()
+    return (ROOT / f"docs/reference/{name}.md").read_text()
 
 
 def test_every_page_is_current(capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,8 +55,10 @@ def test_a_page_that_is_not_current_is_named_and_mended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Only what is generated is written; what people wrote around it stays."""
-    shutil.copytree(FOLDER, tmp_path, dirs_exist_ok=True)
-    path = tmp_path / "errors.md"
+    for name in PAGES:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    path = tmp_path / "docs/reference/errors.md"
     text = path.read_text()
     path.write_text("Ours.\n" + text.replace("| 101 |", "| 99 |"))
 
@@ -71,7 +73,7 @@ def test_a_page_without_a_place_for_a_part_is_refused() -> None:
     """So is one with a place for a part that does not exist."""
     for text in ("", "<!-- generated: commands -->\n<!-- end -->\n<!-- generated: x -->\n<!-- end -->\n"):
         with pytest.raises(ValueError, match="expected the parts"):
-            current(text, PAGES["cli"])
+            current(text, PAGES["docs/reference/cli.md"])
 
 
 def _commands(group: Any, name: str) -> Iterator[tuple[str, Any]]:

@@ -1,4 +1,4 @@
-"""Brings the generated parts of docs/reference/ up to date.
+"""Brings the generated parts of the documents up to date.
 
     tools/reference           writes every page whose code has changed
     tools/reference --check   writes nothing; 1 when a page is not current, and says which
@@ -14,18 +14,19 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from referencepages import cli, configuration, errors, files, library, payloads, registers
+from referencepages import cli, configuration, errors, files, library, packages, payloads, registers
 from referencepages.markdown import ROOT
 
-FOLDER = ROOT / "docs" / "reference"
 PAGES: dict[str, Mapping[str, Callable[[], str]]] = {
-    "cli": cli.PARTS,
-    "configuration": configuration.PARTS,
-    "registers": registers.PARTS,
-    "payloads": payloads.PARTS,
-    "files": files.PARTS,
-    "errors": errors.PARTS,
-    "library": library.PARTS,
+    "docs/reference/cli.md": cli.PARTS,
+    "docs/reference/configuration.md": configuration.PARTS,
+    "docs/reference/registers.md": registers.PARTS,
+    "docs/reference/payloads.md": payloads.PARTS,
+    "docs/reference/files.md": files.PARTS,
+    "docs/reference/errors.md": errors.PARTS,
+    "docs/reference/library.md": library.PARTS,
+    "docs/explanation/architecture.md": packages.ARCHITECTURE,
+    "CONTRIBUTING.md": packages.CONTRIBUTING,
 }
 PART = re.compile(r"(?<=<!-- generated: )(?P<name>[a-z-]+) -->\n.*?(?=<!-- end -->)", re.DOTALL)
 
@@ -38,8 +39,8 @@ def current(text: str, parts: Mapping[str, Callable[[], str]]) -> str:
     return PART.sub(lambda part: f"{part['name']} -->\n\n{parts[part['name']]()}\n\n", text)
 
 
-def main(arguments: list[str] | None = None, folder: Path = FOLDER) -> int:
-    """Write, or check, every page of the folder."""
+def main(arguments: list[str] | None = None, root: Path = ROOT) -> int:
+    """Write, or check, every page of a checkout."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -47,7 +48,7 @@ def main(arguments: list[str] | None = None, folder: Path = FOLDER) -> int:
     check = parser.parse_args(arguments).check
     stale = 0
     for name, parts in PAGES.items():
-        path = folder / f"{name}.md"
+        path = root / name
         before = path.read_text("utf-8")
         after = current(before, parts)
         if after == before:
