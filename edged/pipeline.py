@@ -16,7 +16,7 @@ from edged.vision.geometry.rectification import Rectification, make_rectificatio
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.pointcloud import PointCloud, point_cloud
 from edged.vision.part.prediction import match_in_raw
 from edged.vision.part.tilt import views_of
@@ -60,7 +60,7 @@ def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], Non
 class Inspection:
     """All that was seen: parts that were measured, what could not be, else who knows what came nearest."""
 
-    measured: tuple[Measured, ...]
+    measured: tuple[MeasuredPart, ...]
     dismissed: tuple[NotMeasured, ...]
     nearest: Nearest | None = None
 
@@ -75,7 +75,7 @@ def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], No
     measured, dismissed = [], []
     for match in matches:
         result = measure_part(images, job, match)
-        if isinstance(result, Measured):
+        if isinstance(result, MeasuredPart):
             measured.append(result)
         else:
             dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Vary each number of a stage's Params by half and by two: what it earns, on scenes drawn with exact truth.
 
-    tools/bench ablate [--only NAME] [--poses N] [--json FILE]
+    tools/bench ablate [--only NAME] [--quick] [--poses N] [--json FILE]
 
 --only takes a stage (JointFitParams) or a field (agree_px). Sets: *parts*, a plate, a disc and a flange, each
 taught from one pair and then lying anywhere, tilted by up to 12 degrees, and scenes without it; *solids*,
@@ -9,7 +9,7 @@ two random thick parts of `bench_slices`, tilted by up to 45 degrees; *boards*, 
 chessboards and from dots. A row says what changes against the numbers as they are: parts found and false, rms
 of their places (of boards: of their marks) and processor time. "=" means that no digit changes; what is "="
 twice does nothing here. Numbers that a kernel compiles in, or a module works with when it is imported, take a
-process of their own.
+process of their own, and minutes where kernels are compiled: --quick leaves them out.
 """
 
 from __future__ import annotations
@@ -344,6 +344,7 @@ def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", default="", help="a stage's class, or a field")
+    parser.add_argument("--quick", action="store_true", help="not what is compiled in or read at import")
     parser.add_argument("--poses", type=int, default=20, help="of each of three designs")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--varied", help=argparse.SUPPRESS)
@@ -360,6 +361,7 @@ def main() -> int:
         cache.mkdir(exist_ok=True)
         os.environ["NUMBA_CACHE_DIR"] = str(cache)
         chosen = [number for number in numbers() if options.only in ("", number.stage, number.name)]
+        chosen = [number for number in chosen if not (options.quick and number.imported)]
         if not chosen:
             parser.error(f"--only {options.only}: no stage and no field has this name")
         draw(folder, options.poses)

@@ -42,7 +42,7 @@ from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, transform
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
-from edged.vision.teaching.region import Polygon
+from edged.vision.teaching.region import PolygonRegion
 
 SILENT_SIGMAS = 4.0
 APART_MM = 0.3
@@ -83,7 +83,7 @@ class Row:
         return max(position, self.normal_deg / self.sigma_normal_deg, size)
 
 
-def region_of(part: dict[str, Any], rig: PreparedRig) -> Polygon:
+def region_of(part: dict[str, Any], rig: PreparedRig) -> PolygonRegion:
     """A polygon about a part's circles and lines in the left picture, with a margin, as a person draws it."""
     points = [np.array(line["ends_left_mm"]) for line in part["lines"]]
     phase = np.linspace(0, 2 * np.pi, 60)
@@ -92,7 +92,7 @@ def region_of(part: dict[str, Any], rig: PreparedRig) -> Polygon:
     pixels = rig.rig.left.project(np.concatenate(points))
     hull = cv2.convexHull(pixels.astype(np.float32))[:, 0].astype(np.float64)
     middle = hull.mean(axis=0)
-    return Polygon(middle + (1.0 + ROI_MARGIN) * (hull - middle))
+    return PolygonRegion(middle + (1.0 + ROI_MARGIN) * (hull - middle))
 
 
 def taught_radius(job: Job, part: dict[str, Any]) -> float:

@@ -34,7 +34,7 @@ from edged.vision.geometry.rectification import Rectification, make_rectificatio
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.frames import circle_in_rig
 from edged.vision.part.measure import measure_part
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.pair import teach
 
@@ -153,7 +153,7 @@ def cost(rig: StereoRig) -> Cost:
     images = StereoImages.of(rectification, left, right)
     match = find_shapes(images.rectified_left, job.shape, job.search, rectification.valid_left)[0]
     measured = measure_part(images, job, match)
-    if not isinstance(measured, Measured):
+    if not isinstance(measured, MeasuredPart):
         raise SystemExit(f"the flange was not measured: {measured}")
     floor_ms = median_ms(lambda: floor(rectification, left, right))
     part_ms = median_ms(lambda: measure_part(images, job, match))

@@ -36,7 +36,7 @@ from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.expected import expected_target, scatters_of
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.pair import teach
 
@@ -108,12 +108,12 @@ def _wrong(camera: CameraModel, by: FloatArray) -> CameraModel:
     )
 
 
-def measured(job: Job, rig: PreparedRig, pair: tuple[Image, Image]) -> Measured | None:
+def measured(job: Job, rig: PreparedRig, pair: tuple[Image, Image]) -> MeasuredPart | None:
     """The part in a pair; None where it is not found or not measured."""
     images = StereoImages.of(rig.rectification, *pair)
     matches = find_shapes(images.rectified_left, job.shape, job.search, rig.rectification.valid_left)
     result = measure_part(images, job, matches[0]) if matches else None
-    return result if isinstance(result, Measured) else None
+    return result if isinstance(result, MeasuredPart) else None
 
 
 def errors(target: Target, where: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ from edged.vision.geometry.rigid import wrapped
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, ShapeMatch, find_shapes
-from edged.vision.teaching.region import Circle, Region
+from edged.vision.teaching.region import CircleRegion, Region
 
 PARAMS = SearchParams(max_matches=100, max_overlap=0.8)
 """For every picture: the defaults, but all parts, also interlocked ones that share most of their discs."""
@@ -82,7 +82,7 @@ def grey(path: Path) -> Image | None:
     return None if image is None else np.asarray(image, np.uint8)
 
 
-def taught(image: Image, region: Region | Circle | None) -> ShapeModel:
+def taught(image: Image, region: Region | CircleRegion | None) -> ShapeModel:
     """The model of a template, or of a region of it."""
     height, width = image.shape
     everything = np.full(image.shape, 255, np.uint8)
@@ -140,7 +140,7 @@ def clock_errors(folder: Path) -> list[float]:
         print(f"clock: {folder / 'rotated_10.png'} is not there", file=sys.stderr)
         return []
     height, width = first.shape
-    model = taught(first, Circle(width / 2, height / 2, 0.45 * min(height, width)))
+    model = taught(first, CircleRegion(width / 2, height / 2, 0.45 * min(height, width)))
     turns = []
     for step in range(20, 201, 10):
         image = grey(folder / f"rotated_{step}.png")

@@ -23,7 +23,7 @@ from edged.setup.calibration.boards import boards_in, stated_boards
 from edged.setup.calibration.views import Views, report_of, solve
 from edged.setup.pairs import Pair
 from edged.vision.calibration.calibrate import Calibration
-from edged.vision.calibration.imaging import Finding
+from edged.vision.calibration.imaging import ImagingFinding
 from edged.vision.calibration.lenschoice import LensWish, choice_in_words
 
 
@@ -92,7 +92,7 @@ def _print(
     console: Console,
     calibration: Calibration,
     quality: Mapping[str, Any],
-    found: Sequence[Finding],
+    found: Sequence[ImagingFinding],
     output: Path,
     report: Path | None,
     kept: Path | None,

@@ -43,7 +43,7 @@ from edged.vision.part.tilt import reach_of, tilted_views
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching.cadmodel import CadModel, curves_towards
 from edged.vision.teaching.facets import faceted_curves
-from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region
+from edged.vision.teaching.region import Area, CircleRegion, Painted, PolygonRegion, Region
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
 
@@ -63,9 +63,9 @@ def parse_region(text: str, option: str = "--region") -> Area:
         if kind == "rect" and len(corners) == 1:
             return Region(*_numbers(corners[0], 4))
         if kind == "circle" and len(corners) == 1:
-            return Circle(*_numbers(corners[0], 3))
+            return CircleRegion(*_numbers(corners[0], 3))
         if kind == "polygon":
-            return Polygon(np.array([_numbers(corner, 2) for corner in corners]))
+            return PolygonRegion(np.array([_numbers(corner, 2) for corner in corners]))
     except ValueError:
         pass
     raise TeachError(f"{option} {text!r}: expected {REGION_FORMS}, in pixels of the left image")

@@ -11,7 +11,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Measurement, NearMiss, NotMeasured, Reject, Target
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 
 REASONS = {
     Reject.FEW_EDGES: "too few edges seen",
@@ -84,7 +84,7 @@ def why_nothing(dismissed: Sequence[NotMeasured], nearest: NearMiss | None) -> l
 
 def headline(
     job: Job,
-    measured: Sequence[Measured],
+    measured: Sequence[MeasuredPart],
     dismissed: Sequence[NotMeasured],
     nearest: NearMiss | None = None,
 ) -> str:
@@ -143,7 +143,7 @@ def size_lines(measurements: Sequence[Measurement]) -> list[tuple[str, str, bool
     return lines
 
 
-def feature_lines(job: Job, measured: Measured) -> list[FeatureLine]:
+def feature_lines(job: Job, measured: MeasuredPart) -> list[FeatureLine]:
     """Every feature: circles first, as the job orders them; those that were not measured last."""
     target = measured.target
     fits = {fit.name: fit for fit in measured.fits}

@@ -16,7 +16,7 @@ from edged.pictures.captions import measured_names, reference_name
 from edged.pictures.lettering import RIM, Canvas, Colour, width_of, write, write_rimmed
 from edged.pictures.view import Box, View
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 
 GREEN: Colour = (90, 215, 70)
 GOLD: Colour = (40, 200, 255)
@@ -95,7 +95,7 @@ def outlines_of(target: Target) -> list[tuple[str, FloatArray, bool]]:
     return outlines
 
 
-def features_of(measured: Measured) -> list[Feature]:
+def features_of(measured: MeasuredPart) -> list[Feature]:
     """All outlines of a part, as they are reported, with the edges that they stand on."""
     seen = {
         fit.name: ((fit.points[0], fit.points[1]), (fit.weights[0], fit.weights[1])) for fit in measured.fits

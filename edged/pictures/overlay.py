@@ -36,7 +36,7 @@ from edged.pictures.lettering import BOLD, NORMAL, Canvas, Colour, shortened, wi
 from edged.pictures.view import View, box_around, view_of, zoom_for
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 
 WIDTH_PX = 1280
 """Of either image in the picture, whatever the cameras': text is as large on every picture."""
@@ -60,7 +60,7 @@ def draw_pair(
     right: Image,
     rig: StereoRig,
     job: Job,
-    measured: Sequence[Measured],
+    measured: Sequence[MeasuredPart],
     dismissed: Sequence[NotMeasured] = (),
     status: Status = Status.OK,
     nearest: NearMiss | None = None,
@@ -136,7 +136,7 @@ def _side_by_side(views: tuple[View, View]) -> Canvas:
 def _draw_parts(
     views: tuple[View, View],
     job: Job,
-    parts: Sequence[Measured],
+    parts: Sequence[MeasuredPart],
     features: Sequence[Sequence[Feature]],
     found: Sequence[Sequence[Sequence[Residuals]]],
     factor: float,
@@ -242,7 +242,7 @@ def _in_rows(blocks: Sequence[Canvas]) -> Canvas:
     return np.vstack(rows) if rows else _paper(0)
 
 
-def _part_block(number: int, job: Job, part: Measured) -> Canvas:
+def _part_block(number: int, job: Job, part: MeasuredPart) -> Canvas:
     """One part: verdict and reasons, its pose, its features, and the sizes that the job asks for."""
     target = part.target
     told = reasons(target.reject)
@@ -271,7 +271,7 @@ def _part_block(number: int, job: Job, part: Measured) -> Canvas:
     return np.vstack([head, *rows, np.hstack(both), *judged, _paper(18, WIDTH_PX)])
 
 
-def _feature_rows(job: Job, part: Measured) -> list[Canvas]:
+def _feature_rows(job: Job, part: MeasuredPart) -> list[Canvas]:
     """A table of the part's features."""
     lines = feature_lines(job, part)
     reference = reference_name(part.target)

@@ -15,7 +15,7 @@ from edged.vision.boards.board import NotDetected, StereoView
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.coverage import coverage_in_words, coverage_of
 from edged.vision.calibration.crossvalidation import HeldOutView
-from edged.vision.calibration.imaging import Finding
+from edged.vision.calibration.imaging import ImagingFinding
 from edged.vision.calibration.lenschoice import choice_in_words
 from edged.vision.calibration.nextbestview import best_next_view, depths_mm, volume_points
 from edged.vision.calibration.params import IMAGING
@@ -34,7 +34,7 @@ def calibration_report(
     quality: Mapping[str, Any],
     about: Mapping[str, str] | None = None,
     plain: PlainCalibration | None = None,
-    found: Sequence[Finding] = (),
+    found: Sequence[ImagingFinding] = (),
     *,
     verdict: str = "",
     thumbnails: Mapping[str, tuple[Image, Image]] | None = None,

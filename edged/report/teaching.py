@@ -18,7 +18,7 @@ from edged.pictures.evidence import taught_outlines
 from edged.report.charts import ACCENT, INK, Chart
 from edged.report.page import Table, render
 from edged.vision.part.job import Job
-from edged.vision.shape.inspection import Inspection
+from edged.vision.shape.inspection import ModelInspection
 from edged.vision.shape.params import LEARNING
 from edged.vision.teaching.cuts import Cut
 
@@ -50,7 +50,7 @@ class Taught:
     settled: tuple[str, ...] = ()
 
 
-def teaching_report(job: Job, taught: Taught, inspection: Inspection) -> str:
+def teaching_report(job: Job, taught: Taught, inspection: ModelInspection) -> str:
     """The page."""
     title = f"Job {job.number}: {job.name}"
     return render(
@@ -73,7 +73,7 @@ def teaching_report(job: Job, taught: Taught, inspection: Inspection) -> str:
     )
 
 
-def inspection_to_json(job: Job, inspection: Inspection) -> Json:
+def inspection_to_json(job: Job, inspection: ModelInspection) -> Json:
     """The same for programs."""
 
     def known(value: float) -> float | None:
@@ -154,7 +154,7 @@ def _level(job: Job, picture: Image, index: int) -> _Level:
     return _Level(base64.b64encode(png.tobytes()).decode(), caption)
 
 
-def _facts(job: Job, inspection: Inspection) -> Table:
+def _facts(job: Job, inspection: ModelInspection) -> Table:
     angle = (
         "–"
         if not np.isfinite(inspection.sigma_angle_rad)
@@ -172,7 +172,7 @@ def _facts(job: Job, inspection: Inspection) -> Table:
     return Table(rows)
 
 
-def _rivals(inspection: Inspection) -> Table:
+def _rivals(inspection: ModelInspection) -> Table:
     """Turns at which the shape is much like itself."""
     rows = [
         (f"{np.degrees(angle):.1f}°", f"{100 * similarity:.1f} %") for angle, similarity in inspection.rivals

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import erf
 
 from edged.domain.arrays import FloatArray, Image
-from edged.vision.boards.board import Board, Chessboard, CircleGrid, Detection, DotGrid, StereoView
+from edged.vision.boards.board import Board, Chessboard, CircleGrid, Detection, DotBoard, StereoView
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, rotation_vector, transform
 
@@ -36,7 +36,7 @@ def draw_board(
     with np.errstate(divide="ignore"):
         depth = (normal @ offset) / (rays @ normal)
     plane = (rays * depth[..., None] - offset) @ camera_from_board[:3, :2]
-    shade = {Chessboard: _chessboard, DotGrid: _dots, CircleGrid: _circles}[type(board)]
+    shade = {Chessboard: _chessboard, DotBoard: _dots, CircleGrid: _circles}[type(board)]
     image = shade(board, plane[..., 0], plane[..., 1], blur_mm)
     image = np.where(depth > 0, image, BACKGROUND)
     image = image + np.random.default_rng(seed).normal(0, noise, image.shape) if noise else image
@@ -78,7 +78,7 @@ def _chessboard(board: Chessboard, x: FloatArray, y: FloatArray, blur_mm: float)
     return np.asarray(BACKGROUND + (paper - BACKGROUND) * sheet)
 
 
-def _dots(board: DotGrid, x: FloatArray, y: FloatArray, blur_mm: float) -> FloatArray:
+def _dots(board: DotBoard, x: FloatArray, y: FloatArray, blur_mm: float) -> FloatArray:
     p = board.pitch_mm
     column = np.clip(np.rint(x / p), 0, board.columns - 1)
     row = np.clip(np.rint(y / p), 0, board.rows - 1)

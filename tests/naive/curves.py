@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.curves.adjustment import Samples
-from edged.vision.curves.outlines import Outline
+from edged.vision.curves.outlines import CurveOutline
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.projection import project_with_jacobians
 from naive.kernels import median_scale, tukey_weights
@@ -199,7 +199,7 @@ def choose_width(
 
 
 def outline_samples(
-    camera: CameraModel, pose: FloatArray, axes: FloatArray, origin: FloatArray, outline: Outline
+    camera: CameraModel, pose: FloatArray, axes: FloatArray, origin: FloatArray, outline: CurveOutline
 ) -> FloatArray:
     """(N, 8 + F) of points of a face: pixel, normal, gain, then the design (see `ProjectedOutline`).
 

@@ -25,7 +25,7 @@ from edged.files.jobs.schema import JobFile
 from edged.files.jobs.text import to_toml
 from edged.files.outputs import check_folder
 from edged.files.owners import as_owner, by_name, unlinked
-from edged.vision.part.body import Body
+from edged.vision.part.body import PartBody
 from edged.vision.part.job import Job
 from edged.vision.shape.model import ShapeModel
 
@@ -77,11 +77,11 @@ def job_of(files: Mapping[str, bytes], folder: Path) -> Job:
     return replace(file.job(shape), body=body)
 
 
-def _body_of(arrays: Mapping[str, npt.NDArray[Any]]) -> Body | None:
+def _body_of(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody | None:
     """The part's surface; None for a job that was taught without a CAD model."""
     own = {name.removeprefix(BODY): array for name, array in arrays.items() if name.startswith(BODY)}
     try:
-        return Body.from_arrays(own) if own else None
+        return PartBody.from_arrays(own) if own else None
     except ValueError as error:
         raise ValueError(f"{BODY}{error}") from error
 

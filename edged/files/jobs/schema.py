@@ -20,7 +20,7 @@ from edged.vision.part.job import (
     CornerFeature,
     EdgeFeature,
     Job,
-    Limits,
+    JobLimits,
     MeasurementKind,
     MeasurementSpec,
     ModelPoint,
@@ -75,10 +75,10 @@ class _Limits(_Section):
             raise ValueError(f"depth_mm must be [nearest, farthest], both positive, got {self.depth_mm}")
         return self
 
-    def values(self) -> Limits:
+    def values(self) -> JobLimits:
         nearest, farthest = self.depth_mm
         numbers = self.model_dump(exclude={"box", "keep_out"})
-        return Limits(**{**numbers, "depth_mm": (nearest, farthest)})
+        return JobLimits(**{**numbers, "depth_mm": (nearest, farthest)})
 
     def bounds(self) -> tuple[Bounds, ...]:
         boxes, keep_out = (tuple(one.box() for one in zones) for zones in (self.box, self.keep_out))

@@ -17,8 +17,8 @@ from edged.errors import ImageError, UserError
 from edged.pipeline import locate, prepare
 from edged.vision.boards.board import NominalBoard, NotDetected, StereoView
 from edged.vision.boards.detection import detect_board, remeasure_board
-from edged.vision.calibration.imaging import Finding as Remark
 from edged.vision.calibration.imaging import Imaging, edges_of, findings, imaging_of
+from edged.vision.calibration.imaging import ImagingFinding as Remark
 from edged.vision.calibration.verification import BoardCheck, Length, Verdict, check_board, pose_of_board
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply

@@ -23,9 +23,9 @@ from edged.vision.boards.detection import detect_board, remeasure_board
 from edged.vision.calibration.calibrate import Calibration, ViewFit, calibrate_stereo
 from edged.vision.calibration.crossvalidation import HeldOutView, hold_out
 from edged.vision.calibration.imaging import (
-    Edges,
-    Finding,
+    BoardEdges,
     Imaging,
+    ImagingFinding,
     edges_of,
     findings,
     imaging_of,
@@ -34,7 +34,7 @@ from edged.vision.calibration.imaging import (
 from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.calibration.nextbestview import depths_mm
 from edged.vision.calibration.plainopencv import plain_opencv
-from edged.vision.calibration.verdict import Verdict, judge_calibration
+from edged.vision.calibration.verdict import CalibrationVerdict, judge_calibration
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 
@@ -66,7 +66,7 @@ class Remeasured:
     """
 
     views: list[StereoView]
-    edges: Mapping[tuple[str, Side], Edges | None]
+    edges: Mapping[tuple[str, Side], BoardEdges | None]
 
     def imaging(self, calibration: Calibration) -> tuple[Imaging, Imaging]:
         """What the edges of the boards say of the left and of the right camera."""
@@ -188,8 +188,8 @@ class Calibrated:
     calibration: Calibration
     views: tuple[StereoView, ...]
     held: tuple[HeldOutView, ...]
-    found: tuple[Finding, ...]
-    verdict: Verdict
+    found: tuple[ImagingFinding, ...]
+    verdict: CalibrationVerdict
     quality: Mapping[str, Any]
     thumbnails: Mapping[str, tuple[Image, Image]]
 
@@ -330,7 +330,7 @@ def _view(
 
 def _remeasure(
     picture: Picture, fit: ViewFit, side: Side, rig: StereoRig
-) -> tuple[Detection | NotDetected, Edges | None]:
+) -> tuple[Detection | NotDetected, BoardEdges | None]:
     """The marks, and the edges between them."""
     board, camera, camera_from_board = nominal(fit.view.board), rig.left, fit.left_from_board
     if side == "right":

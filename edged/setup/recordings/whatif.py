@@ -27,7 +27,7 @@ from edged.setup.recordings.regression import shown
 from edged.setup.recordings.sight import PartSight, parts_of
 from edged.vision.part.acceptance import vaguest_mm
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 
 MOST_TRIES = 24
 MARGIN = 1.05
@@ -261,7 +261,7 @@ def _leaving_out(job: Job, seen: Inspection) -> Iterator[Remedy]:
         yield _remedy("feature", None, None, "leaves_out", change, name)
 
 
-def _loosened(job: Job, one: Measured) -> Iterator[Remedy]:
+def _loosened(job: Job, one: MeasuredPart) -> Iterator[Remedy]:
     """The limits that a measured part failed, each moved as far as it takes."""
     limits, target, evidence = job.limits, one.target, one.evidence
     radius_mm = math.nan

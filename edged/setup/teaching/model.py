@@ -24,9 +24,9 @@ from edged.vision.teaching.region import (
     MAX_STROKE,
     MIN_BRUSH_PX,
     Area,
-    Circle,
+    CircleRegion,
     Painted,
-    Polygon,
+    PolygonRegion,
     Region,
     Stroke,
 )
@@ -73,7 +73,7 @@ class Disc(Kept):
 
     def area(self) -> Area:
         """As a region."""
-        return Circle(self.x, self.y, self.radius)
+        return CircleRegion(self.x, self.y, self.radius)
 
 
 class Corners(Kept):
@@ -85,7 +85,7 @@ class Corners(Kept):
 
     def area(self) -> Area:
         """As a region."""
-        return Polygon(np.array(self.points, dtype=np.float64))
+        return PolygonRegion(np.array(self.points, dtype=np.float64))
 
 
 class Brush(Kept):

@@ -14,7 +14,7 @@ from edged.report.teaching import Taught
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import MAX_TILT_DEG, Job
 from edged.vision.part.params import MEASURING
-from edged.vision.shape.inspection import Inspection, inspect_model
+from edged.vision.shape.inspection import ModelInspection, inspect_model
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves
@@ -54,7 +54,7 @@ class Proposal:
 
     job: Job
     taught: Taught
-    inspection: Inspection
+    inspection: ModelInspection
     carried: tuple[str, ...]
 
 

@@ -49,7 +49,7 @@ from edged.setup.teaching.proposal import (
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.teaching.foreground import likely_part
 
 NOT_AS_DRAWN = (
@@ -208,7 +208,7 @@ class _Learnt:
     pair: FramePair
     proposal: Proposal
     pixel_mm: float
-    found: Measured | None
+    found: MeasuredPart | None
     features: tuple[FeatureSeen, ...]
     marks: Mapping[str, Mark]
     contours: tuple[tuple[Line, ...], tuple[Line, ...]]
@@ -266,7 +266,7 @@ def _learnt(
     )
 
 
-def _measured(pair: FramePair, job: Job, prepared: PreparedRig) -> Measured | None:
+def _measured(pair: FramePair, job: Job, prepared: PreparedRig) -> MeasuredPart | None:
     """The part that was taught, in its own pair; None where it is not found there."""
     there = job.rig_from_part[:3, 3]
     return min(
@@ -300,7 +300,7 @@ def _warnings(proposal: Proposal) -> tuple[Said, ...]:
     return tuple(Said(code, text, at) for (code, text), at in zip(said, places, strict=False))
 
 
-def _doubts(found: Measured | None) -> tuple[Said, ...]:
+def _doubts(found: MeasuredPart | None) -> tuple[Said, ...]:
     """What the cell would say of this very part."""
     if found is None:
         return (Said("not_found", "The part is not found in the pair that it was taught from."),)
@@ -314,7 +314,7 @@ def _doubts(found: Measured | None) -> tuple[Said, ...]:
 # --- features ----------------------------------------------------------------------------------
 
 
-def _features(job: Job, found: Measured | None, rig: StereoRig) -> tuple[FeatureSeen, ...]:
+def _features(job: Job, found: MeasuredPart | None, rig: StereoRig) -> tuple[FeatureSeen, ...]:
     """Every feature of a job: as measured, and where it was not, as taught."""
     outlines: dict[str, FloatArray] = {}
     sizes: dict[str, tuple[dict[str, float], float]] = {}

@@ -30,7 +30,7 @@ from edged.setup.trials.stilltest import Stand, Stillness, judged, noises_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.expected import Scatters, expected_target, scatters_of
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 
 MOST_PARTS = 8
 MOST_WHISKERS = 400
@@ -162,7 +162,9 @@ def _reasons(status: Status, rejects: Iterable[Reject]) -> tuple[str, ...]:
     return tuple(reject_names(seen)) or (NOT_FOUND,)
 
 
-def _part(rig: StereoRig, job: Job, target: Target, measured: Measured, convention: Convention) -> TriedPart:
+def _part(
+    rig: StereoRig, job: Job, target: Target, measured: MeasuredPart, convention: Convention
+) -> TriedPart:
     reading = reading_of(target, rig.robot_from_rig, rig.registration_covariance, convention)
     features = features_of(measured)
     outlines = [outline_in(rig, one.outline_mm) for one in features]
@@ -233,7 +235,7 @@ def terms_of(rig: StereoRig, target: Target) -> Terms | None:
     return Terms(edges=edges, calibration=calibration, registration=registration, doubt=doubt)
 
 
-def stand_of(measured: Measured) -> Stand | None:
+def stand_of(measured: MeasuredPart) -> Stand | None:
     """A part in one of many pictures of it; None where it is not known what its edges are worth."""
     target = measured.target
     if target.by_edges is None or not _is_finite(target):

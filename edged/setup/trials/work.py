@@ -21,7 +21,7 @@ from edged.setup.trials.stilltest import Stand, Stillness
 from edged.setup.trials.tried import Tried
 from edged.vision.part.expected import Scatters
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def stand(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -
     return None if best is None else trying.stand_of(best)
 
 
-def _rank(measured: Measured) -> tuple[bool, float]:
+def _rank(measured: MeasuredPart) -> tuple[bool, float]:
     return not measured.target.reject, measured.target.match.score
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.vision.boards.board import Charuco, Chessboard, CircleGrid, DotGrid, NominalBoard
+from edged.vision.boards.board import Charuco, Chessboard, CircleGrid, DotBoard, NominalBoard
 
 FRAME_OUTER, FRAME_INNER = 1.0, 0.75
 """Pitches from the outermost dots to the edges of the frame around a grid of dots."""
@@ -68,7 +68,7 @@ def _squares(
     )
 
 
-def _dots(board: DotGrid, dots: tuple[tuple[float, ...], ...], far: FloatArray) -> Artwork:
+def _dots(board: DotBoard, dots: tuple[tuple[float, ...], ...], far: FloatArray) -> Artwork:
     p = board.pitch_mm
 
     def box(reach: float) -> tuple[float, ...]:

@@ -54,7 +54,7 @@ class Chessboard:
 
 
 @dataclass(frozen=True, slots=True)
-class DotGrid:
+class DotBoard:
     """columns x rows round marks, `pitch_mm` apart, with a filled corner of the frame next to mark 0."""
 
     columns: int
@@ -142,7 +142,7 @@ class Charuco:
         return f"charuco:{self.columns}x{self.rows}:{self.pitch_mm:g}:{self.marker_mm:g}:{self.dictionary}"
 
 
-NominalBoard = Chessboard | DotGrid | CircleGrid | Charuco
+NominalBoard = Chessboard | DotBoard | CircleGrid | Charuco
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,7 +243,7 @@ def parse_board(text: str) -> NominalBoard:
         return Chessboard(columns, rows, pitch)
     if kind in ("dots", "circles"):
         diameter = _length(text, kind, "diameter", parts[2]) if len(parts) == 3 else pitch / 2
-        grid = (DotGrid if kind == "dots" else CircleGrid)(columns, rows, pitch, diameter)
+        grid = (DotBoard if kind == "dots" else CircleGrid)(columns, rows, pitch, diameter)
         if grid.gap_mm <= 0:
             raise CalibrationError(
                 f"board {text!r}: dots of {diameter:g} mm overlap at a pitch of {pitch:g} mm"

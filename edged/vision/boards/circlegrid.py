@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
-from edged.vision.boards.board import CircleGrid, Detection, DotGrid, IntArray, NotDetected
+from edged.vision.boards.board import CircleGrid, Detection, DotBoard, IntArray, NotDetected
 from edged.vision.boards.markmodels import fit_dots
 from edged.vision.boards.params import DETECTION
 from edged.vision.geometry.camera import CameraModel
@@ -35,7 +35,7 @@ _SHAPE = [0, 1, 6, 7, 8]  # of a fit: the ellipse, as x, y, b11, b12, b22
 _CIRCLE_POINTS = 64
 
 
-Plate = DotGrid | CircleGrid
+Plate = DotBoard | CircleGrid
 
 
 def detect_dots(image: Image, board: Plate) -> Detection | NotDetected:
@@ -52,7 +52,7 @@ def detect_dots(image: Image, board: Plate) -> Detection | NotDetected:
             if isinstance(grid, NotDetected):
                 reasons.append(grid.reason)
                 continue
-            ordered = _orient(picture, grid, blobs[:, :2], board) if isinstance(board, DotGrid) else grid
+            ordered = _orient(picture, grid, blobs[:, :2], board) if isinstance(board, DotBoard) else grid
             if isinstance(ordered, NotDetected):
                 reasons.insert(0, ordered.reason)  # so near: this is what the user wants to know
                 continue
@@ -263,7 +263,7 @@ def _grow_grid(blobs: FloatArray, board: Plate) -> IntArray | NotDetected:
         best = max(best, len(places))
         if len(places) != wanted:
             continue
-        grid = _rectangle(places, board) if isinstance(board, DotGrid) else _asymmetric(places, board)
+        grid = _rectangle(places, board) if isinstance(board, DotBoard) else _asymmetric(places, board)
         if grid is not None:
             return grid
     if best == wanted:
@@ -293,7 +293,7 @@ def _plate_of(image: Image, places: dict[tuple[int, int], int], blobs: FloatArra
     keys, seen = np.array(list(places)), blobs[list(places.values())]
     rows, columns = sorted((np.ptp(keys, axis=0) + 1).tolist())
     if len(keys) == columns * rows and rows >= 3:
-        board = DotGrid(columns, rows, 1.0, _diameter(keys, seen))
+        board = DotBoard(columns, rows, 1.0, _diameter(keys, seen))
         return _marked(image, places, blobs[:, :2], board)
     for steps in _STEPS:
         lattice = keys @ steps.T
@@ -315,7 +315,9 @@ def _diameter(lattice: IntArray, blobs: FloatArray) -> float:
     return round(float(size_px / np.sqrt(abs(np.linalg.det(map_px)))), 2)
 
 
-def _marked(image: Image, places: dict[tuple[int, int], int], centres: FloatArray, board: DotGrid) -> DotGrid:
+def _marked(
+    image: Image, places: dict[tuple[int, int], int], centres: FloatArray, board: DotBoard
+) -> DotBoard:
     """The board, or the one with rows and columns exchanged if that has its filled corner where one is."""
     turned = replace(board, columns=board.rows, rows=board.columns)
     for plate in (board, turned):
@@ -336,7 +338,7 @@ def _grids(blobs: FloatArray) -> Iterator[dict[tuple[int, int], int]]:
         yield _grow_from(int(seed), np.where(alike[:, None], centres, np.inf))
 
 
-def _rectangle(places: dict[tuple[int, int], int], board: DotGrid) -> IntArray | None:
+def _rectangle(places: dict[tuple[int, int], int], board: DotBoard) -> IntArray | None:
     """The grid (rows, columns) if it has the board's shape."""
     keys = np.array(list(places))
     low = keys.min(axis=0)
@@ -420,7 +422,7 @@ def _cross(a: FloatArray, b: FloatArray) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
 
-def _orient(image: Image, grid: IntArray, centres: FloatArray, board: DotGrid) -> IntArray | NotDetected:
+def _orient(image: Image, grid: IntArray, centres: FloatArray, board: DotBoard) -> IntArray | NotDetected:
     """Indices (N,) of the marks in the board's order: mark 0 by the filled corner."""
     turns = range(4) if board.columns == board.rows else (0, 2)
     marked = []
@@ -435,7 +437,7 @@ def _orient(image: Image, grid: IntArray, centres: FloatArray, board: DotGrid) -
     return np.asarray(marked[0], dtype=np.int64)
 
 
-def _first_corner_is_filled(image: Image, pixels: FloatArray, board: DotGrid) -> bool:
+def _first_corner_is_filled(image: Image, pixels: FloatArray, board: DotBoard) -> bool:
     """Whether the plate is dark between mark 0 and the corner of the frame next to it.
 
     The homography of the four marks at that corner serves: the lens has no say so close by.

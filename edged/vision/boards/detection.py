@@ -8,7 +8,7 @@ from dataclasses import replace
 from statistics import median
 
 from edged.domain.arrays import FloatArray, Image
-from edged.vision.boards.board import Charuco, Chessboard, Detection, DotGrid, NominalBoard, NotDetected
+from edged.vision.boards.board import Charuco, Chessboard, Detection, DotBoard, NominalBoard, NotDetected
 from edged.vision.boards.charuco import (
     detect_charuco,
     recognise_charuco,
@@ -83,7 +83,7 @@ def in_words(board: NominalBoard) -> str:
         return f"a chessboard of {size} inner corners"
     if isinstance(board, Charuco):
         return f"a ChArUco board of {size} squares, markers of {smallest_dictionary(board)}"
-    if isinstance(board, DotGrid):
+    if isinstance(board, DotBoard):
         return f"a plate of {size} dots"
     return f"an asymmetric plate of {size} circles"
 

@@ -20,7 +20,13 @@ from edged.vision.boards.board import IntArray, ShapedBoard, StereoView
 from edged.vision.boards.deformation import deviation_mm, plate_basis, shaped
 from edged.vision.boards.params import DETECTION
 from edged.vision.calibration.bundle import BundleState, Observations
-from edged.vision.calibration.estimation import Movement, Problem, Solution, estimate, estimate_cleaned
+from edged.vision.calibration.estimation import (
+    CalibrationProblem,
+    CalibrationSolution,
+    CameraMovement,
+    estimate,
+    estimate_cleaned,
+)
 from edged.vision.calibration.initial import agree, check_sides, usable_views, zhang
 from edged.vision.calibration.lenschoice import (
     Choice,
@@ -87,7 +93,7 @@ class Calibration:
     excluded: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     lenses: tuple[LensWeight, ...] = ()
-    movements: tuple[Movement, ...] = ()
+    movements: tuple[CameraMovement, ...] = ()
 
 
 def calibrate_stereo(
@@ -125,7 +131,7 @@ def calibrate_stereo(
     return _summarise(choice, excluded)
 
 
-def _with_shapes(solution: Solution) -> Solution:
+def _with_shapes(solution: CalibrationSolution) -> CalibrationSolution:
     """Estimate once more with the boards' shapes free; the views then hold boards of that shape."""
     problem, state = solution.problem, solution.result.state
     boards = list(dict.fromkeys(view.board for view in problem.views))
@@ -142,7 +148,7 @@ def _with_shapes(solution: Solution) -> Solution:
 
     prior_mm = DETECTION.prior_share * min(board.pitch_mm for board in boards)
     state = replace(state, shape=np.zeros(int(starts[-1])), shape_sigma=prior_mm)
-    free = Problem(problem.views, with_shape(problem.left), with_shape(problem.right))
+    free = CalibrationProblem(problem.views, with_shape(problem.left), with_shape(problem.right))
     found = estimate(free, state, solution.freedoms)
     coefficients = found.result.state.shape
     new = [
@@ -188,7 +194,7 @@ def _summarise(choice: Choice, excluded: list[tuple[str, str]]) -> Calibration:
     )
 
 
-def _places(problem: Problem, state: BundleState) -> FloatArray:
+def _places(problem: CalibrationProblem, state: BundleState) -> FloatArray:
     """Where marks were (N, 3), all over the volume."""
     poses = zip(problem.views, state.left_from_board, strict=True)
     marks = np.concatenate([apply(pose, view.board.points_mm) for view, pose in poses])
@@ -216,7 +222,7 @@ def _notes(views: Sequence[StereoView]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _movement_notes(problem: Problem) -> tuple[str, ...]:
+def _movement_notes(problem: CalibrationProblem) -> tuple[str, ...]:
     if not problem.movements:
         return ()
     run = f"calibrated from {problem.views[0].name} to {problem.views[-1].name} alone"

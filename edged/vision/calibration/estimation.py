@@ -30,7 +30,7 @@ Freedoms = tuple[LensFreedom, LensFreedom]
 
 
 @dataclass(frozen=True, slots=True)
-class Movement:
+class CameraMovement:
     """A camera that moved between two views, against the other. since : whether the views used are older."""
 
     before: str
@@ -47,7 +47,7 @@ class Movement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class CalibrationProblem:
     """Views with their observations, and which marks are kept as no outliers.
 
     movements : of a camera, which end the run of views that these are.
@@ -56,14 +56,14 @@ class Problem:
     views: Sequence[StereoView]
     left: Observations
     right: Observations
-    movements: tuple[Movement, ...] = ()
+    movements: tuple[CameraMovement, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class CalibrationSolution:
     """The best estimate with these freedoms. model_error_px : of the left and of the right camera."""
 
-    problem: Problem
+    problem: CalibrationProblem
     result: BundleResult
     model_error_px: tuple[float, float]
     freedoms: Freedoms
@@ -71,7 +71,7 @@ class Solution:
 
 def estimate_cleaned(
     views: list[StereoView], state: BundleState, freedoms: Freedoms, excluded: list[tuple[str, str]]
-) -> Solution:
+) -> CalibrationSolution:
     """Estimate; leave out views that contradict the others, one at a time, and marks that are mistakes.
 
     Where a camera moved, the views before or after it are used, whichever are more.
@@ -97,9 +97,9 @@ def estimate_cleaned(
     return without_outliers(solution)
 
 
-def problem_of(views: list[StereoView]) -> Problem:
+def problem_of(views: list[StereoView]) -> CalibrationProblem:
     """All marks of these views."""
-    return Problem(views, observations(views, "left"), observations(views, "right"))
+    return CalibrationProblem(views, observations(views, "left"), observations(views, "right"))
 
 
 def observations(views: Sequence[StereoView], side: Side) -> Observations:
@@ -113,7 +113,7 @@ def observations(views: Sequence[StereoView], side: Side) -> Observations:
     )
 
 
-def estimate(problem: Problem, state: BundleState, freedoms: Freedoms) -> Solution:
+def estimate(problem: CalibrationProblem, state: BundleState, freedoms: Freedoms) -> CalibrationSolution:
     """Adjust and estimate the model error in turn until it settles."""
     errors = CALIBRATION.start_error_px, CALIBRATION.start_error_px
     try:
@@ -139,10 +139,10 @@ def estimate(problem: Problem, state: BundleState, freedoms: Freedoms) -> Soluti
         raise Undetermined(
             "the bundle adjustment does not converge: these views contradict each other", "contradiction"
         )
-    return Solution(problem, result, errors, freedoms)
+    return CalibrationSolution(problem, result, errors, freedoms)
 
 
-def without_outliers(solution: Solution) -> Solution:
+def without_outliers(solution: CalibrationSolution) -> CalibrationSolution:
     """Drop marks that are mistakes, a few times: without the worst ones the next stand out."""
     for _ in range(CALIBRATION.estimate_rounds):
         problem, result = solution.problem, solution.result
@@ -192,7 +192,7 @@ def _model_error(seen: Observations, residuals: FloatArray, share: float) -> flo
     return high
 
 
-def _movement(solution: Solution) -> tuple[int, Movement] | None:
+def _movement(solution: CalibrationSolution) -> tuple[int, CameraMovement] | None:
     """How many views lie before a change of right_from_left that explains the residuals, and the change.
 
     A likelihood ratio test over all places where the sequence of views can be cut.
@@ -214,18 +214,18 @@ def _movement(solution: Solution) -> tuple[int, Movement] | None:
     change = step_after[cut] - step_before[cut]
     turn, shift = np.degrees(np.linalg.norm(change[:3])), np.linalg.norm(change[3:])
     names = problem.views[cut].name, problem.views[cut + 1].name
-    return cut + 1, Movement(*names, float(turn), float(shift))
+    return cut + 1, CameraMovement(*names, float(turn), float(shift))
 
 
 def _of_longest_run(
-    solution: Solution, cut: int, movement: Movement, excluded: list[tuple[str, str]]
-) -> Solution:
+    solution: CalibrationSolution, cut: int, movement: CameraMovement, excluded: list[tuple[str, str]]
+) -> CalibrationSolution:
     """The estimate from the views before or after a camera moved, whichever leaves more of them.
 
     Of as many on both sides the later: they show the cameras as they stand.
     """
     views, state = list(solution.problem.views), solution.result.state
-    runs = list[tuple[int, Solution, list[tuple[str, str]]]]()
+    runs = list[tuple[int, CalibrationSolution, list[tuple[str, str]]]]()
     problems = list[CalibrationError]()
     for some, others, where in (
         (slice(cut, None), slice(cut), "before"),
@@ -258,7 +258,7 @@ def _of_longest_run(
     return found
 
 
-def _worst_view(solution: Solution) -> tuple[int, float, float] | None:
+def _worst_view(solution: CalibrationSolution) -> tuple[int, float, float] | None:
     """Index, residual and usual residual of the view that does not belong, if there is one.
 
     By the median over a view's marks: a few wrong marks do not condemn a view. Nor do residuals as large as

@@ -27,7 +27,7 @@ MIN_LENGTH_PX = 3.5 * IMAGING.reach_px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class BoardEdges:
     """Square pixel patches (M, P) around the middles of M edges of a board.
 
     across (M, P) : distance from the line through the edge's corners, px, positive on the bright side.
@@ -44,9 +44,9 @@ class Edges:
     bright: FloatArray
     view: npt.NDArray[np.int64]
 
-    def some(self, chosen: npt.NDArray[np.bool_]) -> Edges:
+    def some(self, chosen: npt.NDArray[np.bool_]) -> BoardEdges:
         """Those that are chosen (M,)."""
-        return Edges(*(getattr(self, name)[chosen] for name in self.__slots__))
+        return BoardEdges(*(getattr(self, name)[chosen] for name in self.__slots__))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Imaging:
 UNKNOWN = Imaging(1.0, *[math.nan] * 8)
 
 
-def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) -> Edges | None:
+def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) -> BoardEdges | None:
     """The edges between neighbouring corners of a chessboard or ChArUco board; None where there are none.
 
     image (H, W) uint8.  view : number to keep with them.
@@ -106,7 +106,7 @@ def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) ->
     used = (np.abs(across) <= IMAGING.reach_px) & (np.abs(beside) <= IMAGING.reach_px)
     low, high = _levels(across, grey, used)
     flip = np.where(high < low, -1.0, 1.0)[:, None]
-    return Edges(
+    return BoardEdges(
         across * flip,
         grey,
         used,
@@ -118,14 +118,16 @@ def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) ->
     )
 
 
-def imaging_of(pictures: Sequence[Edges], size: tuple[int, int]) -> Imaging:
+def imaging_of(pictures: Sequence[BoardEdges], size: tuple[int, int]) -> Imaging:
     """What the edges in all pictures of one camera say of it.
 
     size (w, h) of the images.
     """
     if not pictures:
         return UNKNOWN
-    edges = Edges(*(np.concatenate([getattr(one, name) for one in pictures]) for name in Edges.__slots__))
+    edges = BoardEdges(
+        *(np.concatenate([getattr(one, name) for one in pictures]) for name in BoardEdges.__slots__)
+    )
     step = edges.bright - edges.dark
     clipped = edges.bright >= IMAGING.white
     saturated = (
@@ -173,7 +175,7 @@ def with_response(rig: StereoRig, imaging: tuple[Imaging, Imaging]) -> StereoRig
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class ImagingFinding:
     """What is to be known of the cameras.
 
     cost_um : what it does to a measurement.  remedy : what to do, "" if all is well.
@@ -185,17 +187,17 @@ class Finding:
     remedy: str
 
 
-def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) -> tuple[Finding, ...]:
+def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) -> tuple[ImagingFinding, ...]:
     """Response, blur, its asymmetry, focus and light of both cameras, with what each costs at a depth."""
     focal = 0.25 * (rig.left.fx + rig.left.fy + rig.right.fx + rig.right.fy)
     across_um = 1e3 * depth_mm / focal
     depth_um = across_um * depth_mm / rig.baseline_mm
-    found: list[Finding] = []
+    found: list[ImagingFinding] = []
 
     def add(name: str, text: str, cost_um: float, remedy: str, telling: bool) -> None:
         if math.isfinite(cost_um):
             cost = f"{text}: {cost_um:.1f} µm" + (f"; {remedy}" if telling else "")
-            found.append(Finding(name, cost, cost_um, remedy if telling else ""))
+            found.append(ImagingFinding(name, cost, cost_um, remedy if telling else ""))
 
     for side, one in zip(SIDES, imaging, strict=True):
         if one.gamma != 1.0:
@@ -308,7 +310,7 @@ class _Profile:
         return np.interp(self.centre_px + place_px, self.place_px, self.share)
 
 
-def _profile(edges: Edges) -> _Profile:
+def _profile(edges: BoardEdges) -> _Profile:
     """The mean profile of edges across their lines, in grey values as they are."""
     low, high = _levels(edges.across, edges.grey, edges.used)
     share = (edges.grey - low[:, None]) / np.maximum(high - low, 1e-9)[:, None]
@@ -342,19 +344,19 @@ def _halo(profile: _Profile) -> float:
     return max(float(beside.max()) - 1.0, -float(beside.min()), 0.0)
 
 
-def _by_sector(edges: Edges) -> list[Edges]:
+def _by_sector(edges: BoardEdges) -> list[BoardEdges]:
     """The edges by their direction from dark to bright; without directions of which there are too few."""
     return [one for one in _sectors(edges) if len(one.view) >= IMAGING.min_edges]
 
 
-def _sectors(edges: Edges) -> list[Edges]:
+def _sectors(edges: BoardEdges) -> list[BoardEdges]:
     """The edges of each direction, opposite ones SECTORS / 2 apart."""
     angle = np.arctan2(edges.toward[:, 1], edges.toward[:, 0])
     sector = ((angle + math.pi) * IMAGING.sectors / (2 * math.pi)).astype(np.int64) % IMAGING.sectors
     return [edges.some(sector == number) for number in range(IMAGING.sectors)]
 
 
-def _odd_part(edges: Edges, gamma: float) -> float:
+def _odd_part(edges: BoardEdges, gamma: float) -> float:
     """Mean square of what is not alike at both ends of the profiles, over the directions."""
     squares = []
     for one in _by_sector(edges) or [edges]:
@@ -366,7 +368,7 @@ def _odd_part(edges: Edges, gamma: float) -> float:
     return float(np.mean(squares))
 
 
-def _shift_px(edges: Edges, gamma: float) -> float:
+def _shift_px(edges: BoardEdges, gamma: float) -> float:
     """Displacement of the edges towards the dark, the mean over the directions."""
     centres = [
         _profile(replace(one, grey=linear_grey(one.grey, gamma))).centre_px
@@ -375,7 +377,7 @@ def _shift_px(edges: Edges, gamma: float) -> float:
     return -float(np.mean(centres))
 
 
-def _response(edges: Edges) -> tuple[float, float, float]:
+def _response(edges: BoardEdges) -> tuple[float, float, float]:
     """Gamma (1 unless it is certain), the displacement of the edges as they are, and its sigma, px."""
     shift = _shift_px(edges, 1.0)
     views = [edges.some(edges.view == number) for number in np.unique(edges.view)]
@@ -393,7 +395,7 @@ def _response(edges: Edges) -> tuple[float, float, float]:
     return (gamma if confirmed else 1.0), shift, sigma
 
 
-def _asymmetry_px(edges: Edges) -> float:
+def _asymmetry_px(edges: BoardEdges) -> float:
     """Largest difference between two ends of one blur: opposite directions, the tails of their profiles."""
     skew = []
     for one in _sectors(edges):

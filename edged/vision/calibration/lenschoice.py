@@ -25,8 +25,8 @@ from edged.errors import Undetermined
 from edged.vision.boards.board import StereoView
 from edged.vision.calibration.bundle import BundleResult, BundleState, LensFreedom, adjust
 from edged.vision.calibration.estimation import (
+    CalibrationSolution,
     Freedoms,
-    Solution,
     estimate,
     estimate_cleaned,
     with_model_error,
@@ -65,7 +65,7 @@ class Choice:
     others : weight and result of the models that were not chosen.
     """
 
-    solution: Solution
+    solution: CalibrationSolution
     weights: tuple[LensWeight, ...]
     others: tuple[tuple[float, BundleResult], ...]
 
@@ -127,7 +127,9 @@ def choose(views: list[StereoView], state: BundleState, excluded: list[tuple[str
     )
 
 
-def _richest(views: list[StereoView], state: BundleState, excluded: list[tuple[str, str]]) -> Solution:
+def _richest(
+    views: list[StereoView], state: BundleState, excluded: list[tuple[str, str]]
+) -> CalibrationSolution:
     """With as much freedom as the views determine."""
     full, division = basic_freedoms("brown"), basic_freedoms("division")
     for freedoms in (full, _without_tangential(full)):
@@ -140,7 +142,7 @@ def _richest(views: list[StereoView], state: BundleState, excluded: list[tuple[s
     return release(estimate_cleaned(views, _bound(state, division), division, excluded))
 
 
-def _candidates(richest: Solution) -> list[tuple[str, Freedoms]]:
+def _candidates(richest: CalibrationSolution) -> list[tuple[str, Freedoms]]:
     """Name and freedoms of the richest solution, and of the models below it."""
     left, right = richest.freedoms
     names = DISTORTION_NAMES["division"]
@@ -227,7 +229,7 @@ def selection_of(rig: StereoRig) -> FloatArray:
 # --- freedom that the data ask for ---------------------------------------------------------------
 
 
-def release(solution: Solution) -> Solution:
+def release(solution: CalibrationSolution) -> CalibrationSolution:
     """Free fx from fy, and k3, where the data contradict the simpler lens."""
     for index, side in enumerate(SIDES):
         freedom = solution.freedoms[index]

@@ -114,7 +114,7 @@ def plan_views(calibration: Calibration, count: int = 3, goal_mm: float | None =
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
+class ViewCandidate:
     """A view that might be taken."""
 
     where: str
@@ -132,7 +132,7 @@ class _Design:
     board: Board
     information: FloatArray
     shift: FloatArray
-    candidates: Sequence[Candidate]
+    candidates: Sequence[ViewCandidate]
     told: Sequence[FloatArray]
 
     def sigma_mm(self, information: FloatArray) -> FloatArray:
@@ -168,7 +168,7 @@ def _design(calibration: Calibration) -> _Design | None:
     information = _inverse(inverse @ rig.covariance @ inverse.T)
     boards = [fit.view.board for fit in calibration.views]
     board = max(set(boards), key=boards.count)
-    fitting, told = list[Candidate](), list[FloatArray]()
+    fitting, told = list[ViewCandidate](), list[FloatArray]()
     for candidate in candidates(calibration, board):
         seen = [_observed(calibration, board, candidate.left_from_board, side) for side in SIDES]
         state = BundleState(rig.left, rig.right, rig.right_from_left, candidate.left_from_board[None])
@@ -177,7 +177,7 @@ def _design(calibration: Calibration) -> _Design | None:
     return _Design(board, information, shift_by_parameters(rig, points) @ selection, fitting, told)
 
 
-def candidates(calibration: Calibration, board: Board) -> Iterator[Candidate]:
+def candidates(calibration: Calibration, board: Board) -> Iterator[ViewCandidate]:
     """Places in the left image at three depths, each with five tilts, as far out as it can be found."""
     camera = calibration.rig.left
     middle = 0.5 * (board.points_mm.min(axis=0) + board.points_mm.max(axis=0))
@@ -195,7 +195,7 @@ def candidates(calibration: Calibration, board: Board) -> Iterator[Candidate]:
                         )
                         pose = transform(rotation, place - rotation @ middle)
                         if _can_be_found(calibration.rig, board, pose):
-                            yield Candidate(
+                            yield ViewCandidate(
                                 f"board in the {name} of the left image, {depth:.0f} mm away, {turned}",
                                 f"{row}-{column}.{distance}.{code}",
                                 pose,

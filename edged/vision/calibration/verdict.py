@@ -22,7 +22,7 @@ Grade = Literal["good", "usable", "repeat"]
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class CalibrationVerdict:
     """grade, and why in words.  add : the view that would help most; "" where none is worth it."""
 
     grade: Grade
@@ -36,7 +36,7 @@ class Verdict:
 
 def judge_calibration(
     calibration: Calibration, held: Sequence[HeldOutView], imaging: Sequence[Imaging] = ()
-) -> Verdict:
+) -> CalibrationVerdict:
     """By what views tell that were not used for their own result, by the covariance, and by the pictures.
 
     imaging : of the left and of the right camera, where it is known.
@@ -48,8 +48,8 @@ def judge_calibration(
     findings = [*_findings(calibration, held), *_picture_findings(imaging)]
     for grade in ("repeat", "usable"):
         if why := tuple(text for found, text in findings if found == grade):
-            return Verdict(grade, why, add)
-    return Verdict("good", tuple(text for _, text in findings), "")
+            return CalibrationVerdict(grade, why, add)
+    return CalibrationVerdict("good", tuple(text for _, text in findings), "")
 
 
 def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tuple[Grade, str]]:

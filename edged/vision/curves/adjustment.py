@@ -69,7 +69,7 @@ class Samples(NamedTuple):
     kinds: I1
 
 
-class Solution(NamedTuple):
+class JointSolution(NamedTuple):
     """A solved step.
 
     delta (P,), covariance (P, P) of the unknowns; weights, residuals (N,) of the samples, systematic
@@ -108,14 +108,14 @@ class _Memory(NamedTuple):
     spread: F1
 
 
-def solve(samples: Samples, unknowns: int, priors: int, settled: float = FIT.settled) -> Solution | None:
+def solve(samples: Samples, unknowns: int, priors: int, settled: float = FIT.settled) -> JointSolution | None:
     """Solve for the step that all samples want; None where they do not determine it.
 
     The last `priors` of the unknowns are expected to be 0 with sigma 1.  settled : the rounds end when none
     moves by more, in its own sigma.
     """
     count = len(samples.values)
-    solution = Solution(
+    solution = JointSolution(
         np.zeros(unknowns),
         np.empty((unknowns, unknowns)),
         np.empty(count),
@@ -132,13 +132,13 @@ def solve(samples: Samples, unknowns: int, priors: int, settled: float = FIT.set
 
 def precise(
     samples: Samples, unknowns: int, priors: int, precision: FloatArray, bias: FloatArray
-) -> Solution | None:
+) -> JointSolution | None:
     """The solution of samples that are all where they should be, of known precision; None: undetermined.
 
-    precision (Q,), bias (K, F) : as `Solution` has them.
+    precision (Q,), bias (K, F) : as `JointSolution` has them.
     """
     count = len(samples.values)
-    solution = Solution(
+    solution = JointSolution(
         np.zeros(unknowns),
         np.empty((unknowns, unknowns)),
         np.empty(count),
@@ -151,7 +151,7 @@ def precise(
     return solution if good else None
 
 
-def propagate(samples: Samples, solution: Solution, causes: FloatArray) -> FloatArray:
+def propagate(samples: Samples, solution: JointSolution, causes: FloatArray) -> FloatArray:
     """(P, Q): how the solution moves when causes (N, Q) shift each sample, per unit of each cause.
 
     The weights are kept. With it the covariance of whatever moves all samples (a calibration) is propagated.
@@ -375,7 +375,7 @@ def _memory_for(samples: Samples, unknowns: int) -> _Memory:
 
 
 @kernel()
-def _add_curves(samples: Samples, memory: _Memory, priors: int, solution: Solution) -> bool:
+def _add_curves(samples: Samples, memory: _Memory, priors: int, solution: JointSolution) -> bool:
     """Form the normal equations, each curve's own systematic shift eliminated; False if one is singular."""
     starts, wide, many = samples.starts, samples.design.shape[1], samples.waves.shape[1]
     each, size = wide + many, len(solution.delta)
@@ -404,7 +404,7 @@ def _add_curves(samples: Samples, memory: _Memory, priors: int, solution: Soluti
 
 
 @kernel()
-def _step(memory: _Memory, priors: int, solution: Solution) -> float:
+def _step(memory: _Memory, priors: int, solution: JointSolution) -> float:
     """Solve the normal equations; the largest change of an unknown in its own sigma, -1 for none."""
     size = len(solution.delta)
     if not invert(memory.matrix, solution.covariance):
@@ -421,7 +421,7 @@ def _step(memory: _Memory, priors: int, solution: Solution) -> float:
 
 
 @kernel()
-def _reweigh(samples: Samples, memory: _Memory, round_: int, solution: Solution) -> None:
+def _reweigh(samples: Samples, memory: _Memory, round_: int, solution: JointSolution) -> None:
     """What the step leaves of the samples, and by it their weights, scales and correlations."""
     starts, parts = samples.starts, samples.parts
     step = np.empty(memory.own_right.shape[1])
@@ -443,8 +443,8 @@ def _reweigh(samples: Samples, memory: _Memory, round_: int, solution: Solution)
                 memory.spread[q] = correlation_length(solution.residuals[a:b], solution.weights[a:b])
 
 
-@kernel("i8(Samples, i8, f8, Solution)", tuples=(Samples, Solution))
-def _solve(samples: Samples, priors: int, settled: float, solution: Solution) -> int:
+@kernel("i8(Samples, i8, f8, JointSolution)", tuples=(Samples, JointSolution))
+def _solve(samples: Samples, priors: int, settled: float, solution: JointSolution) -> int:
     """The rounds; fills the solution. Returns the number of rounds, 0 where it is singular."""
     many = samples.waves.shape[1]
     for k in range(len(samples.kinds)):
@@ -480,8 +480,8 @@ def _solve(samples: Samples, priors: int, settled: float, solution: Solution) ->
     return rounds
 
 
-@kernel("b1(Samples, i8, Solution)", tuples=(Samples, Solution))
-def _weigh_all(samples: Samples, priors: int, solution: Solution) -> bool:
+@kernel("b1(Samples, i8, JointSolution)", tuples=(Samples, JointSolution))
+def _weigh_all(samples: Samples, priors: int, solution: JointSolution) -> bool:
     """Fill weights and covariance for the precision and the bias that the solution has."""
     memory = _memory_for(samples, len(solution.delta))
     for q in range(len(samples.starts) - 1):

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.vision.curves.outlineprojection import ProjectedOutline, camera_pose
 from edged.vision.curves.params import BREAKS, FIT
-from edged.vision.curves.planestate import Problem, State
+from edged.vision.curves.planestate import FitProblem, State
 from edged.vision.curves.systematic import slants
 from edged.vision.edges.subpixel import edge_profiles
 
@@ -40,7 +40,7 @@ HALF = math.sqrt(0.5)
 """Of a shift each curve has half of the variance by itself, and half in common with those of its kind."""
 
 
-def break_widths_mm(state: State, problem: Problem) -> FloatArray:
+def break_widths_mm(state: State, problem: FitProblem) -> FloatArray:
     """(K,) how wide the breaks of the curves may be, as the images show them; 0 for sharp edges."""
     known = np.array([curve.break_mm for curve in problem.curves])
     seen = np.flatnonzero(np.diff(problem.pairs.parts) > 0)
@@ -55,7 +55,7 @@ def break_widths_mm(state: State, problem: Problem) -> FloatArray:
     return np.asarray(np.maximum(known, found))
 
 
-def break_shifts(state: State, problem: Problem, widths_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+def break_shifts(state: State, problem: FitProblem, widths_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(N, C) for each camera: by how much breaks of these widths (K,) move the edges, one sigma each, px.
 
     What the fit reckons with as systematic shifts is taken off.
@@ -81,13 +81,13 @@ def break_shifts(state: State, problem: Problem, widths_mm: FloatArray) -> tuple
     return sides[0], sides[1]
 
 
-def _px_per_mm(problem: Problem) -> FloatArray:
+def _px_per_mm(problem: FitProblem) -> FloatArray:
     """(K,) motion of the images along their normals per motion of each curve along its own, in the mean."""
     gain = np.abs(problem.pairs.gain).mean(axis=0)
     return np.asarray(np.add.reduceat(gain, problem.starts[:-1]) / np.diff(problem.starts))
 
 
-def _lower(state: State, problem: Problem) -> tuple[FloatArray, FloatArray]:
+def _lower(state: State, problem: FitProblem) -> tuple[FloatArray, FloatArray]:
     """(N,) for each camera: how the edges move along their normals per mm by which they lie lower."""
     space = problem.face.to_rig(problem.outline.points)
     outwards = problem.outline.normals @ problem.face.axes[:2]
@@ -98,7 +98,7 @@ def _lower(state: State, problem: Problem) -> tuple[FloatArray, FloatArray]:
     return left, right
 
 
-def _glint_mm(state: State, problem: Problem, seen: I64, px_per_mm: FloatArray) -> float:
+def _glint_mm(state: State, problem: FitProblem, seen: I64, px_per_mm: FloatArray) -> float:
     """Width of the highlight that runs beside most of the curves seen, in both images; 0 without one."""
     if not problem.edges.bias_px[:, seen].max(initial=0.0) >= BREAKS.wider_px:
         return 0.0

@@ -19,17 +19,17 @@ from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.vision.curves.adjustment import precise, propagate
 from edged.vision.curves.commonmode import LEAST_GAIN, PARTS, Pairs, samples_of
 from edged.vision.curves.outlineprojection import ProjectedOutline, project_outline
-from edged.vision.curves.outlines import Curve, Face, Outline
+from edged.vision.curves.outlines import Curve, CurveOutline, Face
 from edged.vision.curves.params import FORESIGHT
 from edged.vision.curves.planefit import Known, PlaneFit, Scatter, arcs_px, result_of
-from edged.vision.curves.planestate import Edges, FitParams, Problem, State, Step
+from edged.vision.curves.planestate import CurveEdges, FitParams, FitProblem, FitStep, State
 from edged.vision.geometry.camera import StereoRig
 
 NOTHING = np.zeros((0, 0), np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
-class Light:
+class ExpectedLight:
     """How well an edge shows: contrast and noise in grey values, blur in px (one sigma)."""
 
     contrast: float
@@ -37,7 +37,7 @@ class Light:
     blur_px: float
 
 
-def scatter_in(light: Light, shift_px: float) -> Scatter:
+def scatter_in(light: ExpectedLight, shift_px: float) -> Scatter:
     """What an edge is worth at best: one px of arc tells its place to noise² 2 sqrt(pi) blur / contrast².
 
     shift_px : one sigma of its systematic shifts.  That is the Cramér-Rao bound of a step under a Gaussian
@@ -99,7 +99,7 @@ def foresee_plane(
     return result_of(state, step, None if noises is None else _by_noise(step, noises, state.unknowns))
 
 
-def _by_noise(step: Step, noises: Sequence[tuple[float, float]], unknowns: int) -> Known:
+def _by_noise(step: FitStep, noises: Sequence[tuple[float, float]], unknowns: int) -> Known:
     """What noise leaves: each sample of each picture is a cause by itself."""
     problem = step.problem
     counts, total = np.diff(problem.starts), int(problem.starts[-1])
@@ -124,10 +124,10 @@ def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> npt.NDArray[n
 def _step(
     state: State,
     scatters: Sequence[Scatter],
-    sampled: tuple[Outline, npt.NDArray[np.int64]],
+    sampled: tuple[CurveOutline, npt.NDArray[np.int64]],
     sides: tuple[ProjectedOutline, ProjectedOutline],
     inside: npt.NDArray[np.bool_],
-) -> Step | None:
+) -> FitStep | None:
     """The step that edges of this scatter, all of them where the curves lie, would give."""
     outline, starts = sampled
     counts = np.diff(starts)
@@ -151,17 +151,17 @@ def _step(
     solution = precise(samples, len(used) + priors + 1, known_before + priors + 1, precision, shifts)
     if solution is None:
         return None
-    edges = Edges(
+    edges = CurveEdges(
         still,
         np.ones_like(still),
         np.zeros((2, len(counts))),
         np.repeat(np.array([one.clipped for one in scatters]).T, counts, axis=1),
         np.repeat(np.array([one.soft for one in scatters]).T, counts, axis=1),
     )
-    problem = Problem(
+    problem = FitProblem(
         samples, solution, pairs, state.face, state.curves, outline, sides, edges, starts, used, True
     )
-    return Step(
+    return FitStep(
         np.zeros(state.unknowns),
         problem,
         np.zeros(len(counts)),

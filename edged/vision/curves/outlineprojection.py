@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.vision.curves.outlines import Curve, Face, Outline
+from edged.vision.curves.outlines import Curve, CurveOutline, Face
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
 
@@ -57,7 +57,7 @@ def camera_pose(rig: StereoRig, side: str) -> tuple[CameraModel, FloatArray]:
     return (rig.left, _NO_MOTION) if side == "left" else (rig.right, rig.right_from_left)
 
 
-def project_outline(rig: StereoRig, side: str, face: Face, outline: Outline) -> ProjectedOutline:
+def project_outline(rig: StereoRig, side: str, face: Face, outline: CurveOutline) -> ProjectedOutline:
     """Project samples of the curves of a face into a raw image."""
     camera, camera_from_rig = camera_pose(rig, side)
     lens = np.zeros(5)
@@ -74,7 +74,7 @@ def project_outline(rig: StereoRig, side: str, face: Face, outline: Outline) -> 
     seen = ProjectedOutline(
         np.empty((count, 2)), np.empty((count, 2)), np.empty(count), np.empty((count, 3 + free))
     )
-    _project_outline(view, Outline._make(for_kernel(field, np.float64) for field in outline), seen)
+    _project_outline(view, CurveOutline._make(for_kernel(field, np.float64) for field in outline), seen)
     return seen
 
 
@@ -131,8 +131,12 @@ def _turn(pose: F64, vector: F64, turned: F64) -> None:
         turned[i] = pose[i, 0] * vector[0] + pose[i, 1] * vector[1] + pose[i, 2] * vector[2]
 
 
-@kernel("void(_View, Outline, ProjectedOutline)", tuples=(_View, Outline, ProjectedOutline), any_order=True)
-def _project_outline(view: _View, outline: Outline, seen: ProjectedOutline) -> None:
+@kernel(
+    "void(_View, CurveOutline, ProjectedOutline)",
+    tuples=(_View, CurveOutline, ProjectedOutline),
+    any_order=True,
+)
+def _project_outline(view: _View, outline: CurveOutline, seen: ProjectedOutline) -> None:
     """Fill what is seen; in the camera's frame within."""
     pose, focal, centre, design = view.pose, view.focal, view.centre, seen.design
     axes = np.empty((4, 3))

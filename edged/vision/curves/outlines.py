@@ -133,7 +133,7 @@ class Curve:
             return None
         return replace(self, parameters=parameters)
 
-    def outline(self, share: FloatArray, margin_mm: float = 0.0) -> Outline:
+    def outline(self, share: FloatArray, margin_mm: float = 0.0) -> CurveOutline:
         """Samples at shares (N,) in [0, 1) of the outline; an edge keeps a margin from its ends."""
         if self.kind == "circle":
             points, normals, speed = _circle(self, share)
@@ -141,9 +141,9 @@ class Curve:
             points, normals, speed = _edge(self, share, margin_mm)
         else:
             points, normals, speed = _slot(self, share)
-        return Outline(np.column_stack([points, np.full(len(share), self.height_mm)]), normals, speed)
+        return CurveOutline(np.column_stack([points, np.full(len(share), self.height_mm)]), normals, speed)
 
-    def spread(self, count: int, margin_mm: float = 0.0) -> Outline:
+    def spread(self, count: int, margin_mm: float = 0.0) -> CurveOutline:
         """`outline` at so many places, evenly spread."""
         if self.kind != "circle":
             return self.outline((np.arange(count) + 0.5) / count, margin_mm)
@@ -152,10 +152,10 @@ class Curve:
         points = np.empty((count, 3))
         points[:, :2] = (x, y) + radius * normals
         points[:, 2] = self.height_mm
-        return Outline(points, normals, speed)
+        return CurveOutline(points, normals, speed)
 
 
-class Outline(NamedTuple):
+class CurveOutline(NamedTuple):
     """Samples of curves: points (N, 3), u, v and height; normals (N, 2) in the face.
 
     speed (N, F) : motion along the normal by the unknowns of the sample's curve.
@@ -167,7 +167,7 @@ class Outline(NamedTuple):
 
 
 Samples = tuple[FloatArray, FloatArray, FloatArray]
-"""Points (N, 2), normals (N, 2) and speed (N, free), as an `Outline` has them."""
+"""Points (N, 2), normals (N, 2) and speed (N, free), as an `CurveOutline` has them."""
 
 
 def _circle(curve: Curve, share: FloatArray) -> Samples:

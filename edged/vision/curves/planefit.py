@@ -36,9 +36,9 @@ from edged.vision.curves.planestate import (
     DEFAULT_PARAMS,
     RIGID_PARAMETERS,
     FitParams,
-    Problem,
+    FitProblem,
+    FitStep,
     State,
-    Step,
 )
 from edged.vision.curves.systematic import FAMILIES
 from edged.vision.geometry.camera import StereoRig
@@ -206,7 +206,7 @@ def _fitted(start: State) -> PlaneFit | None:
     """Lay the curves where they are, then measure them."""
     params = start.params
     state: State | None = start
-    step: Step | None = None
+    step: FitStep | None = None
     spacing_px = max(params.spacing_px, FIT.coarse_spacing_px)
     for number, reach in enumerate(params.reach_px[:-1] if params.repeats else params.reach_px):
         if number == 1 and state is not None:
@@ -239,7 +239,7 @@ def _fitted(start: State) -> PlaneFit | None:
     return None if step is None else result_of(state, step)
 
 
-def result_of(state: State, step: Step, known: Known | None = None) -> PlaneFit | None:
+def result_of(state: State, step: FitStep, known: Known | None = None) -> PlaneFit | None:
     """What was measured; None for nothing.  known : in place of what the step itself says it is worth."""
     kept = step.supported(state.params.min_support)
     if not kept:
@@ -292,7 +292,7 @@ def result_of(state: State, step: Step, known: Known | None = None) -> PlaneFit 
     )
 
 
-def _scatters_of(step: Step, numbers: Sequence[int], breaks_mm: FloatArray) -> list[Scatter]:
+def _scatters_of(step: FitStep, numbers: Sequence[int], breaks_mm: FloatArray) -> list[Scatter]:
     """The scatters of some curves of a step."""
     if not step.problem.final:
         return [UNKNOWN] * len(numbers)
@@ -304,7 +304,7 @@ def _scatters_of(step: Step, numbers: Sequence[int], breaks_mm: FloatArray) -> l
     ]
 
 
-def _scatter_of(step: Step, number: int, arc_px: float) -> Scatter:
+def _scatter_of(step: FitStep, number: int, arc_px: float) -> Scatter:
     problem = step.problem
     samples, solution, pairs = problem.samples, problem.solution, problem.pairs
     rows = slice(*step.starts[number : number + 2])
@@ -342,7 +342,7 @@ class Known(NamedTuple):
     row_sigma_px: float
 
 
-def _known(problem: Problem, state: State, breaks_mm: FloatArray) -> Known:
+def _known(problem: FitProblem, state: State, breaks_mm: FloatArray) -> Known:
     """How well a step is known.  breaks_mm (K,) : how wide the edge breaks of its curves may be."""
     rig, unknowns = state.rig, state.unknowns
     samples, solution, pairs, sides = problem.samples, problem.solution, problem.pairs, problem.sides
@@ -375,7 +375,7 @@ def _known(problem: Problem, state: State, breaks_mm: FloatArray) -> Known:
     return Known(covariances[0], covariances[1], FIT.row_sigma_px * math.sqrt(row_variance))
 
 
-def _poor_light(problem: Problem) -> tuple[FloatArray, FloatArray]:
+def _poor_light(problem: FitProblem) -> tuple[FloatArray, FloatArray]:
     """(N, 4) for each camera: by how much saturation and blur move the edges, one sigma, px.
 
     A saturated sensor moves all of them towards the dark, in both cameras much alike: they see one light.

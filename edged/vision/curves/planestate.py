@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.vision.curves.adjustment import Samples, Solution, solve
+from edged.vision.curves.adjustment import JointSolution, Samples, solve
 from edged.vision.curves.commonmode import Pairs, pair, samples_of
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
 from edged.vision.curves.outlineprojection import (
@@ -19,7 +19,7 @@ from edged.vision.curves.outlineprojection import (
     curvatures,
     project_outline,
 )
-from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, Outline
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, CurveOutline, Face
 from edged.vision.curves.params import FIT
 from edged.vision.curves.systematic import fourier_basis, shift_basis, slants
 from edged.vision.edges.params import EDGE
@@ -58,7 +58,7 @@ DEFAULT_PARAMS = FitParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class CurveEdges:
     """What the curves show in both images.
 
     offset_px (2, N), NaN where there is no edge; base (2, N) prior weights, 0 for curves of which one image
@@ -73,7 +73,7 @@ class Edges:
     soft: npt.NDArray[np.bool_]
 
 
-class Problem(NamedTuple):
+class FitProblem(NamedTuple):
     """A step's problem and its solution.
 
     face, curves : as they lay; outline, sides : the samples in the face and in both images; starts (K + 1,) :
@@ -82,20 +82,20 @@ class Problem(NamedTuple):
     """
 
     samples: Samples
-    solution: Solution
+    solution: JointSolution
     pairs: Pairs
     face: Face
     curves: tuple[Curve, ...]
-    outline: Outline
+    outline: CurveOutline
     sides: tuple[ProjectedOutline, ProjectedOutline]
-    edges: Edges
+    edges: CurveEdges
     starts: npt.NDArray[np.int64]
     used: npt.NDArray[np.int64]
     final: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class FitStep:
     """One step of the joint problem.
 
     delta (U,), covariance, edge_covariance (U, U) : 0 for what is held or not seen.  moved_px (K,) :
@@ -104,7 +104,7 @@ class Step:
     """
 
     delta: FloatArray
-    problem: Problem
+    problem: FitProblem
     moved_px: FloatArray
     row_shift_px: float
     starts: npt.NDArray[np.int64]
@@ -155,7 +155,7 @@ class State:
         scales = np.linalg.norm(pixels[:, 1:] - pixels[:, :1], axis=2).mean(axis=1) / FIT.probe_mm
         return np.where(space[::3, 2] > 0, scales, np.nan)
 
-    def sampled(self, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]] | None:
+    def sampled(self, spacing_px: float) -> tuple[CurveOutline, npt.NDArray[np.int64]] | None:
         """Samples of all curves, and where each curve's begin (K + 1,).
 
         None when one lies behind the cameras, or has a size that no image can show.
@@ -181,7 +181,7 @@ class State:
             speed[:, :2] = normals
             speed[:, 2] = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
             speed[:, 3] = FIT.growth_sigma * np.sum(points[:, :2] * normals, axis=1)
-        return Outline(points, normals, speed), starts
+        return CurveOutline(points, normals, speed), starts
 
     @property
     def unknowns(self) -> int:
@@ -227,7 +227,7 @@ class State:
             ),
         )
 
-    def step(self, reach: float, spacing_px: float, *, final: bool) -> Step | None:
+    def step(self, reach: float, spacing_px: float, *, final: bool) -> FitStep | None:
         """Measure the edges at the present curves, and solve for the step that fits them best.
 
         final : each curve chooses its operator width, and systematic shifts are reckoned with.
@@ -266,9 +266,9 @@ class State:
             return None
         delta = np.zeros(self.unknowns)
         delta[used] = solution.delta[: len(used)]
-        return Step(
+        return FitStep(
             delta,
-            Problem(
+            FitProblem(
                 samples, solution, pairs, self.face, self.curves, outline, sides, edges, starts, used, final
             ),
             self._motion(sides, delta, starts),
@@ -286,8 +286,8 @@ class State:
         )
 
     def _measure(
-        self, outline: Outline, starts: npt.NDArray[np.int64], reach: float, final: bool
-    ) -> tuple[tuple[ProjectedOutline, ProjectedOutline], Edges]:
+        self, outline: CurveOutline, starts: npt.NDArray[np.int64], reach: float, final: bool
+    ) -> tuple[tuple[ProjectedOutline, ProjectedOutline], CurveEdges]:
         """The present curves in both images, and the edges across them."""
         counts = np.diff(starts)
         widths, fine = (WIDTHS_PX, EDGE.fine_step_px) if final else (START_WIDTHS_PX, 1.0)
@@ -329,12 +329,12 @@ class State:
         offsets, base, bias = (np.stack(pair) for pair in zip(of_left, of_right, strict=True))
         few = np.add.reduceat(base > 0, starts[:-1], axis=1).min(axis=0) < MIN_SAMPLES
         base = np.where(np.repeat(few, counts), 0.0, base)
-        return (left, right), Edges(
+        return (left, right), CurveEdges(
             offsets, base, bias, *(np.stack(one) for one in zip(poor_left, poor_right, strict=True))
         )
 
     def with_row_shift(
-        self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline]
+        self, outline: CurveOutline, sides: tuple[ProjectedOutline, ProjectedOutline]
     ) -> tuple[FloatArray, FloatArray]:
         """The designs (N, C) of both images with a column for a shift of one against the other across rows.
 
@@ -360,7 +360,7 @@ class State:
         return left, right
 
     def shift_basis(
-        self, outline: Outline, sides: tuple[ProjectedOutline, ProjectedOutline], gain: FloatArray
+        self, outline: CurveOutline, sides: tuple[ProjectedOutline, ProjectedOutline], gain: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(N, A) each: the shapes of systematic shifts in both images."""
         points, across = self.face.to_rig(outline.points), outline.normals @ self.face.axes[:2]
@@ -393,7 +393,7 @@ class State:
         closed = np.repeat([curve.closed for curve in self.curves], np.diff(starts))
         return np.where(closed, curvatures(seen.pixels, seen.normals, starts), 0.0)
 
-    def moved(self, step: Step) -> State | None:
+    def moved(self, step: FitStep) -> State | None:
         """The state after a step; None when it has run away."""
         plane = step.delta[:PLANE_PARAMETERS]
         if not np.isfinite(step.delta).all() or np.abs(plane[1:]).max() > FIT.max_slope:

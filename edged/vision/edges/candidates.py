@@ -30,7 +30,7 @@ _RADIUS = round(3 * EDGE.candidate_blur_px / STEP_PX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
+class EdgeCandidates:
     """All edges across N samples, strongest first: offset_px and slope (N, MOST), NaN and 0 where there are
     no more.
     """
@@ -46,7 +46,7 @@ def candidates(
     starts: npt.NDArray[np.int64],
     reach_px: float,
     together: int,
-) -> Candidates:
+) -> EdgeCandidates:
     """All edges of either sign within reach of samples of closed or open curves.
 
     pixels, normals (N, 2) : of the samples; starts (K + 1,) : where each curve begins.  together : so many
@@ -58,7 +58,7 @@ def candidates(
     steps = np.arange(1, _RADIUS + 1) * STEP_PX
     operator = steps * np.exp(-0.5 * (steps / EDGE.candidate_blur_px) ** 2)
     operator /= 2 * np.sum(operator * steps)  # a ramp of one grey value per px gives 1
-    found = Candidates(np.full((len(profiles), MOST), np.nan), np.zeros((len(profiles), MOST)))
+    found = EdgeCandidates(np.full((len(profiles), MOST), np.nan), np.zeros((len(profiles), MOST)))
     reach = math.floor(reach_px / STEP_PX + 1e-9)
     _find(profiles, starts, together, operator, reach, found.offset_px, found.slope)
     return found

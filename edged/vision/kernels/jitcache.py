@@ -13,7 +13,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
@@ -23,6 +23,11 @@ from numba.core.runtime import rtsys
 class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types
     """numba's cache of one function, of which kernels are loaded without getting ready to compile."""
 
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = StoredIndex(self._cache_path, self._impl.filename_base, stamp)
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled kernel of a signature, or None where it has not been stored."""
         rtsys.initialize(target_context)  # a kernel asks it for the memory of new arrays
@@ -31,6 +36,16 @@ class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         """numba's key, and the numbers frozen into the code, which may come from another file."""
         return (*super()._index_key(sig, codegen), frozen_numbers(self._py_func))
+
+
+class StoredIndex(IndexDataCacheFile):  # type: ignore[misc]  # as above
+    """What is stored of one function; nothing where a class in its types has been renamed or moved since."""
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            return dict(super()._load_index())
+        except (AttributeError, ImportError):
+            return {}
 
 
 def frozen_numbers(function: FunctionType) -> str:

@@ -19,7 +19,7 @@ MAX_SIZE_MM = 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class PartBody:
     """A part's surface in its part frame, mm.
 
     points_mm (N, 3).  triangles (M, 3) : counter-clockwise seen from outside.
@@ -39,7 +39,7 @@ class Body:
         }
 
     @staticmethod
-    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Body:
+    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody:
         """Inverse of `to_arrays`; raises `ValueError` that names what is wrong."""
         points = _checked(arrays, "points_mm", 3, np.dtype(np.float32)).astype(np.float64)
         triangles = _checked(arrays, "triangles", 3, np.dtype(np.uint32)).astype(np.int64)
@@ -54,7 +54,7 @@ class Body:
             raise ValueError(f"lines: {len(lines)}, expected at most {3 * MAX_TRIANGLES}")
         if len(lines) and (lines[:, :2].max() >= len(points) or lines[:, 2:].max() >= len(triangles)):
             raise ValueError("lines: of points or triangles that are not there")
-        return Body(points, triangles, lines)
+        return PartBody(points, triangles, lines)
 
     @property
     def normals(self) -> FloatArray:

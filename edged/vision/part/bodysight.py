@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray
 from edged.vision.curves.outlineprojection import ProjectedOutline, camera_pose
-from edged.vision.curves.outlines import Outline
+from edged.vision.curves.outlines import CurveOutline
 from edged.vision.edges.subpixel import WIDTHS_PX
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.kernels.jit import kernel
-from edged.vision.part.body import Body
+from edged.vision.part.body import PartBody
 from edged.vision.part.params import SOLID
 from edged.vision.part.zbuffer import hidden_points
 
@@ -34,7 +34,7 @@ focused lens, seen through a narrow operator."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class BodySight:
     """What one camera sees of curves of a part at a pose.
 
     hidden (N,) : samples that the part covers.  merged (N,) : samples beside which another edge runs so near
@@ -46,7 +46,7 @@ class Sight:
 
 
 def hidden_samples(
-    body: Body, rig: StereoRig, pose: FloatArray, points_mm: FloatArray
+    body: PartBody, rig: StereoRig, pose: FloatArray, points_mm: FloatArray
 ) -> npt.NDArray[np.bool_]:
     """(2, N) which points (N, 3) of the part frame a part at rig_from_part (4, 4) hides from each camera."""
     eyes = [_eye(camera_pose(rig, side)[1] @ pose) for side in SIDES]
@@ -54,8 +54,8 @@ def hidden_samples(
 
 
 def sight_of(
-    body: Body, rig: StereoRig, side: str, pose: FloatArray, outline: Outline, seen: ProjectedOutline
-) -> Sight:
+    body: PartBody, rig: StereoRig, side: str, pose: FloatArray, outline: CurveOutline, seen: ProjectedOutline
+) -> BodySight:
     """What a camera sees of samples of curves in the part frame, and where they are in its image.
 
     pose (4, 4) : rig_from_part.
@@ -72,7 +72,7 @@ def sight_of(
     beside = np.full(len(points_mm), np.nan)
     limits = np.array([APART_PX, SOLID.line_px, SOLID.own_mm])
     find_beside(np.ascontiguousarray(pixels), lines, seen, outline, limits, beside)
-    return Sight(hidden[: len(points_mm)], np.abs(beside) > SOLID.together_px)
+    return BodySight(hidden[: len(points_mm)], np.abs(beside) > SOLID.together_px)
 
 
 def _eye(camera_from_part: FloatArray) -> FloatArray:
@@ -80,7 +80,7 @@ def _eye(camera_from_part: FloatArray) -> FloatArray:
     return np.asarray(invert(camera_from_part)[:3, 3])
 
 
-def _drawn(body: Body, eye: FloatArray, step_mm: float) -> FloatArray:
+def _drawn(body: PartBody, eye: FloatArray, step_mm: float) -> FloatArray:
     """(K, 3) points along the sharp edges that face a camera at eye (3,), on one of their sides at least."""
     start, end = body.points_mm[body.lines[:, 0]], body.points_mm[body.lines[:, 1]]
     to_eye = eye - 0.5 * (start + end)
@@ -94,11 +94,11 @@ def _drawn(body: Body, eye: FloatArray, step_mm: float) -> FloatArray:
 
 
 @kernel(
-    "void(f8[:, ::1], f8[:, ::1], ProjectedOutline, Outline, f8[::1], f8[::1])",
-    tuples=(ProjectedOutline, Outline),
+    "void(f8[:, ::1], f8[:, ::1], ProjectedOutline, CurveOutline, f8[::1], f8[::1])",
+    tuples=(ProjectedOutline, CurveOutline),
 )
 def find_beside(
-    pixels: F64, lines: F64, seen: ProjectedOutline, outline: Outline, limits: F64, beside: F64
+    pixels: F64, lines: F64, seen: ProjectedOutline, outline: CurveOutline, limits: F64, beside: F64
 ) -> None:
     """Fill beside (N,): where across a sample the nearest point of another edge is, NaN where none is near.
 

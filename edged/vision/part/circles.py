@@ -28,14 +28,14 @@ from edged.vision.part.edgeidentity import is_doubtful
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import LIGHT_PX, CircleFeature, Job
-from edged.vision.part.measured import Evidence, Measured
+from edged.vision.part.measured import Evidence, MeasuredPart
 from edged.vision.part.params import MEASURING
 from edged.vision.part.prediction import match_in_raw, poses_of_match, predicted, seen_depth_mm
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 
 
-def measure(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | None:
+def measure(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | None:
     """Measure one found part; None when the right camera does not show what the left one found.
 
     First the reference circle, for the plane of the face; then the other circles near the places where
@@ -68,7 +68,7 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Non
         fit.row_sigma_px,
         *_growth(images, job, fit),
     )
-    return Measured(target, evidence, tuple(one.fit for one in (main, *agreeing)))
+    return MeasuredPart(target, evidence, tuple(one.fit for one in (main, *agreeing)))
 
 
 def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[list[FoundCircle], Target]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, Reject, Target
-from edged.vision.curves.foresight import Light, foresee_plane, scatter_in
+from edged.vision.curves.foresight import ExpectedLight, foresee_plane, scatter_in
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, Scatter
 from edged.vision.geometry.rectification import Rectification
@@ -26,7 +26,7 @@ from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve, edge_curve, find_motion, slot_curve
 from edged.vision.part.solid import curves_of, target_of, taught_sigma_mm
 
-GOOD_LIGHT = Light(contrast=80.0, noise=2.0, blur_px=0.8)
+GOOD_LIGHT = ExpectedLight(contrast=80.0, noise=2.0, blur_px=0.8)
 USUAL = scatter_in(GOOD_LIGHT, MEASURING.usual_shift_px)
 """Of a job that nobody has measured yet."""
 

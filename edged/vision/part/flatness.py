@@ -17,13 +17,13 @@ from edged.domain.measurement import Measurement
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.params import MEASURING
 from edged.vision.part.pointcloud import face_points, heights_mm
 from edged.vision.part.sizes import as_measurement
 
 
-def with_flatness(measured: Measured, images: StereoImages, job: Job) -> Measured:
+def with_flatness(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
     """A measured part with the flatness of its face in place of each one that the job asks for."""
     target = measured.target
     depth = float(target.position_mm[2])
@@ -66,7 +66,7 @@ def form_of(points: FloatArray, sigma_mm: FloatArray) -> tuple[float, float]:
     return float(np.ptp(bend)), float(np.sqrt(across @ covariance @ across))
 
 
-def _extent_mm(measured: Measured) -> float:
+def _extent_mm(measured: MeasuredPart) -> float:
     """Farthest that the part reaches from its reference point, as far as it was measured."""
     target = measured.target
     places = [circle.centre_mm for circle in target.circles]

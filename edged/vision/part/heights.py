@@ -19,12 +19,12 @@ from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.frames import FoundCircle, circle_in_rig
 from edged.vision.part.job import Job, MeasurementSpec
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.params import MEASURING
 from edged.vision.part.sizes import as_measurement
 
 
-def with_heights(measured: Measured, images: StereoImages, job: Job) -> Measured:
+def with_heights(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
     """A measured part with each height that the job asks for, NaN where a circle is not seen by itself."""
     by_name = {one.name: one for one in measured.target.measurements}
     fits = {fit.name: fit for fit in measured.fits}
@@ -37,7 +37,7 @@ def with_heights(measured: Measured, images: StereoImages, job: Job) -> Measured
 
 
 def _height(
-    measured: Measured, images: StereoImages, job: Job, spec: MeasurementSpec, fits: dict[str, CurveFit]
+    measured: MeasuredPart, images: StereoImages, job: Job, spec: MeasurementSpec, fits: dict[str, CurveFit]
 ) -> Measurement:
     normal = -measured.target.rig_from_part[:3, 2]
     heights, variances = [], []
@@ -55,7 +55,9 @@ def _height(
     return as_measurement(spec, heights[1] - heights[0], math.sqrt(max(sum(variances), 0.0)))
 
 
-def _circle_alone(measured: Measured, images: StereoImages, job: Job, fit: CurveFit) -> FoundCircle | None:
+def _circle_alone(
+    measured: MeasuredPart, images: StereoImages, job: Job, fit: CurveFit
+) -> FoundCircle | None:
     """One circle of a measured part, free to lie at any height; None where the pictures do not show it."""
     pose = measured.target.rig_from_part
     taught = job.place_of(fit.name) - job.place_of(job.reference)

@@ -12,7 +12,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.picking import Picking
 from edged.vision.geometry.rigid import transform
-from edged.vision.part.body import Body
+from edged.vision.part.body import PartBody
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
@@ -125,7 +125,7 @@ class MeasurementSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class JobLimits:
     """What makes a result good.
 
     depth_mm : (nearest, farthest) of the reference point, rig z.
@@ -185,7 +185,7 @@ class Job:
     circles: tuple[CircleFeature, ...]
     reference: str
     rig_from_part: FloatArray
-    limits: Limits
+    limits: JobLimits
     search: SearchParams = field(default_factory=SearchParams)
     edges: tuple[EdgeFeature, ...] = ()
     slots: tuple[SlotFeature, ...] = ()
@@ -198,7 +198,7 @@ class Job:
     part_from_model: FloatArray | None = None
     points: tuple[ModelPoint, ...] = ()
     report: str = "reference"
-    body: Body | None = None
+    body: PartBody | None = None
     sigma_mm: float = 0.0
 
     @property
@@ -254,7 +254,7 @@ def usual_limits(
     circles: Sequence[CircleFeature],
     reference: str,
     sigma_mm: float = 0.0,
-) -> Limits:
+) -> JobLimits:
     """The limits of a job that was taught at this depth, where a pixel has this size.
 
     reference : as in the job.  sigma_mm : of the taught radius.
@@ -262,7 +262,7 @@ def usual_limits(
     first = next((circle for circle in circles if circle.name == reference), circles[0] if circles else None)
     size_mm = 2 * (shape.radius_px * pixel_mm if first is None else first.radius_mm)
     tolerance_mm = usual_tolerance_mm(size_mm, pixel_mm, sigma_mm)
-    return Limits(
+    return JobLimits(
         (depth_mm * (1 - MEASURING.depth_share), depth_mm * (1 + MEASURING.depth_share)),
         radius_tolerance_mm=tolerance_mm if circles else None,
         form_tolerance_mm=None if circles else tolerance_mm,

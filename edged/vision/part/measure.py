@@ -28,9 +28,16 @@ from edged.vision.part.frames import lifted, with_features
 from edged.vision.part.heights import with_heights
 from edged.vision.part.initialpose import starts
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Evidence, Measured
+from edged.vision.part.measured import Evidence, MeasuredPart
 from edged.vision.part.params import MEASURING
-from edged.vision.part.pose import Motion, edge_curve, find_motion, form_mm, scale_of_features, slot_curve
+from edged.vision.part.pose import (
+    RigidMotion,
+    edge_curve,
+    find_motion,
+    form_mm,
+    scale_of_features,
+    slot_curve,
+)
 from edged.vision.part.prediction import is_contradicted, match_in_raw
 from edged.vision.part.sizes import APART, measure_sizes, place
 from edged.vision.part.solid import curves_of, measure_solid
@@ -40,7 +47,7 @@ from edged.vision.shape.search import ShapeMatch
 UNKNOWN_TURN = math.pi / math.sqrt(3)  # sigma of an angle of which nothing is known
 
 
-def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
+def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
     """Measure one found part with all its features; the reason when it cannot be measured at all."""
     if job.solid:
         return _in_model(job, _measured_whole(images, job, match))
@@ -48,12 +55,12 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> Measured 
     # walls may hide each curve by itself, or displace it in one camera, and yet not where the whole part is
     if isinstance(result, Reject) or result.target.reject is Reject.LEFT_RIGHT_MISMATCH:
         whole = _measured_whole(images, job, match)
-        if isinstance(whole, Measured) and _is_beyond_doubt(job, whole):
+        if isinstance(whole, MeasuredPart) and _is_beyond_doubt(job, whole):
             return _in_model(job, whole)
     return _in_model(job, result)
 
 
-def _is_beyond_doubt(job: Job, whole: Measured) -> bool:
+def _is_beyond_doubt(job: Job, whole: MeasuredPart) -> bool:
     """Whether nothing speaks against a part that was measured as a whole, its rows as little as asked for.
 
     Broken rims do that glint, most of which are seen with the other sign than taught: all may lie on other
@@ -68,7 +75,7 @@ def _is_beyond_doubt(job: Job, whole: Measured) -> bool:
     return not whole.target.reject and not whole.target.doubt_mm and apart_px <= job.limits.max_epipolar_px
 
 
-def _in_model(job: Job, result: Measured | Reject) -> Measured | Reject:
+def _in_model(job: Job, result: MeasuredPart | Reject) -> MeasuredPart | Reject:
     """The same, as the job wants it published."""
     return result if isinstance(result, Reject) else replace(result, target=published(job, result.target))
 
@@ -121,9 +128,9 @@ def _as_vague_as_taught(job: Job, target: Target) -> Target:
     return replace(target, covariance=covariance, by_edges=by_edges, reject=reject)
 
 
-def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
+def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
     """A part of one face, whose curves are measured free: each says by itself where it is."""
-    result: Measured | Reject
+    result: MeasuredPart | Reject
     if job.circles:
         main = replace(job, reference=job.reference_circle.name)
         measured = measure(images, main, match)
@@ -141,7 +148,7 @@ def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measure
     return replace(result, target=target)
 
 
-def _with_sizes_apart(measured: Measured, images: StereoImages, job: Job) -> Measured:
+def _with_sizes_apart(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
     """A part with its heights and its flatness, if they are asked for."""
     kinds = {spec.kind for spec in job.measurements}
     if "height" in kinds:
@@ -149,7 +156,7 @@ def _with_sizes_apart(measured: Measured, images: StereoImages, job: Job) -> Mea
     return with_flatness(measured, images, job) if "flatness" in kinds else measured
 
 
-def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
+def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
     """A part measured as one rigid whole, judged."""
     result = measure_solid(images, job, match)
     if isinstance(result, Reject):
@@ -162,7 +169,7 @@ def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measur
 # --- parts with circles ----------------------------------------------------------------------------
 
 
-def _completed(images: StereoImages, job: Job, measured: Measured) -> Measured:
+def _completed(images: StereoImages, job: Job, measured: MeasuredPart) -> MeasuredPart:
     """A part whose circles are measured, with its other features and its sizes."""
     fit = None
     if needs_all(job, measured.target):
@@ -311,13 +318,13 @@ def _is_round(job: Job) -> bool:
 # --- parts without circles -------------------------------------------------------------------------
 
 
-def _from_edges(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
+def _from_edges(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
     """A part of which only edges and slots are known."""
     free = job.search.polarity in EACH_EDGE_ITSELF
     sign = -1 if match.inverted and not free else 1
     curves = [edge_curve(edge, free, sign) for edge in job.edges]
     curves += [slot_curve(slot, free, sign) for slot in job.slots]
-    poor: Measured | None = None
+    poor: MeasuredPart | None = None
     failed: Reject | None = None
     for pose in starts(images, job, match, curves):
         result = Reject.LEFT_RIGHT_MISMATCH if pose is None else _from_start(images, job, match, curves, pose)
@@ -332,7 +339,7 @@ def _from_edges(images: StereoImages, job: Job, match: ShapeMatch) -> Measured |
 
 def _from_start(
     images: StereoImages, job: Job, match: ShapeMatch, curves: list[Curve], pose: FloatArray
-) -> Measured | Reject:
+) -> MeasuredPart | Reject:
     """The same, where the part lies about at this rig_from_part (4, 4)."""
     face = Face(pose[:3, 3], pose[:3, :3].T)
     fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.far)
@@ -355,11 +362,11 @@ def _from_start(
         *_growth(images, job, fit, motion, target.match),
         form_mm(job, fit, motion),
     )
-    return Measured(replace(target, reject=reject), evidence, fit.fits)
+    return MeasuredPart(replace(target, reject=reject), evidence, fit.fits)
 
 
 def _growth(
-    images: StereoImages, job: Job, fit: PlaneFit, motion: Motion, match: Match
+    images: StereoImages, job: Job, fit: PlaneFit, motion: RigidMotion, match: Match
 ) -> tuple[float, float]:
     """By which share the features lie farther apart than taught, and its sigma, the distance's included."""
     if job.calibration_id == images.rig.calibration_id:
@@ -370,7 +377,7 @@ def _growth(
 
 
 def target_from(
-    rectification: Rectification, job: Job, match: Match, fit: PlaneFit, motion: Motion
+    rectification: Rectification, job: Job, match: Match, fit: PlaneFit, motion: RigidMotion
 ) -> Target:
     """A part without circles where the motion of its features puts it."""
     face = fit.face
@@ -429,7 +436,7 @@ def _row_mismatch_px(fit: PlaneFit, rectification: Rectification) -> float:
     return float(np.sqrt(np.mean(np.square(differences)))) if differences else math.nan
 
 
-def _has_rows(rectification: Rectification, job: Job, face: Face, motion: Motion) -> bool:
+def _has_rows(rectification: Rectification, job: Job, face: Face, motion: RigidMotion) -> bool:
     """Whether the part, as it lies, has an edge that should tell its row.
 
     Where rows do not meet by more than the search reaches, it is just these edges that are not found, and the

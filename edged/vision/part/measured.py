@@ -10,7 +10,7 @@ from edged.vision.curves.planefit import CurveFit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class MeasuredPart:
     """A target, what it stands on, and the fitted curves with their edges (for pictures)."""
 
     target: Target

@@ -20,9 +20,9 @@ from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.geometry.triangulation import triangulate, triangulate_raw, triangulation_covariance
 from edged.vision.part.job import Job
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.params import MEASURING
-from edged.vision.stereo.matching import NccParams, Reason, match_ncc
+from edged.vision.stereo.matching import NccParams, PairingReason, match_ncc
 
 CONTOUR, FACE = 0, 1
 
@@ -49,7 +49,7 @@ class FacePoints:
     refused: Mapping[str, int]
 
 
-def point_cloud(images: StereoImages, job: Job, measured: Sequence[Measured]) -> PointCloud:
+def point_cloud(images: StereoImages, job: Job, measured: Sequence[MeasuredPart]) -> PointCloud:
     """The contours and faces of all measured parts."""
     rectification = images.rectification
     contours, faces = [np.zeros((0, 3))], []
@@ -71,7 +71,7 @@ def point_cloud(images: StereoImages, job: Job, measured: Sequence[Measured]) ->
     return PointCloud(points, kinds, sigma, refused)
 
 
-def edge_pairs(one: Measured) -> list[tuple[FloatArray, FloatArray]]:
+def edge_pairs(one: MeasuredPart) -> list[tuple[FloatArray, FloatArray]]:
     """For each curve of a part the raw edge points (N, 2), left and right, that agree with it in both."""
     pairs = []
     for fit in one.fits:
@@ -88,7 +88,7 @@ def contour_points(rectification: Rectification, left: FloatArray, right: FloatA
 
 def face_points(
     images: StereoImages,
-    one: Measured,
+    one: MeasuredPart,
     depth_mm: tuple[float, float],
     grid_px: int = MEASURING.cloud_grid_px,
     params: NccParams | None = None,
@@ -111,13 +111,13 @@ def face_points(
     covariance = triangulation_covariance(rectification, grid[good], right_x, variance)
     refused = {
         reason.name: int(np.count_nonzero(matches.reason == reason))
-        for reason in Reason
-        if reason is not Reason.ACCEPTED and (matches.reason == reason).any()
+        for reason in PairingReason
+        if reason is not PairingReason.ACCEPTED and (matches.reason == reason).any()
     }
     return FacePoints(points, np.sqrt(covariance[:, 2, 2]), refused)
 
 
-def _grid(rectification: Rectification, one: Measured, step_px: int) -> FloatArray:
+def _grid(rectification: Rectification, one: MeasuredPart, step_px: int) -> FloatArray:
     """(N, 2) rectified left pixels inside the hull of the part's edges, away from every edge."""
     edges = [rectification.rectify_points("left", left) for left, _ in edge_pairs(one) if len(left)]
     if not edges:

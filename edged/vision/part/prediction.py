@@ -22,7 +22,7 @@ from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
-from edged.vision.shape.ambiguity import Sight, look_at, surroundings, turned, turns
+from edged.vision.shape.ambiguity import RotationSight, look_at, surroundings, turned, turns
 from edged.vision.shape.params import ROTATIONS
 from edged.vision.shape.search import ShapeMatch
 
@@ -106,7 +106,7 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
 
 def _look(
     images: StereoImages, job: Job, face: Plane, pose: FloatArray, points: npt.NDArray[np.int64]
-) -> Sight | None:
+) -> RotationSight | None:
     """What the raw right image shows of points of the model on the face; None where it does not see them."""
     level = job.shape.levels[0]
     places, normals = level.points[points], level.normals[points]

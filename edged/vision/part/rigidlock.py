@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray
 from edged.vision.curves.outlineprojection import project_outline
-from edged.vision.curves.outlines import Curve, Face, Outline
+from edged.vision.curves.outlines import Curve, CurveOutline, Face
 from edged.vision.edges.candidates import MOST, candidates
 from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.vision.geometry.stereoimages import StereoImages
@@ -27,7 +27,7 @@ from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
-from edged.vision.part.body import Body
+from edged.vision.part.body import PartBody
 from edged.vision.part.bodysight import hidden_samples
 from edged.vision.part.params import SOLID
 
@@ -74,7 +74,7 @@ def lock(
     curves: Sequence[Curve],
     pose: FloatArray,
     rival_of: Lock | None = None,
-    body: Body | None = None,
+    body: PartBody | None = None,
     *,
     unknowns: int = ALL,
 ) -> Lock | None:
@@ -155,14 +155,16 @@ def glance(
 
 def spread(
     images: StereoImages, curves: Sequence[Curve], pose: FloatArray, spacing_px: float
-) -> tuple[Outline, npt.NDArray[np.int64]]:
+) -> tuple[CurveOutline, npt.NDArray[np.int64]]:
     """Samples of all curves with their motion by shift and turn in the face; where each begins (K + 1,)."""
     px_per_mm = images.rig.left.fx / float(pose[2, 3])
     return _spread(tuple(curves), round(math.log(px_per_mm) / SOLID.alike), spacing_px)
 
 
 @lru_cache(maxsize=32)  # the curves of a few jobs, at both spacings, at a few distances
-def _spread(curves: tuple[Curve, ...], size: int, spacing_px: float) -> tuple[Outline, npt.NDArray[np.int64]]:
+def _spread(
+    curves: tuple[Curve, ...], size: int, spacing_px: float
+) -> tuple[CurveOutline, npt.NDArray[np.int64]]:
     px_per_mm = math.exp(size * SOLID.alike)
     outlines = []
     for curve in curves:
@@ -172,13 +174,13 @@ def _spread(curves: tuple[Curve, ...], size: int, spacing_px: float) -> tuple[Ou
     normals = np.concatenate([one.normals for one in outlines])
     turning = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
     starts = np.cumsum([0, *(len(one.points) for one in outlines)])
-    return Outline(points, normals, np.column_stack([normals, turning])), starts
+    return CurveOutline(points, normals, np.column_stack([normals, turning])), starts
 
 
 def _step(
     images: StereoImages,
     curves: Sequence[Curve],
-    outline: Outline,
+    outline: CurveOutline,
     starts: npt.NDArray[np.int64],
     pose: FloatArray,
     reach: float,

@@ -28,7 +28,7 @@ from edged.vision.edges.candidates import candidates
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import about_z, apply, transform, wrapped
 from edged.vision.geometry.stereoimages import StereoImages
-from edged.vision.part.body import Body
+from edged.vision.part.body import PartBody
 from edged.vision.part.bodysight import sight_of
 from edged.vision.part.circles import rival_turns
 from edged.vision.part.consistency import distance_share
@@ -36,7 +36,7 @@ from edged.vision.part.frames import circles_in_rig, with_features
 from edged.vision.part.initialpose import start_pose
 from edged.vision.part.job import Job
 from edged.vision.part.leaning import leaning
-from edged.vision.part.measured import Evidence, Measured
+from edged.vision.part.measured import Evidence, MeasuredPart
 from edged.vision.part.params import MEASURING, SOLID
 from edged.vision.part.pose import circle_curve, edge_curve, slot_curve
 from edged.vision.part.prediction import match_in_raw, poses_of_match
@@ -61,7 +61,7 @@ def curves_of(job: Job) -> tuple[Curve, ...]:
     )
 
 
-def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured | Reject:
+def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
     """Measure a found part as one rigid whole; the reason when that is not possible.
 
     Its pose comes from all curves together. Its sizes do not: each curve that has enough edges without rivals
@@ -111,7 +111,7 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
             distance_share(place.position_mm, place.covariance[:3, :3]),
         ),
     )
-    return Measured(target, evidence, fit.fits)
+    return MeasuredPart(target, evidence, fit.fits)
 
 
 def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, float] | None:
@@ -190,7 +190,7 @@ def _best_of(
     curves: Sequence[Curve],
     poses: Iterable[FloatArray],
     best: Lock | None = None,
-    body: Body | None = None,
+    body: PartBody | None = None,
 ) -> Lock | None:
     """The lock that most of the part agrees with, of several starts; the first good one settles it."""
     for pose in poses:
@@ -348,7 +348,7 @@ def taught_sigma_mm(rig: StereoRig, pose: FloatArray) -> float:
 
 
 def _with_signs(
-    images: StereoImages, curves: Sequence[Curve], pose: FloatArray, body: Body | None
+    images: StereoImages, curves: Sequence[Curve], pose: FloatArray, body: PartBody | None
 ) -> tuple[list[Curve], frozenset[str], frozenset[str]]:
     """The curves with the sign of each stretch as both images show it at a pose rig_from_part (4, 4).
 

@@ -15,7 +15,7 @@ from edged.vision.geometry.rigid import apply, cross, invert, rotation_2d, rotat
 from edged.vision.part.job import Job
 from edged.vision.part.params import START
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.views import Views
+from edged.vision.shape.views import ShapeViews
 
 
 def bisector(rectification: Rectification, place_mm: FloatArray) -> FloatArray:
@@ -25,7 +25,7 @@ def bisector(rectification: Rectification, place_mm: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=16)  # a job and a rig stay the same from image to image
-def views_of(job: Job, rectification: Rectification) -> Views | None:
+def views_of(job: Job, rectification: Rectification) -> ShapeViews | None:
     """The views of a job's face, tilted as far as it may lie; None where one is enough."""
     if job.tilt_rad is None:
         return None
@@ -34,7 +34,7 @@ def views_of(job: Job, rectification: Rectification) -> Views | None:
 
 def tilted_views(
     rectification: Rectification, shape: ShapeModel, rig_from_part: FloatArray, tilt_rad: float
-) -> Views | None:
+) -> ShapeViews | None:
     """The fewest views, of a regular choice, that any face within tilt_rad of the bisector is like.
 
     Like: after the best similarity, which a scan tries anyway, it differs by no more than `MISFIT_PX` on the
@@ -77,7 +77,7 @@ def tilted_views(
     np.maximum.at(reach, of_view, half + np.abs(wrapped(sides - own[of_view])))
     turns = np.column_stack([-own, np.minimum(reach + START.turn_margin_rad, math.pi)])
     turns[0] = 0.0, math.pi
-    return Views(kept[:, :2, :2].copy(), kept[:, 2, :2].copy(), turns)
+    return ShapeViews(kept[:, :2, :2].copy(), kept[:, 2, :2].copy(), turns)
 
 
 def _half_turns(leans: FloatArray, tilt_rad: float, apart: float) -> FloatArray:

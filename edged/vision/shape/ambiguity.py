@@ -31,7 +31,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turns:
+class RivalTurns:
     """Rotations of a shape, most similar first.
 
     motions (K, 3) : dx, dy, angle in the model's plane.  own (K, N) : points of the model that lie off its
@@ -49,7 +49,7 @@ class Turns:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class RotationSight:
     """What the image shows where a pose expects edges.
 
     placed (N, 4) : x, y, nx, ny of the model's points.  slope (N,) : at the edge there, grey values per px,
@@ -77,11 +77,11 @@ class Surroundings:
     face: tuple[float, float]
     around: tuple[float, float]
 
-    def shows(self, sight: Sight) -> Flags:
+    def shows(self, sight: RotationSight) -> Flags:
         """Points (N,) with an edge."""
         return np.asarray(np.abs(sight.slope) >= self.strong)
 
-    def denies(self, sight: Sight) -> Flags:
+    def denies(self, sight: RotationSight) -> Flags:
         """Points (N,) where the bare face is, or instead of the rim the bare table, without an edge."""
         bare, empty = (
             (np.abs(sight.beside - level) < vary).all(axis=1)  # False for NaN
@@ -102,7 +102,7 @@ class Odds:
 
 def look(
     image: Image, model: ShapeModel, pose: FloatArray, sign: int, points: npt.NDArray[Any] | None = None
-) -> Sight:
+) -> RotationSight:
     """Look for the model's edges in an image (H, W) uint8 at a pose; sign as in `edges_along_normals`.
 
     points : indices of those that are looked for, default all.
@@ -127,7 +127,7 @@ def look_at(
     sign: int,
     points: npt.NDArray[Any] | slice,
     scale: float,
-) -> Sight:
+) -> RotationSight:
     """Look for the model's edges, or those of `points`, where they are placed (N, 4): x, y, nx, ny.
 
     scale : of the image's px to the model's.
@@ -135,10 +135,12 @@ def look_at(
     offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], ROTATIONS.reach_px, sign)
     there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
     beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], ROTATIONS.beside_px, ROTATIONS.beside_px)
-    return Sight(placed, np.where(there, slopes, 0.0), beside, _inward(model)[points], scale * gap_px(model))
+    return RotationSight(
+        placed, np.where(there, slopes, 0.0), beside, _inward(model)[points], scale * gap_px(model)
+    )
 
 
-def surroundings(sight: Sight, min_contrast: float, by_chance: float = 0.0) -> Surroundings:
+def surroundings(sight: RotationSight, min_contrast: float, by_chance: float = 0.0) -> Surroundings:
     """What the edges that a pose shows say about the part's edges and surface.
 
     by_chance : slope of an edge that the face shows now and then where the part has none.
@@ -152,7 +154,7 @@ def surroundings(sight: Sight, min_contrast: float, by_chance: float = 0.0) -> S
     return Surroundings(strong, _even(inside, step), _even(outside, step))
 
 
-def _face_greys(sight: Sight, strong: float) -> tuple[float, float]:
+def _face_greys(sight: RotationSight, strong: float) -> tuple[float, float]:
     """Between which grey values the face lies, whatever its texture."""
     beside = _beside_rim(sight, strong)
     if beside is None:
@@ -162,7 +164,7 @@ def _face_greys(sight: Sight, strong: float) -> tuple[float, float]:
     return level - ROTATIONS.textured_share * step, level + ROTATIONS.textured_share * step
 
 
-def _beside_rim(sight: Sight, strong: float) -> tuple[FloatArray, FloatArray, float] | None:
+def _beside_rim(sight: RotationSight, strong: float) -> tuple[FloatArray, FloatArray, float] | None:
     """Grey values inside and outside of the rim, and the step of a weaker edge; None where little is seen."""
     seen = (np.abs(sight.slope) >= strong) & np.isfinite(sight.beside).all(axis=1)
     rim = (sight.inward != 0) & seen
@@ -200,7 +202,7 @@ def odds_on_face(
     refine.place(level.points[rim], level.normals[rim], pose, placed)
     beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], ROTATIONS.beside_px, ROTATIONS.beside_px)
     strong = _strong(slopes, min_contrast)
-    greys = _face_greys(Sight(placed, slopes[rim], beside, inward[rim], math.nan), strong)
+    greys = _face_greys(RotationSight(placed, slopes[rim], beside, inward[rim], math.nan), strong)
     chance = look_elsewhere(
         image, model, pose, sign, sets, (ROTATIONS.reach_px, ROTATIONS.beside_px), greys, strong
     )
@@ -274,7 +276,7 @@ def open_turns(
 
 def _look_at_each(
     image: Image, model: ShapeModel, poses: list[FloatArray], sign: int, points: list[npt.NDArray[np.int64]]
-) -> Sight:
+) -> RotationSight:
     """`look` at several poses of one size, each at points of its own, all of them one after the other.
 
     Forty rotations of a dozen points each at once take a fifth of the time.
@@ -354,7 +356,7 @@ def turned(pose: FloatArray, motion: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=16)
-def turns(model: ShapeModel) -> Turns:
+def turns(model: ShapeModel) -> RivalTurns:
     """Every rotation at which the outline of a model may be laid on itself, from its points alone.
 
     What teaching found similar is only where they begin: the search bends a shape in perspective and takes
@@ -383,10 +385,10 @@ def turns(model: ShapeModel) -> Turns:
         flags.append((~lies_on(at_rest, placed, gap), ~lies_on(placed, at_rest, gap)))
     if not motions:
         none = np.zeros((0, len(level.points)), np.bool_)
-        return Turns(np.zeros((0, 3)), none, none)
+        return RivalTurns(np.zeros((0, 3)), none, none)
     own, foreign = np.array([one for one, _ in flags]), np.array([other for _, other in flags])
     best = np.argsort(foreign.sum(axis=1), kind="stable")
-    return Turns(np.array(motions)[best], own[best], foreign[best])
+    return RivalTurns(np.array(motions)[best], own[best], foreign[best])
 
 
 _IDENTITY = refine.start_pose(0.0, 0.0, 0.0, 1.0, 1.0)

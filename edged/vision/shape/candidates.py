@@ -15,7 +15,7 @@ from edged.vision.shape import refine, scan
 from edged.vision.shape.ambiguity import Odds
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import EACH_EDGE_ITSELF, SCAN, SearchParams
-from edged.vision.shape.views import Views
+from edged.vision.shape.views import ShapeViews
 from edged.vision.shape.workspace import Workspace
 
 MAX_PEAKS = 1024
@@ -62,7 +62,7 @@ def scan_top(
     top: int,
     params: SearchParams,
     valid: Image | None,
-    views: Views | None = None,
+    views: ShapeViews | None = None,
 ) -> Iterator[Hypothesis]:
     """Poses of the top level that may be the model, best first; views : how it may look, None: as taught."""
     height, width = work.images[top].shape
@@ -158,7 +158,7 @@ class _Plan:
 
 @lru_cache(maxsize=16)  # a job has a few models, which stay the same from image to image
 def _plan(
-    model: ShapeModel, top: int, params: SearchParams, height: int, width: int, views: Views | None
+    model: ShapeModel, top: int, params: SearchParams, height: int, width: int, views: ShapeViews | None
 ) -> _Plan:
     looks = _looks(model, top, views)
     radius = float(np.linalg.norm(looks[0].points, axis=1).max())
@@ -184,7 +184,7 @@ def _plan(
     return _Plan(looks, poses, steps, of_pose, sectors, groups, offsets, rows, columns, pad, coarse)
 
 
-def _looks(model: ShapeModel, top: int, views: Views | None) -> tuple[_Look, ...]:
+def _looks(model: ShapeModel, top: int, views: ShapeViews | None) -> tuple[_Look, ...]:
     level = model.levels[top]
     count = max(scan.GROUP, min(scan.TOP_POINTS, len(level.points)) // scan.GROUP * scan.GROUP)
     points, normals = level.points[:count], level.normals[:count]

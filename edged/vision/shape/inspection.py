@@ -12,7 +12,7 @@ from edged.vision.shape.params import LEARNING, SearchParams
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Inspection:
+class ModelInspection:
     """Facts about a model.
 
     rivals (K, 2) : rotation in rad and similarity of the shape with itself there, most similar first.
@@ -35,7 +35,7 @@ class Inspection:
     codes: tuple[str, ...]
 
 
-def inspect_model(model: ShapeModel, search: SearchParams) -> Inspection:
+def inspect_model(model: ShapeModel, search: SearchParams) -> ModelInspection:
     """Judge a model for a search."""
     order = np.argsort(-model.symmetries[:, 3], kind="stable")
     rivals = model.symmetries[order][:, 2:4]
@@ -43,7 +43,7 @@ def inspect_model(model: ShapeModel, search: SearchParams) -> Inspection:
     sigmas = _bounds(model)
     reserve = model.contrast / max(search.min_contrast, 1e-9)
     said = _warnings(model, rivals, symmetric, reserve, sigmas)
-    return Inspection(
+    return ModelInspection(
         rivals=rivals,
         symmetric=symmetric,
         round=model.round,

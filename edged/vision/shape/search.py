@@ -23,8 +23,8 @@ from edged.vision.shape import refine
 from edged.vision.shape.candidates import Hypothesis, scan_top
 from edged.vision.shape.model import ShapeModel, reach_px
 from edged.vision.shape.params import CLIMB, EACH_EDGE_ITSELF, SCAN, SearchParams, ShapeMatch
-from edged.vision.shape.suppression import Placed, disc_overlap, without_overlap
-from edged.vision.shape.views import Views
+from edged.vision.shape.suppression import PlacedMatch, disc_overlap, without_overlap
+from edged.vision.shape.views import ShapeViews
 from edged.vision.shape.workspace import Workspace
 
 __all__ = ["SearchParams", "ShapeMatch", "Workspace", "find_shapes"]
@@ -48,7 +48,7 @@ def find_shapes(
     params: SearchParams = DEFAULTS,
     valid: Image | None = None,
     workspace: Workspace | None = None,
-    views: Views | None = None,
+    views: ShapeViews | None = None,
 ) -> list[ShapeMatch]:
     """Find models in a rectified image (H, W) uint8, best first; the best one wins at each place.
 
@@ -69,9 +69,11 @@ def find_shapes(
     listed = [models] if isinstance(models, ShapeModel) else list(models)
     work = workspace or Workspace()
     work.load(image, max((len(model.levels) for model in listed), default=1))
-    matches: list[Placed] = []
+    matches: list[PlacedMatch] = []
     for index, model in enumerate(listed):
-        matches += [Placed(match, model) for match in _Search(work, model, params, views).run(index, valid)]
+        matches += [
+            PlacedMatch(match, model) for match in _Search(work, model, params, views).run(index, valid)
+        ]
     return without_overlap(matches, params)
 
 
@@ -82,7 +84,7 @@ class _Search:
     work: Workspace
     model: ShapeModel
     params: SearchParams
-    views: Views | None = None
+    views: ShapeViews | None = None
 
     def run(self, index: int, valid: Image | None) -> list[ShapeMatch]:
         top = min(len(self.model.levels), len(self.work.images)) - 1

@@ -17,7 +17,7 @@ from edged.vision.shape.params import CLIMB, SearchParams, ShapeMatch
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedMatch:
     """A match and the model that it is of."""
 
     match: ShapeMatch
@@ -38,13 +38,13 @@ class Placed:
         return float(np.sqrt(abs(np.linalg.det(self.match.linear))))
 
 
-def without_overlap(matches: Iterable[Placed], params: SearchParams) -> list[ShapeMatch]:
+def without_overlap(matches: Iterable[PlacedMatch], params: SearchParams) -> list[ShapeMatch]:
     """The best of each place, best first.
 
     Dropped is what shares more than max_overlap of its area with a better one, and what consists of edges
     that better matches of its model explain already.
     """
-    kept: list[Placed] = []
+    kept: list[PlacedMatch] = []
     for one in sorted(matches, key=lambda p: (-p.match.score, p.match.model, p.match.x_px, p.match.y_px)):
         if any(_share(one, better) > params.max_overlap for better in kept):
             continue
@@ -61,13 +61,13 @@ def disc_overlap(distance: float, radius: float) -> float:
     return 2 / math.pi * (math.acos(half) - half * math.sqrt(1 - half**2))
 
 
-def _share(one: Placed, other: Placed) -> float:
+def _share(one: PlacedMatch, other: PlacedMatch) -> float:
     """Share of their area, taken as discs about the origins, that two matches have in common."""
     distance = np.hypot(one.match.x_px - other.match.x_px, one.match.y_px - other.match.y_px)
     return disc_overlap(float(distance), 0.5 * (one.model.radius_px + other.model.radius_px))
 
 
-def _claimed(one: Placed, kept: list[Placed]) -> float:
+def _claimed(one: PlacedMatch, kept: list[PlacedMatch]) -> float:
     """Share of a match's points that lie on the outlines of better matches of the same model."""
     claimed = np.zeros(len(one.outline), np.bool_)
     for better in kept:

@@ -13,7 +13,7 @@ from edged.vision.geometry.rigid import wrapped
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
+class ShapeViews:
     """Views of one shape, the taught one first.
 
     linear (V, 2, 2), tilt (V, 2) : how a model point looks, linear p / (1 + tilt . p), px of the finest

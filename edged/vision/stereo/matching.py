@@ -53,7 +53,7 @@ I64 = npt.NDArray[np.int64]
 I32 = npt.NDArray[np.int32]
 
 
-class Reason(enum.IntEnum):
+class PairingReason(enum.IntEnum):
     """Why a point has no disparity."""
 
     ACCEPTED = 0
@@ -110,7 +110,7 @@ class NccMatches:
     sigma_px (N,) : its standard deviation. slope (N, 2) : its derivative by x and y of the left image.
     score (N,) : best NCC in [-1, 1], NaN where there was no search.
     ambiguity (N,) : second peak over best. curvature (N,) : -d² score / d disparity² at the peak, per px².
-    reason (N,) : `Reason` values, int64.
+    reason (N,) : `PairingReason` values, int64.
     """
 
     disparity_px: FloatArray
@@ -124,7 +124,7 @@ class NccMatches:
     @property
     def accepted(self) -> npt.NDArray[np.bool_]:
         """(N,) which points have a disparity."""
-        return np.asarray(self.reason == Reason.ACCEPTED)
+        return np.asarray(self.reason == PairingReason.ACCEPTED)
 
 
 def match_ncc(
@@ -210,7 +210,9 @@ class _Point(NamedTuple):
 
 
 # plain numbers for the kernels
-ACCEPTED, OUTSIDE, TEXTURELESS, EDGE_PARALLEL, LOW_SCORE, AMBIGUOUS, LEFT_RIGHT, DIVERGED = map(int, Reason)
+ACCEPTED, OUTSIDE, TEXTURELESS, EDGE_PARALLEL, LOW_SCORE, AMBIGUOUS, LEFT_RIGHT, DIVERGED = map(
+    int, PairingReason
+)
 # entries of the start of a fit: whole disparity, its fraction, slopes, sign of the correlation
 WHOLE, FRACTION, START_SLOPE_X, START_SLOPE_Y, SIGN = range(5)
 # columns of the results, as in NccMatches
@@ -268,7 +270,7 @@ def _best_along_row(
 def _search(
     left: Image, right: Image, point: _Point, limits: F64, s: _Search, result: F64, start: F64
 ) -> int:
-    """Find the whole-pixel match of a point, there and back; a `Reason`. `start` is written."""
+    """Find the whole-pixel match of a point, there and back; a `PairingReason`. `start` is written."""
     half, width = s.window.shape[0] // 2, left.shape[1]
     either = limits[EITHER_POLARITY] != 0.0
     # one more at both ends, so that a peak at the end of the range still has two sides
@@ -312,7 +314,7 @@ def _search(
 
 @kernel()
 def _refine(right: Image, point: _Point, start: F64, row_sigma_px: float, p: Patches, result: F64) -> int:
-    """Least-squares matching from a whole-pixel match; fills in disparity, sigma and slopes. A `Reason`."""
+    """Least-squares matching from a whole-pixel match; fills `result`. A `PairingReason`."""
     half = p.left.shape[0] // 2
     x_right = point.x - int(start[WHOLE])
     cut_out(right, x_right, point.y, p.spline)
@@ -338,7 +340,7 @@ def _refine(right: Image, point: _Point, start: F64, row_sigma_px: float, p: Pat
 def _match_point(
     left: Image, right: Image, point: _Point, limits: F64, s: _Search, p: Patches, result: F64
 ) -> int:
-    """All of it for one point; a `Reason`."""
+    """All of it for one point; a `PairingReason`."""
     half = s.window.shape[0] // 2
     height, width = left.shape
     if not (half <= point.x < width - half and half <= point.y < height - half):

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import apply
-from edged.vision.part.body import MAX_TRIANGLES, Body
+from edged.vision.part.body import MAX_TRIANGLES, PartBody
 from edged.vision.teaching.cadmodel import (
     CadModel,
     IntArray,
@@ -25,7 +25,7 @@ from edged.vision.teaching.params import CAD
 
 def body_of(
     model: CadModel, part_from_model: FloatArray, gone: Sequence[ModelCircle | ModelEdge] = ()
-) -> Body | None:
+) -> PartBody | None:
     """A model's surface in the part frame; None for one of more than `MAX_TRIANGLES`.
 
     gone : curves of the model that the real part does not have, for an edge break took them away.
@@ -44,7 +44,7 @@ def body_of(
     for curve in gone:
         sharp &= ~_lies_on(curve, points, sides)
     lines = np.column_stack([sides, beside])[sharp]
-    return Body(apply(part_from_model, points), triangles, lines)
+    return PartBody(apply(part_from_model, points), triangles, lines)
 
 
 def _lies_on(curve: ModelCircle | ModelEdge, points: FloatArray, sides: IntArray) -> npt.NDArray[np.bool_]:

@@ -40,7 +40,7 @@ class Partner:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registration:
+class ModelRegistration:
     """part_from_model (4, 4).  partners : of the taught curves.  missing : names of those without one."""
 
     part_from_model: FloatArray
@@ -62,7 +62,7 @@ class _Curves:
 
 def register(
     circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature], model: ModelCurves, what: str
-) -> Registration:
+) -> ModelRegistration:
     """Where a model lies in the part frame of taught circles and edges.
 
     The model's up is taken to be the part's -z.  what : the model's name, for messages.
@@ -98,7 +98,7 @@ def register(
     names = {one.name for one in partners}
     taught_names = [*(one.name for one in circles), *(one.name for one in edges)]
     missing = tuple(name for name in taught_names if name not in names)
-    return Registration(pose @ transform(turned, np.zeros(3)), partners, missing)
+    return ModelRegistration(pose @ transform(turned, np.zeros(3)), partners, missing)
 
 
 def _no_fit(what: str, matched: int, count: int) -> str:

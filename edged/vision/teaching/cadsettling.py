@@ -19,7 +19,7 @@ from edged.vision.geometry.rigid import apply, unit
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job
 from edged.vision.part.params import MEASURING
 from edged.vision.teaching.cadbody import body_of
-from edged.vision.teaching.cadmatch import Partner, Registration, register
+from edged.vision.teaching.cadmatch import ModelRegistration, Partner, register
 from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves, ModelEdge
 from edged.vision.teaching.params import CAD
 
@@ -127,7 +127,7 @@ def _aside_limit(job: Job, name: str, reach: _Reach) -> float:
     return reach.aside_mm + CAD.scale_share * float(np.linalg.norm(arm[:2]))
 
 
-def _on_model(edge: EdgeFeature, model: ModelCurves, one: Partner, found: Registration) -> EdgeFeature:
+def _on_model(edge: EdgeFeature, model: ModelCurves, one: Partner, found: ModelRegistration) -> EdgeFeature:
     """The stretch that the pair shows, on the model's line."""
     line = model.edges[one.index]
     start, end = (apply(found.part_from_model, point) for point in (line.start_mm, line.end_mm))
@@ -138,7 +138,7 @@ def _on_model(edge: EdgeFeature, model: ModelCurves, one: Partner, found: Regist
     return replace(edge, start_mm=ends[0], end_mm=ends[1])
 
 
-def _check_revision(job: Job, model: ModelCurves, found: Registration, reach: _Reach, what: str) -> None:
+def _check_revision(job: Job, model: ModelCurves, found: ModelRegistration, reach: _Reach, what: str) -> None:
     """A circle that lies elsewhere than the model's, or is larger than an edge break makes it."""
     worst: tuple[float, str] = (1.0, "")
     for one in found.partners:
@@ -164,7 +164,7 @@ def _check_revision(job: Job, model: ModelCurves, found: Registration, reach: _R
         )
 
 
-def _summary(settled: Sequence[str], found: Registration, what: str) -> str:
+def _summary(settled: Sequence[str], found: ModelRegistration, what: str) -> str:
     return (
         f"{what}: {len(settled)} of {len(found.partners) + len(found.missing)} curves lie where it has them"
     )
@@ -200,7 +200,7 @@ def _off(one: Partner) -> float:
     return max(one.aside, abs(one.wider), abs(one.deeper))
 
 
-def _contradicting(found: Registration, settled: Sequence[str]) -> list[float]:
+def _contradicting(found: ModelRegistration, settled: Sequence[str]) -> list[float]:
     """By how much curves are off the model that no edge break displaces so: then what settled is in doubt.
 
     A hole whose edge is broken has the model's radius at the lower edge of the break. Where most are seen by
@@ -210,7 +210,7 @@ def _contradicting(found: Registration, settled: Sequence[str]) -> list[float]:
     return [_off(one) for one in left if max(one.wider, one.deeper) <= CAD.min_break_mm]
 
 
-def _others(found: Registration) -> list[str]:
+def _others(found: ModelRegistration) -> list[str]:
     if not found.missing:
         return []
     return [f"not in the model, kept as seen: {', '.join(found.missing)}"]

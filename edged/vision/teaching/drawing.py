@@ -37,7 +37,7 @@ BACKGROUND, PART = 60.0, 190.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outline:
+class DrawnOutline:
     """points (N, 2) in mm of the part frame (y as in the image).  hole : material is outside of it.
 
     circle : centre x, y and radius where it is one.
@@ -106,7 +106,7 @@ def teach_drawing(
     return job, image
 
 
-def _arranged(outlines_mm: Sequence[FloatArray]) -> list[Outline]:
+def _arranged(outlines_mm: Sequence[FloatArray]) -> list[DrawnOutline]:
     """Outlines in the part frame with what is inside of what; y is turned to point down, as in images."""
     if not outlines_mm:
         raise TeachError("the drawing is empty: expected at least one closed outline")
@@ -115,7 +115,7 @@ def _arranged(outlines_mm: Sequence[FloatArray]) -> list[Outline]:
     for index, points in enumerate(flipped):
         others = [other for k, other in enumerate(flipped) if k != index]
         within = sum(_contains(other, points[0]) for other in others)
-        arranged.append(Outline(points, within % 2 == 1, _as_circle(points)))
+        arranged.append(DrawnOutline(points, within % 2 == 1, _as_circle(points)))
     return arranged
 
 
@@ -148,7 +148,7 @@ def _as_circle(points: FloatArray) -> tuple[float, float, float] | None:
 
 
 def _features(
-    outlines: Sequence[Outline], scale: float
+    outlines: Sequence[DrawnOutline], scale: float
 ) -> tuple[list[CircleFeature], list[EdgeFeature], list[CornerFeature]]:
     """Circles, largest first; where there is none, straight edges and the corners between neighbours."""
     rounds = sorted(
@@ -201,7 +201,7 @@ def _is_corner(one: tuple[FloatArray, FloatArray], two: tuple[FloatArray, FloatA
     return bool(sine > np.sin(np.radians(30.0)))
 
 
-def _brighter_side(outline: Outline, start: FloatArray, end: FloatArray) -> int:
+def _brighter_side(outline: DrawnOutline, start: FloatArray, end: FloatArray) -> int:
     """+1 when the material, painted bright, is on the side 90° from the direction, turned from x to y."""
     along = end - start
     aside = 0.5 * (start + end) + 1e-4 * np.array([-along[1], along[0]])
@@ -229,10 +229,10 @@ def _reference(
     )
 
 
-def _moved(outline: Outline, shift: FloatArray) -> Outline:
+def _moved(outline: DrawnOutline, shift: FloatArray) -> DrawnOutline:
     circle = outline.circle
     moved = None if circle is None else (circle[0] + shift[0], circle[1] + shift[1], circle[2])
-    return Outline(outline.points + shift, outline.hole, moved)
+    return DrawnOutline(outline.points + shift, outline.hole, moved)
 
 
 def _pixels(points_mm: FloatArray, rig_from_part: FloatArray, rectification: Rectification) -> FloatArray:
@@ -244,7 +244,7 @@ def _pixels(points_mm: FloatArray, rig_from_part: FloatArray, rectification: Rec
 
 
 def _painted(
-    outlines: Sequence[Outline], rig_from_part: FloatArray, rectification: Rectification
+    outlines: Sequence[DrawnOutline], rig_from_part: FloatArray, rectification: Rectification
 ) -> tuple[Image, Image]:
     """The part in the rectified left image (h, w) uint8, and the mask of it with a margin."""
     width, height = rectification.size

@@ -42,7 +42,7 @@ class Region:
 
 
 @dataclass(frozen=True, slots=True)
-class Circle:
+class CircleRegion:
     """A disc of the raw left image, px."""
 
     x: float
@@ -62,7 +62,7 @@ class Circle:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Polygon:
+class PolygonRegion:
     """corners (N, 2) of a polygon in the raw left image, px, in order, either way round."""
 
     corners: FloatArray
@@ -126,7 +126,7 @@ class Stroke:
         return painted
 
 
-Area = Region | Circle | Polygon | Stroke | Painted
+Area = Region | CircleRegion | PolygonRegion | Stroke | Painted
 
 
 def painted_region(region: Area, exclude: Sequence[Area], width: int, height: int) -> Image:

@@ -28,7 +28,7 @@ from edged.errors import TeachError
 from edged.files import recording
 from edged.files.jobs import load_job
 from edged.setup.teaching.sources import recorded_pair
-from edged.vision.teaching.region import Polygon
+from edged.vision.teaching.region import PolygonRegion
 
 RADII_MM = {14.0: 1, 4.0: 1, 1.6: 4, 0.9: 1}
 """Of the flange: how many circles of each."""
@@ -66,7 +66,7 @@ def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
         assert None is draft["trouble"], draft["trouble"]
         assert ("part1", 1, 640, 480) == (draft["name"], draft["number"], draft["width"], draft["height"])
         corners = np.array(draft["region"][0]["points"])
-        mask = Polygon(corners).painted(640, 480)
+        mask = PolygonRegion(corners).painted(640, 480)
         truth = flange()
         x, y = truth.rig.left.project(truth.rig_from_part[None, :3, 3])[0]
         radius_px = 14.0 * truth.rig.left.fx / truth.rig_from_part[2, 3]

@@ -10,7 +10,7 @@ from helpers.boards import board_poses, parameter_error, synthetic_views
 from helpers.rigs import make_rig
 
 from edged.domain.arrays import FloatArray
-from edged.vision.boards.board import Board, Chessboard, CircleGrid, DotGrid, ShapedBoard, StereoView
+from edged.vision.boards.board import Board, Chessboard, CircleGrid, DotBoard, ShapedBoard, StereoView
 from edged.vision.boards.deformation import deviation_mm, nominal, plate_basis, shaped
 from edged.vision.calibration.calibrate import Calibration, calibrate_stereo
 from edged.vision.geometry.rigid import fit_rigid
@@ -18,10 +18,10 @@ from edged.vision.geometry.rigid import fit_rigid
 RIG = make_rig()
 SIZE = RIG.left.width, RIG.left.height
 BOARD = Chessboard(11, 8, 4.0)
-OTHER = DotGrid(7, 7, 5.0, 2.5)
+OTHER = DotBoard(7, 7, 5.0, 2.5)
 
 
-def bent(board: Chessboard | DotGrid) -> ShapedBoard:
+def bent(board: Chessboard | DotBoard) -> ShapedBoard:
     """Arched by 40 µm, twisted, and printed a little oblong."""
     points = board.points_mm
     x, y = (points[:, :2] / points[:, :2].max(axis=0)).T - 0.5

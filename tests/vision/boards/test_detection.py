@@ -17,7 +17,7 @@ from edged.vision.boards.board import (
     Chessboard,
     CircleGrid,
     Detection,
-    DotGrid,
+    DotBoard,
     NotDetected,
     parse_board,
 )
@@ -34,8 +34,8 @@ def test_specifications_are_read() -> None:
     """Each kind of board is read as it is written in the manual, and written as it is read."""
     assert parse_board("chessboard:11x8:4.0") == Chessboard(11, 8, 4.0)
     assert parse_board(" Chessboard:9X6:25 ") == Chessboard(9, 6, 25.0)
-    assert parse_board("dots:7x7:5.0") == DotGrid(7, 7, 5.0, 2.5)
-    assert parse_board("dots:7x7:5.0:2") == DotGrid(7, 7, 5.0, 2.0)
+    assert parse_board("dots:7x7:5.0") == DotBoard(7, 7, 5.0, 2.5)
+    assert parse_board("dots:7x7:5.0:2") == DotBoard(7, 7, 5.0, 2.0)
     assert parse_board("circles:4x11:5") == CircleGrid(4, 11, 5.0, 2.5)
     assert parse_board("circles:4x11:5:6") == CircleGrid(4, 11, 5.0, 6.0)
     assert parse_board("charuco:12x9:4:3:DICT_5X5_250") == Charuco(12, 9, 4.0, 3.0, "5X5_250")
@@ -225,10 +225,10 @@ def test_a_corner_outside_the_image_is_refused() -> None:
 # --- dots -----------------------------------------------------------------------------------------
 
 
-PLATE = DotGrid(7, 7, 6.0, 3.0)
+PLATE = DotBoard(7, 7, 6.0, 3.0)
 
 
-def dots_in(image: np.ndarray, board: DotGrid) -> Detection:
+def dots_in(image: np.ndarray, board: DotBoard) -> Detection:
     """The detection, which must succeed."""
     found = detect_dots(image, board)
     assert isinstance(found, Detection), found
@@ -236,9 +236,9 @@ def dots_in(image: np.ndarray, board: DotGrid) -> Detection:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("board", [PLATE, DotGrid(9, 6, 6.0, 2.5)])
+@pytest.mark.parametrize("board", [PLATE, DotBoard(9, 6, 6.0, 2.5)])
 @pytest.mark.parametrize("inverted", [False, True])
-def test_dots_are_found_to_two_hundredths_of_a_pixel(board: DotGrid, inverted: bool) -> None:
+def test_dots_are_found_to_two_hundredths_of_a_pixel(board: DotBoard, inverted: bool) -> None:
     """The centres of the dots themselves, not of their ellipses, dark on light and light on dark."""
     for seed, pose in enumerate(board_poses(SMALL, board, 3, seed=2, tilt_deg=35)):
         image = draw_board(board, SMALL.left, pose, noise=1.5, seed=seed)
@@ -255,7 +255,7 @@ def test_dots_are_found_to_two_hundredths_of_a_pixel(board: DotGrid, inverted: b
 
 def test_the_middle_of_an_ellipse_is_not_the_middle_of_the_circle() -> None:
     """Large dots seen aslant and near: without the correction the marks are off by 0.06 px."""
-    board = DotGrid(5, 5, 12.0, 9.0)
+    board = DotBoard(5, 5, 12.0, 9.0)
     rig = make_rig(focal_px=900.0, size=(640, 480))
     pose = board_poses(rig, board, 1, seed=1, tilt_deg=40)[0]
     true = rig.left.project(apply(pose, board.points_mm))
@@ -288,7 +288,7 @@ def test_dots_of_another_count_or_without_orientation_are_a_miss() -> None:
     """The reason says whether the count is wrong or the orientation mark is not seen."""
     pose = board_poses(SMALL, PLATE, 1, seed=5)[0]
     image = draw_board(PLATE, SMALL.left, pose)
-    wrong = detect_dots(image, DotGrid(8, 7, 6.0, 3.0))
+    wrong = detect_dots(image, DotBoard(8, 7, 6.0, 3.0))
     assert isinstance(wrong, NotDetected)
     assert "the plate has 56" in wrong.reason
     corner = SMALL.left.project(apply(pose, np.array([-3.8, -3.8, 0])))
@@ -305,11 +305,11 @@ def test_dots_of_another_count_or_without_orientation_are_a_miss() -> None:
 @pytest.mark.parametrize("stated_mm", [6.0, 9.0, 11.0])
 def test_the_dots_own_size_is_measured(stated_mm: float) -> None:
     """A wrong or guessed diameter does no harm: the correction for perspective uses what is seen."""
-    board = DotGrid(5, 5, 12.0, 9.0)
+    board = DotBoard(5, 5, 12.0, 9.0)
     rig = make_rig(focal_px=900.0, size=(640, 480))
     pose = board_poses(rig, board, 1, seed=1, tilt_deg=40)[0]
     true = rig.left.project(apply(pose, board.points_mm))
-    image, stated = draw_board(board, rig.left, pose), DotGrid(5, 5, 12.0, stated_mm)
+    image, stated = draw_board(board, rig.left, pose), DotBoard(5, 5, 12.0, stated_mm)
     first = dots_in(image, stated)
     again = remeasure_dots(image, stated, first, rig.left, pose)
     assert isinstance(again, Detection)
@@ -318,9 +318,9 @@ def test_the_dots_own_size_is_measured(stated_mm: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "board", [DotGrid(3, 3, 12.0, 6.0), DotGrid(15, 11, 3.0, 1.5), DotGrid(5, 9, 5.0, 2.0)]
+    "board", [DotBoard(3, 3, 12.0, 6.0), DotBoard(15, 11, 3.0, 1.5), DotBoard(5, 9, 5.0, 2.0)]
 )
-def test_plates_of_any_size_are_found(board: DotGrid) -> None:
+def test_plates_of_any_size_are_found(board: DotBoard) -> None:
     """Few large dots, many small ones, more rows than columns."""
     pose = board_poses(SMALL, board, 1, seed=8)[0]
     found = dots_in(draw_board(board, SMALL.left, pose, noise=1.5), board)

@@ -11,7 +11,7 @@ from helpers.boards import board_poses, draw_board
 from helpers.rigs import make_rig
 
 from edged.domain.arrays import Image
-from edged.vision.boards.board import Charuco, CircleGrid, Detection, DotGrid, NominalBoard, parse_board
+from edged.vision.boards.board import Charuco, CircleGrid, Detection, DotBoard, NominalBoard, parse_board
 from edged.vision.boards.detection import agreed_board, detect_board, of_size, recognise_board
 
 SMALL = make_rig(focal_px=1600.0, size=(640, 480))
@@ -64,7 +64,7 @@ def test_kind_and_size_are_seen(spec: str, expected: str) -> None:
     whole = parse_board(str(of_size(seen, board.pitch_mm)))
     assert f"{expected}:{board.pitch_mm:g}" == ":".join(str(whole).split(":")[:3])
     assert all(isinstance(detect_board(image, whole), Detection) for image in images)
-    if isinstance(board, DotGrid | CircleGrid) and isinstance(whole, DotGrid | CircleGrid):
+    if isinstance(board, DotBoard | CircleGrid) and isinstance(whole, DotBoard | CircleGrid):
         assert whole.diameter_mm == pytest.approx(board.diameter_mm, rel=0.08)
 
 

@@ -11,10 +11,10 @@ from helpers.boards import board_poses, draw_board
 from helpers.rigs import make_rig
 
 from edged.domain.arrays import Image
-from edged.vision.boards.board import Chessboard, Detection, DotGrid
+from edged.vision.boards.board import Chessboard, Detection, DotBoard
 from edged.vision.calibration.imaging import (
     UNKNOWN,
-    Edges,
+    BoardEdges,
     edges_of,
     findings,
     imaging_of,
@@ -37,7 +37,7 @@ def with_gamma(image: Image, gamma: float) -> Image:
     return np.rint(255.0 * (image / 255.0) ** gamma).astype(np.uint8)
 
 
-def edges(change: object = None, camera: CameraModel = CAMERA, blur_mm: float = 0.06) -> list[Edges]:
+def edges(change: object = None, camera: CameraModel = CAMERA, blur_mm: float = 0.06) -> list[BoardEdges]:
     """Of three views of the board, each changed."""
     found = []
     for number, pose in enumerate(POSES):
@@ -47,7 +47,7 @@ def edges(change: object = None, camera: CameraModel = CAMERA, blur_mm: float = 
     return found
 
 
-def the_edges(image: Image, number: int) -> Edges:
+def the_edges(image: Image, number: int) -> BoardEdges:
     """Of one picture; its corners are known exactly."""
     points = BOARD.points_mm @ POSES[number][:3, :3].T + POSES[number][:3, 3]
     ids = np.arange(len(points))
@@ -134,7 +134,7 @@ def test_light_that_falls_off_is_seen() -> None:
 def test_dots_and_small_squares_do_not_tell() -> None:
     """Boards without straight edges, and squares smaller than a profile, give no edges: all is unknown."""
     image = np.full((CAMERA.height, CAMERA.width), 128, np.uint8)
-    dots = DotGrid(7, 7, 5.0, 2.5)
+    dots = DotBoard(7, 7, 5.0, 2.5)
     marks = np.stack(np.meshgrid(np.arange(7) * 40.0 + 100, np.arange(7) * 40.0 + 100), axis=-1).reshape(
         -1, 2
     )

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+import pickle
 import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
 
+import numba
 import numpy as np
 import pytest
 
 from edged.vision.kernels.jit import kernel, load_all, load_called
-from edged.vision.kernels.jitcache import frozen_numbers
+from edged.vision.kernels.jitcache import StoredIndex, frozen_numbers
 
 STORED = """
 import numpy as np
@@ -141,6 +144,14 @@ def test_a_stored_kernel_is_known_by_the_numbers_frozen_into_it(monkeypatch: pyt
 
     assert "'FACTOR'), '2.0'" in before
     assert before != frozen_numbers(cast(Any, _and_one).py_func)
+
+
+def test_what_was_stored_for_a_renamed_class_is_compiled_anew(tmp_path: Path) -> None:
+    """An update may rename a class that a stored kernel takes: its index counts as empty."""
+    renamed = b"cedged.vision.kernels.jit\nNameBefore\n."
+    (tmp_path / "kernel.nbi").write_bytes(pickle.dumps(numba.__version__) + renamed)
+
+    assert StoredIndex(str(tmp_path), "kernel", "stamp").load("signature") is None
 
 
 def test_threads_may_call_a_kernel_first() -> None:

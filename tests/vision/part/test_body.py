@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
 from edged.vision.curves.outlineprojection import project_outline
-from edged.vision.curves.outlines import Curve, Face, Outline
-from edged.vision.part.body import MAX_TRIANGLES, Body
+from edged.vision.curves.outlines import Curve, CurveOutline, Face
+from edged.vision.part.body import MAX_TRIANGLES, PartBody
 from edged.vision.part.bodysight import hidden_samples, sight_of
 from edged.vision.part.zbuffer import hidden_points
 from edged.vision.teaching.cadbody import body_of
@@ -28,14 +28,14 @@ CAD = Path(__file__).parent.parent.parent / "data" / "cad"
 
 
 @functools.cache
-def body(part: str) -> Body:
+def body(part: str) -> PartBody:
     """In the frame of its file, which is that of the part here."""
     found = body_of(read_step(CAD / f"{part}.step"), np.eye(4))
     assert found is not None
     return found
 
 
-def cast(body: Body, points_mm: FloatArray, eye_mm: FloatArray, behind_mm: float) -> FloatArray:
+def cast(body: PartBody, points_mm: FloatArray, eye_mm: FloatArray, behind_mm: float) -> FloatArray:
     """(N,) whether a ray from each point to the eye meets a triangle more than so far away.
 
     T. Moeller, B. Trumbore, "Fast, Minimum Storage Ray-Triangle Intersection", 1997.
@@ -96,11 +96,11 @@ def test_nothing_is_hidden_from_a_camera_amid_the_part() -> None:
         assert not hidden_points(one.points_mm, one.triangles, one.points_mm, eye).any()
 
 
-def rim(radius_mm: float, height_mm: float) -> tuple[Curve, Outline]:
+def rim(radius_mm: float, height_mm: float) -> tuple[Curve, CurveOutline]:
     """A circle of a part, and samples of it."""
     curve = Curve("c", "circle", np.array([0.0, 0.0, radius_mm]), -1, height_mm=height_mm)
     one = curve.spread(200, 0.0)
-    return curve, Outline(one.points.copy(), one.normals.copy(), np.zeros((200, 0)))
+    return curve, CurveOutline(one.points.copy(), one.normals.copy(), np.zeros((200, 0)))
 
 
 @pytest.mark.parametrize(("break_mm", "low", "high"), [(0.0, 0.0, 0.0), (0.1, 0.9, 1.0), (2.0, 0.0, 0.0)])
@@ -142,7 +142,7 @@ def test_both_cameras_are_asked() -> None:
 
 def test_a_body_is_the_same_again_from_its_arrays() -> None:
     """To a nanometre, and the triangles to the last one."""
-    again = Body.from_arrays(body("D1").to_arrays())
+    again = PartBody.from_arrays(body("D1").to_arrays())
     assert np.abs(again.points_mm - body("D1").points_mm).max() < 2e-6
     assert np.array_equal(again.triangles, body("D1").triangles)
     assert np.array_equal(again.lines, body("D1").lines)
@@ -171,7 +171,7 @@ def test_a_hostile_body_is_refused(name: str, value: FloatArray | None, said: st
     else:
         arrays[name] = value
     with pytest.raises(ValueError, match=said):
-        Body.from_arrays(arrays)
+        PartBody.from_arrays(arrays)
 
 
 def test_a_part_of_too_many_triangles_has_no_body() -> None:

@@ -19,7 +19,7 @@ from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.expected import Scatters, expected_target, scatters_of
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.shape.search import find_shapes
 
 
@@ -32,13 +32,13 @@ def known_rig() -> StereoRig:
     return replace(rig, covariance=np.diag(variances))
 
 
-def measured(job: Job, pair: tuple[Image, Image], rig: StereoRig | None = None) -> Measured:
+def measured(job: Job, pair: tuple[Image, Image], rig: StereoRig | None = None) -> MeasuredPart:
     """The part in a pair of the small rig."""
     rectification = make_rectification(rig or known_rig())
     images = StereoImages.of(rectification, *pair)
     match = find_shapes(images.rectified_left, job.shape, job.search, rectification.valid_left)[0]
     result = measure_part(images, job, match)
-    assert isinstance(result, Measured)
+    assert isinstance(result, MeasuredPart)
     return result
 
 

@@ -27,7 +27,7 @@ from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.flatness import form_of
 from edged.vision.part.job import Job, MeasurementSpec, nominal_size
 from edged.vision.part.measure import measure_part
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.pointcloud import CONTOUR, FACE
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.search import SearchParams, ShapeMatch, find_shapes
@@ -289,7 +289,7 @@ def test_an_ambiguous_rotation_is_refused() -> None:
     (match,) = find_shapes(images.rectified_left, here.job.shape, here.job.search, rectification.valid_left)
     for ambiguous, expected in ((False, Reject.NONE), (True, Reject.AMBIGUOUS_ROTATION)):
         result = measure_part(images, here.job, replace(match, ambiguous=ambiguous))
-        assert isinstance(result, Measured)
+        assert isinstance(result, MeasuredPart)
         assert result.target.reject == expected
 
 
@@ -307,7 +307,7 @@ def test_circles_do_not_decide_what_the_search_could_not() -> None:
     (match,) = find_shapes(images.rectified_left, job.shape, job.search, prepared.rectification.valid_left)
     for ambiguous, expected in ((False, Reject.NONE), (True, Reject.AMBIGUOUS_ROTATION)):
         result = measure_part(images, job, replace(match, ambiguous=ambiguous))
-        assert isinstance(result, Measured)
+        assert isinstance(result, MeasuredPart)
         assert result.target.reject == expected
 
 

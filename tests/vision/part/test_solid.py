@@ -30,7 +30,7 @@ from edged.domain.measurement import Reject, Target
 from edged.pipeline import inspect, locate, prepare
 from edged.report.teaching import Taught, teaching_report
 from edged.sim.render.scene import Disc, Hole, Part, Scene, Surface
-from edged.vision.curves.foresight import Light, scatter_in
+from edged.vision.curves.foresight import ExpectedLight, scatter_in
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit
 from edged.vision.geometry.rigid import apply, invert
@@ -39,7 +39,7 @@ from edged.vision.part import measure as part_measure
 from edged.vision.part.expected import expected_target, scatters_of
 from edged.vision.part.frames import with_features
 from edged.vision.part.job import CornerFeature, MeasurementSpec
-from edged.vision.part.measured import Measured
+from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.rigidlock import lock
 from edged.vision.part.solid import curves_of, measure_solid
 from edged.vision.shape.ambiguity import about, turned
@@ -47,7 +47,7 @@ from edged.vision.shape.inspection import inspect_model
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.pair import teach
 
-SEEN = scatter_in(Light(100.0, 2.0, 0.8), 0.03)
+SEEN = scatter_in(ExpectedLight(100.0, 2.0, 0.8), 0.03)
 
 
 def error_mm(target: Target, where: FloatArray) -> FloatArray:
@@ -137,7 +137,7 @@ def test_a_turn_that_search_and_curves_see_differently_is_refused() -> None:
     )
     for seen_as, expected in ((match, Reject.NONE), (wrong, Reject.AMBIGUOUS_ROTATION)):
         result = measure_solid(images, job, seen_as)
-        assert isinstance(result, Measured)
+        assert isinstance(result, MeasuredPart)
         assert result.target.reject == expected
 
 
@@ -269,10 +269,10 @@ def test_where_rows_of_single_curves_do_not_meet_the_whole_is_asked(monkeypatch:
     images = StereoImages.of(rig.rectification, *pair)
     (match,) = find_shapes(images.rectified_left, job.shape, job.search)
     flat = part_measure.measure_part(images, job, match)
-    assert isinstance(flat, Measured)
+    assert isinstance(flat, MeasuredPart)
     refused = replace(flat, target=replace(flat.target, reject=Reject.LEFT_RIGHT_MISMATCH))
     monkeypatch.setattr(part_measure, "_measured_flat", lambda *_: refused)
     whole = part_measure.measure_part(images, job, match)
-    assert isinstance(whole, Measured)
+    assert isinstance(whole, MeasuredPart)
     assert whole.target.reject is Reject.NONE
     np.testing.assert_allclose(whole.target.position_mm, flat.target.position_mm, atol=0.01)

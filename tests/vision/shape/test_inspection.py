@@ -15,7 +15,7 @@ from rich.console import Console
 from edged.commands.teach import PairSource, teach
 from edged.files.rig import save_rig
 from edged.vision.geometry.rigid import wrapped
-from edged.vision.shape.inspection import Inspection, inspect_model
+from edged.vision.shape.inspection import ModelInspection, inspect_model
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import LEARNING
@@ -24,7 +24,7 @@ from edged.vision.shape.search import SearchParams, find_shapes
 RIGID = SearchParams(sub_pixel="similarity", scale_min=0.95, scale_max=1.05)
 
 
-def learnt(outlines: tuple[tuple[np.ndarray, float], ...]) -> tuple[ShapeModel, Inspection]:
+def learnt(outlines: tuple[tuple[np.ndarray, float], ...]) -> tuple[ShapeModel, ModelInspection]:
     """Model and inspection of a drawn part."""
     image = drawings.draw(outlines, (100.0, 90.0, 0.0, 1.0, 1.0), (200, 180), noise=0.5)
     model = create_model(image, np.full(image.shape, 255, np.uint8), np.array([100.0, 90.0]))

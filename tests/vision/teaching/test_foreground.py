@@ -9,7 +9,7 @@ import pytest
 from edged.domain.arrays import Image
 from edged.errors import TeachError
 from edged.vision.teaching.foreground import likely_part, parts_at
-from edged.vision.teaching.region import Polygon
+from edged.vision.teaching.region import PolygonRegion
 
 WIDTH, HEIGHT = 640, 480
 
@@ -46,7 +46,7 @@ def picture(ground: np.ndarray, mask: Image, *greys: float) -> Image:
 
 def check_around(corners: np.ndarray, mask: Image) -> None:
     """All of the part is inside, and little else."""
-    inside = Polygon(corners).painted(WIDTH, HEIGHT)
+    inside = PolygonRegion(corners).painted(WIDTH, HEIGHT)
     assert not np.any((mask > 0) & (inside == 0)), "a piece of the part is outside"
     wide = cv2.dilate(mask, np.ones((41, 41), np.uint8))
     assert not np.any((inside > 0) & (wide == 0)), "more than a margin of the table is inside"
@@ -83,7 +83,7 @@ def test_tapped_in_its_hole_a_part_comes_before_the_hole() -> None:
     image = picture(table(40.0, 0.25), part("ring"), 150.0)
     ring, hole = parts_at(image, 330.0, 240.0)
     check_around(ring, part("ring"))
-    inside = Polygon(hole).painted(WIDTH, HEIGHT)
+    inside = PolygonRegion(hole).painted(WIDTH, HEIGHT)
     assert np.pi * 35**2 < np.count_nonzero(inside) < np.pi * 55**2
 
 

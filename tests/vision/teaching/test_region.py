@@ -19,7 +19,7 @@ from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import apply
 from edged.vision.shape.modelparams import ModelParams
 from edged.vision.teaching.pair import teach
-from edged.vision.teaching.region import Area, Circle, Painted, Polygon, Region, painted_region
+from edged.vision.teaching.region import Area, CircleRegion, Painted, PolygonRegion, Region, painted_region
 
 SIZE = (200, 120)
 
@@ -38,12 +38,12 @@ def star(seed: int, count: int) -> np.ndarray:
     [
         (Region(20, 30, 60, 40), 61 * 41),
         (Region(-50, -50, 100, 100), 51 * 51),
-        (Circle(100, 60, 40), math.pi * 40**2),
-        (Circle(0, 60, 40), math.pi * 40**2 / 2 + 40),
-        (Polygon(np.array([(20, 30), (80, 30), (80, 70), (20, 70)], float)), 60 * 40),
-        (Polygon(np.array([(20, 30), (80, 30), (80, 70), (20, 70), (20, 30)], float)), 60 * 40),
-        (Polygon(np.array([(20, 20), (140, 20), (20, 100)], float)), 120 * 80 / 2),
-        (Polygon(np.array([(-1e5, -1e5), (1e5, -1e5), (1e5, 1e5), (-1e5, 1e5)])), 200 * 120),
+        (CircleRegion(100, 60, 40), math.pi * 40**2),
+        (CircleRegion(0, 60, 40), math.pi * 40**2 / 2 + 40),
+        (PolygonRegion(np.array([(20, 30), (80, 30), (80, 70), (20, 70)], float)), 60 * 40),
+        (PolygonRegion(np.array([(20, 30), (80, 30), (80, 70), (20, 70), (20, 30)], float)), 60 * 40),
+        (PolygonRegion(np.array([(20, 20), (140, 20), (20, 100)], float)), 120 * 80 / 2),
+        (PolygonRegion(np.array([(-1e5, -1e5), (1e5, -1e5), (1e5, 1e5), (-1e5, 1e5)])), 200 * 120),
     ],
 )
 def test_what_is_painted_is_the_area(area: Area, expected: float) -> None:
@@ -56,7 +56,7 @@ def test_what_is_painted_is_the_area(area: Area, expected: float) -> None:
 
 def test_any_bright_value_of_a_mask_counts() -> None:
     """A mask of 0 and 1 says the same as one of 0 and 255, or as its JPEG."""
-    drawn = painted_region(Circle(90, 55, 30), (), *SIZE)
+    drawn = painted_region(CircleRegion(90, 55, 30), (), *SIZE)
     jpeg = cv2.imdecode(cv2.imencode(".jpg", drawn)[1], cv2.IMREAD_GRAYSCALE)
     for mask in (drawn, drawn // 255):
         np.testing.assert_array_equal(painted_region(Painted(mask), (), *SIZE), drawn)
@@ -65,7 +65,7 @@ def test_any_bright_value_of_a_mask_counts() -> None:
 
 def test_what_is_excluded_is_out() -> None:
     """A disc minus a rectangle: no pixel of the rectangle, every other pixel of the disc."""
-    disc, box = Circle(100, 60, 50), Region(80, 40, 30, 30)
+    disc, box = CircleRegion(100, 60, 50), Region(80, 40, 30, 30)
     left = painted_region(disc, [box], *SIZE) > 0
     inside, out = (painted_region(area, (), *SIZE) > 0 for area in (disc, box))
     np.testing.assert_array_equal(left, inside & ~out)
@@ -80,27 +80,27 @@ def test_only_crossing_polygons_are_refused(seed: int, count: int, clockwise: bo
     if turns.min() < 0.01 or 2 * math.pi - turns.sum() > math.pi or turns.max() > math.pi:
         return  # the centre is not inside: not a star
     ordered = corners[::-1] if clockwise else corners
-    Polygon(ordered).painted(*SIZE)
+    PolygonRegion(ordered).painted(*SIZE)
     regular = 50 * np.column_stack([f(np.arange(count) * 2 * math.pi / count) for f in (np.cos, np.sin)])
     swapped = np.arange(count)
     swapped[[1, 2]] = swapped[[2, 1]]
     with pytest.raises(TeachError, match="crosses"):
-        Polygon(100 + regular[swapped]).painted(*SIZE)
+        PolygonRegion(100 + regular[swapped]).painted(*SIZE)
 
 
 @pytest.mark.parametrize(
     ("area", "expected"),
     [
-        (Circle(1000, 60, 40), "outside the 200x120 image"),
-        (Circle(100, 60, 3), "radius of at least 8"),
-        (Circle(math.nan, 60, 30), "X,Y,R"),
-        (Polygon(np.array([(500, 500), (600, 500), (600, 600)], float)), "outside"),
-        (Polygon(np.array([(10, 10), (20, 10), (20, 12)], float)), "outside .* or empty"),
-        (Polygon(np.array([(10, 10), (90, 90)], float)), "3 to 1000 corners"),
-        (Polygon(np.zeros((2000, 2))), "3 to 1000 corners"),
-        (Polygon(np.array([(10, 10), (math.inf, 90), (5, 60)])), "expected corners"),
-        (Polygon(np.array([(10, 10), (1e300, 90), (5, 60)])), "expected corners"),
-        (Polygon(np.array([(10, 10), (90, 90), (90, 10), (10, 90)], float)), "crosses"),
+        (CircleRegion(1000, 60, 40), "outside the 200x120 image"),
+        (CircleRegion(100, 60, 3), "radius of at least 8"),
+        (CircleRegion(math.nan, 60, 30), "X,Y,R"),
+        (PolygonRegion(np.array([(500, 500), (600, 500), (600, 600)], float)), "outside"),
+        (PolygonRegion(np.array([(10, 10), (20, 10), (20, 12)], float)), "outside .* or empty"),
+        (PolygonRegion(np.array([(10, 10), (90, 90)], float)), "3 to 1000 corners"),
+        (PolygonRegion(np.zeros((2000, 2))), "3 to 1000 corners"),
+        (PolygonRegion(np.array([(10, 10), (math.inf, 90), (5, 60)])), "expected corners"),
+        (PolygonRegion(np.array([(10, 10), (1e300, 90), (5, 60)])), "expected corners"),
+        (PolygonRegion(np.array([(10, 10), (90, 90), (90, 10), (10, 90)], float)), "crosses"),
         (Painted(np.zeros((120, 200), np.uint8)), "outside .* or empty"),
         (Painted(np.full((60, 200), 255, np.uint8)), "200x60 px, expected .* 200x120"),
         (Painted(np.full((120, 200, 3), 255, np.uint8)), "expected the size"),
@@ -115,7 +115,7 @@ def test_impossible_regions_are_refused(area: Area, expected: str) -> None:
 def test_a_region_of_which_nothing_is_left_is_refused() -> None:
     """The excluded area covers all of it."""
     with pytest.raises(TeachError, match="all of it is excluded"):
-        painted_region(Circle(100, 60, 20), [Region(50, 20, 100, 90)], *SIZE)
+        painted_region(CircleRegion(100, 60, 20), [Region(50, 20, 100, 90)], *SIZE)
 
 
 @pytest.mark.parametrize(
@@ -145,11 +145,11 @@ def test_any_text_is_a_region_or_an_error(text: str) -> None:
 def test_texts_of_regions_and_contrasts(tmp_path: Path) -> None:
     """Each form is read as it is written; a mask comes from its file, which must be a picture."""
     assert parse_region("1,2,30,40") == parse_region("rect:1,2,30,40") == Region(1, 2, 30, 40)
-    assert parse_region("circle:1.5,2,30") == Circle(1.5, 2, 30)
+    assert parse_region("circle:1.5,2,30") == CircleRegion(1.5, 2, 30)
     polygon = parse_region("polygon:1,2;30,4;5,60")
-    assert isinstance(polygon, Polygon)
+    assert isinstance(polygon, PolygonRegion)
     np.testing.assert_array_equal(polygon.corners, [(1, 2), (30, 4), (5, 60)])
-    cv2.imwrite(str(tmp_path / "mask.png"), painted_region(Circle(90, 55, 30), (), *SIZE))
+    cv2.imwrite(str(tmp_path / "mask.png"), painted_region(CircleRegion(90, 55, 30), (), *SIZE))
     mask = parse_region(f"mask:{tmp_path / 'mask.png'}")
     assert isinstance(mask, Painted)
     assert mask.mask.shape == (120, 200)
@@ -194,8 +194,8 @@ def test_a_hole_that_is_excluded_is_not_learnt() -> None:
     bolts = [disc for _, disc in flat.part.circles if disc.radius_mm == 1.6]
     hole = apply(flat.rig_from_part, np.array([bolts[0].x_mm, bolts[0].y_mm, 0.0]))
     at = flat.rig.left.project(hole[None])[0]
-    around = Circle(float(x), float(y), 15.5 * pixel_mm)
-    without = Circle(float(at[0]), float(at[1]), 2.6 * pixel_mm)
+    around = CircleRegion(float(x), float(y), 15.5 * pixel_mm)
+    without = CircleRegion(float(at[0]), float(at[1]), 2.6 * pixel_mm)
 
     job = teach(flat.left, flat.right, rectification, around, "flange", exclude=[without])
 
