@@ -12,8 +12,7 @@ from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
 from edged.vision.part.measured import MeasuredPart

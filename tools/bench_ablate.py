@@ -271,9 +271,9 @@ def in_child(folder: Path, number: Number, factor: float, patience_s: float) -> 
     here, there = context.Pipe(duplex=False)
 
     def work() -> None:
-        from edged.vision.kernels import parallel
+        from edged.vision.kernels import jit
 
-        parallel._RIGHT = ThreadPoolExecutor(1)  # noqa: SLF001  (the parent's thread is not in a fork)
+        jit._RIGHT = ThreadPoolExecutor(1)  # noqa: SLF001  (the parent's thread is not in a fork)
         for kept in gc.get_objects():
             if isinstance(kept, functools._lru_cache_wrapper):  # noqa: SLF001  (it has no public name)
                 kept.cache_clear()

@@ -44,7 +44,7 @@ from edged.sim.cell import Motion, VirtualCell, demo_part, demo_rig, stereo_view
 from edged.sim.render.scene import Placed
 from edged.vision.curves.planestate import State
 from edged.vision.geometry.camera import CameraModel, StereoRig
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
 from edged.vision.shape import localsearch, refine, search

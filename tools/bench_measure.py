@@ -26,12 +26,11 @@ from helpers.cells import TEXTURED, clean_greys, noisy, pictures, pose, region_a
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import Disc, Part, Sensor, Surface
-from edged.vision.curves.outlineprojection import circle_axes, project_circle
+from edged.vision.curves.outlines import circle_axes, project_circle
 from edged.vision.curves.planefit import fit_circle
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
 from edged.vision.part.frames import circle_in_rig
 from edged.vision.part.measure import measure_part
 from edged.vision.part.measured import MeasuredPart

@@ -31,8 +31,8 @@ from edged.sim.render.scene import Part
 from edged.vision.boards.board import Chessboard
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import about_z, invert, rotation_matrix
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.expected import expected_target, scatters_of
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part

@@ -32,8 +32,8 @@ from edged.domain.measurement import Reject, Target
 from edged.errors import TeachError
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.render.scene import Disc, Hole, Part, Placed, Polygon, Scene, Surface, Table
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import about_z, apply, invert, transform
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
 from edged.vision.part.tilt import views_of

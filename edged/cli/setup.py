@@ -215,7 +215,7 @@ def teach(
     from edged.commands.teach import DrawingSource, PairSource, chosen_source, parse_contrast
     from edged.commands.teach import teach as command
     from edged.vision.edges.hysteresis import EdgeThresholds
-    from edged.vision.shape.modelparams import ModelParams
+    from edged.vision.shape.params import ModelParams
 
     source = chosen_source(
         PairSource(left, right, region, tuple(exclude or ()), step, up),

@@ -40,7 +40,7 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.part.tilt import reach_of, tilted_views
-from edged.vision.shape.modelparams import ModelParams
+from edged.vision.shape.params import ModelParams
 from edged.vision.teaching.cadmodel import CadModel, curves_towards
 from edged.vision.teaching.facets import faceted_curves
 from edged.vision.teaching.region import Area, CircleRegion, Painted, PolygonRegion, Region

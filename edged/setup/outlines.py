@@ -8,9 +8,8 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.rigid import Plane, apply
 from edged.vision.part.job import Job
 
 OUTLINE_POINTS = 96

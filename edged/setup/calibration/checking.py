@@ -21,8 +21,8 @@ from edged.vision.calibration.imaging import Imaging, edges_of, findings, imagin
 from edged.vision.calibration.imaging import ImagingFinding as Remark
 from edged.vision.calibration.verification import BoardCheck, Length, Verdict, check_board, pose_of_board
 from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import linear_image
 from edged.vision.geometry.rigid import apply
-from edged.vision.geometry.stereoimages import linear_image
 from edged.vision.part.consistency import undoubted
 from edged.vision.part.job import Job
 

@@ -25,7 +25,7 @@ from edged.setup.pairs import Progress, silent
 from edged.setup.recordings.recorded import reasons_of
 from edged.setup.recordings.regression import shown
 from edged.setup.recordings.sight import PartSight, parts_of
-from edged.vision.part.acceptance import vaguest_mm
+from edged.vision.part.consistency import vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
 

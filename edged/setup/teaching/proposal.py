@@ -15,7 +15,7 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import MAX_TILT_DEG, Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.inspection import ModelInspection, inspect_model
-from edged.vision.shape.modelparams import ModelParams
+from edged.vision.shape.params import ModelParams
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves
 from edged.vision.teaching.cadsettling import settle

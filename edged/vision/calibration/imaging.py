@@ -21,7 +21,7 @@ from edged.vision.boards.board import Board, Charuco, Chessboard, Detection
 from edged.vision.boards.deformation import nominal
 from edged.vision.calibration.params import IMAGING
 from edged.vision.geometry.camera import StereoRig, calibration_identity
-from edged.vision.geometry.stereoimages import linear_grey
+from edged.vision.geometry.rectification import linear_grey
 
 MIN_LENGTH_PX = 3.5 * IMAGING.reach_px
 

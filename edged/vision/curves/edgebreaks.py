@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.vision.curves.outlineprojection import ProjectedOutline, camera_pose
+from edged.vision.curves.outlines import ProjectedOutline, camera_pose
 from edged.vision.curves.params import BREAKS, FIT
 from edged.vision.curves.planestate import FitProblem, State
 from edged.vision.curves.systematic import slants

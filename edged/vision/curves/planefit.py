@@ -29,8 +29,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.vision.curves.adjustment import propagate
 from edged.vision.curves.commonmode import PARTS
 from edged.vision.curves.edgebreaks import break_shifts, break_widths_mm
-from edged.vision.curves.outlineprojection import ProjectedOutline, circle_axes
-from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, ProjectedOutline, circle_axes
 from edged.vision.curves.params import FIT
 from edged.vision.curves.planestate import (
     DEFAULT_PARAMS,

@@ -13,20 +13,23 @@ from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.vision.curves.adjustment import JointSolution, Samples, solve
 from edged.vision.curves.commonmode import Pairs, pair, samples_of
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
-from edged.vision.curves.outlineprojection import (
+from edged.vision.curves.outlines import (
+    PLANE_PARAMETERS,
+    Curve,
+    CurveOutline,
+    Face,
     ProjectedOutline,
     camera_pose,
     curvatures,
     project_outline,
 )
-from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, CurveOutline, Face
 from edged.vision.curves.params import FIT
 from edged.vision.curves.systematic import fourier_basis, shift_basis, slants
 from edged.vision.edges.params import EDGE
 from edged.vision.edges.subpixel import WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import about_z, apply
-from edged.vision.kernels.parallel import for_both
+from edged.vision.kernels.jit import for_both
 from edged.vision.kernels.robust import MIN_SAMPLES
 
 RIGID_PARAMETERS = 4

@@ -1,4 +1,4 @@
-"""Rotations, angles and rigid transforms.
+"""Rotations, angles, rigid transforms and planes.
 
 A rotation vector is axis times angle (rad). A transform is a (4, 4) matrix named
 `to_from_source`. Small rotations are applied on the left: `R' = rotation_matrix(w) @ R`; every
@@ -204,3 +204,15 @@ def fit_rigid(source_mm: FloatArray, to_mm: FloatArray, *, with_scale: bool = Fa
 def about_z(angle_rad: float) -> FloatArray:
     """The rotation (3, 3) about z."""
     return rotation_matrix(np.array([0.0, 0.0, angle_rad]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """Points X of the rig frame with normal . X = offset; the normal points towards the cameras."""
+
+    normal: FloatArray
+    offset: float
+
+    def meet(self, rays: FloatArray) -> FloatArray:
+        """Points (..., 3) where rays (..., 3) from the rig's origin meet the plane."""
+        return np.asarray(rays * (self.offset / (rays @ self.normal))[..., None])

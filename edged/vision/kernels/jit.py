@@ -1,4 +1,7 @@
-"""The one way kernels are compiled: for declared types, without the GIL, cached on disk, loaded when used."""
+"""The one way kernels are compiled: for declared types, without the GIL, cached on disk, loaded when used.
+
+`for_both` runs the work of both cameras side by side, in one further thread that its first use starts.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import re
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Annotated, Any, TypeVar, cast, get_type_hints
@@ -185,3 +189,21 @@ def _cache_is_usable() -> bool:
     """numba raises at import where its cache directory cannot be written; run uncached there."""
     directory = os.environ.get("NUMBA_CACHE_DIR")
     return directory is None or os.access(directory, os.W_OK) or not Path(directory).exists()
+
+
+T = TypeVar("T")
+
+_RIGHT = ThreadPoolExecutor(1, thread_name_prefix="right-camera")
+
+
+def for_both(work: Callable[[int], T]) -> tuple[T, T]:
+    """(work(0), work(1)), the second one in its own thread. An error of either is raised when both ended.
+
+    The work must not call `for_both` itself.
+    """
+    right = _RIGHT.submit(work, 1)
+    try:
+        left = work(0)
+    finally:
+        right.exception()  # waits
+    return left, right.result()

@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray
-from edged.vision.curves.outlineprojection import ProjectedOutline, camera_pose
-from edged.vision.curves.outlines import CurveOutline
+from edged.vision.curves.outlines import CurveOutline, ProjectedOutline, camera_pose
 from edged.vision.edges.subpixel import WIDTHS_PX
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert

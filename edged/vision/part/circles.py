@@ -18,10 +18,8 @@ from edged.vision.curves.params import BREAKS
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import about_z, angle_between, apply, cross, transform, unit
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages
+from edged.vision.geometry.rigid import Plane, about_z, angle_between, apply, cross, transform, unit
 from edged.vision.kernels.robust import mad_sigma
 from edged.vision.part.consistency import distance_share, scale_deviation
 from edged.vision.part.edgeidentity import is_doubtful

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray
-from edged.vision.curves.outlineprojection import project_circle
+from edged.vision.curves.outlines import project_circle
 from edged.vision.curves.planefit import fit_circle
 from edged.vision.edges.subpixel import edge_profiles
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.frames import FoundCircle, circle_in_rig
 from edged.vision.part.job import CircleFeature, Job
 from edged.vision.part.params import MEASURING

@@ -18,8 +18,8 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, Scatter
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, transform
-from edged.vision.part.acceptance import vaguest_mm
 from edged.vision.part.circles import placed
+from edged.vision.part.consistency import vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.part.measure import all_curves, completed, needs_all, published, target_from, with_free_axis
 from edged.vision.part.params import MEASURING

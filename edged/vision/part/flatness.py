@@ -14,13 +14,13 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Measurement
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
+from edged.vision.part.frames import as_measurement
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.params import MEASURING
 from edged.vision.part.pointcloud import face_points, heights_mm
-from edged.vision.part.sizes import as_measurement
 
 
 def with_flatness(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:

@@ -15,13 +15,12 @@ import numpy as np
 from edged.domain.measurement import Measurement
 from edged.vision.curves.outlines import Face
 from edged.vision.curves.planefit import CurveFit, fit_plane
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
-from edged.vision.geometry.stereoimages import StereoImages
-from edged.vision.part.frames import FoundCircle, circle_in_rig
+from edged.vision.part.frames import FoundCircle, as_measurement, circle_in_rig
 from edged.vision.part.job import Job, MeasurementSpec
 from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.params import MEASURING
-from edged.vision.part.sizes import as_measurement
 
 
 def with_heights(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:

@@ -12,8 +12,8 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rigid import Plane
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.kernels.jit import for_kernel, kernel
 from edged.vision.part.params import START

@@ -10,8 +10,8 @@ from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.curves.outlines import Curve
 from edged.vision.edges.subpixel import edges_along_normals
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import fit_rigid
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import Job
 from edged.vision.part.params import START

@@ -14,8 +14,8 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.vision.curves.outlines import Curve
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import rotation_matrix, transform
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.params import SOLID
 from edged.vision.part.rigidlock import ALL, glance
 from edged.vision.part.tilt import bisector

@@ -16,15 +16,13 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, Reject, ReportedPose, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import PlaneFit, differentiated, fit_plane
-from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import about_z, transform
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.geometry.uncertainty import levered_covariance
-from edged.vision.part.acceptance import judged
 from edged.vision.part.circles import measure
-from edged.vision.part.consistency import distance_share
+from edged.vision.part.consistency import distance_share, judged
 from edged.vision.part.flatness import with_flatness
-from edged.vision.part.frames import lifted, with_features
+from edged.vision.part.frames import APART, lifted, measure_sizes, place, with_features
 from edged.vision.part.heights import with_heights
 from edged.vision.part.initialpose import starts
 from edged.vision.part.job import Job
@@ -39,7 +37,6 @@ from edged.vision.part.pose import (
     slot_curve,
 )
 from edged.vision.part.prediction import is_contradicted, match_in_raw
-from edged.vision.part.sizes import APART, measure_sizes, place
 from edged.vision.part.solid import curves_of, measure_solid
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch

@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.geometry.triangulation import triangulate, triangulate_raw, triangulation_covariance
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart

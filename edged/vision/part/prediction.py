@@ -16,10 +16,8 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, Target
-from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import apply, rotation_matrix, transform
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages
+from edged.vision.geometry.rigid import Plane, apply, rotation_matrix, transform
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.ambiguity import RotationSight, look_at, surroundings, turned, turns

@@ -18,11 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray
-from edged.vision.curves.outlineprojection import project_outline
-from edged.vision.curves.outlines import Curve, CurveOutline, Face
+from edged.vision.curves.outlines import Curve, CurveOutline, Face, project_outline
 from edged.vision.edges.candidates import MOST, candidates
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import rotation_matrix, transform
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median

@@ -20,19 +20,18 @@ import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.domain.measurement import Match, Reject, Target
-from edged.vision.curves.outlineprojection import project_outline
-from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.outlines import Curve, Face, project_outline
 from edged.vision.curves.planefit import PlaneFit, fit_plane
 from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.candidates import candidates
 from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import about_z, apply, transform, wrapped
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.body import PartBody
 from edged.vision.part.bodysight import sight_of
 from edged.vision.part.circles import rival_turns
 from edged.vision.part.consistency import distance_share
-from edged.vision.part.frames import circles_in_rig, with_features
+from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
 from edged.vision.part.initialpose import start_pose
 from edged.vision.part.job import Job
 from edged.vision.part.leaning import leaning
@@ -47,7 +46,6 @@ from edged.vision.part.rigidlock import (
     lock,
     spread,
 )
-from edged.vision.part.sizes import measure_sizes
 from edged.vision.shape.search import ShapeMatch
 
 

@@ -14,8 +14,8 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, cross, invert, rotation_2d, rotation_matrix, unit, wrapped
 from edged.vision.part.job import Job
 from edged.vision.part.params import START
+from edged.vision.shape.candidates import ShapeViews
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.views import ShapeViews
 
 
 def bisector(rectification: Rectification, place_mm: FloatArray) -> FloatArray:

@@ -1,9 +1,12 @@
-"""The few poses worth refining, from the exhaustive scan of the top level."""
+"""The few poses worth refining, from the exhaustive scan of the top level; and which matches remain.
+
+One part stays at each place, and each edge belongs to one part.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -11,12 +14,48 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
+from edged.vision.geometry.rigid import wrapped
+from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import refine, scan
 from edged.vision.shape.ambiguity import Odds
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.params import EACH_EDGE_ITSELF, SCAN, SearchParams
-from edged.vision.shape.views import ShapeViews
+from edged.vision.shape.params import CLIMB, EACH_EDGE_ITSELF, SCAN, SearchParams, ShapeMatch
 from edged.vision.shape.workspace import Workspace
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeViews:
+    """Views of one shape, the taught one first.
+
+    linear (V, 2, 2), tilt (V, 2) : how a model point looks, linear p / (1 + tilt . p), px of the finest
+    level; linear has no turn of its own.  turns (V, 2) : middle and half width, rad, of the rotations in
+    which a view can be met.
+    """
+
+    linear: FloatArray
+    tilt: FloatArray
+    turns: FloatArray
+
+    @cached_property
+    def max_stretch(self) -> float:
+        """Largest ratio of the scales of a view."""
+        sizes = np.linalg.svd(self.linear, compute_uv=False)
+        return float((sizes[:, 0] / sizes[:, 1]).max())
+
+    @cached_property
+    def groups(self) -> npt.NDArray[np.int64]:
+        """(V,) the quarter of the compass to which a view leans: leaning to and fro looks much alike."""
+        return np.asarray(np.floor(-self.turns[:, 0] / (0.5 * np.pi) + 0.5).astype(np.int64) % 4)
+
+    def on_level(self, view: int, level: int) -> FloatArray:
+        """(6,) linear part and tilt of a view, px of a level."""
+        return np.concatenate([self.linear[view].ravel(), self.tilt[view] * 2.0**level])
+
+    def meets(self, view: int, angles_rad: FloatArray) -> npt.NDArray[np.bool_]:
+        """Which rotations (N,) a view can be met in."""
+        middle, half = self.turns[view]
+        return np.asarray(np.abs(wrapped(angles_rad - middle)) <= half + 1e-9)
+
 
 MAX_PEAKS = 1024
 
@@ -245,3 +284,66 @@ def _choose(
     kept = np.empty(limit, np.int64)
     number = scan.best_of_each_place(rows, limit, apart_rad, kept)
     return np.ascontiguousarray(rows[kept[:number]]), grid[kept[:number]]
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedMatch:
+    """A match and the model that it is of."""
+
+    match: ShapeMatch
+    model: ShapeModel
+
+    @cached_property
+    def outline(self) -> FloatArray:
+        """(N, 4) x, y, nx, ny of the model's points in the image."""
+        match, level = self.match, self.model.levels[0]
+        placed = np.empty((len(level.points), 4))
+        pose = np.array([match.x_px, match.y_px, *match.linear.ravel(), *match.tilt])
+        refine.place(level.points, level.normals, pose, placed)
+        return placed
+
+    @property
+    def size(self) -> float:
+        """Mean magnification."""
+        return float(np.sqrt(abs(np.linalg.det(self.match.linear))))
+
+
+def without_overlap(matches: Iterable[PlacedMatch], params: SearchParams) -> list[ShapeMatch]:
+    """The best of each place, best first.
+
+    Dropped is what shares more than max_overlap of its area with a better one, and what consists of edges
+    that better matches of its model explain already.
+    """
+    kept: list[PlacedMatch] = []
+    for one in sorted(matches, key=lambda p: (-p.match.score, p.match.model, p.match.x_px, p.match.y_px)):
+        if any(_share(one, better) > params.max_overlap for better in kept):
+            continue
+        if _claimed(one, kept) <= CLIMB.claimed_share * one.match.score:
+            kept.append(one)
+    return [one.match for one in kept[: params.max_matches]]
+
+
+def disc_overlap(distance: float, radius: float) -> float:
+    """Share of the area of two discs of one radius that both cover."""
+    half = distance / (2 * radius)
+    if half >= 1:
+        return 0.0
+    return 2 / math.pi * (math.acos(half) - half * math.sqrt(1 - half**2))
+
+
+def _share(one: PlacedMatch, other: PlacedMatch) -> float:
+    """Share of their area, taken as discs about the origins, that two matches have in common."""
+    distance = np.hypot(one.match.x_px - other.match.x_px, one.match.y_px - other.match.y_px)
+    return disc_overlap(float(distance), 0.5 * (one.model.radius_px + other.model.radius_px))
+
+
+def _claimed(one: PlacedMatch, kept: list[PlacedMatch]) -> float:
+    """Share of a match's points that lie on the outlines of better matches of the same model."""
+    claimed = np.zeros(len(one.outline), np.bool_)
+    for better in kept:
+        reach = one.model.radius_px * (one.size + better.size)
+        distance = math.hypot(one.match.x_px - better.match.x_px, one.match.y_px - better.match.y_px)
+        if one.match.model == better.match.model and distance < reach:
+            gap_px = better.size * rivals.gap_px(better.model)
+            claimed |= rivals.lies_on(one.outline, better.outline, gap_px)
+    return float(claimed.mean())

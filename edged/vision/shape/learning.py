@@ -15,8 +15,7 @@ from edged.vision.edges.params import OUTLINES
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.kernels.jit import kernel
 from edged.vision.shape.model import ShapeLevel, ShapeModel
-from edged.vision.shape.modelparams import MAX_LEVELS, ModelParams
-from edged.vision.shape.params import LEARNING
+from edged.vision.shape.params import LEARNING, MAX_LEVELS, ModelParams
 from edged.vision.shape.pyramid import surviving_levels
 from edged.vision.shape.symmetry import find_symmetry
 

@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.edges.params import OUTLINES
-from edged.vision.shape.modelparams import MAX_LEVELS
-from edged.vision.shape.params import LEARNING
+from edged.vision.shape.params import LEARNING, MAX_LEVELS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,14 +1,37 @@
-"""What to look for, and what was found."""
+"""What to look for, what was found, and the tuned numbers of the search, each with its source."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Literal, get_args
 
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.errors import UserError
+from edged.errors import TeachError, UserError
+from edged.vision.edges.hysteresis import EdgeThresholds
+
+MAX_LEVELS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class ModelParams:
+    """What of a region becomes the model.
+
+    edges : which edges belong to it.
+    levels : 1 to 5, of the pyramid; fewer where the shape does not survive so far up. None means "auto".
+    Steps of angle and scale follow from the model's radius on each level; the metric is the search's
+    `polarity`. Wrong values raise `TeachError` that names them.
+    """
+
+    edges: EdgeThresholds = field(default_factory=EdgeThresholds)
+    levels: int | None = None
+
+    def __post_init__(self) -> None:
+        levels = self.levels
+        if levels is not None and (isinstance(levels, bool) or levels not in range(1, MAX_LEVELS + 1)):
+            raise TeachError(f"levels {levels}: expected 1 to {MAX_LEVELS}")
+
 
 Polarity = Literal["same", "global", "local", "ignore"]
 SubPixel = Literal["none", "rigid", "similarity", "stretch", "affine", "projective"]
@@ -50,10 +73,10 @@ class SearchParams:
     allow_partial: bool = True
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for option in fields(self):
+            value = getattr(self, option.name)
             if isinstance(value, float) and not np.isfinite(value):
-                raise UserError(f"search.{field.name}: expected a finite number, got {value}")
+                raise UserError(f"search.{option.name}: expected a finite number, got {value}")
         _in_range("angle_extent_rad", self.angle_extent_rad, 0, 2 * np.pi + 1e-9)
         _in_range("angle_start_rad", self.angle_start_rad, -1e3, 1e3)
         _in_range("scale_min", self.scale_min, 0.1, 10)

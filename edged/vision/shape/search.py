@@ -20,11 +20,16 @@ from edged.vision.geometry.rigid import angle_between
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
-from edged.vision.shape.candidates import Hypothesis, scan_top
+from edged.vision.shape.candidates import (
+    Hypothesis,
+    PlacedMatch,
+    ShapeViews,
+    disc_overlap,
+    scan_top,
+    without_overlap,
+)
 from edged.vision.shape.model import ShapeModel, reach_px
 from edged.vision.shape.params import CLIMB, EACH_EDGE_ITSELF, SCAN, SearchParams, ShapeMatch
-from edged.vision.shape.suppression import PlacedMatch, disc_overlap, without_overlap
-from edged.vision.shape.views import ShapeViews
 from edged.vision.shape.workspace import Workspace
 
 __all__ = ["SearchParams", "ShapeMatch", "Workspace", "find_shapes"]

@@ -12,8 +12,7 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.rigid import Plane, apply
 from edged.vision.teaching.features import TeachingView
 from edged.vision.teaching.params import TEACHING
 

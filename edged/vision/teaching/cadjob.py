@@ -34,7 +34,7 @@ from edged.vision.part.job import (
 from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve, edge_curve
 from edged.vision.shape.learning import create_model
-from edged.vision.shape.modelparams import ModelParams
+from edged.vision.shape.params import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import levelled

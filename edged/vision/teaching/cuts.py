@@ -10,9 +10,8 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.contours import Contour, find_contours
-from edged.vision.geometry.plane import Plane
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import apply, invert
+from edged.vision.geometry.rigid import Plane, apply, invert
 from edged.vision.part.job import CircleFeature, Job
 from edged.vision.teaching.params import TEACHING
 

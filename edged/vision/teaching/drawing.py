@@ -28,7 +28,7 @@ from edged.vision.part.job import (
 )
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.learning import create_model
-from edged.vision.shape.modelparams import ModelParams
+from edged.vision.shape.params import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.coverage import coverage
 from edged.vision.teaching.params import CAD

@@ -16,9 +16,8 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_plane
 from edged.vision.edges.contours import Contour, find_contours, pieces
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rigid import transform, wrapped
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rigid import Plane, transform, wrapped
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
 from edged.vision.teaching.params import TEACHING

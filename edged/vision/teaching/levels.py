@@ -20,10 +20,8 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.edges.contours import find_contours
 from edged.vision.edges.ellipses import ImageEllipse
-from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import apply, invert, transform, unit
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages
+from edged.vision.geometry.rigid import Plane, apply, invert, transform, unit
 from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CircleFeature, CornerFeature, EdgeFeature, SlotFeature

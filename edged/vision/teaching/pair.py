@@ -14,10 +14,8 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, fit_plane
 from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
-from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import apply, invert, transform
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages
+from edged.vision.geometry.rigid import Plane, apply, invert, transform
 from edged.vision.part.edgeidentity import is_double
 from edged.vision.part.frames import FoundCircle, circles_in_rig
 from edged.vision.part.initialplane import find_plane
@@ -32,7 +30,7 @@ from edged.vision.part.job import (
 from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve
 from edged.vision.shape.learning import create_model
-from edged.vision.shape.modelparams import ModelParams
+from edged.vision.shape.params import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.background import without_background
 from edged.vision.teaching.features import (

@@ -21,8 +21,7 @@ from edged.vision.calibration.imaging import (
     with_response,
 )
 from edged.vision.geometry.camera import CameraModel
-from edged.vision.geometry.rectification import make_rectification
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import StereoImages, make_rectification
 
 BOARD = Chessboard(9, 7, 5.0)
 RIG = make_rig("division", 24.0)

@@ -14,7 +14,7 @@ from helpers.cells import pictures, pose, scene, small_rig
 from edged.errors import CalibrationError
 from edged.sim.render.scene import Disc, Part, Surface
 from edged.vision.boards.board import Chessboard
-from edged.vision.curves.outlineprojection import project_circle
+from edged.vision.curves.outlines import project_circle
 from edged.vision.geometry.camera import CameraModel, StereoRig
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))

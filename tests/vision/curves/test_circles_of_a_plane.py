@@ -13,8 +13,7 @@ from helpers.cells import PLACE_MM, clean_greys, noisy, pictures, pose, scene, s
 from edged.domain.arrays import FloatArray, Image
 from edged.sim.cell import demo_rig
 from edged.sim.render.scene import Box, Disc, Hole, Part, Sensor, Surface
-from edged.vision.curves.outlineprojection import circle_axes, project_circle
-from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.outlines import Curve, Face, circle_axes, project_circle
 from edged.vision.curves.planefit import fit_circle, fit_plane
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.camera import StereoRig

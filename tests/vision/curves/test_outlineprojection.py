@@ -9,14 +9,15 @@ import pytest
 from helpers.rigs import make_rig
 from naive import curves as naive
 
-from edged.vision.curves.outlineprojection import (
+from edged.vision.curves.outlines import (
+    Curve,
+    Face,
     camera_pose,
     circle_axes,
     curvatures,
     project_circle,
     project_outline,
 )
-from edged.vision.curves.outlines import Curve, Face
 from edged.vision.geometry.camera import LensModel
 from edged.vision.geometry.rigid import rotation_matrix
 

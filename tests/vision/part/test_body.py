@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 
 from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
-from edged.vision.curves.outlineprojection import project_outline
-from edged.vision.curves.outlines import Curve, CurveOutline, Face
+from edged.vision.curves.outlines import Curve, CurveOutline, Face, project_outline
 from edged.vision.part.body import MAX_TRIANGLES, PartBody
 from edged.vision.part.bodysight import hidden_samples, sight_of
 from edged.vision.part.zbuffer import hidden_points

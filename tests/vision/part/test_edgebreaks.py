@@ -17,7 +17,7 @@ from edged.domain.measurement import Reject, Target
 from edged.pipeline import PreparedRig, inspect, locate, prepare
 from edged.vision.curves.params import BREAKS
 from edged.vision.geometry.rigid import invert
-from edged.vision.part.acceptance import judged, vaguest_mm
+from edged.vision.part.consistency import judged, vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 

@@ -14,8 +14,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject, Target
 from edged.robot.budget import budget_of
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.rectification import make_rectification
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import StereoImages, make_rectification
 from edged.vision.part.expected import Scatters, expected_target, scatters_of
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part

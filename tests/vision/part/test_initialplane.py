@@ -14,9 +14,8 @@ from naive import part as naive
 
 from edged.domain.arrays import FloatArray
 from edged.sim.render.scene import Disc, Part, Surface
-from edged.vision.geometry.plane import Plane
-from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
+from edged.vision.geometry.rigid import Plane
 from edged.vision.part import initialplane as startplane
 from edged.vision.part.initialplane import find_plane
 

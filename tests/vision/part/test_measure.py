@@ -22,8 +22,8 @@ from edged.pipeline import cloud, inspect, judge, locate
 from edged.sim.render.scene import Box, Disc, Hole, Part, Slot, Surface
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import fit_plane
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part.flatness import form_of
 from edged.vision.part.job import Job, MeasurementSpec, nominal_size
 from edged.vision.part.measure import measure_part

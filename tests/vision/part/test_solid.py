@@ -33,8 +33,8 @@ from edged.sim.render.scene import Disc, Hole, Part, Scene, Surface
 from edged.vision.curves.foresight import ExpectedLight, scatter_in
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.geometry.stereoimages import StereoImages
 from edged.vision.part import measure as part_measure
 from edged.vision.part.expected import expected_target, scatters_of
 from edged.vision.part.frames import with_features

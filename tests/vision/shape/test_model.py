@@ -19,7 +19,7 @@ from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.geometry.rigid import angle_between
 from edged.vision.shape.learning import create_model, repetition
 from edged.vision.shape.model import ShapeModel
-from edged.vision.shape.modelparams import ModelParams
+from edged.vision.shape.params import ModelParams
 from edged.vision.shape.search import SearchParams, find_shapes
 
 RIGID = SearchParams(scale_min=1.0, scale_max=1.0, sub_pixel="rigid", min_score=0.5)

@@ -11,8 +11,7 @@ from helpers.cells import PLACE_MM, Flange, flange, pictures, pose, region_aroun
 
 from edged.domain.arrays import FloatArray
 from edged.sim.render.scene import Surface
-from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.geometry.stereoimages import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
 from edged.vision.shape.search import find_shapes
 from edged.vision.teaching.background import without_background
 from edged.vision.teaching.features import TeachingView

@@ -17,7 +17,7 @@ from edged.errors import ImageError, TeachError
 from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import apply
-from edged.vision.shape.modelparams import ModelParams
+from edged.vision.shape.params import ModelParams
 from edged.vision.teaching.pair import teach
 from edged.vision.teaching.region import Area, CircleRegion, Painted, PolygonRegion, Region, painted_region
 

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from edged.vision.kernels.parallel import for_both
+from edged.vision.kernels.jit import for_both
 
 
 def test_both_are_done_at_the_same_time() -> None:
