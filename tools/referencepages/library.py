@@ -11,15 +11,15 @@ import edged
 from edged import library
 from edged.domain.measurement import Circle3D, Match, Nearest, NearMiss, Outcome, Target
 from edged.setup.calibration.views import Calibrated
-from edged.vision.calibration.verdict import Verdict
+from edged.vision.calibration.verdict import CalibrationVerdict
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
-from edged.vision.teaching.region import Circle, Painted, Polygon, Region, Stroke
+from edged.vision.teaching.region import CircleRegion, Painted, PolygonRegion, Region, Stroke
 from referencepages.markdown import code, first_line, table
 
 TYPES = (
-    *(Outcome, Target, Match, Circle3D, Nearest, NearMiss, Calibrated, Verdict, StereoRig, Job),
-    *(Region, Circle, Polygon, Stroke, Painted),
+    *(Outcome, Target, Match, Circle3D, Nearest, NearMiss, Calibrated, CalibrationVerdict, StereoRig, Job),
+    *(Region, CircleRegion, PolygonRegion, Stroke, Painted),
 )
 FIELD = re.compile(r"(?:^|(?<=\. ))(?P<names>\w+(?:, \w+)*)(?P<shape> \([^)]*\))? ?: ")
 """How a docstring names what it explains: "left, right : images", at the beginning of a sentence."""

@@ -19,9 +19,9 @@ from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.vision.curves.adjustment import precise, propagate
 from edged.vision.curves.commonmode import LEAST_GAIN, PARTS, Pairs, samples_of
 from edged.vision.curves.outlines import Curve, CurveOutline, Face, ProjectedOutline, project_outline
-from edged.vision.curves.params import FORESIGHT
+from edged.vision.curves.params import FORESIGHT, FitParams
 from edged.vision.curves.planefit import Known, PlaneFit, Scatter, arcs_px, result_of
-from edged.vision.curves.planestate import CurveEdges, FitParams, FitProblem, FitStep, State
+from edged.vision.curves.planestate import CurveEdges, FitProblem, FitStep, State
 from edged.vision.geometry.camera import StereoRig
 
 NOTHING = np.zeros((0, 0), np.uint8)

@@ -128,3 +128,23 @@ class ForesightParams:
 
 
 FORESIGHT = ForesightParams()
+
+
+@dataclass(frozen=True, slots=True)
+class FitParams:
+    """How curves are measured.
+
+    reach_px : search range along the normals, one iteration each; the last one is repeated until the curves
+    stand still, `repeats` times at most; with 0 repeats the curves are only laid where they are.
+    spacing_px : of the samples. min_slope : grey values per px below which there is no edge. min_support :
+    share of its samples that a curve must show in each image.
+    """
+
+    reach_px: tuple[float, ...] = (6.0, 4.0, 2.5, 2.0)
+    spacing_px: float = 1.0
+    min_slope: float = 1.5
+    min_support: float = 0.4
+    repeats: int = 4
+
+
+DEFAULT_PARAMS = FitParams()

@@ -30,11 +30,9 @@ from edged.vision.curves.adjustment import propagate
 from edged.vision.curves.commonmode import PARTS
 from edged.vision.curves.edgebreaks import break_shifts, break_widths_mm
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, ProjectedOutline, circle_axes
-from edged.vision.curves.params import FIT
+from edged.vision.curves.params import DEFAULT_PARAMS, FIT, FitParams
 from edged.vision.curves.planestate import (
-    DEFAULT_PARAMS,
     RIGID_PARAMETERS,
-    FitParams,
     FitProblem,
     FitStep,
     State,

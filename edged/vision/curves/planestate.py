@@ -23,7 +23,7 @@ from edged.vision.curves.outlines import (
     curvatures,
     project_outline,
 )
-from edged.vision.curves.params import FIT
+from edged.vision.curves.params import FIT, FitParams
 from edged.vision.curves.systematic import fourier_basis, shift_basis, slants
 from edged.vision.edges.params import EDGE
 from edged.vision.edges.subpixel import WIDTHS_PX, edges_at_widths
@@ -38,26 +38,6 @@ PROBES_MM = FIT.probe_mm * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0
 """A point and two beside it, for the scale of the image there."""
 WAVES = 5
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
-
-
-@dataclass(frozen=True, slots=True)
-class FitParams:
-    """How curves are measured.
-
-    reach_px : search range along the normals, one iteration each; the last one is repeated until the curves
-    stand still, `repeats` times at most; with 0 repeats the curves are only laid where they are.
-    spacing_px : of the samples. min_slope : grey values per px below which there is no edge. min_support :
-    share of its samples that a curve must show in each image.
-    """
-
-    reach_px: tuple[float, ...] = (6.0, 4.0, 2.5, 2.0)
-    spacing_px: float = 1.0
-    min_slope: float = 1.5
-    min_support: float = 0.4
-    repeats: int = 4
-
-
-DEFAULT_PARAMS = FitParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,9 +14,8 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Match, Reject, Target
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.params import BREAKS
+from edged.vision.curves.params import BREAKS, FitParams
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
-from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, about_z, angle_between, apply, cross, transform, unit

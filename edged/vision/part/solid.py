@@ -21,8 +21,8 @@ import numpy.typing as npt
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.domain.measurement import Match, Reject, Target
 from edged.vision.curves.outlines import Curve, Face, project_outline
+from edged.vision.curves.params import FitParams
 from edged.vision.curves.planefit import PlaneFit, fit_plane
-from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.candidates import candidates
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import StereoImages

@@ -11,8 +11,8 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Circle3D
 from edged.errors import TeachError
 from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.params import FitParams
 from edged.vision.curves.planefit import CurveFit, fit_plane
-from edged.vision.curves.planestate import FitParams
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, apply, invert, transform

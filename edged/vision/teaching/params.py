@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.vision.curves.planestate import FitParams
+from edged.vision.curves.params import FitParams
 
 
 @dataclass(frozen=True, slots=True)
