@@ -7,7 +7,7 @@ import re
 from edged.adapters.web.assets import read_assets
 from helpers.browser import Browser
 
-STEPS = re.findall(r"\{ id: \"(\w+)\", load:", read_assets()["setup/steps.js"])
+STEPS = re.findall(r"\{ id: \"(\w+)\", topic:", read_assets()["setup/steps.js"])
 """All pages, on the way and beside it, as the table of them has it."""
 STATE = 'document.querySelector("#state").textContent.trim()'
 LEASE = 'document.querySelector(".lease").textContent'

@@ -31,7 +31,9 @@ FORMS = [WEB / "login.py", *(WEB / "templates" / f"{name}.html" for name in ("lo
 ALL_SCRIPTS = "\n".join([*SCRIPTS.values(), FRAME, *(path.read_text() for path in FORMS)])
 ENTRY = re.compile(r"^([a-z][a-z0-9-]*) =(.*(?:\n[ }].*)*)", re.MULTILINE)
 VALUE = re.compile(r"\$(\w+)")
-PAGES = sorted({path.name.split(".")[0] for path in (SETUP / "pages").glob("*.ftl")})
+FOLDERS = {path.name.split(".")[0]: path.parent for path in SETUP.glob("*/*.ftl")}
+"""Pages that set a cell up, to where they stand."""
+PAGES = sorted(FOLDERS)
 PARTS = ["", "login", "run", "registers", *PAGES]
 """Files of texts: around the pages that set a cell up, of the forms to log in, of the Run page, its map, and
 of each of them.
@@ -49,7 +51,7 @@ FAMILIES = families(ALL_SCRIPTS)
 
 def entries(part: str, language: str) -> list[tuple[str, str]]:
     """Ids and texts of a file, in its order."""
-    folder = SETUP / "pages" if part in PAGES else RUN if part else SETUP
+    folder = FOLDERS.get(part) or (RUN if part else SETUP)
     folder = WEB / "static" if part == "login" else folder
     path = folder / (f"{part}.{language}.ftl" if part else f"{language}.ftl")
     return [(name, text) for name, text in ENTRY.findall(path.read_text())]
@@ -215,8 +217,12 @@ def test_every_text_is_used() -> None:
 
 
 def test_every_page_has_texts() -> None:
-    """A page that is entered asks for its own: NAME.js has NAME.en.ftl."""
-    entered = re.findall(r'import\("\./pages/(\w+)\.js"\)', SCRIPTS["steps"])
+    """Beside the script and the styles of each page in the table of steps, TOPIC/NAME.js."""
+    entered = dict(re.findall(r'\{ id: "(\w+)", topic: "(\w+)"', SCRIPTS["steps"]))
 
     assert len(entered) >= 2
-    assert PAGES == sorted(entered)
+    assert {page: folder.name for page, folder in FOLDERS.items()} == entered
+    for page, folder in FOLDERS.items():
+        assert {f"{page}{end}" for end in (".js", ".css", ".de.ftl", ".en.ftl")} <= {
+            path.name for path in folder.iterdir()
+        }

@@ -74,6 +74,12 @@ def test_a_script_is_served_by_its_name_and_a_licence_is_not() -> None:
     assert "vendor/LICENCES.txt" not in read_assets()
 
 
+def imports(name: str, script: str) -> set[str]:
+    """Names of the modules that one imports."""
+    folder = PurePosixPath(name).parent
+    return {posixpath.normpath(folder / other) for other in re.findall(r'from "([./]+[\w/]+\.js)"', script)}
+
+
 def test_the_shell_is_small_and_so_is_each_page() -> None:
     """Scripts, styles and the longest language: around the pages with the first of them, and of any one."""
     assets = read_assets()
@@ -81,19 +87,23 @@ def test_the_shell_is_small_and_so_is_each_page() -> None:
     texts = {name: size for name, size in sizes.items() if name.endswith(".ftl")}
     shell = sum(size for name, size in sizes.items() if in_shell(name) and name not in texts)
     shell += max(size for name, size in texts.items() if in_shell(name))
-    pages = {PurePosixPath(name).name.split(".")[0] for name in texts if name.startswith("setup/pages/")}
+    pages = {
+        name.removesuffix(".en.ftl")
+        for name in texts
+        if not in_shell(name) and name.startswith("setup/") and name.endswith(".en.ftl")
+    }
     loaded = dict.fromkeys(pages, 0)
     for page in pages:
-        names, wanted = set[str](), [f"setup/pages/{page}.js"]
+        names, wanted = set[str](), [f"{page}.js"]
         while wanted:
             name = wanted.pop()
-            if name not in names:
+            if name not in names and not in_shell(name):
                 names.add(name)
-                wanted += [f"setup/pages/{other}.js" for other in re.findall(r'"\./(\w+)\.js"', assets[name])]
-        own = max(size for name, size in texts.items() if name.startswith(f"setup/pages/{page}."))
-        loaded[page] = sum(sizes[name] for name in names) + own + sizes.get(f"setup/pages/{page}.css", 0)
+                wanted += imports(name, assets[name])
+        own = max(size for name, size in texts.items() if name.startswith(f"{page}."))
+        loaded[page] = sum(sizes[name] for name in names) + own + sizes[f"{page}.css"]
 
-    assert shell + loaded["welcome"] <= SHELL_BYTES
+    assert shell + loaded["setup/cell/welcome"] <= SHELL_BYTES
     assert {} == {page: size for page, size in loaded.items() if size > PAGE_BYTES}
 
 
@@ -103,9 +113,7 @@ def test_the_run_page_is_light() -> None:
     scripts = run_modules(assets)
     imported = set[str]()
     for name in scripts:
-        folder = PurePosixPath(name).parent
-        for other in re.findall(r'from "([./]+[\w/]+\.js)"', assets[name]):
-            imported.add(posixpath.normpath(folder / other))
+        imported |= imports(name, assets[name])
     texts = max(
         len((assets[f"setup/{tag}.ftl"] + assets[f"run/run.{tag}.ftl"]).encode()) for tag in ("en", "de")
     )

@@ -113,11 +113,10 @@ def test_the_page_speaks_as_it_is_told() -> None:
         await page.ask("Page.reload")
         await page.until(f'document.querySelector("#state") && {STATE} === "BEREIT"')
         assert "de" == await page.value("document.documentElement.lang")
-        read = "import('/static/setup/texts.js').then((m) => [m.number(1234.5, 1), ...%s.map(m.parseNumber)])"
+        texts = "import('/static/setup/shared/texts.js')"
+        read = texts + ".then((m) => [m.number(1234.5, 1), ...%s.map(m.parseNumber)])"
         assert ["1234,5", 0.5, 0.5, -3.0] == await page.value(read % "['0,5', ' .5', '-3']")
-        wrong = (
-            "import('/static/setup/texts.js').then((m) => %s.filter((x) => !Number.isNaN(m.parseNumber(x))))"
-        )
+        wrong = texts + ".then((m) => %s.filter((x) => !Number.isNaN(m.parseNumber(x))))"
         assert [] == await page.value(wrong % "['1.000,5', '', '4 mm', '1e3', '.', '--1']")
 
         # another screen: only the user's record is left
@@ -158,7 +157,7 @@ def test_a_step_that_is_chosen_while_the_page_comes_is_entered() -> None:
 
 def test_of_an_answer_and_what_was_told_meanwhile_the_newer_one_holds() -> None:
     """A message that overtakes an answer is newer: of the same document, and no older revision."""
-    race = """Promise.all([import("/static/setup/live.js"), import("/static/vendor/ui.js")])
+    race = """Promise.all([import("/static/setup/shared/live.js"), import("/static/vendor/ui.js")])
     .then(async ([{ newest }, { signal }]) => {
       const heard = signal({ id: "a", revision: 9 });
       const raced = async (message) => {
@@ -308,7 +307,7 @@ def test_a_page_that_does_not_come_says_so() -> None:
 
     async def test(page: Browser, _cell: Cell) -> None:
         await page.ask("Network.enable")
-        await page.ask("Network.setBlockedURLs", urls=["*/pages/system.js"])
+        await page.ask("Network.setBlockedURLs", urls=["*/cell/system.js"])
         await page.value('location.hash = "#/system"')
         await page.until(said("This page could not be fetched."))
         await go(page, "welcome")
@@ -335,7 +334,7 @@ def test_a_page_that_comes_back_from_the_browsers_memory_listens_again(way: str)
     connected = "live.isConnected.value"
 
     async def test(page: Browser, cell: Cell) -> None:
-        await page.value('import("/static/setup/live.js").then((live) => { globalThis.live = live; })')
+        await page.value('import("/static/setup/shared/live.js").then((live) => { globalThis.live = live; })')
         await page.until(connected)
         await (leave if way == "leave" else freeze)(page)
         assert not await page.value(connected)

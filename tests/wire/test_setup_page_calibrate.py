@@ -157,7 +157,8 @@ def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
 async def overtaken(newcomer: Newcomer, page: Browser, identity: str) -> None:
     """What is told of a draft has come to a page."""
     await page.value(
-        """import("/static/setup/live.js").then((live) => { live.told("mark"); globalThis.live = live; })"""
+        """import("/static/setup/shared/live.js")
+          .then((live) => { live.told("mark"); globalThis.live = live; })"""
     )
     for goal_um in (2.0, 3.0):
         await newcomer.ask("PUT", f"calibrations/{identity}", {"goal_um": goal_um})

@@ -338,7 +338,7 @@ def test_who_was_slower_is_told_and_sees_what_the_other_did(stand: Stand) -> Non
         await stand.until(lambda now: now["proposing"] is None)
         await stand.open()
         await page.value(
-            "import('/static/setup/pages/teaching.js').then(({teaching}) => "
+            "import('/static/setup/teaching/teaching.js').then(({teaching}) => "
             "{ teaching.value = {...teaching.value, revision: teaching.value.revision - 1, name: 'older'}; })"
         )
         was = await page.value(CHECKED)

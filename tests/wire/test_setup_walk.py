@@ -232,7 +232,7 @@ def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> None:
         page = walk.page
         await walk.hold(page, step)
         await page.value(
-            "import('/static/setup/live.js').then((m) => { m.liveViews.value = -1; })"
+            "import('/static/setup/shared/live.js').then((m) => { m.liveViews.value = -1; })"
         )  # quicker
         for screen in SCREENS:
             await page.resize(*screen)
@@ -296,12 +296,12 @@ def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
         await walk.hold(page, "welcome")
         await page.value(
             """(async () => {
-              const {ask} = await import("/static/setup/api.js");
+              const {ask} = await import("/static/setup/shared/api.js");
               const {token} = await ask("POST", "setup", {take_over: true});
               document.body.append(document.createElement("iframe"));
               globalThis.tab = document.querySelector("iframe").contentWindow.localStorage;
               tab.setItem("edged.lease", token);
-              const live = await import("/static/setup/live.js");
+              const live = await import("/static/setup/shared/live.js");
               while (live.token.value !== token) await new Promise((done) => setTimeout(done, 10)); })()"""
         )
         assert await page.value('Boolean(document.querySelector(".lease.mine"))')

@@ -1,4 +1,4 @@
-"""What a browser may load of the pages: scripts, styles, drawings and texts, by their names below static/."""
+"""Files that a browser loads for the pages: scripts, styles, drawings, texts, by name below static/."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from importlib.resources import files
 from pathlib import PurePosixPath
 
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".ftl": "text/plain"}
-"""By the end of the name; what ends otherwise (licences, check sums) is for who looks into the package."""
-SHARED = ("setup/api.js", "setup/texts.js", "vendor/ui.js")
-"""Scripts that the Run page has in common with those that set the cell up."""
+"""Media types by suffix; files with others (licences, check sums) are not served."""
+SHARED = ("setup/shared/api.js", "setup/shared/texts.js", "vendor/ui.js")
+"""Scripts that the Run page shares with the set-up pages."""
 
 
 def read_assets() -> dict[str, str]:
-    """Names, such as "setup/main.js", to texts."""
+    """Return contents by name, such as "setup/main.js"."""
     found: dict[str, str] = {}
     folders = [(files(__package__) / "static", "")]
     while folders:
@@ -28,20 +28,21 @@ def read_assets() -> dict[str, str]:
 
 
 def type_of(name: str) -> str:
-    """Its media type; "" for what is not served."""
+    """Return the media type; "" for files that are not served."""
     return TYPES.get(PurePosixPath(name).suffix, "")
 
 
 def in_shell(name: str) -> bool:
-    """Whether it stands around the pages that set a cell up; a page comes when it is entered."""
-    return name.startswith(("setup/", "vendor/")) and not name.startswith("setup/pages/")
+    """Whether a file is loaded with the first set-up page; those of a page come when it is opened."""
+    folder = PurePosixPath(name).parent.as_posix()
+    return folder in {"setup", "setup/shared", "vendor"}
 
 
 def run_modules(assets: Iterable[str]) -> list[str]:
-    """Scripts of the Run page, all at once likewise."""
+    """Return the scripts of the Run page."""
     return sorted([*SHARED, *(name for name in assets if name.startswith("run/") and name.endswith(".js"))])
 
 
 def modules(assets: Iterable[str]) -> list[str]:
-    """Scripts of that shell: a browser is told of all at once, and need not find them."""
+    """Return the scripts of the shell, for a browser to load at once."""
     return sorted(name for name in assets if name.endswith(".js") and in_shell(name))

@@ -1,6 +1,8 @@
-// What the page is built with. No framework: it draws anew what has changed, cycle after cycle.
+// Helpers to build DOM nodes; the Run page uses no framework.
 const SVG = "http://www.w3.org/2000/svg";
 export const SIDES = ["left", "right"];
+export const AXES = ["X", "Y", "Z"];
+/** @type {(id: string) => any} */
 export const $ = (id) => document.getElementById(id);
 
 export function element(tag, attributes = {}, ...children) {
@@ -17,12 +19,15 @@ export function drawing(tag, attributes) {
 }
 
 export function row(tag, cells) {
-  const line = element("tr");
-  cells.forEach((cell, i) => line.append(element(tag, i && tag === "td" ? { class: "number" } : {}, cell)));
-  return line;
+  const attributes = (i) => (i && tag === "td" ? { class: "number" } : {});
+  return element("tr", {}, ...cells.map((cell, i) => element(tag, attributes(i), cell)));
 }
 
-// A name or a value: the same in every language.
-export const data = (text, attributes = {}) => element("span", { translate: "no", ...attributes }, String(text));
-// What only the cell's own words say: they are English.
+export const muted = (...children) => element("span", { class: "muted" }, ...children);
+export const note = (...children) => element("p", { class: "muted" }, ...children);
+
+// A name or a value, which is not translated.
+export const data = (text, attributes = {}) =>
+  element("span", { translate: "no", ...attributes }, String(text));
+// A message of the cell, which is English.
 export const detail = (text) => data(text, { lang: "en", class: "muted" });

@@ -1,11 +1,12 @@
-// The Modbus map, live while somebody looks at it. Its texts come with it.
-import { $, data, detail, element } from "./dom.js";
+// The Modbus map, live while it is open. Its texts are loaded with it.
+
+import { dashed, has, learn, t } from "../setup/shared/texts.js";
+import { $, data, detail, element, muted } from "./dom.js";
 import { figure } from "./sentences.js";
-import { dashed, has, learn, t } from "../setup/texts.js";
 
 const MEANINGS = { "no value": "register-no-value", none: "register-none", unknown: "register-unknown" };
 const NAMES = /^[\dA-Z_, ]+$/;
-const CODES = /\d+ [A-Z][A-Z0-9_]+(?:, \d+ [A-Z][A-Z0-9_]+)*/; // names, the same in every language
+const CODES = /\d+ [A-Z][A-Z0-9_]+(?:, \d+ [A-Z][A-Z0-9_]+)*/; // names, not translated
 let timer = 0;
 let texts = null;
 
@@ -14,15 +15,21 @@ export async function loadRegisters() {
   const [answer] = await Promise.all([fetch("/registers.json"), texts]);
   if (!answer.ok) return;
   const wanted = $("find").value.trim().toLowerCase();
-  const rows = (await answer.json()).filter((r) => !wanted || r.name.toLowerCase().includes(wanted) || String(r.address) === wanted);
+  const rows = (await answer.json()).filter(
+    (r) => !wanted || r.name.toLowerCase().includes(wanted) || String(r.address) === wanted,
+  );
   $("words").replaceChildren(...rows.map(registerRow));
 }
 
-// What the map says of a register: rows of one table, and axes of one pose, have one text.
+// The help of a register; rows of a table, and axes of a pose, share a text.
 function helpOf({ name, address, help }) {
-  const alike = name.replace(/^([TJ])\d+_/, "$1_").replace(/_NAME_\d+$/, "_NAME").replace(/_R[XYZ]$/, "_ROTATION").replace(/(^|_)[XYZABC]$/, "$1AXIS");
+  const alike = name
+    .replace(/^([TJ])\d+_/, "$1_")
+    .replace(/_NAME_\d+$/, "_NAME")
+    .replace(/_R[XYZ]$/, "_ROTATION")
+    .replace(/(^|_)[XYZABC]$/, "$1AXIS");
   const id = `register-${dashed(alike)}`;
-  const known = [`${id}-${Math.floor(address / 100)}`, id].find(has); // of names in two blocks
+  const known = [`${id}-${Math.floor(address / 100)}`, id].find(has); // some names occur in two blocks
   const codes = help.match(CODES)?.[0] ?? "";
   if (known) return t(known, { codes });
   return name.startsWith("N_") ? t("register-n-reject", { code: name.slice(2) }) : null;
@@ -30,11 +37,24 @@ function helpOf({ name, address, help }) {
 
 function registerRow(r) {
   const help = helpOf(r);
-  const value = element("td", { class: "value" }, data(r.text), ...(r.meaning ? [" ", element("span", { class: "muted" }, meaningOf(r, help))] : []));
-  return element("tr", {}, element("td", {}, String(r.address)), element("td", {}, data(r.name)), value, element("td", {}, data(r.unit)), element("td", {}, help === null ? detail(r.help) : NAMES.test(help) ? data(help) : help));
+  const value = element(
+    "td",
+    { class: "value" },
+    data(r.text),
+    ...(r.meaning ? [" ", muted(meaningOf(r, help))] : []),
+  );
+  return element(
+    "tr",
+    {},
+    element("td", {}, String(r.address)),
+    element("td", {}, data(r.name)),
+    value,
+    element("td", {}, data(r.unit)),
+    element("td", {}, help === null ? detail(r.help) : NAMES.test(help) ? data(help) : help),
+  );
 }
 
-// A word that the register's own text lists, a figure, or names of bits and codes.
+// A word listed in the register's help, a figure, or names of bits and codes.
 function meaningOf({ text, meaning, help: english }, help) {
   if (/^[A-Z0-9_]+$/.test(meaning)) return data(meaning);
   const listed = new RegExp(`(?:^|, )${text}:? (\\p{L}[\\p{L}_ -]*)`, "u");

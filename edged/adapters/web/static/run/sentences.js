@@ -1,19 +1,26 @@
-// What the cell says by codes and by figures, as sentences.
+// Sentences for the codes and figures of the cell.
+
+import { dashed, has, language, number, t } from "../setup/shared/texts.js";
 import { data, detail, element } from "./dom.js";
-import { dashed, has, language, number, t } from "../setup/texts.js";
 
 export const statusOf = (status) => t(`run-status-${dashed(status)}`);
 export const kindOf = (status) => (status === "OK" ? "good" : status === "CAPTURE_FAULT" ? "bad" : "warn");
 const rejects = (codes) => codes.map((code) => t(`run-reject-${dashed(code)}`)).join(", ");
 
-// Numbers that come as text have the digits that are shown.
-export const figure = (text) => (/^[-+]?\d+(\.\d+)?$/.test(text) ? `${text.startsWith("+") ? "+" : ""}${number(Number(text), (text.split(".")[1] ?? "").length)}` : text);
-const figures = (values) => Object.fromEntries(Object.entries(values).map(([name, value]) => [name, typeof value === "string" ? figure(value) : value]));
+// A number that comes as text is shown with its digits.
+export const figure = (text) =>
+  /^[-+]?\d+(\.\d+)?$/.test(text)
+    ? `${text.startsWith("+") ? "+" : ""}${number(Number(text), (text.split(".")[1] ?? "").length)}`
+    : text;
+const figures = (values) =>
+  Object.fromEntries(
+    Object.entries(values).map(([name, value]) => [name, typeof value === "string" ? figure(value) : value]),
+  );
 
-// The hours as the browser's owner writes them, where that is the language of the page.
+// The time of day in the browser's regional format, if that is of the page's language.
 export function clock(ns) {
   if (!ns) return "–";
-  const tag = navigator.languages.find((one) => one.split("-")[0] === language.value) ?? language.value;
+  const tag = navigator.languages.find((liked) => liked.split("-")[0] === language.value) ?? language.value;
   return new Date(ns / 1e6).toLocaleTimeString(tag);
 }
 
@@ -25,15 +32,21 @@ function cause({ code, number: count, text, reject, ...values }) {
   if (code === "NOTHING") return [t("run-why-nothing")];
   if (code === "NEAREST") return [t("run-why-nearest", figures(values))];
   if (code !== "SEEN") return [rejects([code])];
-  const remedies = reject.filter((one) => REMEDIED.includes(one)).map((one) => t(`run-try-${dashed(one)}`));
-  return [t("run-why-seen", { ...figures(values), reasons: rejects(reject), remedies: remedies.join(" ") || t("run-try-look") })];
+  const remedies = reject.filter((bit) => REMEDIED.includes(bit)).map((bit) => t(`run-try-${dashed(bit)}`));
+  return [
+    t("run-why-seen", {
+      ...figures(values),
+      reasons: rejects(reject),
+      remedies: remedies.join(" ") || t("run-try-look"),
+    }),
+  ];
 }
-export const causes = (why) => why.map((one) => element("div", {}, ...cause(one)));
+export const causes = (why) => why.map((reason) => element("div", {}, ...cause(reason)));
 export const notGood = (codes) => t("run-not-good", { reasons: rejects(codes) });
 
-// A fact: a value, a sentence by its code, or several of them.
+// A fact is a value, a sentence by its code, or a list of these.
 export function told(fact) {
-  if (Array.isArray(fact)) return fact.flatMap((one, i) => (i ? ["; ", ...told(one)] : told(one)));
+  if (Array.isArray(fact)) return fact.flatMap((part, i) => (i ? ["; ", ...told(part)] : told(part)));
   if (typeof fact === "number") return [number(fact)];
   if (typeof fact === "string") return [data(fact)];
   const { code, text, ...values } = fact;

@@ -1,9 +1,9 @@
-// Starts the page: texts first, then what the cell is, then what people see.
+// Starts the page: texts, then the state of the cell, then the page.
 import { html, render } from "../vendor/ui.js";
-import { Problem, sentence } from "./api.js";
-import { me, start } from "./live.js";
+import { Problem, sentence } from "./shared/api.js";
+import { me, start } from "./shared/live.js";
+import { preferred, speak } from "./shared/texts.js";
 import { Shell } from "./shell.js";
-import { preferred, speak } from "./texts.js";
 
 const place = document.getElementById("setup");
 await speak(preferred());

@@ -1,11 +1,12 @@
-// What stands around every page: whose cell it is, what state it is in, where one is, and what went wrong.
+// The frame of every page: state of the cell, steps, lease and errors.
 import { html, signal, useEffect, useRef, useState } from "../vendor/ui.js";
-import { ask, attempt, glance, sentence, trouble } from "./api.js";
-import { cell, end, holds, isConnected, leave, mayTake, me, take, wake } from "./live.js";
-import { Chip, Dialog, Shape, Spoken } from "./pieces.js";
+import { enter, pageOf } from "./pages.js";
+import { ask, attempt, glance, sentence, trouble } from "./shared/api.js";
+import { cell, end, holds, isConnected, leave, mayTake, me, take, wake } from "./shared/live.js";
+import { Chip, Dialog, Shape, Spoken } from "./shared/pieces.js";
+import { choose, LANGUAGES, language, t } from "./shared/texts.js";
 import { Stage } from "./stage.js";
-import { BESIDE, enter, isBuilt, pageOf, PAGES, State, STEPS } from "./steps.js";
-import { choose, language, LANGUAGES, t } from "./texts.js";
+import { BESIDE, isBuilt, PAGES, STEPS, State } from "./steps.js";
 
 const hash = () => location.hash.replace(/^#\//, "");
 const stepAt = (place) => PAGES.find((one) => isBuilt(one) && one.id === place);
@@ -14,21 +15,33 @@ const follow = () => {
   here.value = hash();
 };
 
-const STATES = { READY: ["good", "tick"], BUSY: ["idle", "busy"], SETUP: ["warn", "hand"], FAULT: ["bad", "gap"] };
+const STATES = {
+  READY: ["good", "tick"],
+  BUSY: ["idle", "busy"],
+  SETUP: ["warn", "hand"],
+  FAULT: ["bad", "gap"],
+};
 function StateChip() {
   const { state, setup } = cell.value;
   const [kind, shape] = STATES[state] ?? ["idle", "none"];
-  const text = state === "SETUP" ? (setup?.name ? t("state-setup-by", { name: setup.name }) : t("state-setup-nobody")) : t(`state-${(state ?? "starting").toLowerCase()}`);
+  const text =
+    state === "SETUP"
+      ? setup?.name
+        ? t("state-setup-by", { name: setup.name })
+        : t("state-setup-nobody")
+      : t(`state-${(state ?? "starting").toLowerCase()}`);
   return html`<${Chip} kind=${kind} shape=${shape} role="status" id="state">${text}<//>`;
 }
 
 function PlcChip() {
   const { owner, auto_lock } = cell.value.plc;
   if (auto_lock) return html`<${Chip} kind="warn" shape="plant">${t("plc-locked")}<//>`;
-  return html`<${Chip} kind="plain" shape="plant">${owner ? html`${t("plc-owner")} <span translate=${false}>${owner}</span>` : t("plc-nobody")}<//>`;
+  return html`<${Chip} kind="plain" shape="plant">
+    ${owner ? html`${t("plc-owner")} <span translate=${false}>${owner}</span>` : t("plc-nobody")}
+  <//>`;
 }
 
-// Kept here, and with the user: it is spoken wherever they log in.
+// Kept on this device and with the user.
 async function speakFrom(tag) {
   await choose(tag);
   if (me.value.name) await attempt(() => ask("PUT", "me", { language: tag }));
@@ -40,10 +53,28 @@ function Head() {
     <${StateChip} />
     <${PlcChip} />
     ${!isConnected.value && html`<${Chip} kind="bad" shape="gap" role="alert">${t("connection-lost")}<//>`}
-    <nav aria-label=${t("nav")}><a href="/">${t("nav-run")}</a><a href="#/welcome" aria-current=${!BESIDE.some(({ id }) => id === here.value)}>${t("nav-setup")}</a>${BESIDE.filter(isBuilt).map(({ id }) => html`<a href="#/${id}" aria-current=${here.value === id}>${t(`nav-${id}`)}</a>`)}<a href="/manual/how-to/setup/">${t("nav-manual")}</a></nav>
-    <label class="language"><span class="unseen">${t("language")}</span>
-      <select onChange=${(event) => speakFrom(event.currentTarget.value)}>${Object.entries(LANGUAGES).map(([tag, name]) => html`<option value=${tag} lang=${tag} translate=${false} selected=${tag === language.value}>${name}</option>`)}</select></label>
-    <form method="post" action="/logout" class="user"><span translate=${false}>${me.value.name || me.value.role}</span><button>${t("log-out")}</button></form>
+    <nav aria-label=${t("nav")}>
+      <a href="/">${t("nav-run")}</a>
+      <a href="#/welcome" aria-current=${!BESIDE.some(({ id }) => id === here.value)}>${t("nav-setup")}</a>
+      ${BESIDE.filter(isBuilt).map(
+        ({ id }) => html`<a href="#/${id}" aria-current=${here.value === id}>${t(`nav-${id}`)}</a>`,
+      )}<a href="/manual/how-to/setup/">${t("nav-manual")}</a>
+    </nav>
+    <label class="language">
+      <span class="unseen">${t("language")}</span>
+      <select onChange=${(event) => speakFrom(event.currentTarget.value)}>
+        ${Object.entries(LANGUAGES).map(
+          ([tag, name]) => html`<option
+            value=${tag} lang=${tag} translate=${false} selected=${tag === language.value}
+          >
+            ${name}
+          </option>`,
+        )}
+      </select>
+    </label>
+    <form method="post" action="/logout" class="user">
+      <span translate=${false}>${me.value.name || me.value.role}</span><button>${t("log-out")}</button>
+    </form>
   </header>`;
 }
 
@@ -52,19 +83,37 @@ function Steps() {
   const list = html`<ol class="steps">
     ${STEPS.map((step, i) => {
       const { id, state } = step;
-      const inside = html`<span class="count" aria-hidden="true">${i + 1}</span><span class="what">${t(`step-${id}`)}</span><${State} is=${state()} />`;
+      const inside = html`<span class="count" aria-hidden="true">${i + 1}</span>
+        <span class="what">${t(`step-${id}`)}</span><${State} is=${state()} />`;
       const shut = () => menu.current?.removeAttribute("open");
-      return html`<li key=${id}>${isBuilt(step) ? html`<a href="#/${id}" aria-current=${here.value === id ? "step" : undefined} onClick=${shut}>${inside}</a>` : html`<span class="closed">${inside}</span>`}</li>`;
+      return html`<li key=${id}>
+        ${
+          isBuilt(step)
+            ? html`<a href="#/${id}" aria-current=${here.value === id ? "step" : undefined} onClick=${shut}>
+              ${inside}
+            </a>`
+            : html`<span class="closed">${inside}</span>`
+        }
+      </li>`;
     })}
   </ol>`;
   const at = STEPS.findIndex(({ id }) => id === here.value);
   return html`<nav class="path" aria-label=${t("steps")}>
     <div class="wide">${list}</div>
-    <details ref=${menu}><summary>${at < 0 ? t("steps") : html`${t("step-of", { number: at + 1, count: STEPS.length })} ${t(`step-${here.value}`)}`}</summary>${list}</details>
+    <details ref=${menu}>
+      <summary>
+        ${
+          at < 0
+            ? t("steps")
+            : html`${t("step-of", { number: at + 1, count: STEPS.length })}${" "}
+              ${t(`step-${here.value}`)}`
+        }
+      </summary>${list}
+    </details>
   </nav>`;
 }
 
-// Who has the cell, and what one can do about it.
+// Who has the cell, and the buttons to take or leave it.
 function Wake() {
   const [password, setPassword] = useState("");
   const submit = async (event) => {
@@ -75,7 +124,13 @@ function Wake() {
   return html`<form class="wake" onSubmit=${submit}>
     <p><${Shape} is="doubt" /> ${t("idle", { name: me.value.name })}</p>
     <input type="text" autocomplete="username" value=${me.value.name} readonly hidden />
-    <label class="field"><span>${t("password")}</span><input type="password" autocomplete="current-password" value=${password} onInput=${(event) => setPassword(event.currentTarget.value)} /></label>
+    <label class="field">
+      <span>${t("password")}</span>
+      <input
+        type="password" autocomplete="current-password" value=${password}
+        onInput=${(event) => setPassword(event.currentTarget.value)}
+      />
+    </label>
     <button class="primary" disabled=${!password}>${t("idle-wake")}</button>
   </form>`;
 }
@@ -90,23 +145,60 @@ function Lease() {
     await work();
   };
   let [text, buttons] = [t("lease-free"), null];
-  const button = (key, what, isPrimary) => html`<button type="button" class=${isPrimary ? "primary" : ""} onClick=${what}>${t(key)}</button>`;
+  const button = (key, what, isPrimary) => html`<button
+    type="button" class=${isPrimary ? "primary" : ""} onClick=${what}
+  >
+    ${t(key)}
+  </button>`;
   if (plc.auto_lock && !holds.value) text = t("lease-locked");
-  else if (!mayTake.value) text = person?.name ? t("lease-others-view", { name: person.name }) : t("lease-view");
+  else if (!mayTake.value)
+    text = person?.name ? t("lease-others-view", { name: person.name }) : t("lease-view");
   else if (holds.value) [text, buttons] = [t("lease-yours"), button("lease-leave", () => setAsked("leave"))];
-  else if (person?.yours) [text, buttons] = [t("lease-elsewhere"), button("lease-continue", act(() => take(true)), true)];
-  else if (person?.name) [text, buttons] = [t("lease-others", { name: person.name }), button("lease-take-over", () => setAsked("over"))];
-  else if (person) [text, buttons] = [t("lease-unattended"), html`${button("lease-take", act(() => take(true)), true)} ${button("lease-end", () => setAsked("end"))}`];
-  else if (state) [text, buttons] = [t(setup ? "lease-incomplete" : "lease-free"), button("lease-take", setup ? act(() => take(false)) : () => setAsked("take"), true)];
-  const question = (id, work) => html`<${Dialog} title=${t(`ask-${id}-title`, { name: person?.name ?? "" })} isOpen=${isAsked === id} onClose=${close}>
+  else if (person?.yours)
+    [text, buttons] = [
+      t("lease-elsewhere"),
+      button(
+        "lease-continue",
+        act(() => take(true)),
+        true,
+      ),
+    ];
+  else if (person?.name)
+    [text, buttons] = [
+      t("lease-others", { name: person.name }),
+      button("lease-take-over", () => setAsked("over")),
+    ];
+  else if (person)
+    [text, buttons] = [
+      t("lease-unattended"),
+      html`${button(
+        "lease-take",
+        act(() => take(true)),
+        true,
+      )} ${button("lease-end", () => setAsked("end"))}`,
+    ];
+  else if (state)
+    [text, buttons] = [
+      t(setup ? "lease-incomplete" : "lease-free"),
+      button("lease-take", setup ? act(() => take(false)) : () => setAsked("take"), true),
+    ];
+  const question = (id, work) => html`<${Dialog}
+    title=${t(`ask-${id}-title`, { name: person?.name ?? "" })} isOpen=${isAsked === id} onClose=${close}
+  >
     <p>${t(`ask-${id}`, { name: person?.name ?? "" })}</p>
-    <div class="actions"><button type="button" onClick=${close}>${t("back")}</button><button type="button" class="primary" onClick=${act(work)}>${t(`ask-${id}-yes`)}</button></div>
+    <div class="actions">
+      <button type="button" onClick=${close}>${t("back")}</button>
+      <button type="button" class="primary" onClick=${act(work)}>${t(`ask-${id}-yes`)}</button>
+    </div>
   <//>`;
   return html`<aside class="lease ${holds.value ? "mine" : ""}" aria-label=${t("lease")}>
     <p><${Shape} is=${holds.value ? "hand" : "none"} /> ${text}</p>
     <div class="actions">${buttons}</div>
     ${me.value.idle && html`<${Wake} />`}
-    ${question("take", () => take(false))} ${question("over", () => take(true))} ${question("leave", leave)} ${question("end", end)}
+    ${question("take", () => take(false))} ${question("over", () => take(true))} ${question(
+      "leave",
+      leave,
+    )} ${question("end", end)}
   </aside>`;
 }
 
@@ -129,11 +221,11 @@ export function Shell() {
   useEffect(() => {
     glance(() => enter(step));
     return () => {
-      if (trouble.peek()?.code !== "lease_lost") trouble.value = null; // it was of that page
+      if (trouble.peek()?.code !== "lease_lost") trouble.value = null; // an error of that page
     };
   }, [step.id]);
   useEffect(() => {
-    // where one is now: another step may have been chosen while this one was drawn
+    // another step may have been chosen while this one was drawn
     if (!stepAt(hash())) history.replaceState(null, "", `#/${step.id}`);
     follow();
     document.title = `${cell.value.name}: ${t(STEPS.includes(step) ? `step-${step.id}` : `nav-${step.id}`)}`;
@@ -149,7 +241,9 @@ export function Shell() {
       <div class="column">
         <${Lease} />
         <${Trouble} />
-        <main id="main" ref=${main} tabindex="-1" data-page=${page ? step.id : undefined} aria-busy=${!page}>${page && html`<${page} key=${step.id} />`}</main>
+        <main id="main" ref=${main} tabindex="-1" data-page=${page ? step.id : undefined} aria-busy=${!page}>
+          ${page && html`<${page} key=${step.id} />`}
+        </main>
         ${cell.value.stage && html`<${Stage} />`}
       </div>
     </div>

@@ -1,9 +1,9 @@
-// In `edged demo --stage` alone: what hands do in a real cell, with the virtual one's board, part and lenses.
+// Only in `edged demo --stage`: moves the board, the part and the lenses of the virtual cell.
 import { html, signal, useEffect } from "../vendor/ui.js";
-import { ask, attempt, glance } from "./api.js";
-import { draft, SIDES, useFresh } from "./live.js";
-import { Slider } from "./pieces.js";
-import { number, sign, t } from "./texts.js";
+import { ask, attempt, glance } from "./shared/api.js";
+import { draft, SIDES, useFresh } from "./shared/live.js";
+import { Slider } from "./shared/pieces.js";
+import { number, sign, t } from "./shared/texts.js";
 
 const stage = signal(null);
 const tell = (method, path, body) =>
@@ -12,14 +12,18 @@ const tell = (method, path, body) =>
   });
 const truth = signal(null);
 const TRUTH_MS = 1000;
-const compare = () => ask("GET", "stage/truth").then((told) => (truth.value = told), () => {});
+const compare = () =>
+  ask("GET", "stage/truth").then(
+    (told) => (truth.value = told),
+    () => {},
+  );
 const WAVE_MS = 4000;
 async function wave(side) {
   await tell("PUT", "stage", { waving: side });
   setTimeout(() => tell("PUT", "stage", { waving: "none" }), WAVE_MS);
 }
 
-// What no real cell can say: how far the last result is from the part.
+// The true error of the last result, which no real cell knows.
 function Truth() {
   const error = truth.value?.error_mm;
   if (!error) return html`<p class="muted">${t("stage-truth-none")}</p>`;
@@ -36,19 +40,40 @@ export function Stage() {
   if (!stage.value) return null;
   const { showing, waving, rings } = stage.value;
   const ghost = draft.value?.suggestion;
-  return html`<aside class="stage" aria-label=${t("stage-title")}><details>
-    <summary>${t("stage-title")}</summary>
-    <p>${t("stage-what")}</p>
-    <div class="actions">
-      ${["board", "part", "nothing"].map((what) => html`<button type="button" aria-pressed=${showing === what} onClick=${() => tell("PUT", "stage", { showing: what })}>${t(`stage-show-${what}`)}</button>`)}
-      <button type="button" onClick=${() => tell("POST", "stage/lay", {})}>${t("stage-lay")}</button>
-      <button type="button" disabled=${!ghost} onClick=${() => tell("PUT", "stage/hand", { left: ghost.left, right: ghost.right })}>${t("stage-hand")}</button>
-      ${SIDES.map((side) => html`<button type="button" aria-pressed=${waving === side} onClick=${() => wave(side)}>${t(`stage-wave-${side}`)}</button>`)}
-    </div>
-    <${Truth} />
-    ${SIDES.map(
-      (side) => html`<p>${t(`stage-ring-${side}`)}</p>
-        <${Slider} label=${t(`stage-ring-${side}`)} value=${rings[side]} low=${-1} high=${1} describe=${(turn) => t("stage-ring", { turn: number(turn, 2) })} onValue=${(turn) => tell("PUT", "stage", { rings: { [side]: turn } })} />`,
-    )}
-  </details></aside>`;
+  return html`<aside class="stage" aria-label=${t("stage-title")}>
+    <details>
+      <summary>${t("stage-title")}</summary>
+      <p>${t("stage-what")}</p>
+      <div class="actions">
+        ${["board", "part", "nothing"].map(
+          (what) => html`<button
+            aria-pressed=${showing === what} onClick=${() => tell("PUT", "stage", { showing: what })}
+          >
+            ${t(`stage-show-${what}`)}
+          </button>`,
+        )}
+        <button onClick=${() => tell("POST", "stage/lay", {})}>${t("stage-lay")}</button>
+        <button
+          disabled=${!ghost}
+          onClick=${() => tell("PUT", "stage/hand", { left: ghost.left, right: ghost.right })}
+        >
+          ${t("stage-hand")}
+        </button>
+        ${SIDES.map(
+          (side) => html`<button aria-pressed=${waving === side} onClick=${() => wave(side)}>
+            ${t(`stage-wave-${side}`)}
+          </button>`,
+        )}
+      </div>
+      <${Truth} />
+      ${SIDES.map(
+        (side) => html`<p>${t(`stage-ring-${side}`)}</p>
+          <${Slider}
+            label=${t(`stage-ring-${side}`)} value=${rings[side]} low=${-1} high=${1}
+            describe=${(turn) => t("stage-ring", { turn: number(turn, 2) })}
+            onValue=${(turn) => tell("PUT", "stage", { rings: { [side]: turn } })}
+          />`,
+      )}
+    </details>
+  </aside>`;
 }

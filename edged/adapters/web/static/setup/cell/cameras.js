@@ -1,0 +1,108 @@
+// Which camera is which: cameras found, live pictures, a wave of the hand, and a test pair.
+import { html, useState } from "../../vendor/ui.js";
+import { ask, attempt } from "../shared/api.js";
+import { cameras, holds, lookAtCameras, SIDES, token, useFresh } from "../shared/live.js";
+import { Pair } from "../shared/picture.js";
+import { Shape, say } from "../shared/pieces.js";
+import { inWords, number, t } from "../shared/texts.js";
+import { Keep } from "./keepsettings.js";
+
+// The cell compares whole pictures, and exchanges the cameras if they are swapped.
+function Wave() {
+  const [state, setState] = useState("idle"); // idle, watching, nobody, right (as it is), swapped
+  const watch = async () => {
+    setState("watching");
+    const waved = await attempt(() => ask("POST", "cameras/wave", { token: token.value, side: "left" }));
+    const seen = !waved ? "idle" : !waved.moved ? "nobody" : waved.exchanged ? "swapped" : "right";
+    setState(seen);
+    if (seen !== "idle") say(t(`wave-${seen}`));
+    await lookAtCameras();
+  };
+  const SHAPE = { nobody: "doubt", right: "tick", swapped: "tick" };
+  return html`<section aria-labelledby="wave">
+    <h2 id="wave">${t("wave-title")}</h2>
+    <p>${t("wave-what")}</p>
+    ${
+      state === "watching" &&
+      html`<p class="verdict">
+        <span class="pulse"><${Shape} is="hand" /></span> ${t("wave-now")}
+      </p>`
+    }
+    ${state in SHAPE && html`<p class="verdict"><${Shape} is=${SHAPE[state]} /> ${t(`wave-${state}`)}</p>`}
+    <div class="actions">
+      <button disabled=${!holds.value || state === "watching"} onClick=${watch}>
+        ${t(state === "idle" || state === "watching" ? "wave-start" : "wave-again")}
+      </button>
+    </div>
+  </section>`;
+}
+
+function Test() {
+  const [pair, setPair] = useState(null);
+  const [isTaking, setTaking] = useState(false);
+  const capture = async () => {
+    setTaking(true);
+    const taken = await attempt(() => ask("POST", "captures", { token: token.value }));
+    setTaking(false);
+    if (taken) {
+      setPair(taken);
+      say(t("test-skew", { skew: number(taken.skew_ms, 3) }));
+    }
+  };
+  return html`<section aria-labelledby="test">
+    <h2 id="test">${t("test-title")}</h2>
+    <p>${t("test-what")}</p>
+    <div class="actions">
+      <button disabled=${!holds.value || isTaking} onClick=${capture}>${t("test-take")}</button>
+    </div>
+    ${
+      pair &&
+      html`<p class="verdict">
+          <${Shape} is=${pair.skew_ms < 1 ? "tick" : "doubt"} />${" "}
+          ${t("test-skew", { skew: number(pair.skew_ms, 3) })}${" "}
+          ${t(pair.skew_ms < 1 ? "test-together" : "test-apart")}
+        </p>
+        <div class="pair">
+          ${SIDES.map(
+            (side) => html`<figure>
+              <figcaption>${t(side)}</figcaption><img src=${pair[side]} alt=${t(`test-${side}`)} />
+            </figure>`,
+          )}
+        </div>`
+    }
+  </section>`;
+}
+
+export default function Cameras() {
+  useFresh(lookAtCameras, [holds.value]);
+  const found = cameras.value?.found;
+  return html`<h1>${t("cameras-title")}</h1>
+    <p class="lead">${t("cameras-what")}</p>
+    <${Pair} />
+    <section aria-labelledby="found">
+      <h2 id="found">${t("cameras-found")}</h2>
+      ${found && !found.length && html`<p>${t("cameras-none")}</p>`}
+      <ul class="tiles">
+        ${found?.map(
+          ({ vendor, model, serial, address, trouble, side }) =>
+            html`<li class="tile">
+              <h3 translate=${false}>${vendor} ${model}</h3>
+              <p class="muted" translate=${false}>${[serial, address].filter(Boolean).join(" · ")}</p>
+              <p>
+                ${
+                  side
+                    ? html`<${Shape} is="tick" /> ${t(`is-${side}`)}`
+                    : html`<${Shape} is="none" />${" "}
+                      ${t("is-neither")}`
+                }
+              </p>
+              ${trouble && html`<p class="wrong"><${Shape} is="doubt" /> ${inWords("trouble", trouble)}</p>`}
+            </li>`,
+        )}
+      </ul>
+      <div class="actions"><button onClick=${lookAtCameras}>${t("cameras-again")}</button></div>
+    </section>
+    <${Wave} />
+    <${Keep} />
+    <${Test} />`;
+}

@@ -1,0 +1,24 @@
+// Camera settings are lost with SETUP unless they are kept.
+import { html } from "../../vendor/ui.js";
+import { ask, attempt } from "../shared/api.js";
+import { cameras, holds, lookAtCameras, SIDES, token } from "../shared/live.js";
+import { Shape, say } from "../shared/pieces.js";
+import { t } from "../shared/texts.js";
+
+export function Keep() {
+  const isTried = SIDES.some((side) => Object.keys(cameras.value?.configured?.[side]?.tried ?? {}).length);
+  if (!isTried || !holds.value) return null;
+  const keep = async () => {
+    const kept = await attempt(async () => {
+      await ask("POST", "cameras/keep", { token: token.value });
+      return true;
+    });
+    if (!kept) return;
+    say(t("kept"));
+    await lookAtCameras();
+  };
+  return html`<div class="keep">
+    <p><${Shape} is="doubt" /> ${t("keep-what")}</p>
+    <button class="primary" onClick=${keep}>${t("keep")}</button>
+  </div>`;
+}

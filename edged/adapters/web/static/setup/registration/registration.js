@@ -1,0 +1,94 @@
+// The draft of the registration, and the names of its samples.
+import { signal } from "../../vendor/ui.js";
+import { ask, attempt, glance, Problem } from "../shared/api.js";
+import { discard, forget, isAside, putAside, unfinished } from "../shared/drafts.js";
+import { newest, told } from "../shared/live.js";
+import { t } from "../shared/texts.js";
+
+export const BRANDS = {
+  ur: "Universal Robots",
+  kuka: "KUKA",
+  fanuc: "FANUC",
+  yaskawa: "Yaskawa",
+  abb: "ABB",
+  staubli: "Stäubli",
+  kawasaki: "Kawasaki",
+  doosan: "Doosan",
+  mitsubishi: "Mitsubishi",
+  epson: "Epson",
+  denso: "Denso",
+  techman: "Techman",
+};
+// job: the job whose part is touched, null for the board of the draft.
+export const current = { draft: signal(null), drafts: signal([]), brands: signal([]), job: signal(null) };
+
+export const heard = told("registration");
+
+const KIND = "registrations";
+async function list() {
+  ({ registrations: current.drafts.value, brands: current.brands.value } = await ask("GET", KIND));
+}
+export async function goOn(id) {
+  current.draft.value = await newest(heard, ask("GET", `${KIND}/${id}`));
+}
+
+// Opens this draft, else the unfinished one.
+export async function find(id) {
+  await list();
+  const begun = current.drafts.value.find((one) => one.id === id) ?? unfinished(KIND, current.drafts.value);
+  if (begun) await goOn(begun.id);
+  else current.draft.value = null;
+}
+
+export async function another() {
+  await list();
+  putAside(KIND, current.drafts.value);
+  current.draft.value = null;
+}
+export async function throwAway(id) {
+  await glance(list);
+  putAside(KIND, current.drafts.value);
+  if (!(await discard(KIND, id))) return;
+  if (current.draft.value?.id === id) current.draft.value = null;
+  await glance(list);
+}
+
+export function hear() {
+  const [now, newer] = [current.draft.peek(), heard.value];
+  if (!newer) return;
+  const isShown = newer.id === now?.id;
+  if (newer.gone) {
+    forget(KIND, newer.id);
+    if (isShown) current.draft.value = null;
+  } else if (isShown ? newer.revision >= now.revision : !now && newer.by_program && !isAside(KIND, newer.id))
+    current.draft.value = newer;
+}
+
+// Changes the revision shown here; after somebody else's change the draft is reloaded first.
+export const change = (method, path, body = {}) =>
+  attempt(async () => {
+    const { id, revision } = current.draft.value;
+    try {
+      const needsToken = "token" in body && !path.startsWith("/samples");
+      current.draft.value = await newest(
+        heard,
+        ask(method, `registrations/${id}${path}`, needsToken ? body : { ...body, revision }),
+      );
+    } catch (problem) {
+      if (problem instanceof Problem && problem.status === 412) await find(id);
+      throw problem;
+    }
+    return current.draft.value;
+  });
+
+// "point_003": point 3.
+export function sampleName(name) {
+  const [kind, count] = name.split("_");
+  return t(`robot-name-${kind}`, { number: Number(count) });
+}
+
+// A mark is named by row and column among those offered.
+export function placeName({ key, kind, name }) {
+  const [row, column] = kind === "mark" ? key.split("-").slice(1) : ["", ""];
+  return t(`robot-place-${kind}`, { name, row, column });
+}

@@ -1,0 +1,201 @@
+// The jobs of the cell: names, results, versions.
+import { html, signal, useState } from "../../vendor/ui.js";
+import { ask, attempt, glance } from "../shared/api.js";
+import { teachFrom } from "../shared/drafts.js";
+import { cell, look, mayTake, me, useFresh } from "../shared/live.js";
+import { NumberField, Shape, say } from "../shared/pieces.js";
+import { moment, number, t } from "../shared/texts.js";
+import { Releasing } from "./releasing.js";
+
+const jobs = signal(null);
+const find = () =>
+  glance(async () => {
+    ({ jobs: jobs.value } = await ask("GET", "jobs"));
+  });
+const at = ({ folder }) => `jobs/${encodeURIComponent(folder)}`;
+const mayUse = () => me.value?.role === "engineer" || me.value?.role === "operator";
+
+// Reloads jobs and cell after a change.
+async function changed(said) {
+  say(said);
+  await find();
+  await glance(look);
+}
+const use = (job) =>
+  attempt(async () => {
+    await ask("POST", `${at(job)}/use`, {});
+    await changed(t("jobs-used", { name: job.name }));
+  });
+
+const GOOD = 0.95;
+function Share({ share, cycles }) {
+  if (share === null || share === undefined) return html`<span class="muted">${t("jobs-share-none")}</span>`;
+  const percent = number(100 * share, share > 0.9995 || share === 0 ? 0 : 1);
+  return html`<span class="share">
+      <${Shape} is=${share >= GOOD ? "tick" : "doubt"} /> ${t("jobs-share", { percent, count: cycles })}
+    </span>
+    <span class="bar" aria-hidden="true">
+      <span class="now ${share >= GOOD ? "" : "soft"}" style=${{ width: `${100 * share}%` }}></span>
+    </span>`;
+}
+
+function Job({ job, onAsk }) {
+  const {
+    name,
+    number: count,
+    features,
+    last_used,
+    cycles,
+    ok_share,
+    active,
+    retired,
+    retired_by,
+    retired_at,
+  } = job;
+  const owner = cell.value.plc.owner;
+  const button = (
+    what,
+    onClick,
+    isOff,
+  ) => html`<button disabled=${isOff} aria-label=${t(`jobs-${what}-name`, { name })} onClick=${onClick}>
+    ${t(`jobs-${what}`)}
+  </button>`;
+  return html`<li class="tile job ${retired ? "retired" : ""}">
+    <h2>
+      <span class="count" translate=${false}>${count}</span> <span translate=${false}>${name}</span>${" "}
+      ${active && html`<span class="now"><${Shape} is="tick" /> ${t("jobs-active")}</span>`}${" "}
+      ${retired && html`<span class="muted"><${Shape} is="gap" /> ${t("jobs-retired")}</span>`}
+    </h2>
+    <dl class="facts">
+      <dt>${t("jobs-features")}</dt><dd>${number(features)}</dd>
+      <dt>${t("jobs-last")}</dt>
+      <dd>${last_used ? html`<span translate=${false}>${moment(last_used)}</span>` : t("jobs-never")}</dd>
+      <dt>${t("jobs-good")}</dt><dd><${Share} share=${ok_share} cycles=${cycles} /></dd>
+      ${
+        retired_at &&
+        html`<dt>${t("jobs-retired")}</dt>
+          <dd translate=${false}>${moment(retired_at)} · ${retired_by}</dd>`
+      }
+    </dl>
+    <div class="actions">
+      ${
+        !retired &&
+        button("use", () => use(job), active || Boolean(owner) || cell.value.state === "SETUP" || !mayUse())
+      }
+      ${!retired && button("edit", () => teachFrom({ job: job.folder }), !mayTake.value || !job.editable)}
+      ${!retired && button("duplicate", () => onAsk("duplicate", job), !mayTake.value)}
+      ${button("rename", () => onAsk("rename", job), !mayTake.value)}
+      ${button(
+        retired ? "restore" : "retire",
+        () => onAsk(retired ? "restore" : "retire", job),
+        !mayTake.value || active,
+      )}
+    </div>
+    <${Versions} job=${job} />
+  </li>`;
+}
+
+function Versions({ job }) {
+  const [versions, setVersions] = useState(null);
+  const look_ = ({ currentTarget }) =>
+    currentTarget.open &&
+    attempt(async () => {
+      setVersions((await ask("GET", `${at(job)}/versions`)).versions);
+    });
+  return html`<details class="versions" onToggle=${look_}>
+    <summary>${t("jobs-versions")}</summary>
+    ${versions && !versions.length && html`<p class="muted">${t("jobs-versions-none")}</p>`}
+    <ol>
+      ${versions?.map(
+        ({ release, created, author, note, active }) => html`<li key=${release}>
+          ${t("jobs-release", { number: release })}${" "}
+          ${active && html`<${Shape} is="tick" /> ${t("jobs-active")}`}${" "}
+          <span class="muted" translate=${false}>${moment(created)} · ${author} · ${note}</span>
+        </li>`,
+      )}
+    </ol>
+  </details>`;
+}
+
+// Proposes a free name and number.
+const from = (first, isFree) => {
+  for (let i = first; ; i++) if (isFree(i)) return i;
+};
+const freeName = ({ name }) =>
+  `${name}-${from(2, (i) => jobs.value.every((job) => job.name !== `${name}-${i}`))}`;
+const freeNumber = () => from(1, (i) => jobs.value.every((job) => job.number !== i));
+
+function Question({ what, job, onClose }) {
+  const isNew = what === "duplicate";
+  const isNamed = isNew || what === "rename";
+  const [name, setName] = useState(isNew ? freeName(job) : job.name);
+  const [count, setCount] = useState(isNew ? freeNumber() : job.number);
+  const isWrong = !/^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/.test(name);
+  const isSame = name === job.name && count === job.number;
+  const WORK = {
+    duplicate: (body) => ask("POST", `${at(job)}/duplicate`, { ...body, new_name: name, number: count }),
+    rename: (body) =>
+      ask("PUT", at(job), {
+        ...body,
+        ...(name !== job.name ? { new_name: name } : {}),
+        ...(count !== job.number ? { number: count } : {}),
+      }),
+    retire: (body) => ask("PUT", at(job), { ...body, retired: true }),
+    restore: (body) => ask("PUT", at(job), { ...body, retired: false }),
+  };
+  return html`<${Releasing}
+    title=${t(`jobs-${what}-title`, { name: job.name })} label=${t(`jobs-${what}`)}
+    isReady=${!isNamed || (!isWrong && !isSame)} send=${WORK[what]}
+    onDone=${() => changed(t(`jobs-${what}-done`, { name }))} onClose=${onClose}
+  >
+    <p>${t(`jobs-${what}-what`)}</p>
+    ${
+      isNamed &&
+      html`<div class="row">
+        <label class="field">
+          <span>${t("jobs-name")}</span>
+          <input
+            name="job" maxlength="64" value=${name} aria-invalid=${isWrong}
+            onInput=${(event) => setName(event.currentTarget.value)}
+          />
+          ${
+            isWrong &&
+            html`<span class="wrong" role="alert">
+              <${Shape} is="doubt" /> ${t("jobs-name-wrong")}
+            </span>`
+          }
+        </label>
+        <${NumberField}
+          name="number" label=${t("jobs-number")} unit="" digits=${0} low=${1} high=${65535} value=${count}
+          onValue=${(value) => setCount(Math.round(value))}
+        />
+      </div>`
+    }
+  <//>`;
+}
+
+export default function Jobs() {
+  const [asked, setAsked] = useState(null);
+  useFresh(find, [cell.value.jobs]);
+  const ask_ = (what, job) => setAsked({ what, job });
+  return html`<h1>${t("jobs-title")}</h1>
+    <p class="lead">${t("jobs-what")}</p>
+    ${cell.value.state === "SETUP" && html`<p><${Shape} is="hand" /> ${t("jobs-in-setup")}</p>`}
+    ${
+      cell.value.plc.owner &&
+      html`<p>
+        <${Shape} is="plant" /> ${t("jobs-owned")} <span translate=${false}>${cell.value.plc.owner}</span>
+      </p>`
+    }
+    ${jobs.value && !jobs.value.length && html`<p><${Shape} is="gap" /> ${t("jobs-none")}</p>`}
+    <ul class="tiles jobs">
+      ${jobs.value?.map((job) => html`<${Job} key=${job.folder} job=${job} onAsk=${ask_} />`)}
+    </ul>
+    <div class="actions"><a class="button primary" href="#/teach">${t("jobs-teach")}</a></div>
+    ${
+      asked &&
+      html`<${Question}
+        key=${`${asked.what}.${asked.job.folder}`} ...${asked} onClose=${() => setAsked(null)}
+      />`
+    }`;
+}

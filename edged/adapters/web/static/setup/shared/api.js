@@ -1,0 +1,76 @@
+// Requests to the cell and their errors.
+import { signal } from "../../vendor/ui.js";
+import { dashed, has, t } from "./texts.js";
+
+export class Problem extends Error {
+  /** @param {{ status?: number, code?: string, detail?: string, params?: any }} answer */
+  constructor({ status = 0, code = "", detail = "", params = {} }) {
+    super(detail);
+    this.status = status;
+    this.code = code;
+    this.detail = detail;
+    this.params = params;
+  }
+}
+
+// The last error, until it is dismissed.
+export const trouble = signal(null);
+
+const AGAIN_MS = 700;
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+
+// Sent once more without an answer, with the same key, so that nothing is done twice.
+async function send(path, request, isAgain) {
+  try {
+    return await fetch(`/api/v1/${path}`, request);
+  } catch {
+    if (isAgain) throw new Problem({ code: "unreachable" });
+    await wait(AGAIN_MS);
+    return send(path, request, true);
+  }
+}
+
+// The log-in form keeps the fragment and leads back to this step.
+export const logIn = () => location.assign(`/login?to=setup${location.hash}`);
+
+export async function ask(method, path, body) {
+  const request = { method };
+  if (method !== "GET") {
+    const key = [...crypto.getRandomValues(new Uint32Array(4))].map((word) => word.toString(36)).join("");
+    request.headers = { "Content-Type": "application/json", "Idempotency-Key": key };
+    request.body = JSON.stringify(body ?? {});
+  }
+  const answer = await send(path, request);
+  const isJson = /json/.test(answer.headers.get("Content-Type") ?? "");
+  const document = isJson ? await answer.json() : {};
+  if (answer.ok) return document;
+  if (answer.status === 401) logIn();
+  throw new Problem({ status: answer.status, code: `status_${answer.status}`, ...document });
+}
+
+// A sentence with cause and remedy, or the server's own.
+export function sentence(problem) {
+  const id = `problem-${dashed(problem.code ?? "")}`;
+  if (has(id)) return t(id, { ...problem.params, detail: problem.detail || "" });
+  return t("problem-other", { detail: problem.detail || problem.message || problem.code });
+}
+
+// An error that came meanwhile stays.
+async function tried(work, isOver) {
+  const before = trouble.peek();
+  try {
+    const answer = await work();
+    if (trouble.peek() === before && isOver(before)) trouble.value = null;
+    return answer;
+  } catch (problem) {
+    if (!(problem instanceof Problem)) throw problem;
+    trouble.value = problem;
+    return undefined;
+  }
+}
+
+// Runs work and shows its error; returns its answer, or undefined.
+export const attempt = (work) => tried(work, () => true);
+
+// As `attempt`, for what the page does by itself: success clears only "unreachable".
+export const glance = (work) => tried(work, (problem) => problem?.status === 0);
