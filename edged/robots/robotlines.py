@@ -1,9 +1,8 @@
-"""What the clients that talk in lines of text share: where each field stands, and what went wrong."""
+"""Values for the programs that talk in lines of text: the place of each field, and what can go wrong."""
 
 from __future__ import annotations
 
 import enum
-import re
 import textwrap
 
 from edged.plc.answers import Reason
@@ -14,25 +13,22 @@ PORT = 1503
 
 
 class Failure(enum.IntEnum):
-    """What a client says beside the cell's own `LineStatus`."""
+    """What a program reports beside the cell's own `LineStatus`."""
 
     LATE = 200
     """No answer in time."""
     NO_LINK = 201
     """The cell is not reached, or the link was lost."""
     NO_ANSWER = 202
-    """What came is no answer: another number of fields, a number that is none, an answer to nothing."""
+    """Not an answer: another number of fields, a field that is no number, a line nobody asked for."""
     OTHERS = 203
     """An answer to another request."""
 
 
-FAILURES = {
-    Failure.LATE: "no answer in time",
-    Failure.NO_LINK: "no link",
-    Failure.NO_ANSWER: "what came is no answer",
-    Failure.OTHERS: "an answer to another request",
-}
-STATUSES = {
+MEANINGS = {
+    102: "nothing found",
+    103: "not good enough",
+    105: "a number that fits no register",
     LineStatus.NOT_VALID: "too old, or acknowledged",
     LineStatus.RIG_FRAME: "the rig is not registered to the robot",
     LineStatus.SIMULATED: "a virtual cell",
@@ -44,23 +40,28 @@ STATUSES = {
     LineStatus.OUT_OF_LIMITS: "where the robot must not go",
     LineStatus.NO_GRASP: "the part has no grasp",
     LineStatus.NO_SUCH_BRAND: "a brand that the cell does not know",
+    Failure.LATE: "no answer in time",
+    Failure.NO_LINK: "no link",
+    Failure.NO_ANSWER: "what came is no answer",
+    Failure.OTHERS: "an answer to another request",
 }
+"""Of the error numbers, beside the NACK reasons, which are 1 to 99."""
 
 
-def statuses(comment: str, width: int = 72) -> str:
-    """Every error number and what it means, as lines of comment."""
-    known = {int(reason): reason.name.lower().replace("_", " ") for reason in Reason if reason}
-    known |= {102: "nothing found", 103: "not good enough", 105: "a number that fits no register"}
-    known |= {int(status): text for status, text in STATUSES.items()}
-    known |= {int(failure): text for failure, text in FAILURES.items()}
-    text = ", ".join(f"{number} {what}" for number, what in sorted(known.items()))
-    return "\n".join(comment + line for line in textwrap.wrap(text, width))
+def line_values(brand: Brand, first: int) -> dict[str, object]:
+    """Values for a brand's templates; first : index of an array's first element in its language.
 
-
-def filled(template: str, brand: Brand, first: int, **more: object) -> str:
-    """A template with its @NAMES@: brand, numbers of fields (counted from `first`) and failures, `more`."""
+    statuses : every error number and its meaning, as lines for a comment.
+    """
     fields = answer_fields(brand)
-    values: dict[str, object] = {name: index + first for index, name in enumerate(fields)}
-    values |= {"BRAND": brand, "FIELDS": len(fields), "PORT": PORT}
-    values |= {**{one.name: int(one) for one in Failure}, **more}
-    return re.sub(r"@(\w+)@", lambda name: str(values[name[1]]), template)
+    reasons = {int(reason): reason.name.lower().replace("_", " ") for reason in Reason if reason}
+    meanings = ", ".join(f"{number:d} {meaning}" for number, meaning in (reasons | MEANINGS).items())
+    return {
+        "brand": brand,
+        "port": PORT,
+        "n_fields": len(fields),
+        "field": {name: index for index, name in enumerate(fields, first)},
+        "failure": {failure.name: int(failure) for failure in Failure},
+        "status": {status.name: int(status) for status in LineStatus},
+        "statuses": textwrap.wrap(meanings, 72),
+    }

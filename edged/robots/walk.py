@@ -1,15 +1,10 @@
-"""Ten poses for a registration, about the one where the robot stands: in every maker's language the same.
+"""Ten poses for a registration, about the one where the robot stands: the same for every robot.
 
-Turned about two axes across the tool by more than a hand-eye needs, and about its own; shifted so that the
-board is seen in other parts of both pictures.
+Turned about two axes across the tool by more than a hand-eye calibration needs, and about its own; shifted so
+that the board is seen in other parts of both pictures.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-
-from edged.domain.events import CommandKind
-from edged.plc.answers import Reason
 
 TURNS_DEG = ((0, 0, 0), (14, 0, 0), (-14, 0, 5), (0, 14, 0), (0, -14, -5),
              (8, 3, 20), (-10, 10, -20), (10, -10, 30), (-10, -10, -30), (0, 0, 40))  # fmt: skip
@@ -19,14 +14,3 @@ SHIFTS_MM = ((0, 0, 0), (8, 4, 5), (-8, 4, -5), (8, -4, 5), (-8, -4, -5),
 """Along x, y, z of the tool."""
 SETTLE_S = 0.5
 """At each pose, before the picture: the arm comes to rest after it has arrived."""
-CODES = {
-    **{kind.name: int(kind) for kind in CommandKind},
-    **{reason.name: int(reason) for reason in (Reason.NOT_SEEN, Reason.SAME_PLACE)},
-    "SETTLE": SETTLE_S,
-}
-"""By their names in the templates."""
-
-
-def steps(written: Callable[..., str]) -> str:
-    """A line, or some, for each pose; written : of x, y, z in mm and the turns about x, y, z in degrees."""
-    return "\n".join(written(*shift, *turn) for shift, turn in zip(SHIFTS_MM, TURNS_DEG, strict=True))

@@ -15,7 +15,7 @@ from edged.identity.visitors import Role
 from edged.plc.ladder import Exchange
 from edged.plc.registers import ADDRESS, constant_values
 from edged.ports import Publisher
-from edged.robots.texts import FORMATS, SEVERAL
+from edged.robots.formats import written
 
 FILES = {
     "st": "edged.st",
@@ -182,7 +182,8 @@ class PlcRoutes:
         kind = call.part("kind")
         if kind not in FILES:
             raise Problem(404, "unknown", f"expected one of {', '.join(FILES)}")
-        data = _packed(SEVERAL[kind]()) if kind in SEVERAL else FORMATS[kind]().encode()
+        files = written(kind)
+        data = _packed(files) if len(files) > 1 else "".join(files.values()).encode()
         headers = {"Content-Disposition": f'attachment; filename="{FILES[kind]}"'}
         return web.Response(body=data, content_type="application/octet-stream", headers=headers)
 

@@ -1,6 +1,6 @@
 """MELFA-BASIC V as Mitsubishi's controllers run it, as far as `edged registers --format melfa` uses it.
 
-From memory of "Detailed explanations of functions and operations" (BFP-A8869), as `edged.robots.melfa`
+From memory of "Detailed explanations of functions and operations" (BFP-A8869), as the template
 says: numbered lines, labels, one-line `If`, `GoSub`, types by the first letter and the last, task slots
 (`XRun`, `XStp`, `XRst`, `XClr`, `M_Wai`, `M_Psa`), `Open`, `Print #`, `Input #`, `Close`, `M_Timer`, the
 angles of positions in radians.

@@ -16,10 +16,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, pose_of, transform_of
-from edged.robots.karel import karel_files
-from edged.robots.krl import krl_files
-from edged.robots.texts import render
-from edged.robots.val3 import val3_files
+from edged.robots.formats import render, written
 from edged.vision.geometry.rigid import transform
 from helpers import drl, karel, kawasaki, krl, rapid, spel, val3
 from helpers import robotsides as sides
@@ -78,7 +75,7 @@ def _abb(text: str, link: Link) -> list[FloatArray]:
 
 def _fanuc(_text: str, link: Link) -> list[FloatArray]:
     """The teach pendant's program that comes with the KAREL program; PR[80] is what its remark says."""
-    files = karel_files()
+    files = written("karel")
     controller = karel.Controller(link)
     program = karel.load(files["edged.kl"], controller)
     code = files["edgepick.ls"].partition("/MN\n")[2].partition("/POS")[0]
@@ -106,7 +103,7 @@ def _fanuc(_text: str, link: Link) -> list[FloatArray]:
 
 
 def _kuka(text: str, link: Link) -> list[FloatArray]:
-    files = krl_files()
+    files = written("krl")
     files["edged.src"] += f"DEF EXAMPLE()\n{text}END\n"
     program = krl.load(files, krl.Controller(files["edged.xml"], link))
     moves: list[FloatArray] = []
@@ -145,7 +142,7 @@ def _doosan(text: str, link: Link) -> list[FloatArray]:
 def _staubli(text: str, link: Link) -> list[FloatArray]:
     """A transformation is written as its six numbers in braces."""
     val3.TYPES.records["pointRx"] = {"trsf": "trsf", "config": "num"}
-    files = val3_files()
+    files = written("val3")
     lines = text.replace("edged:", "").replace('"edged: "', '"edged"')
     code = re.sub(r"\{([-\d,]+)\}", r"braces(\1)", lines).replace('" "+', '"edged"+')
     files["example.pgx"] = re.sub(

@@ -21,13 +21,8 @@ import pytest
 
 from edged.plc.lines import answer_fields
 from edged.robot.orientations import Brand
-from edged.robots.karel import karel_files
-from edged.robots.krl import krl_files
-from edged.robots.melfa import melfa_files
-from edged.robots.motoplus import motoplus_files
+from edged.robots.formats import render, written
 from edged.robots.robotlines import Failure
-from edged.robots.texts import render
-from edged.robots.val3 import val3_files
 from helpers import drl, inform, karel, kawasaki, krl, melfa, rapid, spel, val3
 from helpers.robotlanguage import Program
 from helpers.robotlink import Link
@@ -141,7 +136,7 @@ class Fanuc:
     def __init__(self, link: Link) -> None:
         self.link = link
         self.controller = karel.Controller(link, keeps_ends=self.keeps_ends)
-        source = karel_files()["edged.kl"]
+        source = written("karel")["edged.kl"]
         self.program = karel.load(source, self.controller)
         self.given = 0
 
@@ -199,7 +194,7 @@ class Kuka:
 
     def __init__(self, link: Link) -> None:
         self.link = link
-        files = krl_files()
+        files = written("krl")
         self.controller = krl.Controller(files["edged.xml"], link)
         self.program = krl.load(files, self.controller)
         self.given = 0
@@ -345,7 +340,7 @@ class Staubli(Shared):
     def __init__(self, link: Link) -> None:
         self.link = link
         self.controller = val3.Controller(link, closes=self.closes)
-        self.program = val3.load(val3_files(), self.controller)
+        self.program = val3.load(written("val3"), self.controller)
 
     def named(self, name: str) -> Any:
         prefix = "tr" if name in ("part", "grasp", "approach") else "n"
@@ -427,7 +422,7 @@ class Mitsubishi:
 
     def __init__(self, link: Link) -> None:
         self.link = link
-        self.controller = melfa.Controller(melfa_files(), link, short_waits=self.short_waits, end=self.end)
+        self.controller = melfa.Controller(written("melfa"), link, short_waits=self.short_waits, end=self.end)
         self.given = 0
 
     def number(self, name: str) -> float:
@@ -485,7 +480,7 @@ def _translated(changed: str = "") -> Path:
         pytest.skip("no C compiler")
     folder = Path(tempfile.mkdtemp(prefix="edged-motoplus-"))
     atexit.register(shutil.rmtree, folder)
-    source = motoplus_files()["edged.c"]
+    source = written("motoplus")["edged.c"]
     if changed:
         source, count = re.subn(rf"^{changed.rpartition(' ')[0]} .*$", changed, source, flags=re.MULTILINE)
         assert 1 == count
@@ -503,7 +498,7 @@ class Yaskawa:
         self.link = link
         program = _translated(self.changed)
         memory = program.with_name(f"memory{next(NUMBERS)}")
-        self.controller = inform.Controller(program, memory, motoplus_files()["EDGED.JBI"], link)
+        self.controller = inform.Controller(program, memory, written("motoplus")["EDGED.JBI"], link)
 
     def _run(self, command: int, job: int = 0, timeout_s: float = 5.0) -> bool:
         for name, value in (("I080", command), ("I081", job), ("I082", round(timeout_s * 100))):

@@ -66,7 +66,7 @@ from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
 from edged.plc.lines import Answer
 from edged.robot.orientations import Brand
-from edged.robots import structured_text_source
+from edged.robots.formats import render
 from helpers import structured_text
 from helpers.snapshots import make_target
 
@@ -894,7 +894,7 @@ class Soak:
 
     async def _block(self) -> None:
         """The generated function block in a PLC that writes every 50 ms."""
-        program = structured_text.Program(structured_text_source(), lambda: self.loop.time() * 1e3)
+        program = structured_text.Program(render("st"), lambda: self.loop.time() * 1e3)
         block = program.instance("FB_EDGED")
         values, line = block.values, self._line()
         values["awStatus"], values["awResult"] = [0] * reg.STATUS.words, [0] * reg.RESULT.words

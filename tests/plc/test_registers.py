@@ -22,7 +22,7 @@ from edged.domain.picking import GraspPose
 from edged.errors import UserError
 from edged.plc import registers as reg
 from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
-from edged.robots.texts import render
+from edged.robots.formats import render
 from edged.vision.geometry.rigid import quaternion
 
 STARTS = {"constants": (0, 15), "command": (100, 121), "status": (200, 219), "result": (300, 347)} | {

@@ -31,9 +31,9 @@ from helpers.robotlink import Link
 from helpers.robotwords import Declared
 from helpers.teachpendant import TeachPendant
 
-from edged.robots import karel_files, krl_files, melfa_files, motoplus_files, twincat_files, val3_files
-from edged.robots.grammar import checked, grammar, language_of
-from edged.robots.texts import FORMATS, LANGUAGES, SEVERAL, render
+import edged.robots
+from edged.robots.formats import FORMATS, render, written
+from edged.robots.grammar import grammar
 
 NOBODY = Link(1)
 """Of a program that is only loaded."""
@@ -51,43 +51,41 @@ def _melfa(files: Files) -> Declared:
 
 
 def _scl(files: Files) -> Declared:
-    return scl.declared_in(files["scl"])
+    return scl.declared_in(files["edged.scl"])
 
 
 def _iec(files: Files) -> Declared:
-    program = structured_text.Program(files["st"], time.monotonic)
+    program = structured_text.Program(files["edged.st"], time.monotonic)
     program.instance("FB_EDGED")
     return program.declared
 
 
 def _urscript(files: Files) -> Declared:
-    return drl.declared(ast.parse(urscript.translate(files["urscript"])), "urscript")
+    return drl.declared(ast.parse(urscript.translate(files["edged.script"])), "urscript")
 
 
 ARM = RobotArm(np.eye(4), np.eye(4), lambda _: None)
 READERS: dict[str, Callable[[Files], Declared]] = {
     "karel": lambda files: karel.load(files["edged.kl"], karel.Controller(NOBODY)).declared,
     "krl": lambda files: krl.load(dict(files), krl.Controller(files["edged.xml"], NOBODY)).declared,
-    "rapid": lambda files: rapid.load(files["rapid"], rapid.Sockets(NOBODY)).declared,
+    "rapid": lambda files: rapid.load(files["EDGED.mod"], rapid.Sockets(NOBODY)).declared,
     "val3": lambda files: val3.load(dict(files), val3.Controller(NOBODY)).declared,
-    "spel": lambda files: spel.load(files["spel"], spel.Controller(NOBODY)).declared,
-    "as": lambda files: kawasaki.load(files["as"], kawasaki.Controller(NOBODY)).declared,
-    "drl": lambda files: drl.declared(ast.parse(files["drl"]), "drl"),
+    "spel": lambda files: spel.load(files["Edged.prg"], spel.Controller(NOBODY)).declared,
+    "as": lambda files: kawasaki.load(files["edged.as"], kawasaki.Controller(NOBODY)).declared,
+    "drl": lambda files: drl.declared(ast.parse(files["edged.drl"]), "drl"),
     "urscript": _urscript,
     "melfa": _melfa,
     "scl": _scl,
     "iec": _iec,
 }
 """What an interpreter finds declared, by language."""
-WRITERS: dict[str, Callable[[], Files]] = {
-    "karel": karel_files,
-    "krl": krl_files,
-    "val3": val3_files,
-    "melfa": melfa_files,
-    **{name: lambda name=name: {name: render(name)} for name in ("rapid", "spel", "as", "drl", "urscript")},
-    "scl": lambda: {"scl": render("scl")},
-    "iec": lambda: {"st": render("st")},
-}
+
+
+def program(language: str) -> Files:
+    """Files of the format that is written in a language."""
+    return written("st" if language == "iec" else language)
+
+
 RENAMED = {
     "karel": "waited",
     "krl": "REST",
@@ -105,33 +103,33 @@ languages = pytest.mark.parametrize("language", RENAMED)
 
 
 def judge(language: str, files: Files) -> None:
-    """As the generators do."""
+    """Check files as `written` does."""
     for file, source in files.items():
-        if not file.endswith((".xml", ".pjx")):
-            grammar(language).check(source)
+        if its_language := FORMATS[language].files[file]:
+            grammar(its_language).checked(source)
 
 
 def renamed(language: str, other: str) -> Files:
     """The program with one of its names replaced, wherever it stands."""
     pattern = rf"\b{RENAMED[language]}\b"
-    return {file: re.sub(pattern, other, source) for file, source in WRITERS[language]().items()}
+    return {file: re.sub(pattern, other, source) for file, source in program(language).items()}
 
 
-@pytest.mark.parametrize("fmt", [*LANGUAGES, *SEVERAL])
+@pytest.mark.parametrize("fmt", FORMATS)
 def test_a_controller_takes_every_name_line_and_text_of_a_generated_program(fmt: str) -> None:
     """None is a word of its language, none is too long; every file has a language, or is a configuration."""
-    if fmt in SEVERAL:
-        files = SEVERAL[fmt]()
-        assert files == checked(files)
-        assert {"edged.xml", "edged.pjx"} >= {file for file in files if not language_of(file)}
-    else:
-        grammar(LANGUAGES[fmt]).check(FORMATS[fmt]())
+    unchecked = {"edged.md", "edged.csv", "edged.json", "edged_cell.py", "edged.xml", "edged.pjx"}
+    for file, source in written(fmt).items():
+        if language := FORMATS[fmt].files[file]:
+            assert source == grammar(language).checked(source.replace("\r\n", "\n"))
+        else:
+            assert file in unchecked
 
 
 @pytest.mark.parametrize("language", READERS)
 def test_no_declared_name_is_overlooked(language: str) -> None:
     """Whatever the interpreter meets as declared, the generators' patterns find, too."""
-    files = WRITERS[language]()
+    files = program(language)
     found = {name for source in files.values() for name in grammar(language).names(source)}
     if grammar(language).ignores_case:
         found = {name.upper() for name in found}
@@ -173,7 +171,7 @@ def test_the_interpreter_of_structured_text_refuses_a_word_of_the_language() -> 
     """A word that is an operator of instruction lists only passes the parser, not every compiler."""
     source = re.sub(r"\biHalf\b", "LD", render("st"))
     with pytest.raises(ValueError, match="LD is a word of the language"):
-        grammar("iec").check(source)
+        grammar("iec").checked(source)
     program = structured_text.Program(
         "FUNCTION_BLOCK FB\nVAR\n    LD : INT;\nEND_VAR\nEND_FUNCTION_BLOCK", time.monotonic
     )
@@ -183,12 +181,12 @@ def test_the_interpreter_of_structured_text_refuses_a_word_of_the_language() -> 
 
 def test_a_job_has_labels_that_its_pendant_shows(tmp_path: Path) -> None:
     """Eight characters, and its own name as well."""
-    job = motoplus_files()["EDGED.JBI"]
+    job = written("motoplus")["EDGED.JBI"]
     read = inform.Controller(tmp_path, tmp_path / "memory", job, NOBODY).declared.names
     assert {"EDGED", "ASK", "WAIT"} < read
     assert read == set(grammar("inform").names(job.replace("\r\n", "\n")))
     with pytest.raises(ValueError, match="9 characters"):
-        grammar("inform").check(job.replace("*LATE", "*MUCHLATER").replace("\r\n", "\n"))
+        grammar("inform").checked(job.replace("*LATE", "*MUCHLATER").replace("\r\n", "\n"))
 
 
 @pytest.mark.parametrize(
@@ -201,22 +199,21 @@ def test_a_job_has_labels_that_its_pendant_shows(tmp_path: Path) -> None:
 def test_a_listing_has_its_negative_constants_in_parentheses(line: str) -> None:
     """A bare one is refused, in whatever place; the interpreter of the listing knows none, either."""
     with pytest.raises(ValueError, match="parentheses"):
-        grammar("tp").check(f"/PROG  EDGEDREG\n   1:  {line}\n")
+        grammar("tp").checked(f"/PROG  EDGEDREG\n   1:  {line}\n")
     listing = f"/PROG  EDGEDREG\n/ATTR\n/MN\n   1:  {line}\n   2:  END ;\n/POS\n/END\n"
     with pytest.raises(AssertionError):
         TeachPendant(ARM, lambda _: None, {}).run(listing)
 
 
 def test_no_name_that_a_user_gives_stands_in_a_program() -> None:
-    """Jobs are numbers, grasps come by their order: the writers are given nothing, and escape nothing."""
-    for writer in (*FORMATS.values(), *SEVERAL.values()):
-        assert {} == dict(inspect.signature(writer).parameters)
+    """Jobs are numbers, grasps come by their order: only the format is asked for, and nothing is escaped."""
+    assert ["fmt"] == list(inspect.signature(written).parameters)
 
 
 def test_every_table_names_its_source() -> None:
     """A manual or a standard, and where its words were read."""
-    used = {*LANGUAGES.values(), "tp", "karel", "krl", "val3", "melfa", "c", "inform"}
-    tables = Path(inspect.getfile(language_of)).with_name("grammars").glob("*.toml")
+    used = {language for row in FORMATS.values() for language in row.files.values()} - {""}
+    tables = (Path(edged.robots.__file__).parent / "grammars").glob("*.toml")
     assert used == {table.stem for table in tables}
     assert all(len(grammar(language).source) > 80 for language in used)
-    assert {"iec"} == {language_of(file) for file in twincat_files()}
+    assert {"iec"} == set(FORMATS["twincat"].files.values())

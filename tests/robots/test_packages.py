@@ -11,9 +11,8 @@ import pytest
 
 from edged.commands.registers import registers
 from edged.errors import UserError
-from edged.robots import twincat_files
-from edged.robots.texts import render
-from edged.robots.units import codes, structures
+from edged.robots.formats import render, written
+from edged.robots.structured_text import codes, structures
 
 PPX = "{http://www.plcopen.org/xml/tc6_0201}"
 XHTML = "{http://www.w3.org/1999/xhtml}xhtml"
@@ -41,7 +40,7 @@ def test_taking_the_source_apart_loses_nothing() -> None:
 
 def test_twincat_files_hold_the_program() -> None:
     """A TcDUT or TcPOU each, with the text of the source; ids are distinct, and the same in each print."""
-    files = twincat_files()
+    files = written("twincat")
     source, ids = render("st"), set()
     bodies = {code.name: code for code in codes(source)}
     for name, text in files.items():
@@ -60,7 +59,7 @@ def test_twincat_files_hold_the_program() -> None:
             assert code.body == element.findtext("Implementation/ST")
     assert not bodies
     assert len(files) == len(ids)
-    assert files == twincat_files()
+    assert files == written("twincat")
 
 
 def test_twincat_files_are_written_into_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

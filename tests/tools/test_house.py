@@ -25,7 +25,7 @@ SOURCES = sorted(HOUSE.rglob("*.py"))
 PACKAGES = sorted({source.parent for source in SOURCES})
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 READ = sorted([*SOURCES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "tools").glob("*.py")])
-FACES = re.compile(r"\.|(adapters|plc)/\w+|files/(rigformats|jobs)|robots")
+FACES = re.compile(r"\.|(adapters|plc)/\w+|files/(rigformats|jobs)")
 """Packages that are used by the names in their `__init__.py`; of all others the modules are named."""
 
 MOST_FILES_ENTERED = 31

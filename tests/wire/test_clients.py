@@ -32,7 +32,7 @@ from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.picking import Bounds, Box
 from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
 from edged.robot.orientations import Brand, Convention, transform_of
-from edged.robots.texts import render
+from edged.robots.formats import render
 from edged.vision.geometry.rigid import rotation_vector
 
 

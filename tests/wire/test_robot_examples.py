@@ -22,7 +22,7 @@ from edged.domain.measurement import Target
 from edged.domain.picking import Grasp, Picking
 from edged.plc.registers import StatusBit
 from edged.robot.orientations import Brand, pose_of, transform_of
-from edged.robots.texts import FORMATS, SEVERAL, render
+from edged.robots.formats import written
 from edged.vision.geometry.rigid import transform
 
 PART_FROM_TOOL = make_transform((0.1, 0.05, -1.0), (30.0, -10.0, 5.0))
@@ -163,7 +163,7 @@ APPROACHES = {
 def test_the_note_at_a_programs_head_approaches_as_the_page_does(fmt: str) -> None:
     """By the same words, which the tests above have run."""
     file, approach = APPROACHES[fmt]
-    text = render(fmt) if fmt in FORMATS else SEVERAL[fmt]()[file]
+    text = written(fmt)[file]
     pages = "".join((DOCS / f"{page}.md").read_text() for page in ("robots", "plc-makers"))
     assert approach in text
     assert approach in pages

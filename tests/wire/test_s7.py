@@ -19,7 +19,7 @@ from pymodbus.exceptions import ModbusException
 
 from edged.adapters.modbus import ModbusSettings
 from edged.robot.orientations import Convention
-from edged.robots.texts import render
+from edged.robots.formats import render
 
 CYCLES_BUSY = 3
 DONE, BUSY, ERROR = "DONE", "BUSY", "ERROR"

@@ -21,7 +21,7 @@ from helpers.webcell import Cell, running
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.domain.cell import CellPhase
 from edged.plc.registers import MAP_VERSION, WordOrder
-from edged.robots.texts import FORMATS, SEVERAL
+from edged.robots.formats import FORMATS, written
 from edged.setup.plcroutes import FILES
 
 pytestmark = pytest.mark.slow
@@ -70,16 +70,17 @@ def test_exchanges_and_client_sources_are_told_as_they_are() -> None:
         status, plc = await cell.ask("GET", "/api/v1/plc", None)
         assert (200, True, modbus.port, "high") == (status, plc["listening"], plc["port"], plc["word_order"])
         assert {one["kind"]: one["file"] for one in plc["clients"]} == FILES
+        assert {"md", "json"} == set(FORMATS) - set(FILES)
         for kind in FILES:
             async with cell.session.get(f"/api/v1/plc/clients/{kind}") as answer:
                 assert FILES[kind] in answer.headers["Content-Disposition"]
                 data = await answer.read()
-            if kind in SEVERAL:
+            if len(written(kind)) > 1:
                 with zipfile.ZipFile(io.BytesIO(data)) as archive:
                     files = {name: archive.read(name).decode() for name in archive.namelist()}
-                assert SEVERAL[kind]() == files
+                assert written(kind) == files
             else:
-                assert FORMATS[kind]() == data.decode()
+                assert {FILES[kind]: data.decode()} == written(kind)
         async with cell.session.get("/api/v1/plc/clients/cobol") as answer:
             assert 404 == answer.status
 

@@ -18,7 +18,7 @@ from pymodbus.exceptions import ModbusException
 
 from edged.adapters.modbus import ModbusSettings
 from edged.robot.orientations import Convention
-from edged.robots import twincat_files
+from edged.robots.formats import written
 
 CYCLES_BUSY = 3
 
@@ -99,7 +99,7 @@ class Request:
 def source() -> str:
     """Structured text of all files."""
     parts = []
-    for text in twincat_files().values():
+    for text in written("twincat").values():
         (element,) = ET.fromstring(text)
         parts.append(element.findtext("Declaration") or "")
         if element.tag == "POU":

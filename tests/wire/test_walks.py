@@ -22,9 +22,7 @@ from helpers.walkedcell import (
 
 from edged.plc.answers import Reason
 from edged.robot.orientations import Brand, pose_of, transform_of
-from edged.robots.karel import karel_files
-from edged.robots.krl import krl_files
-from edged.robots.texts import render
+from edged.robots.formats import render, written
 from edged.vision.geometry.rigid import transform
 
 GOOD_MM = 0.03
@@ -43,7 +41,7 @@ def abb(cell: WalkedCell, arm: RobotArm) -> int:
 
 def kuka(cell: WalkedCell, arm: RobotArm) -> int:
     """KRL's EDGED_HAND_EYE with $TOOL."""
-    files = krl_files()
+    files = written("krl")
     program = krl.load(files, krl.Controller(files["edged.xml"], Link(cell.line_port), arm))
     is_registered = program.call("EDGED_HAND_EYE", 10.0)
     error = int(program.named("EDGED_ERROR").get())
@@ -53,7 +51,7 @@ def kuka(cell: WalkedCell, arm: RobotArm) -> int:
 
 def fanuc(cell: WalkedCell, arm: RobotArm) -> int:
     """EDGEDREG on the teach pendant, which calls the KAREL program."""
-    files = karel_files()
+    files = written("karel")
     controller = karel.Controller(Link(cell.line_port))
     program = karel.load(files["edged.kl"], controller)
 

@@ -12,7 +12,7 @@ from edged.pictures.captions import REASONS
 from edged.plc.answers import Reason
 from edged.plc.registers import Flag, Option, ResultCode, StatusBit, Warn
 from edged.robot.orientations import Convention
-from edged.robots.texts import render
+from edged.robots.formats import render
 from referencepages.markdown import code, member_docs, table
 
 CODES: dict[str, type[enum.IntEnum]] = {

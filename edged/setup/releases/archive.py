@@ -40,7 +40,7 @@ from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder
 from edged.files.owners import as_owner, by_name, unlinked
 from edged.files.replacing import replace_files
-from edged.robots.texts import render
+from edged.robots.formats import render
 from edged.setup.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
 from edged.setup.releases.jobsfolder import Jobs, jobs_in, without_pictures
 

@@ -1,0 +1,155 @@
+"""Values for the templates from the schema of the registers."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from edged import __version__
+from edged.domain.events import CommandKind
+from edged.plc.answers import Reason
+from edged.plc.registers import (
+    ADDRESS,
+    BLOCKS,
+    COMMAND,
+    GRASP,
+    JOBS,
+    MAGIC,
+    MAP_VERSION,
+    RESULT,
+    ROWS,
+    STATUS,
+    TABLE,
+    UR,
+    UR_GRASP,
+    Block,
+    Flag,
+    Kind,
+    Option,
+    Register,
+    ResultCode,
+    StatusBit,
+)
+from edged.robot.orientations import Convention
+from edged.robots.walk import SETTLE_S, SHIFTS_MM, TURNS_DEG
+
+TITLES = {TABLE[0]: f"target table, {len(TABLE)} rows", JOBS[0]: f"jobs, {len(JOBS)} rows"}
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A block, or the first of several alike. end : address behind the last. at : a register's offset."""
+
+    name: str
+    title: str
+    address: int
+    words: int
+    end: int
+    writable: bool
+    high_first: bool
+    registers: tuple[Register, ...]
+    at: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A register, or half of one, in structured text. conversion : from the words of its block."""
+
+    name: str
+    type: str
+    conversion: str
+    comment: str
+
+
+def register_values() -> dict[str, object]:
+    """Values that every template has: numbers by name, blocks, and the poses of a registration."""
+    used = {"STATUS": STATUS, "RESULT": RESULT, "GRASP": GRASP, "COMMAND": COMMAND, "UR": UR}
+    numbers = {
+        "command": _numbers(CommandKind),
+        "reason": _numbers(reason for reason in Reason if reason),
+        "flag": _numbers(Flag),
+        "bit": _numbers(StatusBit),
+        "option": _numbers(Option),
+        "convention": _numbers(Convention),
+    }
+    return {
+        **numbers,
+        **{name: _area(block) for name, block in used.items()},
+        "UR_GRASP": _area(UR_GRASP),
+        "edged_version": __version__,
+        "magic": MAGIC,
+        "map_version": MAP_VERSION,
+        "blocks": [_area(block) for block in BLOCKS if not any(block in rows[1:] for rows in ROWS)],
+        "address": ADDRESS,
+        "python_tables": {
+            "COMMANDS": numbers["command"],
+            "RESULTS": _numbers(ResultCode),
+            "NACK_REASONS": _numbers(Reason),
+            "STATUS_BITS": numbers["bit"],
+            "FLAGS": numbers["flag"],
+            "OPTIONS": numbers["option"],
+        },
+        # COMMAND to TIMEOUT, in one write
+        "control_words": ADDRESS["TIMEOUT"] - COMMAND.address + 1,
+        "result_variables": list(_variables(RESULT, "awResult")),
+        "grasp_variables": list(_variables(GRASP, "awGrasp")),
+        # both blocks are read in one request, which begins with ur
+        "ur": {
+            register.name: register.address - UR.address
+            for block in (UR, UR_GRASP)
+            for register in block.registers
+        },
+        "xor_of_4_bits": [one ^ other for one in range(16) for other in range(16)],
+        "crc_of_4_bits": [_crc_of_4_bits(bits) for bits in range(16)],
+        "walk": [(*shift, *turn) for shift, turn in zip(SHIFTS_MM, TURNS_DEG, strict=True)],
+        "settle_s": SETTLE_S,
+    }
+
+
+def _numbers(members: Iterable[enum.IntEnum | enum.IntFlag]) -> dict[str, int]:
+    return {str(member.name): member.value for member in members}
+
+
+def _area(block: Block) -> Area:
+    last = next((rows[-1] for rows in ROWS if block in rows), block)
+    return Area(
+        name=block.name,
+        title=TITLES.get(block, block.name),
+        address=block.address,
+        words=block.words,
+        end=last.address + last.words,
+        writable=block.writable,
+        high_first=block.high_first,
+        registers=block.registers,
+        at={register.name: register.address - block.address for register in block.registers},
+    )
+
+
+def _variables(block: Block, words: str) -> Iterator[Variable]:
+    """Declared and converted registers of a block; 64 bits become two UDINT."""
+    low_first = "xLowWordFirst := xLowWordFirst"
+    for register in block.registers:
+        if "RESERVED" in register.name or register.name.endswith("CRC16"):
+            continue
+        name, at = register.name.removeprefix("G_"), register.address - block.address
+        comment = f"{register.unit}: {register.help}" if register.unit else register.help
+        comment = comment.replace("µ", "u").replace("°", " degrees")  # compilers differ in their encodings
+        joined = f"F_EDGED_DWORD(wFirst := {words}[{at}], wSecond := {words}[{at + 1}], {low_first})"
+        if register.kind is Kind.U16:
+            yield Variable(f"ui{name}", "UINT", f"WORD_TO_UINT({words}[{at}])", comment)
+        elif register.kind is Kind.I32:
+            yield Variable(f"di{name}", "DINT", f"DWORD_TO_DINT({joined})", comment)
+        elif register.kind is Kind.U32:
+            yield Variable(f"ud{name}", "UDINT", f"DWORD_TO_UDINT({joined})", comment)
+        else:
+            for half, number in (("HIGH", 0), ("LOW", 1)):
+                taken = f"awWords := {words}, iAt := {at}, iHalf := {number}, {low_first}"
+                yield Variable(f"ud{name}_{half}", "UDINT", f"F_EDGED_UDINT_OF_64({taken})", comment)
+
+
+def _crc_of_4_bits(bits: int) -> int:
+    """Four steps of the reflected polynomial 0x8005 ("MODBUS over serial line", section 6.2.2)."""
+    for _ in range(4):
+        bits = (bits >> 1) ^ (0xA001 if bits & 1 else 0)
+    return bits

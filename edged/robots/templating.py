@@ -1,0 +1,60 @@
+"""Programs rendered from templates, each a file in the language of its controller.
+
+`templates/FORMAT/FILE.j2` is the template of a file; `any.TcPOU.j2` serves every file with that suffix. A
+value is `@{...}`, because some languages index with braces; statements are `{% ... %}`. The comment
+`{# ... #}` at the top names the manuals that the program relies on.
+"""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from edged.robots.scl import scl_body
+from edged.robots.structured_text import codes, structures
+
+NAMESPACE = uuid.UUID("6b1f1c1e-4f0b-5f5e-9a53-edf6e4444544")
+"""For the ids of TwinCAT's objects: a name has the same id in every print, so a file can be replaced."""
+
+
+def rendered(fmt: str, file: str, values: Mapping[str, object]) -> str:
+    """Text of one file of a format. Raises `jinja2.UndefinedError` for a value that its template misses."""
+    names = [f"{fmt}/{file}.j2", f"{fmt}/any{Path(file).suffix}.j2"]
+    return _environment().select_template(names).render({"name": Path(file).stem, **values})
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("edged.robots"),
+        autoescape=False,
+        undefined=StrictUndefined,
+        variable_start_string="@{",
+        variable_end_string="}",
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {
+        "codes": codes,
+        "structures": structures,
+        "scl_body": scl_body,
+        "object_id": lambda name: str(uuid.uuid5(NAMESPACE, name)),
+        "listed": lambda numbers: ", ".join(f"{number} {name}" for name, number in numbers.items()),
+        "numbered": _numbered,
+        "radians": math.radians,
+        "word": "16#{:04X}".format,
+        "xml": escape,
+    }
+    return environment
+
+
+def _numbered(text: str, form: str) -> str:
+    """Each line behind its number, from 1."""
+    return "".join(f"{form % number}{line}\n" for number, line in enumerate(text.splitlines(), 1))
