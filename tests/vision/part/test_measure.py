@@ -127,7 +127,7 @@ def test_a_part_without_circles_is_located() -> None:
 
 
 def test_sizes_are_those_of_the_drawing() -> None:
-    """Radius, distances, width, length and angle, each within 10 µm or 0.1° and four sigmas."""
+    """Radius, distances, width and length, each within 10 µm and four sigmas."""
     here = cell("disc")
     job = with_sizes(
         here.job,
@@ -142,10 +142,26 @@ def test_sizes_are_those_of_the_drawing() -> None:
     assert [one.name for one in target.measurements] == [spec.name for spec in job.measurements]
     for one in target.measurements[:-1]:
         assert one.ok
-        assert abs(one.value - (one.nominal or 0.0)) < 4 * one.sigma + 0.002
-        assert 0 < one.sigma < 0.01
+        assert one.nominal is not None
+        assert abs(one.value - one.nominal) < min(0.01, 4 * one.sigma)
     assert target.measurements[-1].value < 0.1
     assert target.reject is Reject.NONE
+
+
+def test_angles_are_those_of_the_drawing() -> None:
+    """Between the edges of every corner: within 0.1° and four sigmas."""
+    here = cell("plate")
+    corners = [MeasurementSpec(corner.name, "angle", corner.edges) for corner in here.job.corners]
+    measured = sorted(
+        only(found(here, with_sizes(here.job, *corners), ELSEWHERE)).measurements, key=lambda one: one.value
+    )
+    x, y = np.diff(PLATE.outline.points_mm, axis=0, append=PLATE.outline.points_mm[:1]).T
+    directions_deg = np.degrees(np.arctan2(y, x))
+    turns_deg = np.abs(directions_deg - np.roll(directions_deg, 1)) % 180
+    drawn_deg = sorted(np.minimum(turns_deg, 180 - turns_deg))
+    assert 5 == len(drawn_deg) == len(measured)
+    for expected_deg, angle in zip(drawn_deg, measured, strict=True):
+        assert abs(angle.value - expected_deg) < min(0.1, 4 * angle.sigma)
 
 
 @pytest.mark.parametrize("name", ["s0", "c1"])
