@@ -146,8 +146,14 @@ def test_a_part_without_circles_is_taught_by_its_edges(rectification: Rectificat
     part_from_rig = invert(pose())
     for corner in job.corners:
         x, y, z = apply(part_from_rig, apply(job.rig_from_part, job.place_of(corner.name)))
-        assert min(math.hypot(x - u, y - v) for u, v in drawn) < 0.02
+        assert min(math.hypot(x - u, y - v) for u, v in drawn) < 0.015
         assert abs(z) < 0.05
+    lines = [(axis, place) for axis, places in enumerate(zip(*drawn, strict=True)) for place in set(places)]
+    for edge in job.edges:
+        ends = apply(part_from_rig, apply(job.rig_from_part, np.array([edge.start_mm, edge.end_mm])))
+        axis, place = min(lines, key=lambda line: float(np.abs(ends[:, line[0]] - line[1]).max()))
+        lines.remove((axis, place))
+        assert np.abs(ends[:, axis] - place).max() < 0.015
     np.testing.assert_allclose(job.rig_from_part[:3, :3], np.eye(3), atol=5e-3)
 
 
