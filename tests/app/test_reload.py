@@ -11,7 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers.smallcell import SmallCell, SmallWorld, free_port, pictures
+from helpers.ports import free_port
+from helpers.smallcell import SmallCell, SmallWorld, pictures
 from helpers.snapshots import make_transform
 from helpers.waiting import until
 

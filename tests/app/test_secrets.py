@@ -10,8 +10,8 @@ import shutil
 from pathlib import Path
 
 import pytest
+from helpers.ports import free_port
 from helpers.waiting import WHOLE_S
-from helpers.zenohcell import free_port
 from rich.console import Console
 
 from edged.app.cell import load_cell

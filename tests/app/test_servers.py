@@ -18,7 +18,7 @@ from typing import cast
 
 import pytest
 from helpers.certificates import make_certificates
-from helpers.smallcell import free_port
+from helpers.ports import free_port
 from helpers.waiting import LIMIT_S, WHOLE_S
 from helpers.zenohcell import ask
 

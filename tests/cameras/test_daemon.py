@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.ports import free_port
 from helpers.waiting import LIMIT_S
 from pymodbus.client import ModbusTcpClient
 
@@ -33,13 +34,6 @@ INVALID = -(2**31)
 VALID_BIT, CAM_FAULT_BIT, SIMULATED_BIT = 1 << 5, 1 << 12, 1 << 15
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
 needs_aravis = pytest.mark.skipif(bool(aravis_missing()), reason="Aravis is not installed")
-
-
-def free_port() -> int:
-    """A TCP port that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def until(condition: Callable[[], Any], what: str, timeout_s: float = 30.0) -> Any:

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from cameras.test_daemon import Cell, free_port, until
+from cameras.test_daemon import Cell, until
+from helpers.ports import free_port
 from prometheus_client.parser import text_string_to_metric_families
 
 CONFIG = Path(__file__).parent.parent.parent / "config"

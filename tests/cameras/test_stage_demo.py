@@ -11,7 +11,8 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 import pytest
-from helpers.stagecell import Newcomer, free_port, run
+from helpers.ports import free_port
+from helpers.stagecell import Newcomer, run
 from helpers.waiting import LIMIT_S, until
 
 from edged.adapters.aravis import aravis_missing

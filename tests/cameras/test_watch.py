@@ -14,9 +14,10 @@ from typing import Any
 
 import pytest
 from helpers.certificates import make_certificates
+from helpers.ports import free_port
 from helpers.snapshots import make_snapshot, make_transform
 from helpers.waiting import LIMIT_S
-from helpers.zenohcell import READY, Cell, free_port
+from helpers.zenohcell import READY, Cell
 from rich.console import Console, ConsoleDimensions
 
 from edged.adapters.zenoh import open_session, session_config

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers.certificates import make_certificates
+from helpers.ports import free_port
 from helpers.waiting import LIMIT_S
 from rich.console import Console
 
@@ -33,13 +34,6 @@ from edged.doctor.findings import Check, Verdict
 from edged.doctor.firewall import Rules
 from edged.doctor.host import Interface
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
-
-
-def free_port() -> int:
-    """A TCP port that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="module")

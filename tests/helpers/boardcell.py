@@ -17,9 +17,9 @@ from edged.files.statefolder import state_folder
 from edged.identity.users import User, UserFile
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
-from helpers.boardpairs import pairs
+from helpers.boardpairs import SPEC, pairs
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
-from helpers.smallcell import free_port
+from helpers.ports import free_port
 from helpers.waiting import WHOLE_S
 from helpers.webcell import HASH
 
@@ -104,3 +104,19 @@ class BoardCell:
         finally:
             self.daemon.stop()
             await task
+
+
+async def with_views(cell: BoardCell, count: int) -> tuple[str, str]:
+    """Path of a draft with that many views, and the token."""
+    _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
+    token = {"token": entered["token"]}
+    status, draft = await cell.ask(
+        "POST", "/calibrations", {"boards": [SPEC], "goal_um": 5.0, "lens": "division"}
+    )
+    assert (201, [SPEC], []) == (status, draft["boards"], draft["views"])
+    place = f"/calibrations/{draft['id']}"
+    for number in range(count):
+        cell.world.shown = pairs(6)[number]
+        status, draft = await cell.ask("POST", f"{place}/views", token)
+        assert (201, number + 1) == (status, len(draft["views"]))
+    return place, entered["token"]

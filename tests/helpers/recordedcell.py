@@ -18,7 +18,8 @@ from edged.setup.cellfiles import CellFiles
 from edged.sim.cell import SIDES, VirtualCell
 from edged.sim.exposure import ExposureRequest
 from helpers.boardcell import BoardCell
-from helpers.smallcell import HEIGHT, WIDTH, SmallWorld, free_port
+from helpers.ports import free_port
+from helpers.smallcell import HEIGHT, WIDTH, SmallWorld
 from helpers.webcell import HASH
 
 PAGE = """

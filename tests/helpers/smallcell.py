@@ -26,6 +26,7 @@ from edged.sim.inprocess import InProcessCamera
 from edged.sim.render.scene import Disc, Part, Surface
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import CameraModel, StereoRig
+from helpers.ports import free_port
 from helpers.waiting import LIMIT_S
 
 SHRINK = 4
@@ -64,13 +65,6 @@ def pictures(cell: VirtualCell, parts: int, empty: int = 0) -> list[tuple[Image,
             left, right = (rng.integers(20, 30, (HEIGHT, WIDTH), np.uint8) for _ in SIDES)
             pairs.append((left, right))
     return pairs
-
-
-def free_port() -> int:
-    """A TCP port that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class SmallCell:

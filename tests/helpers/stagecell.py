@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -18,17 +17,11 @@ from edged.commands.stage import USER, write_cell
 from edged.domain.arrays import SIDES, Image
 from edged.sim.world import VirtualWorld
 from helpers.browsersession import PASSWORD, BrowserSession, Visitor, browsing
+from helpers.ports import free_port
 from helpers.waiting import WHOLE_S
 
 PATIENT = {"timeout_s = 2.0": "timeout_s = 10.0", "max_skew_ms = 50.0": "max_skew_ms = 1000.0"}
 """Pictures of a machine that does much else: nothing here moves while they are taken."""
-
-
-def free_port() -> int:
-    """A TCP port that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Newcomer(Visitor):

@@ -28,7 +28,8 @@ from edged.sim.render.scene import Placed, Scene, Surface, Table, chessboard_pla
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, transform
-from helpers.smallcell import HEIGHT, SIDES, STILL_UPRIGHT, TOKEN, WIDTH, free_port, tiny_rig
+from helpers.ports import free_port
+from helpers.smallcell import HEIGHT, SIDES, STILL_UPRIGHT, TOKEN, WIDTH, tiny_rig
 from helpers.snapshots import make_transform
 from helpers.waiting import LIMIT_S
 

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import queue
-import socket
 import subprocess
 import sys
 import threading
@@ -18,20 +17,13 @@ from typing import Any
 from edged.adapters.zenoh import ZenohPublisher, ZenohSettings
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Command
+from helpers.ports import free_port
 from helpers.waiting import LIMIT_S
 
 PEER = Path(__file__).parents[1] / "wire" / "zenoh_peer.py"
 
 
 READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
-
-
-def free_port() -> int:
-    """A TCP port that nobody has now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 class Peer:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from helpers.browsersession import BrowserSession, Visitor, browsing
-from helpers.smallcell import free_port
+from helpers.ports import free_port
 from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER

@@ -20,7 +20,8 @@ import pytest
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from helpers.opcuacell import JOBS, PASSWORD, OpcUaCell, make_certificate, secure_settings
-from helpers.smallcell import DaemonProcess, SmallCell, free_port
+from helpers.ports import free_port
+from helpers.smallcell import DaemonProcess, SmallCell
 from helpers.snapshots import make_target
 from helpers.waiting import LIMIT_S
 from pymodbus.client import ModbusTcpClient

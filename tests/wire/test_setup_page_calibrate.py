@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers.boardcell import BoardCell
+from helpers.boardcell import BoardCell, with_views
 from helpers.boardpairs import SPEC
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
@@ -25,7 +25,6 @@ from helpers.setuppage import (
 )
 from helpers.stagecell import Newcomer, run
 from helpers.waiting import WHOLE_S
-from setup.calibration.test_service import with_views
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig

@@ -18,10 +18,11 @@ import cv2
 import numpy as np
 import pytest
 import zenoh
+from helpers.ports import free_port
 from helpers.schema_check import load_schema, violations
 from helpers.snapshots import make_snapshot
 from helpers.waiting import LIMIT_S, until, wait_until
-from helpers.zenohcell import READY, Cell, Peer, ask, free_port, ignore, is_message, peer
+from helpers.zenohcell import READY, Cell, Peer, ask, ignore, is_message, peer
 
 from edged.adapters.zenoh import (
     ZenohPublisher,

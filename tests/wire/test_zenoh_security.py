@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.ports import free_port
 from helpers.snapshots import make_snapshot
 from helpers.waiting import LIMIT_S
-from helpers.zenohcell import Cell, free_port, is_message, peer
+from helpers.zenohcell import Cell, is_message, peer
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 

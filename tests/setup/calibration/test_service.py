@@ -13,7 +13,7 @@ from typing import Any
 import aiohttp
 import numpy as np
 import pytest
-from helpers.boardcell import BoardCell
+from helpers.boardcell import BoardCell, with_views
 from helpers.boardpairs import RIG, SPEC, pairs
 from helpers.waiting import WHOLE_S
 from rich.console import Console
@@ -37,22 +37,6 @@ def run(folder: Path, test: Callable[[BoardCell], Awaitable[None]]) -> BoardCell
 
     asyncio.run(bounded())
     return cell
-
-
-async def with_views(cell: BoardCell, count: int) -> tuple[str, str]:
-    """Path of a draft with that many views, and the token."""
-    _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
-    token = {"token": entered["token"]}
-    status, draft = await cell.ask(
-        "POST", "/calibrations", {"boards": [SPEC], "goal_um": 5.0, "lens": "division"}
-    )
-    assert (201, [SPEC], []) == (status, draft["boards"], draft["views"])
-    place = f"/calibrations/{draft['id']}"
-    for number in range(count):
-        cell.world.shown = pairs(6)[number]
-        status, draft = await cell.ask("POST", f"{place}/views", token)
-        assert (201, number + 1) == (status, len(draft["views"]))
-    return place, entered["token"]
 
 
 @pytest.mark.slow

@@ -11,8 +11,9 @@ from urllib.request import Request, urlopen
 
 import pytest
 from argon2 import PasswordHasher
+from helpers.ports import free_port
 from helpers.waiting import LIMIT_S
-from helpers.walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell, free_port
+from helpers.walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell
 
 from edged.vision.geometry.rigid import apply, transform
 
