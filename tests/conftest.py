@@ -1,4 +1,4 @@
-"""What every test below runs under: one BLAS thread, which tests never run at once, and which may be skipped.
+"""What every test runs under: one BLAS thread, no deadlines, which tests never run at once or may be skipped.
 
 pytest makes `helpers` and `naive` importable from every test.
 """
@@ -6,10 +6,14 @@ pytest makes `helpers` and `naive` importable from every test.
 import os
 
 import pytest
+from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
 
 # as `edged` itself does: BLAS threads on small matrices only spin; set before anything imports numpy
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+settings.register_profile("edged", deadline=None)  # an example takes what a busy machine leaves it
+settings.load_profile("edged")
 
 pytest_plugins = ["helpers.skips"]
 

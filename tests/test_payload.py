@@ -177,7 +177,7 @@ def test_covariance_in_the_robots_frame_is_that_of_the_moved_poses():
     np.testing.assert_allclose(np.cov(np.array(draws).T) / scale, expected / scale, atol=0.03)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.floats(), min_size=36, max_size=36), st.floats(), st.floats())
 def test_json_never_holds_what_json_cannot_say(values, score, radius):
     """NaN and infinities anywhere in a result become null; every other number survives exactly."""

@@ -101,7 +101,7 @@ def test_a_recording_is_lossless(tmp_path: Path) -> None:
     assert taken.versions == recording.versions()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_a_damaged_recording_is_named(data: st.DataObject) -> None:
     """Cut, changed or foreign bytes: a readable recording or one kind of error, never another."""

@@ -113,7 +113,7 @@ def published(shown: list[str]) -> _Recalling:
     return ear
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @given(shown=st.lists(st.sampled_from(PICTURES), min_size=2, max_size=5))
 def test_later_cycles_leave_what_was_published_as_it_was(shown: list[str]) -> None:
     """Results, images and states are the same bits after any other cycles; no buffer is shared with one."""

@@ -388,6 +388,4 @@ class AnybodyAtTheDesk(RuleBasedStateMachine):
 
 
 TestAnybodyAtTheDesk = AnybodyAtTheDesk.TestCase
-TestAnybodyAtTheDesk.settings = settings(
-    max_examples=100, stateful_step_count=30, deadline=None, derandomize=True
-)
+TestAnybodyAtTheDesk.settings = settings(max_examples=100, stateful_step_count=30, derandomize=True)

@@ -268,7 +268,7 @@ def test_a_restore_that_fails_changes_nothing(archive: Archive, tmp_path: Path) 
     assert {"blocked.tar.gz", "cell"} == {entry.name for entry in tmp_path.iterdir()}
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_damage_is_found(archive: Archive, data: st.DataObject) -> None:
     """Cut or changed bytes: the same content or one kind of error that names the file."""

@@ -171,7 +171,7 @@ def disordered(lines: list[Line], data: st.DataObject, gap_mm: float) -> list[Li
     return data.draw(st.permutations([(b, a) if flip else (a, b) for a, b, flip in pairs]))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data(), st.lists(st.integers(3, 7), min_size=1, max_size=4), st.sampled_from([0.0, 0.001, 0.0199]))
 def test_lines_in_any_order_and_direction_close(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, corners: list[int], gap_mm: float
@@ -185,7 +185,7 @@ def test_lines_in_any_order_and_direction_close(
     assert found == pytest.approx(sorted(polygon_area(n, 5.0) for n in corners), abs=40 * gap_mm + 1e-6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.data(), st.integers(3, 6), st.sampled_from([2e-4, 0.005, 0.019]))
 def test_outlines_that_nearly_touch_stay_two(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, corners: int, distance_mm: float
@@ -201,7 +201,7 @@ def test_outlines_that_nearly_touch_stay_two(
     assert found == pytest.approx(sorted([polygon_area(corners, 5.0), polygon_area(4, 5.0)]), abs=0.01)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.data(), st.integers(3, 7))
 def test_a_line_drawn_twice_is_named(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, corners: int
@@ -330,7 +330,7 @@ def test_what_is_no_flat_closed_drawing_is_named(tmp_path: Path) -> None:
         read_dxf(tmp_path / "missing.dxf")
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.data())
 def test_a_damaged_drawing_is_an_outline_or_a_clear_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

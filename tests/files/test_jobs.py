@@ -411,7 +411,7 @@ def test_missing_and_foreign_files_are_named(folder: Path, tmp_path: Path) -> No
         load_job(folder)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_a_damaged_shape_is_an_error_or_the_same_shape(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
@@ -440,7 +440,7 @@ def test_a_damaged_shape_is_an_error_or_the_same_shape(
         assert_same(job, make_job())
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(text=st.text(max_size=200), place=st.integers(0, 1500))
 def test_a_damaged_job_file_is_an_error_or_a_job(
     text: str, place: int, tmp_path_factory: pytest.TempPathFactory

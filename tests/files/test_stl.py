@@ -57,7 +57,7 @@ def test_triangles_of_a_step_file_say_what_its_faces_say(tmp_path: Path, part: s
         assert np.allclose(line.away, found.edges[int(np.argmin(gaps))].away, atol=1e-6)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(count=st.integers(12, 300), turn=st.floats(0, 6.0), as_text=st.booleans())
 def test_a_faceted_circle_has_no_bias_and_the_sigma_of_its_chords(
     tmp_path_factory: pytest.TempPathFactory, count: int, turn: float, as_text: bool
@@ -148,7 +148,7 @@ def test_what_is_no_part_is_named(tmp_path: Path, data: bytes | str, said: str) 
         read_stl(saved(tmp_path, data))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.binary(max_size=600), st.integers(0, 9000), st.booleans())
 def test_damaged_bytes_end_in_a_message(
     tmp_path_factory: pytest.TempPathFactory, noise: bytes, at: int, as_text: bool

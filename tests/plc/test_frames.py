@@ -32,7 +32,7 @@ PAGE = Path(__file__).parents[2] / "docs/how-to/plc.md"
 
 
 @given(WORD, st.sampled_from(sorted(COMMANDS)), WORD, st.booleans(), st.booleans(), st.data())
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100, derandomize=True)
 def test_a_request_is_read_as_it_was_written(
     sequence: int, command: str, job: int, tries_all: bool, is_flange: bool, data: st.DataObject
 ) -> None:
@@ -49,7 +49,7 @@ def test_a_request_is_read_as_it_was_written(
 
 
 @given(WORD, st.sampled_from(LineStatus), WORD, st.data())
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100, derandomize=True)
 def test_an_answer_is_read_as_it_was_written(
     sequence: int, status: LineStatus, remaining: int, data: st.DataObject
 ) -> None:
@@ -88,7 +88,7 @@ def test_a_frame_that_is_changed_anywhere_is_none() -> None:
 
 
 @given(st.binary(min_size=REQUEST.size - 4, max_size=REQUEST.size - 4), st.booleans())
-@settings(max_examples=500, deadline=None, derandomize=True)
+@settings(max_examples=500, derandomize=True)
 def test_whatever_comes_is_a_request_or_none(body: bytes, is_headed: bool) -> None:
     """Any bytes, also with the right head and the right CRC: a request that says the same, or ValueError."""
     head = FrameRequest(1, "LOCATE").frame()[:6] if is_headed else b""

@@ -878,9 +878,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
 
 TestAnyClientAnyCell = pytest.mark.slow(AnyClientAnyCell.TestCase)
-TestAnyClientAnyCell.settings = settings(
-    max_examples=150, stateful_step_count=40, deadline=None, derandomize=True
-)
+TestAnyClientAnyCell.settings = settings(max_examples=150, stateful_step_count=40, derandomize=True)
 
 
 def test_when_a_result_falls_by_time_alone_is_known_beforehand() -> None:

@@ -300,7 +300,7 @@ def test_the_table_lists_all_targets_and_shows_only_those_that_are_good() -> Non
     st.floats(allow_nan=True, allow_infinity=True),
     st.integers(-(2**70), 2**70),
 )
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=80, derandomize=True)
 def test_whatever_the_cell_says_can_be_encoded(x_mm: float, score: float, exposed_ns: int) -> None:
     """No number that a snapshot can hold makes the encoder raise."""
     target = make_target(x_mm=x_mm)
@@ -333,7 +333,7 @@ def matrix_of(angles_deg: tuple[float, float, float], convention: Convention) ->
 
 @pytest.mark.parametrize("convention", Convention)
 @given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 def test_angles_give_the_rotation_back(convention: Convention, q: tuple[float, float, float, float]) -> None:
     """Whatever the rotation, the controller makes the same rotation of A, B, C (judge: scipy)."""
     R = Rotation.from_quat(q).as_matrix()
@@ -378,7 +378,7 @@ SINGULAR_AT = {Convention.KAWASAKI_OAT: ((0.0, 1), (180.0, -1))} | {
 
 @pytest.mark.parametrize("convention", EULER)
 @given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 def test_the_normal_of_the_manual_is_the_parts_z_axis(
     convention: Convention, q: tuple[float, float, float, float]
 ) -> None:
@@ -408,7 +408,7 @@ def test_near_the_singular_position_only_normal_and_sum_have_a_meaning(conventio
 
 
 @given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 def test_quaternion_and_rotation_vector_agree_with_scipy(q: tuple[float, float, float, float]) -> None:
     """The scalar-first quaternion with q1 >= 0, and UR's vector no longer than π."""
     rotation = Rotation.from_quat(q)

@@ -87,7 +87,7 @@ UNIT = st.floats(-3, 3, allow_subnormal=False)
 
 
 @given(st.tuples(UNIT, UNIT, UNIT), st.tuples(UNIT, UNIT, UNIT), st.floats(-math.pi, math.pi))
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=80, derandomize=True)
 def test_a_disc_is_taken_with_the_least_turn_of_all(
     part: tuple[float, float, float], tool: tuple[float, float, float], other_rad: float
 ) -> None:

@@ -93,7 +93,7 @@ def test_a_lens_that_folds_is_refused() -> None:
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_half_plane_coverage_is_the_area(distance: float, slope_x: float, slope_y: float) -> None:
     """The closed form equals counting points of a cell, and both sides of a line fill the cell."""
     slope_x, slope_y = slope_x + 0.2, slope_y + 0.1  # the count needs a line that is not all of the cell
@@ -364,7 +364,7 @@ def test_rendering_repeats() -> None:
 
 
 @given(st.sampled_from(EVERY_SHAPE), st.floats(-5, 5), st.floats(-5, 5))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_extent_holds_the_shape(shape: object, u: float, v: float) -> None:
     """No point of a shape lies outside of its extent."""
     if naive.shape_covers(shape, u, v):

@@ -383,7 +383,7 @@ ENDS = st.sampled_from([b"\r", b"\n", b"\r\n"])
 
 
 @given(st.lists(st.tuples(st.sampled_from([b"1,ACK", b"x", b"kuka,2,NEXT", b" "]), ENDS)), st.data())
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100, derandomize=True)
 def test_lines_are_told_apart_however_the_network_cuts_them(
     sent: list[tuple[bytes, bytes]], data: st.DataObject
 ) -> None:
@@ -436,7 +436,7 @@ WORDS = st.sampled_from(
 @given(
     st.one_of(st.binary(max_size=256), st.lists(WORDS, max_size=12).map(lambda one: ",".join(one).encode()))
 )
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200, derandomize=True)
 def test_whatever_a_robot_sends_is_a_request_or_none(line: bytes) -> None:
     """Every line is understood, its numbers fit registers, or refused as no request; no other error."""
     for brand in Brand:

@@ -45,7 +45,7 @@ WORD = st.one_of(
 
 
 @given(st.lists(st.tuples(*[WORD] * 6), min_size=6, max_size=9), st.sampled_from(Convention))
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20, derandomize=True)
 def test_whatever_the_flange_says_has_a_verdict(words: list[tuple[int, ...]], convention: Convention) -> None:
     """Any words of FLANGE, beside a board that was seen well: nothing raises, and nothing is registered."""
     one = sampling()
@@ -60,7 +60,7 @@ def test_whatever_the_flange_says_has_a_verdict(words: list[tuple[int, ...]], co
 
 
 @given(st.lists(st.tuples(*[WORD] * 3), min_size=4, max_size=9))
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 def test_whatever_was_touched_has_a_verdict(words: list[tuple[int, ...]]) -> None:
     """The same of touched points, which are not where the parts were."""
     one, random = sampling(Method.TOUCH), np.random.default_rng(2)

@@ -73,7 +73,7 @@ def test_pieces_of_an_empty_picture_are_none() -> None:
     assert find_contours(blank, np.zeros_like(blank)) == []
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(arrays.arrays(np.uint8, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 1)))
 def test_every_pixel_is_linked_once(thin: Image) -> None:
     """Chains hold every set pixel once, and neighbours in a chain are neighbours in the image."""
@@ -87,7 +87,7 @@ def test_every_pixel_is_linked_once(thin: Image) -> None:
         assert not loop or np.abs(chain[0] - chain[-1]).max() <= 1
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(arrays.arrays(np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.integers(0, 1)))
 def test_linking_as_its_twin(thin: Image) -> None:
     """The kernel walks as the plain loop does."""

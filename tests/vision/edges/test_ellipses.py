@@ -95,7 +95,7 @@ def test_the_same_image_gives_the_same_ellipses() -> None:
     assert find_ellipses(image, everywhere()) == find_ellipses(image, everywhere())
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     a=st.floats(10, 200),
     ratio=st.floats(0.7, 1.0),

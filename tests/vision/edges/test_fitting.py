@@ -22,7 +22,7 @@ def circle_points(x: float, y: float, radius: float, count: int = 80, arc: float
 @given(
     x=st.floats(-500, 500), y=st.floats(-500, 500), radius=st.floats(3, 400), arc=st.floats(0.6, 2 * math.pi)
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_points_on_a_circle_give_that_circle(x: float, y: float, radius: float, arc: float) -> None:
     """From an arc of 35° on."""
     fit = fit_circle(circle_points(x, y, radius, arc=arc))
@@ -31,7 +31,7 @@ def test_points_on_a_circle_give_that_circle(x: float, y: float, radius: float, 
 
 
 @given(angle=st.floats(-3, 3), offset=st.floats(-300, 300))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_points_on_a_line_give_that_line(angle: float, offset: float) -> None:
     """In every direction, vertical ones included."""
     normal = np.array([math.cos(angle), math.sin(angle)])

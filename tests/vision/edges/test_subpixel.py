@@ -42,7 +42,7 @@ def across(angle_rad: float, count: int = 9) -> tuple[FloatArray, FloatArray]:
     return MIDDLE + steps[:, None] * np.array([-normal[1], normal[0]]), np.tile(normal, (count, 1))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     distance_px=st.floats(-2.5, 2.5),
     angle_rad=st.floats(-math.pi, math.pi),

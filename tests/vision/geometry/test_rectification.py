@@ -16,7 +16,7 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification, row_difference_px
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
-few = settings(max_examples=12, deadline=None)  # each example builds four maps
+few = settings(max_examples=12)  # each example builds four maps
 
 
 @few

@@ -20,7 +20,7 @@ from edged.vision.geometry.triangulation import (
 )
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(rigs, st.integers(0, 1000))
 def test_projected_points_come_back(rig: StereoRig, seed: int) -> None:
     """Through raw images or rectified ones, points return to the rig frame to 1e-6 of their distance."""

@@ -128,7 +128,7 @@ def test_a_ray_meets_a_plane_where_both_are() -> None:
     assert np.abs(np.cross(points, rays)).max() < 1e-9
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10_000),
     low=st.floats(-40, 10),
@@ -154,7 +154,7 @@ def test_edges_of_a_row_equal_their_twin(
         assert sorted(kept, reverse=True) == list(known.values())[:most]  # of equal ones, any
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 10_000),
     slopes=st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2)),

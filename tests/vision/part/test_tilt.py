@@ -150,7 +150,7 @@ def test_a_flat_job_has_no_views() -> None:
     assert counts[-1] <= 40
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     tilt_deg=st.floats(0.0, 45.0),
     side_deg=st.floats(0.0, 360.0),

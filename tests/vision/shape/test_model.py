@@ -141,7 +141,7 @@ def test_points_that_share_pixels_are_counted_once() -> None:
     assert repetition(np.zeros((7, 2))) == pytest.approx(7.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_any_picture_is_a_model_or_an_error(data: st.DataObject) -> None:
     """Of any size, content and region: a model whose points are finite, or a TeachError; nothing else."""

@@ -291,7 +291,7 @@ def test_covariance_is_the_scatter(bracket: ShapeModel, mode: str, freedom: int)
     assert 0.7 < np.mean(together) < 1.4
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     height=st.integers(1, 200),
     width=st.integers(1, 200),
@@ -362,7 +362,7 @@ def test_model_survives_its_file_form(bracket: ShapeModel) -> None:
     assert (one[0].x_px, one[0].score) == (other[0].x_px, other[0].score)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_foreign_arrays_are_refused_or_harmless(data: st.DataObject) -> None:
     """Any damage to any array gives a ValueError, or a model that can be searched for."""

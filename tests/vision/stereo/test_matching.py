@@ -335,7 +335,7 @@ def test_every_point_has_its_own_range() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 20), st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_any_input_has_an_answer(seed: int, half: int, either: bool) -> None:
     """Whatever the pixels, points and ranges: a number with a positive sigma, or a reason and NaN."""
     rng = np.random.default_rng(seed)
@@ -424,7 +424,7 @@ def test_largest_window_does_not_overflow() -> None:
 
 
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=30))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_find_peak_as_its_twin(scores: list[float]) -> None:
     """The peak, and the ratio of the highest other hill to it."""
     found = np.full(4, np.nan)

@@ -61,7 +61,7 @@ motions = st.builds(
 )
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(part=st.sampled_from(["D1", "D2", "D3", "D4"]), motion=motions, seed=st.integers(0, 1000))
 def test_a_part_is_found_wherever_its_frame_is(part: str, motion: FloatArray, seed: int) -> None:
     """From curves that are off by 5 µm, the frame within 10 µm at the part's rim, and every curve known."""
@@ -72,7 +72,7 @@ def test_a_part_is_found_wherever_its_frame_is(part: str, motion: FloatArray, se
     assert np.abs(apply(found.part_from_model, corners) - apply(motion, corners)).max() < 0.01
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(motion=motions, keep=st.sets(st.integers(0, 7), min_size=4))
 def test_the_pair_need_not_show_every_curve(motion: FloatArray, keep: set[int]) -> None:
     """Any four holes of the block say where it is."""

@@ -34,7 +34,7 @@ def square(size_mm: float) -> FloatArray:
 
 
 @pytest.mark.slow
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.integers(0, 10_000))
 def test_coverage_is_the_area_in_each_pixel(seed: int) -> None:
     """A convex polygon anywhere, also beyond the picture, against counting sub-pixels."""

@@ -71,7 +71,7 @@ def test_what_is_excluded_is_out() -> None:
     np.testing.assert_array_equal(left, inside & ~out)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10**6), count=st.integers(4, 40), clockwise=st.booleans())
 def test_only_crossing_polygons_are_refused(seed: int, count: int, clockwise: bool) -> None:
     """Corners in order, either way round, are a polygon; with two neighbours exchanged it crosses itself."""
@@ -131,7 +131,7 @@ def test_other_texts_are_refused(text: str) -> None:
         parse_region(text, "--exclude")
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(text=st.text(max_size=30) | st.from_regex(r"(circle|polygon|rect):[0-9,;.e-]*", fullmatch=True))
 def test_any_text_is_a_region_or_an_error(text: str) -> None:
     """No text crashes the command."""
