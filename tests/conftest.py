@@ -15,9 +15,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 settings.register_profile("edged", deadline=None)  # an example takes what a busy machine leaves it
 settings.load_profile("edged")
 
-pytest_plugins = ["helpers.skips"]
+pytest_plugins = ["helpers.alone", "helpers.skips"]
 
-ALONE = (
+ONE_WIRE = (
     "tests/cameras/",
     "tests/commands/test_doctor.py",
     "tests/commands/test_grab.py",
@@ -32,12 +32,12 @@ class ByRoom(LoadScopeScheduling):
     """Each file of tests is for one process; all that share the cameras' wire are for the same one."""
 
     def _split_scope(self, nodeid: str) -> str:
-        return "cameras" if nodeid.startswith(ALONE) else nodeid.partition("::")[0]
+        return "cameras" if nodeid.startswith(ONE_WIRE) else nodeid.partition("::")[0]
 
 
 def pytest_runtest_setup(item):
     """Where tests run beside each other, those without cameras let those with them go first."""
-    waits = "PYTEST_XDIST_WORKER" in os.environ and not item.nodeid.startswith(ALONE)
+    waits = "PYTEST_XDIST_WORKER" in os.environ and not item.nodeid.startswith(ONE_WIRE)
     if waits and os.getpriority(os.PRIO_PROCESS, 0) < NICE:
         os.nice(NICE)
 

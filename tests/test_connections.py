@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 
-from helpers.waiting import LIMIT_S, until
+from helpers.waiting import LIMIT_S, WHOLE_S, until
 
 from edged.connections import Door, Guest, Rate, Rates
 
@@ -70,7 +70,7 @@ def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -
     finally:
         for one in many:
             one.close()
-        _, log = process.communicate(timeout=LIMIT_S)
+        _, log = process.communicate(timeout=WHOLE_S)
 
     assert ["echo: nobody can connect: Too many open files"] == [
         line.partition("edged.connections:")[2] for line in log.splitlines()

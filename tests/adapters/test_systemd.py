@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from annotated_types import Le
 from helpers.snapshots import make_snapshot
-from helpers.waiting import LIMIT_S
+from helpers.waiting import WHOLE_S
 
 from edged.adapters.modbus import lines
 from edged.adapters.systemd import SystemdNotifier
@@ -222,7 +222,7 @@ def analyze(unit_file: Path, tmp_path: Path, *arguments: str) -> subprocess.Comp
     unit = tmp_path / unit_file.name.replace("@", "@cell1")
     unit.write_text(unit_file.read_text().replace("/opt/edged/current/bin/edged", "/bin/true"))
     command = ["systemd-analyze", *arguments, str(unit)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=WHOLE_S, check=False)
 
 
 @needs_analyze

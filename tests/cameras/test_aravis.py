@@ -29,7 +29,7 @@ from helpers.gigecell import (
     settles,
     shoot,
 )
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, WHOLE_S
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -126,7 +126,7 @@ async def main():
     await camera.close()
 asyncio.run(main())
 """
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=LIMIT_S)
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=WHOLE_S)
 
 
 # --- frame ids --------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.ports import free_port
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, WHOLE_S
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.aravis import aravis_missing
@@ -164,7 +164,7 @@ def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> 
         ],
         capture_output=True,
         text=True,
-        timeout=LIMIT_S,
+        timeout=WHOLE_S,
         check=True,
     )
     messages = [json.loads(line) for line in watch.stdout.splitlines()]
@@ -184,7 +184,7 @@ def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> 
         [*command, "-r", "301", "-c", "48", "-1", "-q", "127.0.0.1"],
         capture_output=True,
         text=True,
-        timeout=LIMIT_S,
+        timeout=WHOLE_S,
         check=False,
     )
     assert polled.returncode == 0, polled.stdout + polled.stderr
@@ -229,7 +229,7 @@ def test_a_second_daemon_on_the_same_port_says_so_and_leaves_the_first_alone(
         [sys.executable, "-m", "edged", "run", str(config)],
         capture_output=True,
         text=True,
-        timeout=LIMIT_S,
+        timeout=WHOLE_S,
         check=False,
     )
     assert second.returncode == 2

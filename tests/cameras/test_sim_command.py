@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, WHOLE_S
 
 LEFT, RIGHT = "127.0.55.1", "127.0.55.2"
 
@@ -66,7 +66,7 @@ def sim() -> Iterator[Sim]:
 
 def run(*command: str) -> str:
     """What a command prints."""
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=LIMIT_S).stdout
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=WHOLE_S).stdout
 
 
 def test_it_says_what_it_serves_and_takes_commands(sim: Sim) -> None:
@@ -85,7 +85,7 @@ def test_it_says_what_it_serves_and_takes_commands(sim: Sim) -> None:
 def test_quit_ends_it() -> None:
     """Exit code 0, also with a sensor that pulses the lines."""
     other = Sim("--pattern", "64x48", "--left", "127.0.55.3", "--right", "127.0.55.4", "--pulse", "50")
-    other.process.communicate("pulse both\nquit\n", timeout=LIMIT_S)
+    other.process.communicate("pulse both\nquit\n", timeout=WHOLE_S)
     assert other.ended() == 0
 
 

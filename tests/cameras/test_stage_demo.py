@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers.ports import free_port
 from helpers.stagecell import Newcomer, run
-from helpers.waiting import LIMIT_S, until
+from helpers.waiting import WHOLE_S, until
 
 from edged.adapters.aravis import aravis_missing
 from edged.domain.arrays import SIDES
@@ -181,7 +181,7 @@ def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> No
             assert line, said
             said += line
         process.send_signal(signal.SIGINT)
-        rest = process.communicate(timeout=LIMIT_S)[0]
+        rest = process.communicate(timeout=WHOLE_S)[0]
     assert (0, "") == (process.returncode, rest)
     assert f"http://127.0.0.1:{ports[0]}/setup" in said
     assert {".cell.state", "cell.toml", "recordings"} == {path.name for path in (tmp_path / "cell").iterdir()}

@@ -5,12 +5,12 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-from helpers.waiting import LIMIT_S
+from helpers.waiting import WHOLE_S
 
 
 def openssl(folder: Path, *arguments: str) -> None:
     """Run openssl in a folder."""
-    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=LIMIT_S)
+    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=WHOLE_S)
 
 
 def make_certificates(folder: Path) -> None:

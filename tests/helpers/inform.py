@@ -18,7 +18,7 @@ import numpy as np
 from edged.robot.orientations import Brand, pose_of
 from helpers.robotlink import Link
 from helpers.robotwords import Declared
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, WHOLE_S
 
 HERE = Path(__file__).parent / "motoplus"
 WAITS, SENT, FAILS, READS, PLACE, NUMBERS = 200, 201, 202, 203, 210, 256
@@ -37,7 +37,7 @@ def translate(source: str, folder: Path) -> Path:
     made = folder / "controller"
     files = [str(folder / "edged.c"), str(HERE / "controller.c")]
     command = ["gcc", *STRICT, f"-I{HERE}", *files, "-o", str(made), "-lpthread"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=WHOLE_S, check=False)
     assert 0 == done.returncode, done.stderr
     return made
 
@@ -153,5 +153,5 @@ class Controller:
     def close(self) -> None:
         """Power off."""
         if self.task:
-            self.task.communicate(b"\n", timeout=LIMIT_S)
+            self.task.communicate(b"\n", timeout=WHOLE_S)
             self.task = None

@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from helpers.waiting import LIMIT_S
+from helpers.waiting import WHOLE_S
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -132,7 +132,7 @@ def image(tmp_path: Path) -> Path:
 def install(image: Path, *arguments: str) -> None:
     """Run tools/install below a folder."""
     environment = {**os.environ, "EDGED_ROOT_DIR": str(image)}
-    subprocess.run([ROOT / "tools/install", *arguments], env=environment, check=True, timeout=LIMIT_S)
+    subprocess.run([ROOT / "tools/install", *arguments], env=environment, check=True, timeout=WHOLE_S)
 
 
 def test_an_uninstallation_leaves_no_cell_enabled(image: Path) -> None:
@@ -161,7 +161,7 @@ def test_systemd_is_told_of_every_cell(image: Path, tmp_path: Path) -> None:
         uninstall
     """
     environment = {**os.environ, "EDGED_ROOT_DIR": str(image)}
-    subprocess.run(["bash", "-c", script + stub], env=environment, check=True, timeout=LIMIT_S)
+    subprocess.run(["bash", "-c", script + stub], env=environment, check=True, timeout=WHOLE_S)
 
     (disabled,) = (line for line in told.read_text().splitlines() if line.startswith("disable"))
     cells = ["edged.service", *(f"edged@{name}.service" for name in ("hand", "left", "right"))]

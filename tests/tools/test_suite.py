@@ -7,10 +7,12 @@ import platform
 import re
 import subprocess
 import sys
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
-from helpers.waiting import LIMIT_S
+from helpers import alone
+from helpers.waiting import WHOLE_S
 
 TESTS = Path(__file__).parents[1]
 
@@ -35,9 +37,18 @@ def suite(folder: Path, reason: str, ci: str) -> subprocess.CompletedProcess[str
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=LIMIT_S,
+        timeout=WHOLE_S,
         check=False,
     )
+
+
+def test_what_runs_alone_is_there_and_says_why() -> None:
+    """Each entry of the list names a test that exists, and the time that it promises."""
+    for pattern, reason in alone.REASONS.items():
+        file, _, name = pattern.partition("::")
+        names = re.findall(r"^def (test_\w+)", (TESTS.parent / file).read_text(), re.MULTILINE)
+        assert any(fnmatchcase(each, name) for each in names), pattern
+        assert re.search(r"\d s\b", reason), reason
 
 
 @pytest.mark.parametrize(("ci", "code"), [("true", 1), ("", 0)])
@@ -68,7 +79,7 @@ def test_the_versions_of_what_is_not_pinned_stand_in_one_line() -> None:
         env=os.environ | {"EDGED_PYTHON": sys.executable},
         capture_output=True,
         text=True,
-        timeout=LIMIT_S,
+        timeout=WHOLE_S,
         check=False,
     )
 

@@ -17,7 +17,7 @@ from helpers.certificates import make_certificates
 from helpers.livecell import LiveCell
 from helpers.serialline import SerialCable
 from helpers.snapshots import make_target
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, WHOLE_S
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusTlsClient
 
 from edged.adapters.modbus import ModbusSettings, SerialSettings, TlsSettings, rtu
@@ -68,7 +68,7 @@ class Mbpoll:
     def _run(self, address: int, more: list[str], words: list[int]) -> str:
         command = ["mbpoll", *self._mode, "-a", "1", "-1", "-q", "-o", "2", "-t", "4", "-r", str(address + 1)]
         command += [*more, self._target, *map(str, words)]
-        run = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
+        run = subprocess.run(command, capture_output=True, text=True, timeout=WHOLE_S)
         assert 0 == run.returncode, run.stdout + run.stderr
         return run.stdout
 

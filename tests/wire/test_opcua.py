@@ -23,7 +23,7 @@ from helpers.opcuacell import JOBS, PASSWORD, OpcUaCell, make_certificate, secur
 from helpers.ports import free_port
 from helpers.smallcell import DaemonProcess, SmallCell
 from helpers.snapshots import make_target
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, WHOLE_S
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.modbus import ModbusSettings
@@ -653,7 +653,7 @@ def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) -> Non
     """Also over an encrypted channel; and no password is taken over one that is not."""
 
     async def run(cell: OpcUaCell) -> None:
-        async with Client(cell.url) as client:
+        async with Client(cell.url, timeout=LIMIT_S) as client:
             assert 1 == await register(client, "status", "ACTIVE_JOB")
             for call in (start(client), command(client, 1)):
                 with pytest.raises(ua.uaerrors.BadUserAccessDenied):
@@ -757,7 +757,7 @@ import json, sys, time
 from opcua import Client, ua
 from opcua.crypto.security_policies import SecurityPolicyBasic256Sha256
 url, folder, password = sys.argv[1:]
-client = Client(url, timeout=LIMIT_S)
+client = Client(url, timeout=60)
 client.application_uri = "urn:test:friend"
 client.set_security(SecurityPolicyBasic256Sha256, f"{folder}/friend.der", f"{folder}/friend.key.der",
     f"{folder}/server.der", ua.MessageSecurityMode.SignAndEncrypt)
@@ -801,7 +801,7 @@ def test_another_client_commands_and_reads(cell: OpcUaCell, secure: OpcUaSetting
         [sys.executable, "-c", OTHER_CLIENT, cell.url, str(folder), PASSWORD],
         capture_output=True,
         text=True,
-        timeout=LIMIT_S,
+        timeout=WHOLE_S,
         check=False,
     )
 

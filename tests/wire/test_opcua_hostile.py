@@ -15,6 +15,7 @@ import pytest
 from asyncua import Client, ua
 from asyncua.crypto.permission_rules import UserRole
 from helpers.opcuacell import PASSWORD, PASSWORD_HASH, OpcUaCell
+from helpers.waiting import LIMIT_S
 
 from edged.adapters.opcua import OpcUaSettings, connection
 from edged.adapters.opcua.security import FREE_ATTEMPTS, LOCKED_S, Users, first_certificate
@@ -35,7 +36,7 @@ def cell() -> Iterator[OpcUaCell]:
 def connect(cell: OpcUaCell, source: str = HOSTILE) -> socket.socket:
     """A bare connection."""
     line = socket.create_connection(("127.0.0.1", cell.publisher.port), 10, source_address=(source, 0))
-    line.settimeout(10)
+    line.settimeout(LIMIT_S)
     return line
 
 
@@ -115,11 +116,11 @@ def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell) -> No
     """One address gets half of the connections, however many it opens; who is logged in stays."""
 
     async def run() -> None:
-        async with Client(cell.url) as first:
+        async with Client(cell.url, timeout=LIMIT_S) as first:
             with ExitStack() as lines:
                 for _ in range(30):
                     lines.enter_context(closing(connect(cell)))
-                async with Client(cell.url) as second:
+                async with Client(cell.url, timeout=LIMIT_S) as second:
                     for client in (first, second):
                         assert 1 == await client.get_node("ns=3;s=Registers.status.ACTIVE_JOB").read_value()
 
@@ -130,7 +131,7 @@ def test_a_request_is_bounded(cell: OpcUaCell) -> None:
     """As many nodes as the server says that it takes, and no more; one method a request."""
 
     async def run() -> None:
-        async with Client(cell.url) as client:
+        async with Client(cell.url, timeout=LIMIT_S) as client:
             said = client.get_node(ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead)
             assert MAX_NODES == await said.read_value()
             one = ua.ReadValueId(NodeId=ua.NodeId(2258), AttributeId=ua.AttributeIds.Value)
@@ -153,7 +154,7 @@ def test_a_session_holds_a_share_and_no_more(cell: OpcUaCell) -> None:
 
     async def run() -> None:
         for _ in range(3):
-            async with Client(cell.url) as client:
+            async with Client(cell.url, timeout=LIMIT_S) as client:
                 for _ in range(MAX_SUBSCRIPTIONS):
                     subscription = await client.create_subscription(0, Notes())
                 with pytest.raises(ua.uaerrors.BadTooManySubscriptions):

@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 from helpers.livecell import LiveCell
 from helpers.smallcell import DaemonProcess, SmallCell
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, WHOLE_S
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.modbus import ModbusSettings
@@ -216,7 +216,7 @@ def test_mbpoll_sees_setup_and_ends_it(cell: LiveCell) -> None:
 
     def mbpoll(*arguments: str) -> str:
         command = ["mbpoll", "-m", "tcp", "-p", str(cell.port), "-a", "1", "-1", "-q", "-t", "4", *arguments]
-        return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=True).stdout
+        return subprocess.run(command, capture_output=True, text=True, timeout=WHOLE_S, check=True).stdout
 
     def words() -> dict[int, int]:
         text = mbpoll("-r", "201", "-c", "19", "127.0.0.1")
@@ -281,7 +281,7 @@ def test_a_cell_without_a_calibration_runs_in_setup_until_it_has_one(tmp_path: P
 def _ready(port: int) -> tuple[int, str]:
     """Code and reason of /ready."""
     try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/ready", timeout=LIMIT_S) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/ready", timeout=WHOLE_S) as answer:
             return answer.status, json.load(answer)["error"]
     except urllib.error.HTTPError as error:
         return error.code, json.load(error)["error"]
@@ -338,13 +338,13 @@ class Browser:
         keeping = urllib.request.HTTPCookieProcessor(http.cookiejar.CookieJar())
         self._opener = urllib.request.build_opener(keeping)
         form = urllib.parse.urlencode({"name": "Anna", "password": PASSWORD}).encode()
-        self._opener.open(f"{self._host}/login", form, timeout=LIMIT_S).close()
+        self._opener.open(f"{self._host}/login", form, timeout=WHOLE_S).close()
 
     def ask(self, method: str, path: str, document: dict[str, str]) -> Any:
         """The answer's object; None for one without."""
         headers = {"Origin": self._host, "Content-Type": "application/json"}
         url, data = f"{self._host}/api/v1/{path}", json.dumps(document).encode()
         request = urllib.request.Request(url, data, headers, method=method)
-        with self._opener.open(request, timeout=LIMIT_S) as answer:
+        with self._opener.open(request, timeout=WHOLE_S) as answer:
             text = answer.read()
         return json.loads(text) if text else None

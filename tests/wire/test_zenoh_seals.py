@@ -208,7 +208,7 @@ def test_an_answer_is_bound_to_what_was_asked(key: bytes | None):
                     parameters = f"nonce={os.urandom(8).hex()}"
                     (reply,) = await asyncio.to_thread(
                         lambda name=name, asked=parameters: list(
-                            asker.session.get(f"edged/cell1/{name}?{asked}", timeout=LIMIT_S)
+                            asker.session.get(f"edged/cell1/{name}?{asked}", timeout=WHOLE_S)
                         )
                     )
                     payload, seal = reply.ok.payload.to_bytes(), json.loads(reply.ok.attachment.to_bytes())
@@ -218,7 +218,7 @@ def test_an_answer_is_bound_to_what_was_asked(key: bytes | None):
                     assert mac == seal.get("mac")
                     assert [] == violations(seal, SCHEMA["$defs"]["attachment"], SCHEMA)
                 (reply,) = await asyncio.to_thread(
-                    lambda: list(asker.session.get("edged/cell1/trigger?kind=x", timeout=LIMIT_S))
+                    lambda: list(asker.session.get("edged/cell1/trigger?kind=x", timeout=WHOLE_S))
                 )
                 assert seal["session"] == json.loads(reply.err.payload.to_bytes())["session"]
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from helpers.ports import free_port
 from helpers.snapshots import make_snapshot
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, WHOLE_S
 from helpers.zenohcell import Cell, is_message, peer
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
@@ -26,7 +26,7 @@ def certificates(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("tls")
 
     def openssl(*arguments: str) -> None:
-        subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=LIMIT_S)
+        subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=WHOLE_S)
 
     curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
     for authority in ("ca", "other"):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.waiting import LIMIT_S, WHOLE_S, until
+from helpers.waiting import WHOLE_S, until
 
 from edged.errors import CalibrationError, TaskFailed, TaskTooLarge
 from edged.setup.jobs import worker as workers
@@ -217,7 +217,7 @@ def test_it_ends_with_who_started_it() -> None:
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     ended = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, env=environment, timeout=LIMIT_S, check=False
+        [sys.executable, "-c", script], capture_output=True, env=environment, timeout=WHOLE_S, check=False
     )
 
     assert -signal.SIGKILL == ended.returncode

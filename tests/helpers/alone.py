@@ -1,0 +1,24 @@
+"""A pytest plugin: tests of times that a busy machine cannot keep get the marker `alone`.
+
+`tools/test` runs them after all others, in a process of their own.
+"""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+
+import pytest
+
+REASONS = {
+    "tests/wire/test_opcua_hostile.py::test_ten_thousand_*": "a good client waits for 5 s at most",
+    "tests/wire/test_floods.py::*": "a PLC is answered within 5 s beside what floods the cell",
+}
+"""Test ids (shell patterns) to the time that is promised."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark them."""
+    for item in items:
+        for test, reason in REASONS.items():
+            if fnmatchcase(item.nodeid, test):
+                item.add_marker(pytest.mark.alone(reason))
