@@ -101,7 +101,7 @@ class Daemon:
             notebook=_setup_note(path),
             registrar=self._registrar,
         )
-        self._cell = CellInUse(path.resolve(), loaded.cell, self._cycle.session, self._read_again)
+        self._cell = CellInUse(path.resolve(), loaded.cell, self._cycle, self._read_again)
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, lambda: figures(self._running))
         self._job_use = JobUse()

@@ -46,8 +46,8 @@ class RigInUse:
         return board.split(",") if isinstance(board, str) and board else []
 
 
-class Leased(Protocol):
-    """The cell's lease and cameras in SETUP; `edged.cell.lease.session.SetupSession` is one."""
+class LeasedCycle(Protocol):
+    """The cycle, of which a person may hold the lease in SETUP; `edged.cell.cycle.Cycle` is one."""
 
     @property
     def camera_changes(self) -> Mapping[Side, CameraChanges]:
@@ -55,12 +55,12 @@ class Leased(Protocol):
         ...
 
     @property
-    def holder(self) -> str:
+    def setup_by(self) -> str:
         """Name of the lease's holder; "" without a lease."""
         ...
 
     @property
-    def is_locked(self) -> bool:
+    def setup_locked(self) -> bool:
         """Whether the PLC forbids SETUP."""
         ...
 
@@ -83,7 +83,7 @@ class CellInUse:
 
     path: Path
     files: CellFiles | UnfinishedCell
-    session: Leased
+    cycle: LeasedCycle
     reload: Callable[[], Awaitable[str]]
 
     @property
@@ -159,8 +159,8 @@ class CellInUse:
 
     def renew(self, token: str) -> None:
         """Renew the lease. Raises `SetupRefused` for another token."""
-        self.session.renew_setup(token)
+        self.cycle.renew_setup(token)
 
     async def capture(self, token: str) -> FramePair:
         """One exposure for the lease's holder. Raises `SetupRefused`, `CaptureError`."""
-        return await self.session.capture(token)
+        return await self.cycle.capture(token)

@@ -1,4 +1,4 @@
-"""A cell in use without a daemon: its files, and a lease that nobody takes."""
+"""A cell in use without a daemon: its files, and a cycle that does nothing by itself."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from edged.setup.cellfiles import read_any_cell
 
 
 @dataclass
-class StillSession:
-    """A session whose lease has the token "theirs"; every capture gives the same pair."""
+class StillCycle:
+    """A cycle whose lease has the token "theirs"; every capture gives the same pair."""
 
     camera_changes: Mapping[Side, CameraChanges] = field(default_factory=dict)
-    holder: str = ""
-    is_locked: bool = False
+    setup_by: str = ""
+    setup_locked: bool = False
     pair: FramePair | None = None
 
     def renew_setup(self, token: str) -> None:
@@ -35,12 +35,12 @@ class StillSession:
         return self.pair
 
 
-def cell_in_use(config: Path, session: StillSession | None = None) -> CellInUse:
+def cell_in_use(config: Path, cycle: StillCycle | None = None) -> CellInUse:
     """The cell of a configuration file; it is read again on reload, which is never refused."""
 
     async def reload() -> str:
         cell.files = read_any_cell(config)
         return ""
 
-    cell = CellInUse(config, read_any_cell(config), session or StillSession(), reload)
+    cell = CellInUse(config, read_any_cell(config), cycle or StillCycle(), reload)
     return cell

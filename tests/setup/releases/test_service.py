@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers.cellinuse import StillSession
+from helpers.cellinuse import StillCycle
 from helpers.powercuts import Record, cut
 from helpers.smallcell import SmallCell
 
@@ -50,8 +50,8 @@ class RunningCell:
     def __init__(self, folder: Path) -> None:
         self.config, self.rig, self.jobs = folder / "cell.toml", folder / "rig.json", folder / "jobs"
         self.shelf = Shelf(folder / "state" / "releases")
-        self.session = StillSession()
-        self.now = CellInUse(self.config, read_cell(self.config), self.session, self._reload)
+        self.cycle = StillCycle()
+        self.now = CellInUse(self.config, read_cell(self.config), self.cycle, self._reload)
         self.refuses = ""
         self.activation = Activation(self.shelf, self.now)
 
@@ -324,13 +324,13 @@ def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
 def test_the_plant_forbids_it(cell: RunningCell) -> None:
     """AUTO_LOCK, before anybody asks and while somebody has; so does whoever has the cell."""
     cell.activation.check(None)
-    cell.session.holder = "Ben"
+    cell.cycle.setup_by = "Ben"
     with pytest.raises(SetupRefused, match="Ben has the cell"):
         cell.activation.check(None)
     with pytest.raises(SetupRefused, match="SETUP has ended"):
         cell.activation.check("stale")
     cell.activation.check("theirs")
-    cell.session.is_locked = True
+    cell.cycle.setup_locked = True
     with pytest.raises(SetupRefused, match="AUTO_LOCK"):
         cell.activation.check("theirs")
     files = cell.files()
@@ -341,13 +341,13 @@ def test_the_plant_forbids_it(cell: RunningCell) -> None:
 
 def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
     """And go with it again: they are of one release."""
-    cell.session.camera_changes = {"left": CameraChanges(exposure_us=1234.0)}
+    cell.cycle.camera_changes = {"left": CameraChanges(exposure_us=1234.0)}
 
     activate(cell, cell.wider(1.001))
 
     chosen = cell.config.parent / "rig.cameras.json"
     assert {"left": {"exposure_us": 1234.0}, "right": {}} == json.loads(chosen.read_text())
-    cell.session.camera_changes = {}
+    cell.cycle.camera_changes = {}
     before = cell.files()
     cell.refuses = "no"
     with pytest.raises(UserError):
@@ -373,7 +373,7 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     with record.watching():
         replace_folder(root / "cell", files_in(template))
         cell = RunningCell(root / "cell")
-        cell.session.camera_changes = cameras
+        cell.cycle.camera_changes = cameras
         start = len(record.calls)
         before = cell.now.fingerprint
         after = activate(cell, cell.wider(1.001)).fingerprint
