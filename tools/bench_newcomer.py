@@ -31,10 +31,10 @@ from newcomerclicks import set_up
 
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
-from edged.app.stage import StageRoutes
 from edged.commands.stage import USER, write_cell
 from edged.domain.arrays import SIDES, FloatArray
 from edged.files.rig import load_rig
+from edged.setup.stage.routes import StageRoutes
 from edged.sim.showing import Thing
 from edged.sim.world import VirtualWorld
 from edged.vision.calibration.lenschoice import LensWish
@@ -84,7 +84,7 @@ async def stage(
     ports = free_port(), free_port(), free_port()
     path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=gige)
     routes = StageRoutes(world.stage)
-    daemon = Daemon(path, load_any_cell(path), observers=[routes], world=world, rooms=[routes.add_to])
+    daemon = Daemon(path, load_any_cell(path), observers=[routes], world=world, routes=[routes.add_to])
     running = asyncio.create_task(daemon.run())
     origin = f"http://127.0.0.1:{ports[0]}"
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,10 +18,9 @@ from edged.adapters.aravis import (
     Trigger,
 )
 from edged.adapters.replay import replay_cameras
-from edged.cell.lease.cameras import CameraChanges
 from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CameraSection, CamerasSection, TriggerSection
-from edged.domain.arrays import SIDES, Side
+from edged.domain.arrays import SIDES
 from edged.errors import ConfigError
 from edged.payload import Json, said
 from edged.ports import Camera
@@ -90,14 +89,6 @@ def head_of(
         by_others=all(isinstance(trigger, Line) for trigger in triggering.triggers),
         detect_frozen=cameras.source != "replay",
     )
-
-
-def with_tried(cameras: CamerasSection, changes: Mapping[Side, CameraChanges]) -> CamerasSection:
-    """The configuration with what is tried."""
-    sides: dict[str, CameraSection] = {
-        side: getattr(cameras, side).model_copy(update=change.stated()) for side, change in changes.items()
-    }
-    return cameras.model_copy(update=sides)
 
 
 def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: bool) -> Triggering:

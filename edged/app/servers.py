@@ -11,6 +11,7 @@ import hashlib
 import importlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -24,16 +25,7 @@ from edged.adapters.modbus import (
     server_context,
 )
 from edged.adapters.recorder import Recorder, RecorderSettings
-from edged.app.cell import LoadedCell
-from edged.app.status import (
-    Running,
-    config_summary,
-    facts,
-    job_list,
-    overview,
-    register_rows,
-    sigma_limits,
-)
+from edged.app.running import Running
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.config.cell import RecorderSection
@@ -42,9 +34,8 @@ from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection
 from edged.errors import EdgedError, ListenError, TookTooLong
 from edged.files.private import read_shared_key
-from edged.ports import Commander, Commissioner, Publisher
+from edged.ports import Publisher
 from edged.robot.orientations import Brand, Convention
-from edged.vision.geometry.rectification import Rectification
 
 if TYPE_CHECKING:
     from edged.adapters.web.routes import RouteTable
@@ -153,7 +144,7 @@ def _digests(files: Mapping[str, Path], beginning: str = "") -> tuple[tuple[Path
     )
 
 
-Room = Callable[["RouteTable"], None]
+AddRoutes = Callable[["RouteTable"], None]
 """Adds its routes of /api/v1."""
 Build = Callable[[], Publisher]
 """Makes a server anew of what was read before: it needs no file any more."""
@@ -181,48 +172,36 @@ async def close_within(publisher: Publisher, what: str) -> None:
         log.warning("%s: it has not closed within %g s, and is left behind", what, CLOSE_S)
 
 
-class Failing(NamedTuple):
-    """A server that is wanted and could not start. why : names it, its address and the reason."""
-
-    wanted: Wanted
-    build: Build
-    why: str
-
-
 class Servers:
     """The publishers that a configuration asks for.
 
-    commander : carries their clients' commands out. running : the cell, for what they tell of it.
-    metrics : Prometheus' text. changed : called whenever others run than before an exchange.
-    commissioner : where people take the cell for SETUP. notices, live : what their pages are told and shown.
-    rooms : adds further routes of /api/v1; asked when a page that has it is made.
-    state : the folder in which users are kept.
+    running : the cell, whose `servers` and `problems` are kept up to date. changed : called whenever others
+    run than before an exchange. metrics : Prometheus' text. notices, live : what pages are told and shown.
+    routes : adds further routes of /api/v1; asked when a page that has it is made. state : the folder in
+    which users are kept.
     """
 
     def __init__(
         self,
-        commander: Commander,
-        running: Callable[[], Running],
-        metrics: Callable[[], bytes],
+        running: Running,
         changed: Callable[[], None],
-        commissioner: Commissioner | None = None,
+        metrics: Callable[[], bytes] = bytes,
         notices: Notices | None = None,
         live: LivePictures | None = None,
-        rooms: Callable[[], Sequence[Room]] = tuple,
+        routes: Callable[[], Sequence[AddRoutes]] = tuple,
         state: Path | None = None,
     ) -> None:
-        self._rooms = rooms
-        self._state = state
+        self._running = running
+        self._started = running.servers
+        self._problems = running.problems
+        self._changed = changed
+        self._metrics = metrics
         self._notices = notices
         self._live = live
-        self._commander = commander
-        self._commissioner = commissioner
-        self._running = running
-        self._metrics = metrics
-        self._changed = changed
-        self._started: dict[str, Publisher] = {}
+        self._routes = routes
+        self._state = state
         self._wanted: dict[str, tuple[Wanted, Build]] = {}  # of those that run
-        self._failing: dict[str, Failing] = {}
+        self._failing: dict[str, tuple[Wanted, Build]] = {}
         self._trying: asyncio.Task[None] | None = None
 
     @property
@@ -233,7 +212,7 @@ class Servers:
     @property
     def problems(self) -> Mapping[str, str]:
         """Why those do not run that could not start, by the name of their section; they are tried again."""
-        return {name: failing.why for name, failing in self._failing.items()}
+        return self._problems
 
     async def start(self, config: Config) -> None:
         """Start all that are wanted; one that takes too long is tried again while the cell measures.
@@ -246,7 +225,7 @@ class Servers:
             try:
                 await self._start(name, wanted, build)
             except TookTooLong as error:
-                self._note_failing(name, Failing(wanted, build, str(error)))
+                self._note_failing(name, (wanted, build), str(error))
         self._try_again_later()
 
     async def exchange(self, config: Config) -> None:
@@ -265,8 +244,7 @@ class Servers:
             self._try_again_later()
 
     async def _exchange(self, wanted: dict[str, Wanted]) -> None:
-        before = {name: failing.wanted for name, failing in self._failing.items()}
-        before |= {name: running for name, (running, _) in self._wanted.items()}
+        before = {name: wanted for name, (wanted, _) in {**self._failing, **self._wanted}.items()}
         changed = [name for name in {**before, **wanted} if before.get(name) != wanted.get(name)]
         new = {name: (wanted[name], self._builder(wanted[name])) for name in changed if name in wanted}
         old, exchanged = dict(self._wanted), list[str]()
@@ -279,7 +257,7 @@ class Servers:
                 await self._put_back(name, old.get(name))
             raise
         for name in changed:
-            self._failing.pop(name, None)
+            self._forget_failing(name)
 
     async def close(self) -> None:
         """Close all."""
@@ -311,7 +289,7 @@ class Servers:
         except (EdgedError, OSError) as error:
             # somebody took its port meanwhile; the others must be put back all the same
             if old is not None:
-                self._note_failing(name, Failing(*old, str(error)))
+                self._note_failing(name, old, str(error))
 
     async def _start(self, name: str, wanted: Wanted, build: Build, limit_s: float = 0.0) -> None:
         publisher = build()
@@ -320,9 +298,13 @@ class Servers:
 
     # --- those that cannot start now ---------------------------------------------------------------
 
-    def _note_failing(self, name: str, failing: Failing) -> None:
-        self._failing[name] = failing
-        log.error("%s; the cell runs without it, and tries again every %g s", failing.why, RETRY_S)
+    def _note_failing(self, name: str, failing: tuple[Wanted, Build], why: str) -> None:
+        self._failing[name], self._problems[name] = failing, why
+        log.error("%s; the cell runs without it, and tries again every %g s", why, RETRY_S)
+
+    def _forget_failing(self, name: str) -> None:
+        self._failing.pop(name, None)
+        self._problems.pop(name, None)
 
     def _try_again_later(self) -> None:
         if self._failing and self._trying is None:
@@ -339,14 +321,14 @@ class Servers:
     async def _try_again(self) -> None:
         while self._failing:
             await asyncio.sleep(RETRY_S)
-            for name, (wanted, build, before) in list(self._failing.items()):
+            for name, (wanted, build) in list(self._failing.items()):
                 try:
                     await self._start(name, wanted, build, LATE_START_S)
                 except (EdgedError, OSError) as error:
-                    if str(error) != before:
-                        self._note_failing(name, Failing(wanted, build, str(error)))
+                    if str(error) != self._problems[name]:
+                        self._note_failing(name, (wanted, build), str(error))
                     continue
-                del self._failing[name]
+                self._forget_failing(name)
                 log.info("%s on %s: started after all", name, wanted.place)
                 self._changed()
         self._trying = None
@@ -358,55 +340,39 @@ class Servers:
             case ModbusSection():
                 modbus = _modbus_settings(section)
                 context = None if modbus.tls is None else server_context(modbus.tls)
-                return lambda: ModbusPublisher(
-                    modbus, self._commander, context=context, jobs=lambda: job_list(running().loaded)
-                )
+                return partial(ModbusPublisher, modbus, running.cycle, context=context, jobs=running.jobs)
             case ZenohSection():
                 from edged.adapters.zenoh import ZenohPublisher, configured
 
                 zenoh = _zenoh_settings(section, wanted.cell)
-                session = configured(zenoh)
-                return lambda: ZenohPublisher(
+                return partial(
+                    ZenohPublisher,
                     zenoh,
-                    None if section.commands == "refused" else self._commander,
-                    jobs=lambda: job_list(running().loaded),
-                    config=lambda: config_summary(running().loaded),
-                    session=session,
+                    None if section.commands == "refused" else running.cycle,
+                    jobs=running.jobs,
+                    config=running.config_summary,
+                    session=configured(zenoh),
                 )
             case RecorderSection():
-                return lambda: Recorder(
-                    RecorderSettings(**section.model_dump()),
-                    lambda: (running().loaded.setup.fingerprint, running().loaded.cell.contents),
-                )
+                return partial(Recorder, RecorderSettings(**section.model_dump()), running.recorded)
             case OpcUaSection():
                 return self._opcua_builder(wanted, section)
             case WebSection():
-                from edged.adapters.web import Sources, WebPublisher, WebSettings, page_context
+                from edged.adapters.web import WebPublisher, WebSettings, page_context
 
-                sources = Sources(
-                    rectification=lambda: _rectification(running().loaded),
-                    jobs=lambda: job_list(running().loaded),
-                    facts=lambda: facts(running()),
-                    registers=lambda: register_rows(self._started.get("modbus")),
-                    metrics=self._metrics,
-                    convention=lambda: Convention[running().loaded.cell.config.modbus.convention.upper()],
-                    overview=lambda: overview(running()),
-                    fingerprint=lambda: running().loaded.setup.fingerprint,
-                    limits=lambda: sigma_limits(running().loaded),
-                )
                 hashed = section.password_hash.get_secret_value()
                 web = WebSettings(**{**section.model_dump(), "password_hash": hashed, "state": self._state})
-                tls = page_context(web)
-                rooms = self._rooms() if section.commissioning else ()
-                return lambda: WebPublisher(
+                return partial(
+                    WebPublisher,
                     wanted.cell,
                     web,
-                    sources,
-                    context=tls,
-                    commissioner=self._commissioner,
+                    running,
+                    self._metrics,
+                    context=page_context(web),
+                    commissioner=running.cycle,
                     notices=self._notices,
                     live=self._live,
-                    rooms=rooms,
+                    routes=self._routes() if section.commissioning else (),
                 )
 
     def _opcua_builder(self, wanted: Wanted, section: OpcUaSection) -> Build:
@@ -431,26 +397,14 @@ class Servers:
             free_running=wanted.free_running,
         )
         identity = identity_of(settings)
-        return lambda: OpcUaPublisher(
-            settings, self._registers, lambda: job_list(self._running().loaded), identity=identity
-        )
-
-    def _registers(self) -> ModbusPublisher | None:
-        served = self._started.get("modbus")
-        return served if isinstance(served, ModbusPublisher) else None
+        running = self._running
+        return partial(OpcUaPublisher, settings, running.modbus, running.jobs, identity=identity)
 
 
 def _show_bug(trying: asyncio.Task[None]) -> None:
     """A bug of a server that was tried again is told at once, not when the daemon ends."""
     if not trying.cancelled() and (bug := trying.exception()) is not None:
         log.error("a server cannot be started by a bug, and is tried no more", exc_info=bug)
-
-
-def _rectification(loaded: LoadedCell) -> Rectification:
-    """Of the pictures on the page, which are of cycles: a cell without a rig has measured none."""
-    if loaded.rig is None:
-        raise LookupError("a cell without a rig has no pictures")
-    return loaded.rig.rectification
 
 
 def _lie_apart(one: Wanted, other: Wanted) -> bool:

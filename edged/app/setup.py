@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import asyncio
 from collections import ChainMap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from edged.cell.cycle import Cycle
+from edged.app.running import Running
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
+from edged.config.cameras import CamerasSection
 from edged.domain.frames import FramePair
-from edged.ports import Publisher
+from edged.ports import Head
 from edged.setup.calibration import service as calibrations
 from edged.setup.calibration.checks import Checks
 from edged.setup.calibration.service import Calibrations
-from edged.setup.cell import CellInUse
+from edged.setup.cameras.service import CameraService
+from edged.setup.inuse import CellInUse
 from edged.setup.jobs.tasks import Tasks
 from edged.setup.jobs.worker import Worker
 from edged.setup.recordings import regressions
@@ -45,22 +47,21 @@ class SetupServices:
 
     def __init__(
         self,
-        cell: CellInUse,
-        cycle: Cycle,
-        servers: Mapping[str, Publisher],
+        running: Running,
         notices: Notices,
         live: LivePictures,
         job_use: JobUse,
+        addresses: tuple[str, str] | None,
+        head_with: Callable[[CamerasSection], Head],
     ) -> None:
-        self._servers = servers
-        state = cell.state
+        self._servers, cycle = running.servers, running.cycle
         services = calibrations, cycles, registrations, regressions, teachings, trials
         functions = ChainMap(*(service.FUNCTIONS for service in services))
         # while the cell measures, one processor is left to it alone
-        self._worker = worker = Worker(functions, lambda: 2 if cycle.in_setup else 1)
-        self._tasks = tasks = Tasks(notices)
+        worker, tasks = Worker(functions, lambda: 2 if cycle.in_setup else 1), Tasks(notices)
+        self._cell = cell = CellInUse(running, worker, tasks, notices)
         self._calibrations = Calibrations(
-            state / "drafts",
+            cell.folder / "drafts",
             worker,
             tasks,
             notices,
@@ -69,30 +70,29 @@ class SetupServices:
             lambda: cell.config.cell.rig,
             lambda identity: identity == cell.calibration_id,
         )
-        shelf = Shelf(state / "releases")
-        self._regressions = Regressions(state / "regressions", cell, worker, tasks)
+        shelf = Shelf(cell.folder / "releases")
+        self._regressions = Regressions(cell)
         self._activation = Activation(shelf, cell, self._regressions.check)
-        self._checks = Checks(
-            state / "check.json", worker, notices, cell.capture, lambda: cell.rig, lambda: cell.jobs
-        )
-        self._cycles = Cycles(cell, worker)
+        self._checks = Checks(cell.folder / "check.json", worker, notices, cell.capture, cell.rig, cell.jobs)
+        self._cycles = Cycles(cell)
         self._registrations = Registrations(
-            state / "registrations", worker, notices, cell.capture, lambda: cell.rig, lambda: cell.jobs
+            cell.folder / "registrations", worker, notices, cell.capture, cell.rig, cell.jobs
         )
         self.program = RobotProgram(self._registrations, cell)
         self._teachings = Teachings(
-            state / "teachings",
+            cell.folder / "teachings",
             worker,
             tasks,
             notices,
             cell.capture,
-            lambda: cell.rig,
-            lambda: cell.jobs_in_use,
+            cell.rig,
+            cell.job_lines,
             self._cycles.file,
         )
         self._candidates = Candidates(cell, shelf, self._calibrations.solution, self._teachings.candidate)
-        self._trials = Trials(cell, worker, tasks, notices, self._teachings.job)
-        self._jobs = Jobs(cell, shelf, self._activation, job_use, cycle, servers)
+        self._trials = Trials(cell, self._teachings.job)
+        self._jobs = Jobs(cell, shelf, self._activation, job_use, cycle, running.servers)
+        self._cameras = CameraService(cell, cycle, live, addresses, head_with)
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._offer)
 
@@ -100,6 +100,7 @@ class SetupServices:
         """What adds the routes; aiohttp is imported only for a page."""
         from edged.setup.calibration.checkroutes import CheckRoutes
         from edged.setup.calibration.routes import CalibrationRoutes
+        from edged.setup.cameras.routes import CameraRoutes
         from edged.setup.plcroutes import PlcRoutes
         from edged.setup.recordings.regressionroutes import RegressionRoutes
         from edged.setup.recordings.routes import CycleRoutes
@@ -110,8 +111,9 @@ class SetupServices:
         from edged.setup.trials.routes import TrialRoutes
 
         return [
-            CalibrationRoutes(self._calibrations, self._tasks).add_to,
-            ReleaseRoutes(self._calibrations, self._activation, self._worker).add_to,
+            CameraRoutes(self._cameras).add_to,
+            CalibrationRoutes(self._calibrations, self._cell.tasks).add_to,
+            ReleaseRoutes(self._calibrations, self._activation, self._cell.worker).add_to,
             CheckRoutes(self._checks).add_to,
             CycleRoutes(self._cycles).add_to,
             RegistrationRoutes(self._registrations, self._activation).add_to,
@@ -130,11 +132,12 @@ class SetupServices:
     async def close(self) -> None:
         """End the worker process; drafts are on disc."""
         self._stop()
+        await self._cameras.close()
         await cancel_and_await(self._finishing)
         await self._calibrations.close()
         await self._trials.close()
         await self.program.close()
         await self._registrations.close()
-        await self._tasks.close()
+        await self._cell.tasks.close()
         await self._cycles.close()
-        await self._worker.close()
+        await self._cell.worker.close()

@@ -11,13 +11,13 @@ from rich.console import Console
 from edged.app.cell import load_any_cell, warm_up
 from edged.app.daemon import Daemon
 from edged.app.process import serve
-from edged.app.stage import StageRoutes
 from edged.files.outputs import make_folder
 from edged.files.owners import as_owner
 from edged.files.private import write_private
 from edged.files.statefolder import state_folder
 from edged.identity.passwords import hash_password
 from edged.identity.users import User, UserFile
+from edged.setup.stage.routes import StageRoutes
 from edged.sim.world import VirtualWorld
 
 CELL = "stage"
@@ -49,7 +49,7 @@ def run_stage(
         highlight=False,
         soft_wrap=True,
     )
-    asyncio.run(serve(lambda: Daemon(path, loaded, observers=[routes], world=world, rooms=[routes.add_to])))
+    asyncio.run(serve(lambda: Daemon(path, loaded, observers=[routes], world=world, routes=[routes.add_to])))
     return 0
 
 

@@ -14,10 +14,21 @@ def state_folder(config: Path) -> Path:
 
     Of a configuration that is installed it is known to who runs a command in a shell, too. It may be missing.
     """
-    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    if given:
-        return Path(given)
+    if (given := _given()) is not None:
+        return given
     config = config.resolve()
     if config.parent == INSTALLED:
         return STATE / ("edged" if config.stem == "cell" else f"edged-{config.stem}")
     return config.parent / f".{config.stem}.state"
+
+
+def setup_note(config: Path) -> Path:
+    """The file that names who has the cell: in the state directory, else beside the configuration."""
+    given = _given()
+    return config.resolve().parent / f".{config.stem}.setup" if given is None else given / "setup"
+
+
+def _given() -> Path | None:
+    """The directory that systemd gives a service."""
+    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    return Path(given) if given else None

@@ -11,7 +11,7 @@ from helpers.livecell import Head
 from helpers.smallcell import SmallCell
 
 from edged.app.cell import load_cell
-from edged.app.status import Running, overview
+from edged.app.running import Running
 from edged.cell.cycle import Cycle
 from edged.files.jobs import load_job
 from edged.files.rig import load_rig, save_rig
@@ -20,11 +20,16 @@ from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.triangulation import triangulate_raw
 
 
+async def never() -> str:
+    """No reload."""
+    raise NotImplementedError
+
+
 def told(config: Path) -> tuple[float, float, float] | None:
     """Sigma of X, Y, Z."""
     loaded = load_cell(config)
     head = Head()
-    rig = overview(Running(loaded, Cycle(head, loaded.setup), head, {})).rig
+    rig = Running(config, loaded, Cycle(head, loaded.setup), head, never).overview().rig
     assert rig is not None
     return rig.sigma_um
 

@@ -19,7 +19,6 @@ from helpers.waiting import until
 from edged.app import daemon as module
 from edged.app.cell import LoadedCell, load_cell
 from edged.app.daemon import Daemon
-from edged.app.status import facts, figures
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.events import Event, Snapshot
 from edged.errors import ConfigError
@@ -245,8 +244,8 @@ def test_a_cell_measures_whose_opcua_server_does_not_start(
             running = asyncio.create_task(daemon.run())
             await until(lambda: seen.cycles > 2)
             parts = daemon._running  # noqa: SLF001  (what page and metrics ask)
-            assert re.search("opcua on .*has not started within", str(facts(parts)["OPC UA"]["problem"]))
-            assert 1 == figures(parts)["servers_failing"][1]
+            assert re.search("opcua on .*has not started within", str(parts.facts()["OPC UA"]["problem"]))
+            assert 1 == parts.figures()["servers_failing"][1]
             assert await daemon.reload()
             daemon.stop()
             await running

@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from helpers.certificates import make_certificates
@@ -22,8 +22,8 @@ from helpers.ports import free_port
 from helpers.waiting import LIMIT_S, WHOLE_S
 from helpers.zenohcell import ask
 
+from edged.app.running import Running
 from edged.app.servers import Servers, wanted_servers
-from edged.app.status import Running
 from edged.config.configuration import Config
 from edged.config.reading import load
 from edged.domain.events import Command
@@ -54,8 +54,11 @@ class _Commander:
         raise NotImplementedError
 
 
-def _nothing_runs() -> Running:
-    return cast(Running, None)
+def running_cell(commander: object = None) -> Running:
+    """A cell without jobs."""
+    loaded = SimpleNamespace(setup=SimpleNamespace(jobs={}))
+    parts: tuple[Any, ...] = (loaded, commander or _Commander(), None, None)
+    return Running(Path("cell.toml"), *parts)
 
 
 def is_taken(port: int) -> bool:
@@ -72,7 +75,7 @@ def exchanged(before: Config, after: Config, look: list[int]) -> tuple[list[bool
     told: list[None] = []
 
     async def main() -> tuple[list[bool], list[str]]:
-        servers = Servers(_Commander(), _nothing_runs, lambda: b"", lambda: told.append(None))
+        servers = Servers(running_cell(), lambda: told.append(None))
         await servers.start(before)
         try:
             await servers.exchange(after)
@@ -203,7 +206,7 @@ def test_opcua_without_its_package_is_a_mistake_that_names_it(
     )
 
     async def main() -> None:
-        servers = Servers(_Commander(), _nothing_runs, lambda: b"", lambda: None)
+        servers = Servers(running_cell(), lambda: None)
         with pytest.raises(ListenError, match=r"edged\[opcua\]"):
             await servers.exchange(wanted)
         assert {} == servers.started
@@ -216,7 +219,7 @@ def exchange_after(folder: Path, sections: str, change: Callable[[], None], port
     wanted = config(folder, sections)
 
     async def main() -> tuple[bool, bool]:
-        servers = Servers(_Commander(), _nothing_runs, lambda: b"", lambda: None)
+        servers = Servers(running_cell(), lambda: None)
         await servers.start(wanted)
         before = dict(servers.started)
         change()
@@ -274,7 +277,7 @@ def test_a_port_that_is_taken_leaves_the_running_server_alone(tmp_path: Path) ->
         after = config(tmp_path, f"{off}[modbus]\nport = {taken.getsockname()[1]}\n")
 
         async def main() -> bool:
-            servers = Servers(_Commander(), _nothing_runs, lambda: b"", lambda: None)
+            servers = Servers(running_cell(), lambda: None)
             await servers.start(before)
             running = servers.started["modbus"]
             try:
@@ -320,7 +323,7 @@ def test_a_cell_that_refuses_commands_over_zenoh_is_read_only_there(
     section = f'[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\ncommands = "{commands}"\n'
 
     async def main() -> None:
-        servers = Servers(Taking(), _nothing_runs, lambda: b"", lambda: None)
+        servers = Servers(running_cell(Taking()), lambda: None)
         await servers.start(config(tmp_path, f"[modbus]\nenabled = false\n{section}"))
         try:
             (reply,) = await ask(port, "edged/cell1/trigger?kind=change_job;job=2")
@@ -350,11 +353,6 @@ async def until(condition: Callable[[], bool]) -> None:
     async with asyncio.timeout(WHOLE_S):
         while not condition():  # noqa: ASYNC110  (threads change it, and servers that know no event)
             await asyncio.sleep(0.02)
-
-
-def _no_jobs() -> Running:
-    """A cell of which OPC UA says that it has no jobs."""
-    return cast(Running, SimpleNamespace(loaded=SimpleNamespace(setup=SimpleNamespace(jobs={}))))
 
 
 class Hanging:
@@ -486,7 +484,7 @@ def test_a_server_that_starts_slowly_is_named_and_started_later(
     told: list[None] = []
 
     async def main() -> None:
-        servers = Servers(_Commander(), _no_jobs, lambda: b"", lambda: told.append(None))
+        servers = Servers(running_cell(), lambda: told.append(None))
         try:
             async with asyncio.timeout(WHOLE_S):
                 await servers.start(config(tmp_path, slow.sections))
@@ -515,7 +513,7 @@ def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
     hanging = held(kind, monkeypatch)
 
     async def main() -> None:
-        servers = Servers(_Commander(), _no_jobs, lambda: b"", lambda: None)
+        servers = Servers(running_cell(), lambda: None)
         try:
             await servers.start(config(tmp_path, slow.before))
             running = dict(servers.started)
@@ -541,7 +539,7 @@ def test_a_reload_does_not_wait_for_what_could_not_start_before(
     hanging = held("opcua", monkeypatch)
 
     async def main() -> None:
-        servers = Servers(_Commander(), _no_jobs, lambda: b"", lambda: None)
+        servers = Servers(running_cell(), lambda: None)
         try:
             await servers.start(config(tmp_path, slow.sections))
             await servers.exchange(config(tmp_path, f"{slow.sections}[web]\nport = {port}\n"))
@@ -565,7 +563,7 @@ def test_a_server_that_does_not_close_is_left_behind(
     hanging.hold_task("edged.adapters.web.server.WebPublisher.close")
 
     async def main() -> None:
-        servers = Servers(_Commander(), _no_jobs, lambda: b"", lambda: None)
+        servers = Servers(running_cell(), lambda: None)
         sections = f"[zenoh]\nenabled = false\n[modbus]\nport = {port}\n[web]\nport = {page}\n"
         await servers.start(config(tmp_path, sections))
         web = servers.started["web"]

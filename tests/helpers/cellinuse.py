@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from edged.cell.lease.cameras import CameraChanges
+from edged.cell.lease.notices import Notices
 from edged.domain.arrays import Side
 from edged.domain.frames import FramePair
 from edged.errors import SetupRefused
-from edged.setup.cell import CellInUse
-from edged.setup.cellfiles import read_any_cell
+from edged.setup.cellfiles import CellFiles, UnfinishedCell, read_any_cell
+from edged.setup.inuse import CellInUse
+from edged.setup.jobs.tasks import Tasks
 
 
 @dataclass
@@ -35,12 +38,22 @@ class StillCycle:
         return self.pair
 
 
-def cell_in_use(config: Path, cycle: StillCycle | None = None) -> CellInUse:
-    """The cell of a configuration file; it is read again on reload, which is never refused."""
+class StillCell:
+    """A cell that runs by its files; it is read again on reload, unless `refuses` says why not."""
 
-    async def reload() -> str:
-        cell.files = read_any_cell(config)
-        return ""
+    def __init__(self, config: Path) -> None:
+        self.path = config
+        self.files: CellFiles | UnfinishedCell = read_any_cell(config)
+        self.cycle = StillCycle()
+        self.refuses = ""
 
-    cell = CellInUse(config, read_any_cell(config), cycle or StillCycle(), reload)
-    return cell
+    async def reload(self) -> str:
+        """Read it again; returns why not, or ""."""
+        if not self.refuses:
+            self.files = read_any_cell(self.path)
+        return self.refuses
+
+    def in_use(self, worker: Any = None) -> CellInUse:
+        """What services use of it. worker : None for those that ask none."""
+        notices = Notices()
+        return CellInUse(self, worker, Tasks(notices), notices)

@@ -12,9 +12,9 @@ import numpy as np
 
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
-from edged.app.stage import StageRoutes
 from edged.commands.stage import USER, write_cell
 from edged.domain.arrays import SIDES, Image
+from edged.setup.stage.routes import StageRoutes
 from edged.sim.world import VirtualWorld
 from helpers.browsersession import PASSWORD, BrowserSession, Visitor, browsing
 from helpers.ports import free_port
@@ -67,7 +67,7 @@ async def staged(folder: Path, *, gige: bool = True) -> AsyncIterator[Newcomer]:
         path.write_text(text)
         routes = StageRoutes(world.stage)
         loaded = load_any_cell(path)
-        daemon = Daemon(path, loaded, observers=[routes], world=world, rooms=[routes.add_to])
+        daemon = Daemon(path, loaded, observers=[routes], world=world, routes=[routes.add_to])
         running = asyncio.create_task(daemon.run())
         try:
             async with browsing(f"http://127.0.0.1:{ports[0]}") as session:

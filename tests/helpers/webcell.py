@@ -14,12 +14,12 @@ import pytest
 from argon2 import PasswordHasher
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
-from edged.adapters.web import Overview, Sources, WebPublisher, WebSettings
+from edged.adapters.web import Overview, WebPublisher, WebSettings
 from edged.cell.cycle import Cycle
 from edged.identity.users import RoleName, User, UserFile
-from edged.robot.orientations import Convention
 from edged.setup.plcroutes import PlcRoutes
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
+from helpers.pagesources import FixedSources
 from helpers.scriptedhead import Ear, Head, make_setup
 from helpers.waiting import WHOLE_S
 
@@ -91,13 +91,8 @@ async def running(
         seen = list[Cell]()
         head = Head()
         cycle = Cycle(head, make_setup())
-        sources = Sources(
+        sources = FixedSources(
             rectification=lambda: pytest.fail("no cycle has made a picture"),
-            jobs=list,
-            facts=dict,
-            registers=list,
-            metrics=bytes,
-            convention=lambda: Convention.FIXED_XYZ,
             overview=lambda: seen[0].plant if seen else Overview(),
             fingerprint=lambda: seen[0].runs_by if seen else "",
         )
@@ -110,7 +105,7 @@ async def running(
             sources,
             commissioner=cycle.session,
             clock_s=lambda: time.monotonic() + asleep_s[0],
-            rooms=[] if plc is None else [PlcRoutes({"modbus": plc}).add_to],
+            routes=[] if plc is None else [PlcRoutes({"modbus": plc}).add_to],
         )
         await web.start()
         if plc is not None:

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from edged.adapters.web.texts import Texts
-from edged.app import status
 from edged.app.cameras import camera_facts
-from edged.app.status import facts
+from edged.app.running import Running
 from edged.domain.cell import CellPhase
 from edged.domain.measurement import Reject, Status
 from edged.errors import CaptureError
@@ -140,7 +139,7 @@ def test_the_run_page_has_a_sentence_for_each_code() -> None:
 
 def test_the_run_page_has_a_text_for_each_fact() -> None:
     """For the name of each group and fact, and for each value that is a sentence; and for no other."""
-    sources = [inspect.getsource(made) for made in (facts, status._drift_facts)]  # noqa: SLF001  (part of it)
+    sources = [inspect.getsource(made) for made in (Running.facts, Running._drift_facts)]  # noqa: SLF001  (part of it)
     groups = re.findall(r"groups(?:: .*)? = \{|groups\[\"([^\"]+)\"\]", "".join(sources))
     names = {*filter(None, groups), *re.findall(r"\"([^\"]+)\": ", "".join(sources))}
     names |= set(re.findall(r"\]\[\"([^\"]+)\"\] = ", "".join(sources)))

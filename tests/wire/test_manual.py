@@ -13,10 +13,10 @@ from pathlib import Path
 import aiohttp
 import pytest
 from helpers.browsersession import browsing
-from helpers.waiting import WHOLE_S
+from helpers.pagesources import FixedSources
 from yarl import URL
 
-from edged.adapters.web import Sources, WebPublisher, WebSettings
+from edged.adapters.web import WebPublisher, WebSettings
 from edged.identity.passwords import hash_password
 
 SCRIPT = "let theme = 1 < 2"
@@ -49,7 +49,7 @@ async def served(
     manual: Path, password_hash: str = ""
 ) -> AsyncIterator[tuple[WebPublisher, aiohttp.ClientSession]]:
     """A status page with this manual, and a browser's session with it."""
-    nothing = Sources(lambda: None, list, dict, list, bytes, lambda: None)  # type: ignore[arg-type,return-value]  # nothing asks
+    nothing = FixedSources(lambda: pytest.fail("nothing asks"))
     settings = WebSettings(port=0, password_hash=password_hash)
     web = WebPublisher("cell", settings, nothing, manual=manual)
     await web.start()
@@ -64,7 +64,7 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
     """A test's coroutine, bounded."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S):
+        async with asyncio.timeout(20):
             await test()
 
     asyncio.run(bounded())

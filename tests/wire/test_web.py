@@ -24,11 +24,12 @@ import pytest
 from helpers.browsersession import browsing
 from helpers.cells import flange, frame_pair
 from helpers.livecell import GRASPS
+from helpers.pagesources import FixedSources
 from helpers.snapshots import make_snapshot, make_target, make_transform
 from helpers.waiting import LIMIT_S, WHOLE_S
 from rich.console import Console
 
-from edged.adapters.web import Sources, WebPublisher, WebSettings, login, page, server, viewers
+from edged.adapters.web import WebPublisher, WebSettings, login, page, server, viewers
 from edged.adapters.web.assets import read_assets
 from edged.adapters.web.marks import outlines
 from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, picture
@@ -56,9 +57,9 @@ READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
 SETUP = CellState(CellPhase.SETUP, False, True, "flange", 1, 0, setup=SetupSource.PERSON)
 
 
-def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> Sources:
+def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> FixedSources:
     """What the page asks for, fixed."""
-    return Sources(
+    return FixedSources(
         rectification=lambda: RECTIFICATION,
         jobs=lambda: [(1, "flange"), (2, "<script>alert(1)</script>")],
         facts=lambda: facts or {"Modbus": {"clients": 2}},
@@ -66,7 +67,6 @@ def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> Sources:
             (Register("SEQ_HEAD", 300, Kind.U32, "", "sequence"), 7),
             (Register("F_X", 500, Kind.F32, "mm", "x"), float("nan")),
         ],
-        metrics=lambda: b"# HELP edged_x x\nedged_x 1\n",
         convention=lambda: Convention.KUKA_ABC,
     )
 
@@ -97,10 +97,12 @@ def words(fault: Mapping[str, Any]) -> str:
 
 @asynccontextmanager
 async def served(
-    settings: WebSettings | None = None, asked: Sources | None = None
+    settings: WebSettings | None = None,
+    asked: FixedSources | None = None,
+    metrics: Callable[[], bytes] = lambda: b"# HELP edged_x x\nedged_x 1\n",
 ) -> AsyncIterator[tuple[WebPublisher, aiohttp.ClientSession]]:
     """A page on a free port, and a browser's session with it."""
-    web = WebPublisher("cell<1>", settings or WebSettings(port=0), asked or sources())
+    web = WebPublisher("cell<1>", settings or WebSettings(port=0), asked or sources(), metrics)
     await web.start()
     try:
         async with browsing(f"http://127.0.0.1:{web.port}") as session:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -78,27 +78,32 @@ class Overview:
     stage: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Sources:
-    """Where the page gets what events do not tell; called on the event loop, at once.
+class Sources(Protocol):
+    """What the page shows besides events; called on the event loop, answered at once."""
 
-    rectification : of the rig in use.  jobs : (number, name).  facts : groups of name to value: as it is
-    shown, or what `payload.said` made, or a list of such.
-    registers : each with its value; empty without a Modbus server.
-    metrics : Prometheus' text.  convention : what A, B, C mean to the PLC.
-    overview : for who sets the cell up.  fingerprint : of what the cell runs by.  limits : of the sigma of
-    each job's coordinates, mm, by its number.
-    """
+    def rectification(self) -> Rectification:
+        """Rectification of the rig in use."""
 
-    rectification: Callable[[], Rectification]
-    jobs: Callable[[], Sequence[tuple[int, str]]]
-    facts: Callable[[], Mapping[str, Mapping[str, Any]]]
-    registers: Callable[[], Sequence[tuple[Register, Number]]]
-    metrics: Callable[[], bytes]
-    convention: Callable[[], Convention]
-    overview: Callable[[], Overview] = Overview
-    fingerprint: Callable[[], str] = str
-    limits: Callable[[], Mapping[int, float]] = dict
+    def jobs(self) -> Sequence[tuple[int, str]]:
+        """Number and name of each job."""
+
+    def facts(self) -> Mapping[str, Mapping[str, Any]]:
+        """Groups of name to value: as it is shown, or what `payload.said` made, or a list of such."""
+
+    def registers(self) -> Sequence[tuple[Register, Number]]:
+        """Each register with its value; empty without a Modbus server."""
+
+    def convention(self) -> Convention:
+        """How A, B, C state an orientation to the PLC."""
+
+    def overview(self) -> Overview:
+        """The cell for who sets it up."""
+
+    def fingerprint(self) -> str:
+        """Digest of what the cell runs by."""
+
+    def limits(self) -> Mapping[int, float]:
+        """Largest sigma that each job allows a coordinate, mm, by the job's number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,10 +259,6 @@ class Page:
             }
             for register, value in self._sources.registers()
         ]
-
-    def metrics(self) -> bytes:
-        """Prometheus' text."""
-        return self._sources.metrics()
 
     def pair(self, cycle: int) -> FramePair | None:
         """The images of one of the newest cycles or of the last faults."""

@@ -107,7 +107,7 @@ class WebPublisher:
 
     manual : folder that it was built into. context : `page_context`; None: read at the start.
     commissioner : where people take the cell, if the settings let them. notices, live : what tabs are told
-    and shown; None: of its own. rooms : each adds its routes of /api/v1, where there is one.
+    and shown; None: of its own. routes : each adds its routes of /api/v1. metrics : Prometheus' text.
     """
 
     def __init__(
@@ -115,21 +115,23 @@ class WebPublisher:
         cell: str,
         settings: WebSettings,
         sources: Sources,
+        metrics: Callable[[], bytes] = bytes,
         *,
         manual: Path = FOLDER,
         context: ssl.SSLContext | None = None,
         commissioner: Commissioner | None = None,
         notices: Notices | None = None,
         live: LivePictures | None = None,
-        rooms: Sequence[Callable[[RouteTable], None]] = (),
+        routes: Sequence[Callable[[RouteTable], None]] = (),
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._cell = cell
         self._clock_s = clock_s
         self._sources = sources
+        self._metrics = metrics
         self._notices = notices or Notices()
         self._live = live
-        self._rooms = rooms
+        self._routes = routes
         self._sockets: Sockets | None = None
         self._taking: SetupRoutes | None = None
         self._settings = settings
@@ -186,7 +188,7 @@ class WebPublisher:
         app.router.add_get("/static/{name:.+}", self._static)
         app.router.add_get("/manual", self._manual_index)
         app.router.add_get("/manual/{path:.*}", self._manual_file)
-        app.router.add_get("/metrics", self._metrics)
+        app.router.add_get("/metrics", self._show_metrics)
         app.router.add_get("/health", self._health)
         app.router.add_get("/ready", self._ready)
         if settings.commissioning and self._commissioner is not None:
@@ -215,7 +217,7 @@ class WebPublisher:
             tell_of_users(self._users, self._invite, place)
 
     def _api(self, commissioner: Commissioner) -> Gate:
-        """What sets the cell up: the routes that every cell has, and those of the rooms."""
+        """What sets the cell up: the routes that every cell has, and further ones."""
         table = RouteTable()
         self._taking = setup = SetupRoutes(commissioner, self._drawer)
         setup.add_to(table)
@@ -237,7 +239,7 @@ class WebPublisher:
             lambda request: self._rate(request).forfeit(FLOODED_S),
         )
         self._sockets.add_to(table)
-        for add_to in self._rooms:
+        for add_to in self._routes:
             add_to(table)
         offers = sorted({route.plain_path.removeprefix(f"{BASE}/") for route in table})
         self._html["setup"] = render(
@@ -433,9 +435,9 @@ class WebPublisher:
     async def _registers(self, _request: web.Request) -> web.Response:
         return web.json_response(self._page.registers())
 
-    async def _metrics(self, _request: web.Request) -> web.Response:
+    async def _show_metrics(self, _request: web.Request) -> web.Response:
         return web.Response(
-            body=self._page.metrics(), headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"}
+            body=self._metrics(), headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"}
         )
 
     async def _health(self, _request: web.Request) -> web.Response:

@@ -16,7 +16,7 @@ from edged.domain.frames import FramePair
 from edged.errors import SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
 from edged.setup.calibration.checking import Finding, Limits, offered_lengths
-from edged.setup.cell import RigInUse
+from edged.setup.inuse import RigInUse
 from edged.setup.jobs.worker import Worker
 from edged.vision.boards.board import NominalBoard
 from edged.vision.calibration.verification import COVERAGE, Verdict

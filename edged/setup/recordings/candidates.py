@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 
 from edged.errors import UserError
 from edged.files.jobs import SHAPE, TEXT, check_text, job_files, job_of
-from edged.setup.cell import CellInUse
+from edged.setup.inuse import CellInUse
 from edged.setup.recordings.setups import RIG, Contents
 from edged.setup.recordings.whatif import JobChange, changed_job
 from edged.setup.releases.archive import jobs_of, rig_in

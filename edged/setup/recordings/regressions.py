@@ -11,16 +11,13 @@ import secrets
 import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 
 from pydantic import ValidationError
 
 from edged.errors import FileFormatError, RegressionNeeded, UserError
 from edged.files import recording
 from edged.files.atomic import make_folders, read_bytes, write_atomically
-from edged.setup.cell import CellInUse
-from edged.setup.jobs.tasks import Tasks
-from edged.setup.jobs.worker import Worker
+from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress
 from edged.setup.recordings.comparing import Tried, compare
 from edged.setup.recordings.recorded import Line, Records
@@ -44,13 +41,11 @@ STAGE = "measuring recorded cycles"
 
 
 class Regressions:
-    """Used on the event loop. kept : folder of results."""
+    """Used on the event loop."""
 
-    def __init__(self, kept: Path, cell: CellInUse, worker: Worker, tasks: Tasks) -> None:
-        self._kept = kept
+    def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
-        self._worker = worker
-        self._tasks = tasks
+        self._kept = cell.folder / "regressions"
         self._records: Records | None = None
         self._turn = asyncio.Lock()
 
@@ -83,7 +78,7 @@ class Regressions:
             )
             await asyncio.to_thread(self._keep, document)
 
-        return self._tasks.start("regression", work), identity
+        return self._cell.tasks.start("regression", work), identity
 
     async def listed(self) -> list[RegressionLine]:
         """The kept ones, newest first."""
@@ -151,7 +146,7 @@ class Regressions:
         while len(tried) < len(entries):
             progress(STAGE, len(tried), len(entries))
             rest = entries[len(tried) :]
-            some: list[Tried] = await self._worker.run(
+            some: list[Tried] = await self._cell.worker.run(
                 "try_recordings", rest, dict(active), dict(candidate), CHUNK_S
             )
             tried += some

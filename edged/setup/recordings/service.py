@@ -20,8 +20,7 @@ from edged.domain.arrays import Image, Side
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.files.images import load_image
-from edged.setup.cell import CellInUse
-from edged.setup.jobs.worker import Worker
+from edged.setup.inuse import CellInUse
 from edged.setup.recordings.recorded import Damaged, Line, Records, Wanted
 from edged.setup.recordings.setups import Setups, facts_of_jobs, job_of_cycle
 from edged.setup.recordings.sight import PartSight, parts_of, taught_part
@@ -111,9 +110,8 @@ class CycleDocument(Line):
 class Cycles:
     """Used on the event loop only."""
 
-    def __init__(self, cell: CellInUse, worker: Worker) -> None:
+    def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
-        self._worker = worker
         self._disc = ThreadPoolExecutor(1, thread_name_prefix="cycles")
         # of that thread alone
         self._records: Records | None = None
@@ -138,7 +136,7 @@ class Cycles:
     async def what_if(self, number: int, change: Change | None) -> WhatIf:
         """By a change, or what would have helped. Raises `KeyError`, `UserError`, `TaskFailed`."""
         file = await self.file(number)
-        told: WhatIf = await self._worker.run("what_if", file, change)
+        told: WhatIf = await self._cell.worker.run("what_if", file, change)
         return told
 
     async def file(self, number: int) -> Path:

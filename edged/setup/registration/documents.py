@@ -15,7 +15,7 @@ from edged.robot.orientations import Brand, transform_of
 from edged.robot.pendant import PENDANTS, READING_CODES, brands_of, mm_per_unit
 from edged.robot.readings import Reading
 from edged.setup.calibration.documents import Document
-from edged.setup.cell import RigInUse
+from edged.setup.inuse import RigInUse
 from edged.setup.registration.drafts import Place, RegistrationState
 from edged.setup.registration.pictures import marks_at
 from edged.setup.registration.verdict import Judged, Row, Trouble

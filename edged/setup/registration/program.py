@@ -13,7 +13,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError
 from edged.robot.orientations import pose_of
-from edged.setup.cell import CellInUse
+from edged.setup.inuse import CellInUse
 from edged.setup.registration.drafts import Kind, Mount
 from edged.setup.registration.service import Given, Registrations
 

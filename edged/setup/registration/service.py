@@ -22,7 +22,7 @@ from edged.errors import CalibrationError, EdgedError, FileFormatError, UserErro
 from edged.files.rig import rig_of, rig_text
 from edged.robot.orientations import Brand
 from edged.robot.pendant import PENDANTS, mm_per_unit, numbers_in
-from edged.setup.cell import RigInUse
+from edged.setup.inuse import RigInUse
 from edged.setup.jobs.worker import Worker
 from edged.setup.registration.documents import (
     ROBOT,

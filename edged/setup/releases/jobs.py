@@ -17,8 +17,8 @@ from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
 from edged.ports import Commander, Publisher
 from edged.setup.calibration.documents import Document
-from edged.setup.cell import CellInUse
 from edged.setup.history import Kept, Text
+from edged.setup.inuse import CellInUse
 from edged.setup.releases.jobsfolder import Jobs as Files
 from edged.setup.releases.jobsfolder import of_job, renamed, with_job, without_job
 from edged.setup.releases.jobsinuse import JobLine, JobsInUse
@@ -99,7 +99,7 @@ class Jobs:
         servers: Mapping[str, Publisher],
     ) -> None:
         self._cell = cell
-        self._retired = cell.state / "retired.json"
+        self._retired = cell.folder / "retired.json"
         self._shelf = shelf
         self._activation = activation
         self._use = use
@@ -116,7 +116,7 @@ class Jobs:
 
         Raises `KeyError`, `SetupRefused`, `CommandRefused`.
         """
-        number, modbus = self._cell.jobs_in_use.line(job).number, self._servers.get("modbus")
+        number, modbus = self._cell.job_lines().line(job).number, self._servers.get("modbus")
         if isinstance(modbus, ModbusPublisher) and modbus.owner:
             raise SetupRefused(f"the PLC at {modbus.owner} has the right to write: it changes the job itself")
         self._commands += 1
@@ -126,7 +126,7 @@ class Jobs:
         self, job: str, author: str, note: str, signed: str | None, *, name: str | None, number: int | None
     ) -> Release:
         """Rename it, or give it another number. Raises `KeyError`, `UserError`; then nothing has changed."""
-        jobs = self._cell.jobs_in_use
+        jobs = self._cell.job_lines()
         line, folder = jobs.line(job), jobs.line(job).folder
         if name is not None and name != line.name:
             _check_unnamed(line, jobs)
@@ -144,9 +144,9 @@ class Jobs:
         self, job: str, author: str, note: str, signed: str | None, *, name: str, number: int | None
     ) -> Release:
         """The same job once more, under another name and number. Raises as `change`."""
-        folder = self._cell.jobs_in_use.line(job).folder
-        wanted = number or self._cell.jobs_in_use.free_number
-        self._cell.jobs_in_use.check_free(name, wanted, None)
+        folder = self._cell.job_lines().line(job).folder
+        wanted = number or self._cell.job_lines().free_number
+        self._cell.job_lines().check_free(name, wanted, None)
 
         def copied(there: Files) -> Files:
             return with_job(there, name, renamed(of_job(there, folder), name=name, number=wanted), None)
@@ -155,7 +155,7 @@ class Jobs:
 
     async def versions(self, job: str) -> VersionList:
         """Of a job in use, as far as releases that were active know."""
-        folder = self._cell.jobs_in_use.line(job).folder
+        folder = self._cell.job_lines().line(job).folder
         releases, active = await self._activation.listed()
         now = next((one.digests.get(folder) for one in releases if one.number == active), None)
         found, before = list[VersionDocument](), None
@@ -169,7 +169,7 @@ class Jobs:
 
     async def retire(self, job: str, author: str, note: str, signed: str | None) -> Release:
         """Take it out of use; its release keeps it. Raises `KeyError`, `UserError` for the last one."""
-        jobs = self._cell.jobs_in_use
+        jobs = self._cell.job_lines()
         line, folder = jobs.line(job), jobs.line(job).folder
         _check_unnamed(line, jobs)
         if len(jobs.lines) == 1:
@@ -195,7 +195,7 @@ class Jobs:
         folder = job if job in retired else {one.name: name for name, one in retired.items()}[job]
         kept = retired[folder]
         wanted = number or kept.number
-        self._cell.jobs_in_use.check_free(kept.name, wanted, None)
+        self._cell.job_lines().check_free(kept.name, wanted, None)
         files = await asyncio.to_thread(self._files, folder)
         if number is not None:
             files = renamed(files, name=None, number=number)
@@ -206,7 +206,7 @@ class Jobs:
         return release
 
     def _listed(self) -> JobList:
-        jobs = self._cell.jobs_in_use
+        jobs = self._cell.job_lines()
         found = [self._document(line, jobs) for line in sorted(jobs.lines, key=lambda line: line.number)]
         for folder, kept in sorted(self._kept().items(), key=lambda item: item[1].number):
             found.append(
@@ -264,7 +264,7 @@ class Jobs:
         except (OSError, ValidationError) as error:
             log.warning("%s cannot be read, as if no job were retired: %s", self._retired, error)
             return {}
-        in_use = {line.folder for line in self._cell.jobs_in_use.lines}
+        in_use = {line.folder for line in self._cell.job_lines().lines}
         return {folder: one for folder, one in kept.items() if folder not in in_use}
 
     def _note(self, folder: str, kept: Retired | None) -> None:

@@ -14,7 +14,7 @@ from edged.config.chosencameras import chosen_file, read_chosen, with_changes
 from edged.errors import EdgedError, FileFormatError, SetupRefused, UserError
 from edged.files.atomic import make_folders, sync, write_atomically
 from edged.files.rig import read_rig, rig_of
-from edged.setup.cell import CellInUse
+from edged.setup.inuse import CellInUse
 from edged.setup.recordings.setups import RIG, Contents
 from edged.setup.releases.archive import Made, RigFiles, make, rig_in
 from edged.setup.releases.jobsfolder import (
@@ -268,7 +268,7 @@ class Activation:
         return FileFormatError(
             f"{place}: the daemon cannot write there ({error.strerror or error}): let {key} of "
             f"{self._cell.path} name {kind} its state directory, for example "
-            f"{self._cell.state / place.name}, and reload"
+            f"{self._cell.folder / place.name}, and reload"
         )
 
     def _finish(self) -> bool:

@@ -20,7 +20,7 @@ from edged.domain.frames import FramePair
 from edged.errors import EdgedError, FileFormatError, SetupRefused, TaskFailed, TaskTooLarge, TeachError
 from edged.files.jobs import SHAPE, TEXT, job_files, read_job
 from edged.files.rig import rig_of
-from edged.setup.cell import RigInUse
+from edged.setup.inuse import RigInUse
 from edged.setup.jobs.tasks import Tasks
 from edged.setup.jobs.worker import Worker
 from edged.setup.pairs import Progress

@@ -9,7 +9,7 @@ from pathlib import Path
 from edged.domain.frames import FramePair
 from edged.errors import SetupRefused, TeachError
 from edged.files.recording import load
-from edged.setup.cell import RigInUse
+from edged.setup.inuse import RigInUse
 from edged.setup.releases.jobsinuse import JobLine, JobsInUse
 from edged.setup.teaching.drafts import KeptPair, kept_pair
 

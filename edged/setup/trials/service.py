@@ -17,16 +17,13 @@ from functools import partial
 import numpy as np
 from pydantic import ValidationError
 
-from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError, SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
 from edged.setup.calibration.documents import trouble_in
-from edged.setup.cell import CellInUse, RigInUse
-from edged.setup.jobs.tasks import Tasks
-from edged.setup.jobs.worker import Worker
+from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress
 from edged.setup.trials.documents import (
     MapDocument,
@@ -150,19 +147,9 @@ class Trials:
     draft : the job of a teaching draft by its id; raises `KeyError`.
     """
 
-    def __init__(
-        self,
-        cell: CellInUse,
-        worker: Worker,
-        tasks: Tasks,
-        notices: Notices,
-        draft: Callable[[str], Awaitable[Job]],
-    ) -> None:
+    def __init__(self, cell: CellInUse, draft: Callable[[str], Awaitable[Job]]) -> None:
         self._cell = cell
-        self._kept = cell.state / "still.json"
-        self._worker = worker
-        self._tasks = tasks
-        self._notices = notices
+        self._kept = cell.folder / "still.json"
         self._draft = draft
         self._known: dict[What, _Trial] = {}  # asked for last at the end
         self._tried = What()  # what is tried, or was last
@@ -202,7 +189,7 @@ class Trials:
         trial = await self._trial_of(what)
         measured = bool(trial.scatters)
         if trial.map is None or measured != trial.map_measured:
-            found = await self._worker.run("sigmas", self._setup(trial), trial.scatters)
+            found = await self._cell.worker.run("sigmas", self._setup(trial), trial.scatters)
             trial.chart(found, measured=measured)
         assert trial.map is not None
         return map_document(trial.job.name, trial.map, measured=trial.map_measured)
@@ -210,10 +197,12 @@ class Trials:
     async def hold_still(self, token: str, what: What, pictures: int, author: str) -> str:
         """Begin the still test; returns the task. Raises as `turn`."""
         self._cell.renew(token)
-        if self._tasks.is_running(self._still):
+        if self._cell.tasks.is_running(self._still):
             raise SetupRefused("a still test is running")
         trial = await self._trial_of(what)
-        self._still = self._tasks.start("still", partial(self._hold_still, trial, token, pictures, author))
+        self._still = self._cell.tasks.start(
+            "still", partial(self._hold_still, trial, token, pictures, author)
+        )
         return self._still
 
     async def last_still(self) -> StillDocument | None:
@@ -224,7 +213,7 @@ class Trials:
 
     def offer(self, number: int, pair: FramePair) -> None:
         """Measure a live pair, unless something else is being done."""
-        busy = self._worker.is_busy or self._tasks.is_running(self._still)
+        busy = self._cell.worker.is_busy or self._cell.tasks.is_running(self._still)
         if self._token is not None and self._trying is None and not busy:
             self._trying = asyncio.create_task(
                 self._try(self._tried, self._token, number, pair), name="trial"
@@ -236,7 +225,7 @@ class Trials:
             self._cell.renew(token)
             trial = await self._trial_of(what)
             images = pair.left.image, pair.right.image
-            trial.note(number, await self._worker.run("try_pair", self._setup(trial), images))
+            trial.note(number, await self._cell.worker.run("try_pair", self._setup(trial), images))
         except (SetupRefused, KeyError):  # somebody else has the cell by now, or the draft is gone
             self._token = None
         except (EdgedError, OSError) as error:
@@ -252,7 +241,7 @@ class Trials:
     async def _trial_of(self, what: What) -> _Trial:
         """The trial of what is asked for, else of what is tried; begun anew where job or rig have changed."""
         what = self._tried if what == What() else what
-        job, rig = await self._job(what), self._in_use()
+        job, rig = await self._job(what), self._cell.needed_rig()
         trial = self._known.pop(what, None)
         if trial is None or trial.calibration != rig.calibration_id:
             trial = _Trial(what, job, _packed(job), rig.calibration_id)
@@ -270,19 +259,13 @@ class Trials:
             return await self._draft(what.teaching)
         if what.job is None:
             raise UserError("which job is to be tried?")
-        job = self._cell.jobs.get(what.job)
+        job = self._cell.jobs().get(what.job)
         if job is None:
             raise UserError(f"there is no job {what.job}", "no_job", name=what.job)
         return job
 
-    def _in_use(self) -> RigInUse:
-        rig = self._cell.rig
-        if rig is None:
-            raise SetupRefused("there is no calibration: nothing can be measured")
-        return rig
-
     def _setup(self, trial: _Trial) -> TrialSetup:
-        rig, bounds = self._in_use(), self._cell.config.limits.bounds()
+        rig, bounds = self._cell.needed_rig(), self._cell.config.limits.bounds()
         return TrialSetup(rig.content, rig.path, trial.content, bounds, self._cell.convention)
 
     def _document(self) -> TrialDocument:
@@ -291,7 +274,7 @@ class Trials:
 
     def _tell(self) -> TrialDocument:
         document = self._document()
-        self._notices.publish("trial", document.model_dump(mode="json"))
+        self._cell.notices.publish("trial", document.model_dump(mode="json"))
         return document
 
     # --- still test ------------------------------------------------------------------------------
@@ -304,14 +287,14 @@ class Trials:
             progress(f"picture {number + 1} of {pictures}", number, pictures)
             pair = await self._cell.capture(token)
             images = pair.left.image, pair.right.image
-            stands.append(await self._worker.run("stand", self._setup(trial), images))
+            stands.append(await self._cell.worker.run("stand", self._setup(trial), images))
             if stands[-1] is None:
                 break
-        judged: Stillness = await self._worker.run("still", self._setup(trial), stands)
+        judged: Stillness = await self._cell.worker.run("still", self._setup(trial), stands)
         now = datetime.now(UTC).isoformat(timespec="seconds")
         found = still_document(judged, trial.job.name, trial.calibration, now, author)
         await asyncio.to_thread(self._write, found)
-        self._notices.publish("still", {"id": "last", **found.model_dump(mode="json")})
+        self._cell.notices.publish("still", {"id": "last", **found.model_dump(mode="json")})
 
     def _write(self, document: StillDocument) -> None:
         make_folders(self._kept.parent)

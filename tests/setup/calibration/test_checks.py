@@ -19,7 +19,7 @@ from edged.files.jobs import load_job
 from edged.files.rig import rig_text, save_rig
 from edged.setup.calibration.checks import CheckDocument, Checked, Checks, OfferedLength
 from edged.setup.calibration.service import FUNCTIONS
-from edged.setup.cell import RigInUse
+from edged.setup.inuse import RigInUse
 from edged.setup.jobs.worker import Worker
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, transform

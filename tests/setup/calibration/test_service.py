@@ -175,7 +175,7 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
         place, token = await with_views(cell, 3)
         await cell.until(place, lambda draft: not draft["guiding"])
         # nobody else knows its process, nor what it can do
-        worker = cell.daemon._setup._worker  # noqa: SLF001
+        worker = cell.daemon._setup._cell.worker  # noqa: SLF001
         functions = worker._functions  # noqa: SLF001  (as above)
         with monkeypatch.context() as patch:
             patch.setitem(functions, "keep", "workertasks:vanish")

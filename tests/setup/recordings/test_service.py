@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers.boardcell import BoardCell
-from helpers.cellinuse import cell_in_use
+from helpers.cellinuse import StillCell
 from helpers.recordedcell import exposures, record
 from helpers.smallcell import SmallCell
 from helpers.waiting import WHOLE_S
@@ -295,7 +295,7 @@ def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, t
 
     async def asked() -> None:
         worker = Worker(FUNCTIONS)
-        cycles = Cycles(cell_in_use(config), worker)
+        cycles = Cycles(StillCell(config).in_use(worker))
         document = await cycles.document(GOOD)
         assert ("setup", None, True) == (document.trouble, document.now, document.has_pictures)
         assert (await cycles.picture(GOOD, "left"))[:2] == b"\xff\xd8"

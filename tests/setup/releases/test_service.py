@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers.cellinuse import StillCycle
+from helpers.cellinuse import StillCell
 from helpers.powercuts import Record, cut
 from helpers.smallcell import SmallCell
 
@@ -21,7 +21,6 @@ from edged.cell.lease.cameras import CameraChanges
 from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import replace_folder
 from edged.files.rig import load_rig, rig_text
-from edged.setup.cell import CellInUse
 from edged.setup.cellfiles import read_any_cell, read_cell
 from edged.setup.recordings.candidates import Candidates
 from edged.setup.releases import service as activating
@@ -50,9 +49,8 @@ class RunningCell:
     def __init__(self, folder: Path) -> None:
         self.config, self.rig, self.jobs = folder / "cell.toml", folder / "rig.json", folder / "jobs"
         self.shelf = Shelf(folder / "state" / "releases")
-        self.cycle = StillCycle()
-        self.now = CellInUse(self.config, read_cell(self.config), self.cycle, self._reload)
-        self.refuses = ""
+        self.running = StillCell(self.config)
+        self.now = self.running.in_use()
         self.activation = Activation(self.shelf, self.now)
 
     def files(self) -> dict[str, bytes]:
@@ -66,11 +64,6 @@ class RunningCell:
         moved = rig.right_from_left.copy()
         moved[:3, 3] *= factor
         return rig_text(replace(rig, right_from_left=moved, calibration_id=f"cal-{factor}"))
-
-    async def _reload(self) -> str:
-        if not self.refuses:
-            self.now.files = read_cell(self.config)
-        return self.refuses
 
 
 @pytest.fixture
@@ -133,7 +126,7 @@ def test_an_older_release_under_newer_settings_is_one_of_its_own(cell: RunningCe
     """Settings stay as they are: the cell that comes of it never was there before."""
     activate(cell, cell.wider(1.001))
     cell.config.write_text(cell.config.read_text().replace("timeout_s = 2.0", "timeout_s = 3.0"))
-    cell.now.files = read_cell(cell.config)
+    cell.running.files = read_cell(cell.config)
     assert None is cell.activation.active
 
     release = activate_again(cell, 1)
@@ -194,7 +187,7 @@ def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
         activate_job(cell, "ring", 1)
     with pytest.raises(UserError, match=r"no usable job 'flange'"):
         activate_job(cell, "ring", 2, replaced="flange")
-    cell.refuses = "no"
+    cell.running.refuses = "no"
     with pytest.raises(UserError, match="runs on as before: no"):
         activate_job(cell, "ring", 2)
     assert files == cell.files()
@@ -265,16 +258,16 @@ def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCe
 def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> None:
     """Files byte for byte, no release that never was, and the reason is said."""
     files = cell.files()
-    cell.refuses = "modbus.port: in use"
+    cell.running.refuses = "modbus.port: in use"
 
     with pytest.raises(UserError, match=r"runs on as before: modbus\.port: in use"):
         activate(cell, cell.wider(1.001))
 
     assert files == cell.files()
     assert [1] == [one.number for one in cell.shelf.all()]
-    cell.refuses = ""
+    cell.running.refuses = ""
     assert 2 == activate(cell, cell.wider(1.001)).number
-    cell.refuses = "no"
+    cell.running.refuses = "no"
     files = cell.files()
     with pytest.raises(UserError):
         activate_again(cell, 1)
@@ -286,7 +279,7 @@ def test_a_first_rig_that_is_refused_is_gone_again(cell: RunningCell) -> None:
     """There was none before it, and there is none after it."""
     rig = cell.wider(1.001)
     cell.rig.unlink()
-    cell.now.files, cell.refuses = read_any_cell(cell.config), "no"
+    cell.running.files, cell.running.refuses = read_any_cell(cell.config), "no"
 
     with pytest.raises(UserError):
         activate(cell, rig)
@@ -324,13 +317,13 @@ def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
 def test_the_plant_forbids_it(cell: RunningCell) -> None:
     """AUTO_LOCK, before anybody asks and while somebody has; so does whoever has the cell."""
     cell.activation.check(None)
-    cell.cycle.setup_by = "Ben"
+    cell.running.cycle.setup_by = "Ben"
     with pytest.raises(SetupRefused, match="Ben has the cell"):
         cell.activation.check(None)
     with pytest.raises(SetupRefused, match="SETUP has ended"):
         cell.activation.check("stale")
     cell.activation.check("theirs")
-    cell.cycle.setup_locked = True
+    cell.running.cycle.setup_locked = True
     with pytest.raises(SetupRefused, match="AUTO_LOCK"):
         cell.activation.check("theirs")
     files = cell.files()
@@ -341,19 +334,19 @@ def test_the_plant_forbids_it(cell: RunningCell) -> None:
 
 def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
     """And go with it again: they are of one release."""
-    cell.cycle.camera_changes = {"left": CameraChanges(exposure_us=1234.0)}
+    cell.running.cycle.camera_changes = {"left": CameraChanges(exposure_us=1234.0)}
 
     activate(cell, cell.wider(1.001))
 
     chosen = cell.config.parent / "rig.cameras.json"
     assert {"left": {"exposure_us": 1234.0}, "right": {}} == json.loads(chosen.read_text())
-    cell.cycle.camera_changes = {}
+    cell.running.cycle.camera_changes = {}
     before = cell.files()
-    cell.refuses = "no"
+    cell.running.refuses = "no"
     with pytest.raises(UserError):
         activate_again(cell, 1)
     assert before == cell.files()
-    cell.refuses = ""
+    cell.running.refuses = ""
     activate_again(cell, 1)
     assert not chosen.exists()
     activate_again(cell, 2)
@@ -373,7 +366,7 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     with record.watching():
         replace_folder(root / "cell", files_in(template))
         cell = RunningCell(root / "cell")
-        cell.cycle.camera_changes = cameras
+        cell.running.cycle.camera_changes = cameras
         start = len(record.calls)
         before = cell.now.fingerprint
         after = activate(cell, cell.wider(1.001)).fingerprint

@@ -179,7 +179,7 @@ def test_two_people_and_a_kill(tmp_path: Path) -> None:
         again = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})
         widths = [np.ptp(np.array(one["region"][0]["points"])[:, 0]) for one in (tapped, again)]
         assert widths[1] < 0.5 * widths[0]
-        worker = cell.daemon._setup._worker  # noqa: SLF001  (nobody else knows its process)
+        worker = cell.daemon._setup._cell.worker  # noqa: SLF001  (nobody else knows its process)
         os.kill(worker.pid, signal.SIGKILL)
         draft = await cell.change("POST", draft, "/undo", {})
         assert tapped["region"] == draft["region"]

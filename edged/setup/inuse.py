@@ -1,23 +1,31 @@
-"""The running cell, as the services of setting up see it."""
+"""What setting up uses of the running cell: the rig and jobs that it measures by, its cameras, its worker."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from edged.cell.lease.cameras import CameraChanges
-from edged.config.configuration import Config
-from edged.domain.arrays import Side
-from edged.domain.frames import FramePair
 from edged.errors import SetupRefused
+from edged.files.rig import rig_of
 from edged.files.statefolder import state_folder
 from edged.robot.orientations import Brand, Convention
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
 from edged.setup.releases.jobsinuse import JobsInUse, lines_in
-from edged.vision.part.job import Job
+from edged.vision.geometry.camera import StereoRig
+
+if TYPE_CHECKING:  # the worker process knows rigs, and needs none of these
+    from edged.cell.lease.cameras import CameraChanges
+    from edged.cell.lease.notices import Notices
+    from edged.config.configuration import Config
+    from edged.domain.arrays import Side
+    from edged.domain.frames import FramePair
+    from edged.setup.jobs.tasks import Tasks
+    from edged.setup.jobs.worker import Worker
+    from edged.vision.part.job import Job
 
 BRANDS = {
     Convention.FIXED_XYZ: Brand.FANUC,
@@ -32,7 +40,7 @@ BRANDS = {
 
 @dataclass(frozen=True, slots=True)
 class RigInUse:
-    """calibration_id, and the file's content as the cell has read it; path : where it lies."""
+    """A rig as the cell has read it. content, path : of its file."""
 
     calibration_id: str
     content: bytes
@@ -40,10 +48,19 @@ class RigInUse:
 
     @property
     def boards(self) -> list[str]:
-        """The boards that it was calibrated with; [] where another program wrote the file."""
+        """Boards that it was calibrated with; empty where its file does not say so."""
         quality = json.loads(self.content).get("quality")
         board = quality.get("board") if isinstance(quality, dict) else None
         return board.split(",") if isinstance(board, str) and board else []
+
+    def stereo(self) -> StereoRig:
+        """The rig. Raises `FileFormatError`."""
+        return _stereo(self)
+
+
+@lru_cache(maxsize=2)
+def _stereo(rig: RigInUse) -> StereoRig:
+    return rig_of(rig.content, rig.path)
 
 
 class LeasedCycle(Protocol):
@@ -73,23 +90,57 @@ class LeasedCycle(Protocol):
         ...
 
 
-@dataclass(slots=True, eq=False)
-class CellInUse:
-    """The cell that runs: read on every use, as a reload exchanges its files.
-
-    path : of the configuration. files : as loaded last. reload : reads the configuration again; returns why
-    it was refused, or "".
-    """
-
-    path: Path
-    files: CellFiles | UnfinishedCell
-    cycle: LeasedCycle
-    reload: Callable[[], Awaitable[str]]
+class RunningCell(Protocol):
+    """The cell that the daemon runs; a reload exchanges `files`."""
 
     @property
-    def state(self) -> Path:
-        """The folder in which the cell keeps what it writes itself."""
+    def path(self) -> Path:
+        """Path of the configuration."""
+        ...
+
+    @property
+    def files(self) -> CellFiles | UnfinishedCell:
+        """The files that it runs by."""
+        ...
+
+    @property
+    def cycle(self) -> LeasedCycle:
+        """Its cycle."""
+        ...
+
+    def reload(self) -> Awaitable[str]:
+        """Read the configuration again; returns why it was refused, or ""."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellInUse:
+    """The running cell, as services of setting up use it: each fact is read anew, as a reload changes it."""
+
+    running: RunningCell
+    worker: Worker
+    tasks: Tasks
+    notices: Notices
+
+    @property
+    def path(self) -> Path:
+        """Path of the configuration."""
+        return self.running.path
+
+    @property
+    def folder(self) -> Path:
+        """The folder for what services keep on disc."""
         return state_folder(self.path)
+
+    @property
+    def files(self) -> CellFiles | UnfinishedCell:
+        """The files that the cell runs by."""
+        return self.running.files
+
+    @property
+    def cycle(self) -> LeasedCycle:
+        """The cycle."""
+        return self.running.cycle
 
     @property
     def config(self) -> Config:
@@ -116,26 +167,22 @@ class CellInUse:
         """Id of the rig, also while jobs are missing; "" without a rig."""
         return "" if self.files.rig is None else self.files.rig.calibration_id
 
-    @property
     def rig(self) -> RigInUse | None:
-        """The rig as the cell has read it; None without."""
+        """The rig; None without."""
         content = self.contents.get("rig.json")
         return None if content is None else RigInUse(self.calibration_id, content, self.config.cell.rig)
 
-    @property
-    def needed_rig(self) -> RigInUse:
-        """The rig. Raises `SetupRefused` without."""
-        if (rig := self.rig) is None:
-            raise SetupRefused("there is no calibration: calibrate first")
+    def needed_rig(self, purpose: str = "") -> RigInUse:
+        """The rig. Raises `SetupRefused` without one; purpose : as in "no calibration to check"."""
+        if (rig := self.rig()) is None:
+            raise SetupRefused(f"there is no calibration{purpose and f' {purpose}'}: calibrate first")
         return rig
 
-    @property
     def jobs(self) -> dict[str, Job]:
         """Jobs by name; {} for a cell that is not complete."""
         return {job.name: job for job in self.files.jobs} if isinstance(self.files, CellFiles) else {}
 
-    @property
-    def jobs_in_use(self) -> JobsInUse:
+    def job_lines(self) -> JobsInUse:
         """Names, numbers and folders of the jobs."""
         section = self.config.cell
         return JobsInUse(section.jobs, lines_in(self.contents), section.job or "")
@@ -164,3 +211,7 @@ class CellInUse:
     async def capture(self, token: str) -> FramePair:
         """One exposure for the lease's holder. Raises `SetupRefused`, `CaptureError`."""
         return await self.cycle.capture(token)
+
+    async def reload(self) -> str:
+        """Read the configuration again; returns why it was refused, or ""."""
+        return await self.running.reload()

@@ -1,19 +1,20 @@
-"""The robot's registration with the files of a cell: what it begins with, and how its result is taken."""
+"""Registration by the commands of a robot's program: begun, added to, solved, and saved to the rig's file."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from edged.app.cell import LoadedCell
 from edged.cell.loaded import Setup
 from edged.domain.arrays import FloatArray
 from edged.domain.events import Command, CommandKind, Registered
 from edged.domain.frames import FramePair
 from edged.domain.registration import Method, Obstacle
 from edged.errors import UserError
+from edged.setup.cellfiles import CellFiles, UnfinishedCell
 
 if TYPE_CHECKING:  # a cell that measures does not load what calibrates
     from edged.setup.registration.drafts import Kind, Mount
@@ -41,25 +42,46 @@ class Witness(Protocol):
         ...
 
 
+class Loaded(Protocol):
+    """What a cell measures by."""
+
+    @property
+    def cell(self) -> CellFiles | UnfinishedCell:
+        """Its files."""
+        ...
+
+    @property
+    def setup(self) -> Setup:
+        """Its jobs."""
+        ...
+
+
+class RegistrableCell(Protocol):
+    """The cell that is registered."""
+
+    @property
+    def loaded(self) -> Loaded:
+        """What it measures by now."""
+        ...
+
+    async def register(self, base: object, save: Callable[[], None]) -> Setup:
+        """Save the rig, and measure by it. Raises `EdgedError`, `OSError`; also when base is not loaded."""
+        ...
+
+
 class CellRegistrar:
-    """The `Registrar` of a daemon. witness : who hears of it, if anybody.
+    """The `Registrar` of a cell. witness : told of each step."""
 
-    running : what it measures by. activate : saves the rig of a cell and takes it into use.
-    """
-
-    def __init__(
-        self, running: Callable[[], LoadedCell], activate: Callable[[LoadedCell, Solved], Awaitable[Setup]]
-    ) -> None:
-        self._running = running
-        self._activate = activate
-        self._base: LoadedCell | None = None
+    def __init__(self, cell: RegistrableCell) -> None:
+        self._cell = cell
+        self._base: Loaded | None = None
         self._sampling: Sampling | None = None
         self._solved: Solved | None = None
         self.witness: Witness | None = None
 
     def problem(self, kind: CommandKind) -> str:
         """Why a registration cannot begin so; "" when it can."""
-        loaded = self._running()
+        loaded = self._cell.loaded
         allowed = loaded.cell.config.registration
         if allowed is None:
             return "no robot's program may register the rig: there is no [registration] in the configuration"
@@ -73,12 +95,12 @@ class CellRegistrar:
         """Forget what was taken before."""
         from edged.setup.registration.sampling import Sampling
 
-        self._base, self._solved = self._running(), None
-        allowed, rig = self._base.cell.config.registration, self._base.rig
+        self._base, self._solved = self._cell.loaded, None
+        allowed, rig = self._base.cell.config.registration, self._base.cell.rig
         assert allowed is not None and rig is not None  # `problem` was asked; without a rig it is in SETUP
         is_touch = command.kind is CommandKind.TOUCH_START
         self._sampling = Sampling(
-            rig.rig,
+            rig,
             Method.TOUCH if is_touch else Method.HAND_EYE,
             "eye-in-hand" if allowed.mount == "flange" else "eye-to-hand",
             allowed.pattern,
@@ -99,7 +121,7 @@ class CellRegistrar:
             step = self._added(command, pair)
         except UserError as error:  # pictures of another size
             step = Step(sampling.state, Obstacle.FAILED, str(error))
-        return _told(command, step)
+        return _answer(command, step)
 
     def _added(self, command: Command, pair: FramePair) -> Step:
         from edged.setup.pairs import Pair
@@ -124,24 +146,25 @@ class CellRegistrar:
         """Judge; nothing is saved."""
         step = self._under_way[0].solve()
         self._solved = step.registered
-        return _told(command, step)
+        return _answer(command, step)
 
     async def activate(self) -> Setup:
         """Save what was solved, and take it into use. Raises `EdgedError`, `OSError`."""
         _, base = self._under_way
         assert self._solved is not None
-        setup = await self._activate(base, self._solved)
+        rig, content = base.cell.config.cell.rig, base.cell.contents["rig.json"]
+        setup = await self._cell.register(base, partial(_save, rig, content, self._solved))
         if self.witness is not None:
             self.witness.activated()
         return setup
 
     @property
-    def _under_way(self) -> tuple[Sampling, LoadedCell]:
+    def _under_way(self) -> tuple[Sampling, Loaded]:
         assert self._sampling is not None and self._base is not None  # the loop begins first
         return self._sampling, self._base
 
 
-def _told(command: Command, step: Step) -> Registered:
+def _answer(command: Command, step: Step) -> Registered:
     return Registered(command, step.registration, step.obstacle, step.why)
 
 
@@ -152,7 +175,10 @@ def _unwritable(rig: Path) -> str:
     return f"{rig} cannot be written by the daemon: let cell.rig be in its state directory"
 
 
-def check_unchanged(rig: Path, loaded: bytes) -> None:
-    """Raises `UserError` where another rig than the loaded one stands there: it would be lost."""
+def _save(rig: Path, loaded: bytes, solved: Solved) -> None:
+    """Raises `UserError` where another rig than the loaded one is in the file: it would be lost."""
+    from edged.setup.registration.registering import save
+
     if rig.read_bytes() != loaded:
         raise UserError(f"{rig} was changed since it was loaded: reload, and register again")
+    save(rig, solved, rig)

@@ -1,29 +1,26 @@
-"""The cameras as a person sets them up: which there are, which is left, their exposure, light and focus."""
+"""Cameras as a person sets them up: which there are, which is left, exposure, light and focus."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from edged.app.cameras import Size, head_of, with_tried
-from edged.app.cell import LoadedCell
-from edged.app.discovery import CameraInfo, aravis_missing, list_cameras
+from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
 from edged.cell.cycle import Cycle
 from edged.cell.lease.cameras import CameraChanges
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
-from edged.cell.lease.notices import Notices
+from edged.config.cameras import CameraSection, CamerasSection
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.pictures.change import changed_most, changed_share
-
-if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
-    from edged.sim.world import VirtualWorld
+from edged.ports import Head
+from edged.setup.inuse import CellInUse
 
 WAVE_S = 8.0
 """Somebody walks to the camera, waves, and comes back."""
@@ -34,27 +31,27 @@ VIRTUAL = {"vendor": "edged", "model": "virtual", "serial": "", "address": "", "
 OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
 
 
-class CamerasRoom:
-    """What the routes of the cameras ask.
+class CameraService:
+    """The cameras of a cell in SETUP; used on the event loop only.
 
-    loaded : the configuration that runs. world : where virtual cameras are. reload : the daemon's.
+    addresses : of virtual cameras, left and right; None without. head_with : another stereo head, of changed
+    cameras, not yet open.
     """
 
     def __init__(
         self,
+        cell: CellInUse,
         cycle: Cycle,
-        loaded: Callable[[], LoadedCell],
-        world: VirtualWorld | None,
-        notices: Notices,
         live: LivePictures,
-        reload: Callable[[], Awaitable[bool]],
+        addresses: tuple[str, str] | None,
+        head_with: Callable[[CamerasSection], Head],
     ) -> None:
-        self._reload = reload
+        self._cell = cell
         self._cycle = cycle
-        self._loaded = loaded
-        self._world = world
+        self._addresses = addresses
+        self._head_with = head_with
         self._values: dict[Side, CameraValues] = {}
-        self.judge = PictureJudge(notices, self._gains)
+        self.judge = PictureJudge(cell.notices, self._gains)
         live.listen(self.judge.look)
 
     async def close(self) -> None:
@@ -63,7 +60,7 @@ class CamerasRoom:
 
     def configured(self) -> dict[Side, dict[str, Any]]:
         """Of each side, as it is configured, and as it is tried."""
-        cameras, changes = self._loaded().cell.config.cameras, self._cycle.session.camera_changes
+        cameras, changes = self._cell.config.cameras, self._cycle.camera_changes
         return {
             side: {
                 "device": getattr(cameras, side).device or self._address(side),
@@ -81,7 +78,7 @@ class CamerasRoom:
 
     async def found(self) -> list[dict[str, Any]]:
         """Every camera that answers, with the side that it is."""
-        if self._loaded().cell.config.cameras.source == "virtual-inprocess":
+        if self._cell.config.cameras.source == "virtual-inprocess":
             return [{**VIRTUAL, "side": side} for side in SIDES]
         cameras = [] if aravis_missing() else await asyncio.to_thread(list_cameras)
         devices = self._devices()
@@ -89,7 +86,7 @@ class CamerasRoom:
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
         """What it can be set to. Raises `SetupRefused`, `CaptureError`."""
-        return await self._cycle.session.limits(token, side)
+        return await self._cycle.limits(token, side)
 
     async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
         """Set what is stated until SETUP ends; returns what is in force, as read back.
@@ -98,7 +95,7 @@ class CamerasRoom:
         """
         if values != CameraValues() and (problem := (await self.limits(token, side)).problem(values)):
             raise UserError(problem)
-        self._values[side] = await self._cycle.session.adjust(token, side, values)
+        self._values[side] = await self._cycle.adjust(token, side, values)
         return self._values[side]
 
     async def assign(self, token: str, side: Side, serial: str) -> None:
@@ -127,7 +124,7 @@ class CamerasRoom:
                     f"{wanted.serial} is the {other} one, and the camera to take its place is silent"
                 )
             changes[other] = _with_camera(before)
-        elif (kept := self._cycle.session.camera_changes.get(other)) is not None and kept.device is not None:
+        elif (kept := self._cycle.camera_changes.get(other)) is not None and kept.device is not None:
             changes[other] = CameraChanges(kept.device, kept.serial)
         await self._try(token, changes)
 
@@ -137,18 +134,18 @@ class CamerasRoom:
         Raises `UserError` where a rig was calibrated with other cameras, where the file cannot be written,
         and where the cell cannot be loaded with it; then nothing has changed. Raises `SetupRefused`.
         """
-        self._cycle.session.renew_setup(token)
-        loaded, changes = self._loaded(), self._cycle.session.camera_changes
+        self._cycle.renew_setup(token)
+        changes = self._cycle.camera_changes
         stated = {side: change.stated() for side, change in changes.items()}
-        if loaded.cell.rig is not None and any("device" in change for change in stated.values()):
+        if self._cell.files.rig is not None and any("device" in change for change in stated.values()):
             raise UserError(
                 "the rig was calibrated with the cameras as they are: calibrate, and activate both"
             )
-        rig = loaded.cell.config.cell.rig
+        rig = self._cell.config.cell.rig
         file = chosen_file(rig)
         before = await asyncio.to_thread(read_chosen, rig)
         await asyncio.to_thread(write_file, file, with_changes(before, file, stated))
-        if not await self._reload():
+        if await self._cell.reload():
             await asyncio.to_thread(_put_back, file, before)
             raise UserError("the cell cannot be loaded with them, and is as it was: its log says why")
 
@@ -171,16 +168,16 @@ class CamerasRoom:
         return moved, True
 
     def _check_exchangeable(self) -> None:
-        if self._loaded().cell.config.cameras.source not in ("aravis", "virtual") or aravis_missing():
+        if self._cell.config.cameras.source not in ("aravis", "virtual") or aravis_missing():
             raise UserError("these cameras cannot be exchanged: they are not on a network")
 
     async def _waved_at(self, token: str) -> Side | None:
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + WAVE_S
-        first = await self._cycle.session.capture(token)
+        first = await self._cycle.capture(token)
         seen: list[Side | None] = []
         while loop.time() < deadline_s:
-            pair = await self._cycle.session.capture(token)
+            pair = await self._cycle.capture(token)
             shares: dict[Side, float] = {
                 "left": changed_share(first.left.image, pair.left.image),
                 "right": changed_share(first.right.image, pair.right.image),
@@ -195,8 +192,7 @@ class CamerasRoom:
         return {side: values.gain_db for side, values in self._values.items() if values.gain_db is not None}
 
     def _address(self, side: Side) -> str:
-        addresses = None if self._world is None else self._world.addresses
-        return addresses[SIDES.index(side)] if addresses is not None else ""
+        return "" if self._addresses is None else self._addresses[SIDES.index(side)]
 
     def _devices(self) -> dict[Side, str]:
         """Serial number or address of each side's camera, as it is tried."""
@@ -210,14 +206,13 @@ class CamerasRoom:
 
     async def _try(self, token: str, cameras: Mapping[Side, CameraChanges]) -> None:
         """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
-        loaded, tried = self._loaded(), self._cycle.session.camera_changes
-        section = with_tried(loaded.cell.config.cameras, cameras)
-        sizes: tuple[Size, Size] | None = None
-        if (rig := loaded.cell.rig) is not None:
-            left, right = rig.left, rig.right
-            sizes = (left.width, left.height), (right.width, right.height)
-        head = head_of(section, self._world, external=loaded.setup.listens, calibrated=sizes)
-        await self._cycle.session.try_head(token, head, cameras)
+        tried, section = self._cycle.camera_changes, self._cell.config.cameras
+        sides: dict[str, CameraSection] = {
+            side: getattr(section, side).model_copy(update=change.stated())
+            for side, change in cameras.items()
+        }
+        head = self._head_with(section.model_copy(update=sides))
+        await self._cycle.try_head(token, head, cameras)
         for side, change in tried.items():
             values = CameraValues(change.exposure_us, change.gain_db)
             if values != CameraValues():

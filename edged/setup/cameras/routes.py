@@ -2,52 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
 from edged.adapters.web.routes import Answer, Body, Call, Leased, Problem, RouteTable, Token
 from edged.domain.arrays import SIDES, Side
-from edged.domain.exposure import CameraLimits, CameraValues
+from edged.domain.exposure import CameraValues
+from edged.setup.cameras.service import CameraService
 
 SIDE = "{side:left|right}"
-
-
-class Cameras(Protocol):
-    """Who is asked. Every method raises `UserError`, `SetupRefused`, `CaptureError`."""
-
-    def configured(self) -> Mapping[Side, Mapping[str, Any]]:
-        """By side, with what is tried."""
-        ...
-
-    async def found(self) -> Sequence[Mapping[str, Any]]:
-        """Every camera that answers."""
-        ...
-
-    async def limits(self, token: str, side: Side) -> CameraLimits:
-        """What a camera can be set to."""
-        ...
-
-    async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
-        """Set what is stated, until SETUP ends; returns all that is in force."""
-        ...
-
-    async def assign(self, token: str, side: Side, serial: str) -> None:
-        """Make a camera the left or right one, until SETUP ends."""
-        ...
-
-    async def wave(self, token: str, side: Side) -> tuple[Side | None, bool]:
-        """Wait for a hand before one camera, and make it this side's; which it was, whether exchanged."""
-        ...
-
-    async def keep(self, token: str) -> None:
-        """Make what is tried the cell's."""
-        ...
-
-    def quality(self) -> Mapping[str, Any] | None:
-        """Light and focus of the last live pair that was judged."""
-        ...
 
 
 class Asking(Body):
@@ -179,7 +143,7 @@ class Quality(Answer):
 class CameraRoutes:
     """The routes of the cameras."""
 
-    def __init__(self, cameras: Cameras) -> None:
+    def __init__(self, cameras: CameraService) -> None:
         self._cameras = cameras
 
     def add_to(self, table: RouteTable) -> None:

@@ -11,10 +11,10 @@ from pydantic import Field
 
 from edged.adapters.terminal import Comparison
 from edged.adapters.web.routes import Answer, Body, Call, Problem, RouteTable
-from edged.app.stagerobot import StageRobot
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.domain.events import Event, Snapshot
 from edged.identity.visitors import Role
+from edged.setup.stage.robotroutes import StageRobot
 from edged.sim.showing import Thing
 from edged.sim.stage import BOARD, Stage
 

@@ -1,0 +1,244 @@
+"""The running cell: its parts, and what servers and pages tell of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edged import __version__
+from edged.adapters.modbus import ModbusPublisher
+from edged.adapters.recorder import Recorder
+from edged.app.cameras import camera_facts, camera_figures
+from edged.app.cell import LoadedCell
+from edged.cell.cycle import Cycle
+from edged.cell.stereohead import StereoHead
+from edged.payload import Json, said
+from edged.plc.registers import Number, Register
+from edged.ports import Publisher
+from edged.robot.orientations import Convention
+from edged.setup.cellfiles import CellFiles, UnfinishedCell
+from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.uncertainty import calibration_covariance
+
+if TYPE_CHECKING:  # a cell without the page does not load it
+    from edged.adapters.web import Overview
+
+
+GROUPS = {"modbus": "Modbus", "opcua": "OPC UA", "zenoh": "Zenoh", "recorder": "Recorder"}
+"""Where the status page says what is wrong with a server."""
+
+
+@dataclass(slots=True, eq=False)
+class Running:
+    """The parts of a running cell.
+
+    path : of the configuration. loaded, head : exchanged by a reload. reload : reads the configuration again;
+    returns why it was refused, or "". staged : its world is a stage. servers : by the name of their section.
+    problems : why servers do not run that are wanted, by the name of their section.
+    """
+
+    path: Path
+    loaded: LoadedCell
+    cycle: Cycle
+    head: StereoHead
+    reload: Callable[[], Awaitable[str]]
+    staged: bool = False
+    servers: dict[str, Publisher] = field(default_factory=dict)
+    problems: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def files(self) -> CellFiles | UnfinishedCell:
+        """The files that it runs by."""
+        return self.loaded.cell
+
+    def modbus(self) -> ModbusPublisher | None:
+        """The Modbus server that runs, if any."""
+        modbus = self.servers.get("modbus")
+        return modbus if isinstance(modbus, ModbusPublisher) else None
+
+    def rectification(self) -> Rectification:
+        """Of the pictures on the page, which are of cycles: a cell without a rig has measured none."""
+        if self.loaded.rig is None:
+            raise LookupError("a cell without a rig has no pictures")
+        return self.loaded.rig.rectification
+
+    def registers(self) -> list[tuple[Register, Number]]:
+        """Each register with its value; none where Modbus is off."""
+        modbus = self.modbus()
+        return [] if modbus is None else list(modbus.values())
+
+    def convention(self) -> Convention:
+        """How A, B, C state an orientation in the registers."""
+        return Convention[self.files.config.modbus.convention.upper()]
+
+    def fingerprint(self) -> str:
+        """Digest of all that results stand on."""
+        return self.loaded.setup.fingerprint
+
+    def recorded(self) -> tuple[str, Mapping[str, bytes]]:
+        """Fingerprint and files, as recordings keep them."""
+        return self.fingerprint(), self.files.contents
+
+    def jobs(self) -> list[tuple[int, str]]:
+        """Number and name of each job."""
+        return [(job.number, job.name) for job in self.loaded.setup.jobs.values()]
+
+    def limits(self) -> dict[int, float]:
+        """What each job allows a coordinate's sigma to be, mm, by its number."""
+        cell = self.files
+        return (
+            {job.number: job.limits.max_sigma_mm for job in cell.jobs} if isinstance(cell, CellFiles) else {}
+        )
+
+    def config_summary(self) -> dict[str, Any]:
+        """What `edged/<cell>/config` answers; asterisks say that there is a password's hash, and no more."""
+        return {
+            "version": __version__,
+            "fingerprint": self.loaded.setup.fingerprint,
+            "calibration": self.loaded.setup.calibration_id,
+            "config": self.files.config.model_dump(mode="json"),
+        }
+
+    def facts(self) -> dict[str, dict[str, Any]]:
+        """What the status page says of the parts, group by group."""
+        config, setup = self.files.config, self.loaded.setup
+        registered = said("not-registered", "no: results are in the rig's frame")
+        if setup.robot_from_rig is not None:
+            registered = said("registered", "yes")
+        if setup.flange_from_rig is not None:
+            registered = said("on-flange", "on the flange: commands say where it is")
+        groups: dict[str, dict[str, Any]] = {
+            "Software": {"version": __version__, "configuration": setup.fingerprint},
+            "Calibration": {
+                "id": setup.calibration_id or said("none-yet", "none yet"),
+                "registered to the robot": registered,
+                **self._drift_facts(),
+            },
+            "Cameras": {"source": config.cameras.source, **camera_facts(self.head)},
+        }
+        zenoh, recorder = (self.servers.get(name) for name in ("zenoh", "recorder"))
+        if (modbus := self.modbus()) is not None:
+            groups["Modbus"] = {"port": modbus.port, "clients": modbus.clients}
+            if modbus.line_port:
+                groups["Modbus"]["lines for robots on"] = modbus.line_port
+            if modbus.refused_writers:
+                groups["Modbus"]["may not write, and tried"] = ", ".join(modbus.refused_writers)
+        if (opcua := config.opcua) is not None and "opcua" in self.servers:
+            groups["OPC UA"] = {
+                "port": opcua.port,
+                "commands": said("with-password", "with a password")
+                if opcua.password_hash
+                else said("none", "none"),
+            }
+        if zenoh is not None:
+            groups["Zenoh"] = {"listens on": ", ".join(config.zenoh.listen) or said("nothing", "nothing")}
+        if isinstance(recorder, Recorder):
+            kept = recorder.figures
+            groups["Recorder"] = {
+                "kept": said(
+                    "recordings",
+                    f"{kept.kept} cycles, {kept.kept_bytes / 1e6:.0f} MB",
+                    cycles=str(kept.kept),
+                    megabytes=f"{kept.kept_bytes / 1e6:.0f}",
+                ),
+                "skipped": kept.left_out,
+                "failed": kept.failed,
+            }
+            if kept.problem:
+                groups["Recorder"]["problem"] = said("own-words", kept.problem)
+        for name, problem in self.problems.items():
+            if name in GROUPS:
+                groups.setdefault(GROUPS[name], {})["problem"] = said("own-words", problem)
+        return groups
+
+    def _drift_facts(self) -> dict[str, Json | str]:
+        drift = self.cycle.drift
+        verdict = drift.verdict.name.lower()
+        return {
+            "verdict": said(verdict, verdict),
+            "rows, mean": _figure(drift.rows_px, ".3f", "px"),
+            "known length, mean": _figure(drift.length_percent, "+.3f", "%"),
+        }
+
+    def figures(self) -> dict[str, tuple[str, float]]:
+        """Figures of the parts for /metrics."""
+        drift = self.cycle.drift
+        result: dict[str, tuple[str, float]] = {
+            "calibration_verdict": (
+                "0 the calibration holds, 1 it drifts, 2 results are refused",
+                drift.verdict,
+            ),
+            "rows_mean_pixels": ("mean row difference of corresponding points", drift.rows_px),
+            "known_length_error_ratio": ("mean deviation of the known length", drift.length_percent / 100),
+            **camera_figures(self.head),
+            "servers_failing": ("servers that are configured and could not start", len(self.problems)),
+        }
+        recorder = self.servers.get("recorder")
+        if (modbus := self.modbus()) is not None:
+            result["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)
+        if isinstance(recorder, Recorder):
+            kept = recorder.figures
+            result |= {
+                "recordings": ("recordings on disk", kept.kept),
+                "recordings_bytes": ("size of all recordings", kept.kept_bytes),
+                "recordings_left_out": (
+                    "cycles skipped since the start: the disk was slower",
+                    kept.left_out,
+                ),
+                "recordings_failed": ("recordings that could not be written since the start", kept.failed),
+            }
+        return result
+
+    def overview(self) -> Overview:
+        """What who sets the cell up sees first; only a cell with the page asks."""
+        from edged.adapters.web import Overview, RigFigures
+
+        loaded, drift, rig = self.loaded, self.cycle.drift, None
+        calibrated = loaded.cell.rig
+        if calibrated is not None:
+            on_flange = calibrated.flange_from_rig is not None
+            registered = calibrated.robot_from_rig is not None
+            rig = RigFigures(
+                calibrated.calibration_id,
+                "on_flange" if on_flange else "yes" if registered else "no",
+                drift.verdict.name.lower(),
+                drift.rows_px,
+                drift.length_percent,
+                self._calibration_sigma_um(),
+            )
+        modbus = self.modbus()
+        missing = loaded.cell.missing if isinstance(loaded.cell, UnfinishedCell) else ()
+        lacking = {line.partition(":")[0] for line in missing}
+        return Overview(
+            missing=tuple(
+                name
+                for name, lines in (("rig", {"cell.rig"}), ("jobs", {"cell.jobs", "cell.job"}))
+                if lines & lacking
+            ),
+            rig=rig,
+            plc_owner="" if modbus is None else modbus.owner,
+            auto_lock=self.cycle.setup_locked,
+            stage=self.staged,
+        )
+
+    def _calibration_sigma_um(self) -> tuple[float, float, float] | None:
+        """Of X, Y, Z in the rig's frame, rms over where the jobs' parts were taught; None: not known."""
+        loaded = self.loaded
+        if loaded.rig is None or loaded.rig.rig.covariance is None or not isinstance(loaded.cell, CellFiles):
+            return None
+        points_mm = np.array([job.rig_from_part[:3, 3] for job in loaded.cell.jobs])
+        variances = np.einsum("nii->ni", calibration_covariance(loaded.rig.rig, points_mm))
+        x, y, z = 1e3 * np.sqrt(variances.mean(axis=0))
+        return float(x), float(y), float(z)
+
+
+def _figure(value: float, digits: str, unit: str) -> Json | str:
+    if math.isnan(value):
+        return "–"
+    text = format(value, digits)
+    return said("figure", f"{text} {unit}", value=text, unit=unit)

@@ -1,0 +1,26 @@
+"""What a page asks for besides events, each as a function of a test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from edged.adapters.web import Overview
+from edged.plc.registers import Number, Register
+from edged.robot.orientations import Convention
+from edged.vision.geometry.rectification import Rectification
+
+
+@dataclass(frozen=True)
+class FixedSources:
+    """`edged.adapters.web.Sources`."""
+
+    rectification: Callable[[], Rectification]
+    jobs: Callable[[], Sequence[tuple[int, str]]] = tuple
+    facts: Callable[[], Mapping[str, Mapping[str, Any]]] = dict
+    registers: Callable[[], Sequence[tuple[Register, Number]]] = tuple
+    convention: Callable[[], Convention] = lambda: Convention.FIXED_XYZ
+    overview: Callable[[], Overview] = Overview
+    fingerprint: Callable[[], str] = str
+    limits: Callable[[], Mapping[int, float]] = dict
