@@ -1,7 +1,7 @@
-"""A door of the daemon: a TCP port whose guests are counted from the moment they connect.
+"""A TCP port whose clients are counted from the moment they connect, with TLS and limits.
 
-Responsible for: listening, TLS, who is there since when, and that nothing stays open after `close`. Not for
-who may come in (`admits`) nor for what is spoken (`make`).
+Responsible for listening, TLS, connection accounting, and that nothing stays open after `close`; not for who
+may connect (`admits`) nor for the protocol (`make`).
 
 Not `loop.create_server`: that counts nobody before the TLS handshake is over, leaves those in it behind when
 it closes, and without descriptors it accepts again and again, a line in the log each time.
@@ -21,37 +21,37 @@ from typing import Any
 
 from edged.logs import LogLimit
 
-BACKLOG = 128  # of the kernel: who connects while the loop is at something else
-TURN = 16  # guests that come in before other tasks get their turn
+BACKLOG = 128  # of the kernel, while the loop is busy
+TURN = 16  # clients accepted before other tasks get their turn
 HANDSHAKE_S = 5.0
-REST_S = 0.2  # without descriptors, until the next try
+REST_S = 0.2  # until the next try, when file descriptors have run out
 SWEEP_S = 1.0
 CLOSE_S = 1.0
 EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 
 
-class Guest:
+class TcpClient:
     """A connection, from when it was accepted to its end.
 
     name : its address as the operating system gives it. peer : the host of that.
-    active_s : when it last did what counts, as `touch` was told. busy : something is being done for it.
-    has_flooded : it has sent more than it may, and was ended for it.
+    active_s : time of the last `touch`. busy : a request of it is being answered.
+    has_flooded : it has sent more than it may, and was closed.
     """
 
-    def __init__(self, door: Door, connection: socket.socket, name: tuple[Any, ...]) -> None:
+    def __init__(self, listener: TcpListener, connection: socket.socket, name: tuple[Any, ...]) -> None:
         self.name = name
         self.peer = str(name[0]) if name else "?"
         self.active_s = time.monotonic()
         self.busy = False
         self.has_flooded = False
         self._inflow: Rate | None = None
-        self._door = door
+        self._listener = listener
         self._connection = connection
         self._transport: asyncio.Transport | None = None
 
     @property
     def is_in(self) -> bool:
-        """Whether it is through the TLS handshake, if there is one."""
+        """Whether the TLS handshake is over, if there is one."""
         return self._transport is not None
 
     def is_silent(self, since_s: float) -> bool:
@@ -59,12 +59,12 @@ class Guest:
         return not self.busy and self.active_s <= since_s
 
     def touch(self, *, busy: bool = False) -> None:
-        """It has just done what counts."""
+        """Note activity."""
         self.active_s = time.monotonic()
         self.busy = busy
 
     def limit(self, bytes_per_s: float, burst_bytes: float) -> None:
-        """From now on it may send so much, and so much at once; with more it is ended."""
+        """Limit what it may send; with more it is closed."""
         self._inflow = Rate(bytes_per_s, burst=burst_bytes)
 
     def may_send(self, size: int) -> bool:
@@ -74,7 +74,7 @@ class Guest:
         return not self.has_flooded
 
     def entered(self, transport: asyncio.Transport) -> None:
-        """It is through the handshake."""
+        """The handshake is over."""
         self._transport = transport
 
     def abort(self) -> None:
@@ -85,23 +85,23 @@ class Guest:
             # its socket belongs to a transport that is not ours yet: this ends the handshake
             with contextlib.suppress(OSError):
                 self._connection.shutdown(socket.SHUT_RDWR)
-        self._door.forget(self)
+        self._listener.forget(self)
 
 
-class Door:
+class TcpListener:
     """Listens on one port.
 
-    name : for the log. make : the protocol of a guest. admits : whether a newcomer may stay; may abort others
-    for it. left : called once for each guest that was admitted, when it counts no longer.
-    idle_s : a guest that is not busy and does nothing for so long is closed; tells : and a line says so.
+    name : for the log. make : the protocol of a client. admits : whether a new client may stay; may abort
+    others for it. left : called once for each admitted client, when it counts no longer.
+    idle_s : a client that is not busy and sends nothing for this long is closed; tells : with a log line.
     """
 
     def __init__(
         self,
         name: str,
-        make: Callable[[Guest], asyncio.Protocol],
-        admits: Callable[[Guest], bool],
-        left: Callable[[Guest], None] = lambda _guest: None,
+        make: Callable[[TcpClient], asyncio.Protocol],
+        admits: Callable[[TcpClient], bool],
+        left: Callable[[TcpClient], None] = lambda _client: None,
         *,
         idle_s: float,
         context: ssl.SSLContext | None = None,
@@ -116,9 +116,9 @@ class Door:
         self._tells = tells
         self._log = LogLimit(__name__)
         self._listening: list[socket.socket] = []
-        self._guests: dict[tuple[Any, ...], Guest] = {}
+        self._clients: dict[tuple[Any, ...], TcpClient] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        self._open: set[Guest] = set()  # those that still have a socket
+        self._open: set[TcpClient] = set()  # those that still have a socket
         self._is_empty = asyncio.Event()
         self._timers: dict[object, asyncio.TimerHandle] = {}
 
@@ -128,13 +128,13 @@ class Door:
         return int(self._listening[0].getsockname()[1]) if self._listening else 0
 
     @property
-    def guests(self) -> tuple[Guest, ...]:
-        """Everybody who is there, also those in their handshake."""
-        return tuple(self._guests.values())
+    def clients(self) -> tuple[TcpClient, ...]:
+        """All clients, also those in their handshake."""
+        return tuple(self._clients.values())
 
-    def guest(self, name: tuple[Any, ...] | None) -> Guest | None:
-        """Who has this address; None when it has left."""
-        return self._guests.get(name) if name is not None else None
+    def client(self, name: tuple[Any, ...] | None) -> TcpClient | None:
+        """The client with this address; None when it has left."""
+        return self._clients.get(name) if name is not None else None
 
     async def open(self, host: str, port: int) -> None:
         """Listen. Raises `OSError`; then nothing stays open."""
@@ -158,7 +158,7 @@ class Door:
         self._sweep()
 
     def shut(self) -> None:
-        """Listen no longer; who is there stays."""
+        """Listen no longer; clients stay."""
         for timer in self._timers.values():
             timer.cancel()
         self._timers.clear()
@@ -169,10 +169,10 @@ class Door:
         self._listening.clear()
 
     async def close(self) -> None:
-        """Listen no longer, end every guest, and leave no socket behind."""
+        """Listen no longer, end every client, and leave no socket behind."""
         self.shut()
-        for guest in self.guests:
-            guest.abort()
+        for client in self.clients:
+            client.abort()
         if self._tasks:
             await asyncio.wait(self._tasks, timeout=CLOSE_S)
         for task in self._tasks:
@@ -183,16 +183,16 @@ class Door:
                 await asyncio.wait_for(self._is_empty.wait(), CLOSE_S)
         await asyncio.sleep(0)  # the transport below TLS has its own
 
-    def forget(self, guest: Guest) -> None:
-        """A guest counts no longer."""
-        if self._guests.get(guest.name) is guest:
-            del self._guests[guest.name]
-            self._left(guest)
+    def forget(self, client: TcpClient) -> None:
+        """A client counts no longer."""
+        if self._clients.get(client.name) is client:
+            del self._clients[client.name]
+            self._left(client)
 
-    def ended(self, guest: Guest) -> None:
-        """A guest's connection is no more."""
-        self.forget(guest)
-        self._open.discard(guest)
+    def ended(self, client: TcpClient) -> None:
+        """A client's connection is no more."""
+        self.forget(client)
+        self._open.discard(client)
         if not self._open:
             self._is_empty.set()
 
@@ -208,23 +208,23 @@ class Door:
                     self._rest(listening, error)
                     return
                 continue
-            guest = Guest(self, connection, name)
-            if not self._admits(guest):
+            client = TcpClient(self, connection, name)
+            if not self._admits(client):
                 connection.close()
                 continue
             connection.setblocking(False)
-            self._guests[name] = guest
-            self._open.add(guest)
-            task = asyncio.get_running_loop().create_task(self._receive(guest, connection), name=self._name)
+            self._clients[name] = client
+            self._open.add(client)
+            task = asyncio.get_running_loop().create_task(self._receive(client, connection), name=self._name)
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
-    async def _receive(self, guest: Guest, connection: socket.socket) -> None:
-        """Lead a guest in, through the handshake."""
+    async def _receive(self, client: TcpClient, connection: socket.socket) -> None:
+        """Connect a client, through the handshake."""
         loop = asyncio.get_running_loop()
         try:
             await loop.connect_accepted_socket(
-                lambda: _Counted(self, guest, self._make(guest)),
+                lambda: _Counted(self, client, self._make(client)),
                 connection,
                 ssl=self._context,
                 ssl_handshake_timeout=None if self._context is None else HANDSHAKE_S,
@@ -233,63 +233,63 @@ class Door:
             # its frames and a future hold each other, and the handshake's buffers of 256 KiB with them
             error.__traceback__ = None
         finally:
-            if not guest.is_in:
-                self.ended(guest)
+            if not client.is_in:
+                self.ended(client)
 
     def _rest(self, listening: socket.socket, error: OSError) -> None:
-        """Nobody can be let in now: try again later, who waits remains in the kernel's backlog."""
+        """Accept none for a moment: those that wait remain in the kernel's backlog."""
         self._log.warning("%s: nobody can connect: %s", self._name, error.strerror)
         loop = asyncio.get_running_loop()
         loop.remove_reader(listening)
         self._timers[listening] = loop.call_later(REST_S, loop.add_reader, listening, self._accept, listening)
 
-    def flooded(self, guest: Guest) -> None:
-        """A guest has sent more than it may."""
-        self._log.warning("%s: %s sends too much, closed", self._name, guest.peer)
-        guest.abort()
+    def flooded(self, client: TcpClient) -> None:
+        """A client has sent more than it may."""
+        self._log.warning("%s: %s sends too much, closed", self._name, client.peer)
+        client.abort()
 
     def _sweep(self) -> None:
         now_s = time.monotonic()
-        for guest in self.guests:
-            if not guest.busy and now_s - guest.active_s > self._idle_s:
+        for client in self.clients:
+            if not client.busy and now_s - client.active_s > self._idle_s:
                 if self._tells:
-                    self._log.warning("%s: %s is idle, closed", self._name, guest.peer)
-                guest.abort()
+                    self._log.warning("%s: %s is idle, closed", self._name, client.peer)
+                client.abort()
         loop = asyncio.get_running_loop()
         self._timers[self] = loop.call_later(min(SWEEP_S, self._idle_s / 4), self._sweep)
 
 
 class _Counted(asyncio.Protocol):
-    """The protocol of a guest, with the door told when it is in and when it has gone."""
+    """The protocol of a client; tells the listener when it is connected and when it has gone."""
 
-    def __init__(self, door: Door, guest: Guest, inner: asyncio.Protocol) -> None:
-        self._door = door
-        self._guest = guest
+    def __init__(self, listener: TcpListener, client: TcpClient, inner: asyncio.Protocol) -> None:
+        self._listener = listener
+        self._client = client
         self._inner = inner
         self._is_in = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         if not isinstance(transport, asyncio.Transport):
             raise TypeError("a stream transport was expected")
-        if self._door.guest(self._guest.name) is not self._guest:  # it had to go while it came in
+        if self._listener.client(self._client.name) is not self._client:  # it had to go while it came in
             transport.abort()
             return
         self._is_in = True
-        self._guest.entered(transport)
+        self._client.entered(transport)
         self._inner.connection_made(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._door.ended(self._guest)
+        self._listener.ended(self._client)
         if self._is_in:
             self._inner.connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
         if not self._is_in:
             return
-        if self._guest.may_send(len(data)):
+        if self._client.may_send(len(data)):
             self._inner.data_received(data)
         else:
-            self._door.flooded(self._guest)
+            self._listener.flooded(self._client)
 
     def eof_received(self) -> bool | None:
         return self._inner.eof_received() if self._is_in else None
@@ -304,7 +304,7 @@ class _Counted(asyncio.Protocol):
 
 
 class Rate:
-    """So many a second, and as many at once, or `burst`."""
+    """A token bucket: so many a second, and as many at once, or `burst`."""
 
     def __init__(
         self, per_s: float, clock_s: Callable[[], float] = time.monotonic, *, burst: float | None = None
@@ -325,13 +325,13 @@ class Rate:
         return True
 
     def forfeit(self, seconds: float) -> None:
-        """None is within the rate for so long."""
+        """Allow none for so long."""
         self.take(0)
         self._left = min(self._left, 0.0) - seconds * self._per_s
 
 
 class Rates:
-    """One rate for each of those who ask. Of more than `most` of them, who asked least lately begins anew."""
+    """A rate for each name; of more than `most` names the least recently used is forgotten."""
 
     def __init__(self, per_s: float, burst: float, most: int = 1024) -> None:
         self._per_s = per_s
@@ -340,7 +340,7 @@ class Rates:
         self._rates: OrderedDict[str, Rate] = OrderedDict()
 
     def of(self, name: str) -> Rate:
-        """Of somebody, by any name."""
+        """The rate of a name."""
         rate = self._rates.setdefault(name, Rate(self._per_s, burst=self._burst))
         self._rates.move_to_end(name)
         while len(self._rates) > self._most:

@@ -33,6 +33,7 @@ from edged.domain.measurement import (
     Status,
     Target,
 )
+from edged.domain.numerals import known
 from edged.domain.picking import GraspPose
 from edged.robot.budget import Budget, budget_of
 from edged.robot.covariance import robot_covariance
@@ -55,7 +56,7 @@ def target_to_json(
     """
     document: Json = {
         "job": target.job,
-        "score": _number(target.match.score),
+        "score": known(target.match.score),
         **_pose(target.rig_from_part, target.covariance),
         "match": _match(target.match),
         "circles": [_circle(circle) for circle in target.circles],
@@ -64,8 +65,8 @@ def target_to_json(
         "corners": [_corner(corner) for corner in target.corners],
         "measurements": [_measurement(one) for one in target.measurements],
         "free_axis": None if target.free_axis is None else _numbers(target.free_axis),
-        "epipolar_rms_px": _number(target.epipolar_rms_px),
-        "doubt_mm": _number(target.doubt_mm),
+        "epipolar_rms_px": known(target.epipolar_rms_px),
+        "doubt_mm": known(target.doubt_mm),
         "grasp": None if target.grasp is None else _grasp(target, target.grasp, robot_from_rig, registration),
         "reject": reject_names(target.reject),
         "reject_bits": int(target.reject),
@@ -142,8 +143,8 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         "nearest": _near_miss(snapshot.nearest),
         "drift": {
             "verdict": snapshot.drift.verdict.name,
-            "rows_px": _number(snapshot.drift.rows_px),
-            "length_percent": _number(snapshot.drift.length_percent),
+            "rows_px": known(snapshot.drift.rows_px),
+            "length_percent": known(snapshot.drift.length_percent),
         },
         "error": snapshot.error,
         "error_code": snapshot.error_code,
@@ -177,11 +178,11 @@ def registered_to_json(event: Registered) -> Json:
         "samples": state.samples,
         "used": state.used,
         "worst": state.worst,
-        "rms_mm": _number(state.rms_mm),
-        "held_out_mm": _number(state.held_out_mm),
-        "limit_mm": _number(state.limit_mm),
-        "sigma_mm": [_number(sigma) for sigma in state.sigma[:3]],
-        "sigma_deg": [_number(sigma) for sigma in state.sigma[3:]],
+        "rms_mm": known(state.rms_mm),
+        "held_out_mm": known(state.held_out_mm),
+        "limit_mm": known(state.limit_mm),
+        "sigma_mm": [known(sigma) for sigma in state.sigma[:3]],
+        "sigma_deg": [known(sigma) for sigma in state.sigma[3:]],
         "text": event.why,
     }
 
@@ -250,10 +251,10 @@ def _grasp(
     document: Json = {
         "name": grasp.name,
         "number": grasp.number,
-        "turn_deg": _number(math.degrees(grasp.turn_rad)),
+        "turn_deg": known(math.degrees(grasp.turn_rad)),
         **_pose(grasp.rig_from_tcp, grasp.covariance),
         "approach_position_mm": _numbers(grasp.rig_from_approach[:3, 3]),
-        "retreat_mm": _number(grasp.retreat_mm),
+        "retreat_mm": known(grasp.retreat_mm),
     }
     if robot_from_rig is not None:
         held = replace(target, rig_from_part=grasp.rig_from_tcp, covariance=grasp.covariance)
@@ -266,11 +267,11 @@ def _grasp(
 
 def _match(match: Match) -> Json:
     return {
-        "x_px": _number(match.x_px),
-        "y_px": _number(match.y_px),
-        "angle_deg": _number(math.degrees(match.angle_rad)),
-        "scale_x": _number(match.scale_x),
-        "scale_y": _number(match.scale_y),
+        "x_px": known(match.x_px),
+        "y_px": known(match.y_px),
+        "angle_deg": known(math.degrees(match.angle_rad)),
+        "scale_x": known(match.scale_x),
+        "scale_y": known(match.scale_y),
     }
 
 
@@ -280,8 +281,8 @@ def _circle(circle: Circle3D) -> Json:
         "name": circle.name,
         "centre_mm": _numbers(circle.centre_mm),
         "normal": _numbers(circle.normal),
-        "radius_mm": _number(circle.radius_mm),
-        "sigma_radius_mm": _number(sigmas_mm[3]),
+        "radius_mm": known(circle.radius_mm),
+        "sigma_radius_mm": known(sigmas_mm[3]),
         "sigma_centre_mm": _numbers(sigmas_mm[:3]),
     }
 
@@ -292,8 +293,8 @@ def _edge(edge: Edge3D) -> Json:
         "name": edge.name,
         "start_mm": _numbers(edge.start_mm),
         "end_mm": _numbers(edge.end_mm),
-        "sigma_across_mm": _number(across_mm),
-        "sigma_angle_deg": _number(math.degrees(angle_rad)),
+        "sigma_across_mm": known(across_mm),
+        "sigma_angle_deg": known(math.degrees(angle_rad)),
     }
 
 
@@ -303,11 +304,11 @@ def _slot(slot: Slot3D) -> Json:
         "name": slot.name,
         "centre_mm": _numbers(slot.centre_mm),
         "direction": _numbers(slot.direction),
-        "length_mm": _number(slot.length_mm),
-        "width_mm": _number(slot.width_mm),
+        "length_mm": known(slot.length_mm),
+        "width_mm": known(slot.width_mm),
         "sigma_centre_mm": _numbers(sigmas_mm[:3]),
-        "sigma_length_mm": _number(sigmas_mm[3]),
-        "sigma_width_mm": _number(sigmas_mm[4]),
+        "sigma_length_mm": known(sigmas_mm[3]),
+        "sigma_width_mm": known(sigmas_mm[4]),
     }
 
 
@@ -324,10 +325,10 @@ def _measurement(one: Measurement) -> Json:
         "name": one.name,
         "kind": one.kind,
         "unit": one.unit,
-        "value": _number(one.value),
-        "sigma": _number(one.sigma),
-        "nominal": None if one.nominal is None else _number(one.nominal),
-        "tolerance": None if one.tolerance is None else _number(one.tolerance),
+        "value": known(one.value),
+        "sigma": known(one.sigma),
+        "nominal": None if one.nominal is None else known(one.nominal),
+        "tolerance": None if one.tolerance is None else known(one.tolerance),
         "ok": one.ok,
     }
 
@@ -335,7 +336,7 @@ def _measurement(one: Measurement) -> Json:
 def _dismissed(one: NotMeasured) -> Json:
     return {
         "match": _match(one.match),
-        "score": _number(one.match.score),
+        "score": known(one.match.score),
         "reject": reject_names(one.reject),
         "reject_bits": int(one.reject),
     }
@@ -347,13 +348,13 @@ def _near_miss(nearest: Nearest | None) -> Json | None:
         return None
     return {
         "match": _match(one.match),
-        "score": _number(one.match.score),
-        "needed_score": _number(one.needed_score),
+        "score": known(one.match.score),
+        "needed_score": known(one.needed_score),
     }
 
 
 def _timing(timing_ms: Mapping[str, float]) -> Json:
-    return {stage: _number(duration_ms) for stage, duration_ms in timing_ms.items()}
+    return {stage: known(duration_ms) for stage, duration_ms in timing_ms.items()}
 
 
 def _sigmas(covariance: FloatArray) -> FloatArray:
@@ -362,11 +363,6 @@ def _sigmas(covariance: FloatArray) -> FloatArray:
         return np.asarray(np.sqrt(np.diag(covariance)), dtype=np.float64)
 
 
-def _number(value: float | np.floating[Any]) -> float | None:
-    number = float(value)
-    return number if math.isfinite(number) else None
-
-
 def _numbers(values: FloatArray) -> list[Any]:
     """Nested lists of a vector or matrix, null for what is not finite."""
-    return [_number(value) if np.ndim(value) == 0 else _numbers(value) for value in values]
+    return [known(value) if np.ndim(value) == 0 else _numbers(value) for value in values]

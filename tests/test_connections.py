@@ -1,4 +1,4 @@
-"""A door of the daemon: who connects counts at once, and nobody keeps others, or the log, from anything."""
+"""A listening port: who connects counts at once, and nobody keeps others, or the log, from anything."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import sys
 
 from helpers.waiting import LIMIT_S, WHOLE_S, until
 
-from edged.connections import Door, Guest, Rate, Rates
+from edged.connections import Rate, Rates, TcpClient, TcpListener
 
 FEW_DESCRIPTORS = """
 import asyncio, logging, resource, sys
-from edged.connections import Door
+from edged.connections import TcpListener
 
 class Echo(asyncio.Protocol):
     def connection_made(self, transport):
@@ -23,12 +23,12 @@ class Echo(asyncio.Protocol):
         self.transport.write(data)
 
 async def main():
-    door = Door("echo", lambda guest: Echo(), lambda guest: True, idle_s=600)
-    await door.open("127.0.0.1", 0)
+    listener = TcpListener("echo", lambda client: Echo(), lambda client: True, idle_s=600)
+    await listener.open("127.0.0.1", 0)
     resource.setrlimit(resource.RLIMIT_NOFILE, (32, 32))
-    print(door.port, flush=True)
+    print(listener.port, flush=True)
     await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)
-    await door.close()
+    await listener.close()
 
 logging.basicConfig()
 asyncio.run(main())
@@ -45,9 +45,9 @@ def run(test) -> None:
     asyncio.run(bounded())
 
 
-async def connect(door: Door) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-    """A connection to a door."""
-    return await asyncio.open_connection("127.0.0.1", door.port)
+async def connect(listener: TcpListener) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A connection to a listener."""
+    return await asyncio.open_connection("127.0.0.1", listener.port)
 
 
 def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -> None:
@@ -78,49 +78,49 @@ def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -
     assert 0 == process.returncode
 
 
-def test_a_guest_counts_until_it_is_aborted_and_is_forgotten_once() -> None:
+def test_a_client_counts_until_it_is_aborted_and_is_forgotten_once() -> None:
     """Whoever is refused never counts; an end by either side is told once."""
-    left: list[Guest] = []
+    left: list[TcpClient] = []
 
     async def test() -> None:
-        door = Door(
+        listener = TcpListener(
             "test",
             lambda _: asyncio.Protocol(),
-            lambda _: len(door.guests) < 2,
+            lambda _: len(listener.clients) < 2,
             left.append,
             idle_s=600,
         )
-        await door.open("localhost", 0)
-        ends = [await connect(door) for _ in range(3)]
+        await listener.open("localhost", 0)
+        ends = [await connect(listener) for _ in range(3)]
         assert b"" == await ends[2][0].read()
-        first, second = door.guests
+        first, second = listener.clients
         first.abort()
-        assert (second,) == door.guests
+        assert (second,) == listener.clients
         assert [first] == left
         assert b"" == await ends[0][0].read()
         ends[1][1].close()
-        await until(lambda: not door.guests)
+        await until(lambda: not listener.clients)
         for _, writer in ends:
             writer.close()
-        await door.close()
+        await listener.close()
         assert [first, second] == left
 
     run(test)
 
 
-def test_a_guest_that_is_busy_is_not_idle() -> None:
+def test_a_client_that_is_busy_is_not_idle() -> None:
     """Something is being done for it, however long that takes; the other one ends."""
 
     async def test() -> None:
-        door = Door("test", lambda _: asyncio.Protocol(), lambda _: True, idle_s=0.2)
-        await door.open("127.0.0.1", 0)
-        (busy_reader, busy), (idle_reader, idle) = await connect(door), await connect(door)
-        await until(lambda: len(door.guests) == 2)
-        door.guest(busy.get_extra_info("sockname")).touch(busy=True)
+        listener = TcpListener("test", lambda _: asyncio.Protocol(), lambda _: True, idle_s=0.2)
+        await listener.open("127.0.0.1", 0)
+        (busy_reader, busy), (idle_reader, idle) = await connect(listener), await connect(listener)
+        await until(lambda: len(listener.clients) == 2)
+        listener.client(busy.get_extra_info("sockname")).touch(busy=True)
         assert b"" == await idle_reader.read()
-        (left,) = door.guests
+        (left,) = listener.clients
         assert busy.get_extra_info("sockname") == left.name
-        await door.close()
+        await listener.close()
         assert b"" == await busy_reader.read()
         for writer in (busy, idle):
             writer.close()
@@ -139,7 +139,7 @@ def test_a_rate_is_so_many_a_second() -> None:
     assert [True] * 4 + [False] == [rate.take() for _ in range(5)]
 
 
-def test_a_guest_that_sends_more_than_it_may_is_ended() -> None:
+def test_a_client_that_sends_more_than_it_may_is_ended() -> None:
     """And only it; who has no limit may send what they like, and all of it arrives."""
     heard: dict[str, int] = {"limited": 0, "free": 0}
 
@@ -152,26 +152,26 @@ def test_a_guest_that_sends_more_than_it_may_is_ended() -> None:
 
     async def test() -> None:
         names = iter(heard)
-        door = Door("test", lambda _: Ear(next(names)), lambda _: True, idle_s=600)
-        await door.open("127.0.0.1", 0)
-        reader, limited = await connect(door)
-        await until(lambda: len(door.guests) == 1 and door.guests[0].is_in)
-        (guest,) = door.guests
-        guest.limit(1.0, 1000.0)
-        _, free = await connect(door)
+        listener = TcpListener("test", lambda _: Ear(next(names)), lambda _: True, idle_s=600)
+        await listener.open("127.0.0.1", 0)
+        reader, limited = await connect(listener)
+        await until(lambda: len(listener.clients) == 1 and listener.clients[0].is_in)
+        (client,) = listener.clients
+        client.limit(1.0, 1000.0)
+        _, free = await connect(listener)
         limited.write(bytes(900))
         await until(lambda: heard["limited"] == 900)
-        assert not guest.has_flooded
+        assert not client.has_flooded
         limited.write(bytes(200))
         with contextlib.suppress(ConnectionError):
             assert b"" == await reader.read()
-        assert guest.has_flooded
+        assert client.has_flooded
         free.write(bytes(1_000_000))
         await until(lambda: heard["free"] == 1_000_000)
         assert 900 == heard["limited"]
         for writer in (limited, free):
             writer.close()
-        await door.close()
+        await listener.close()
 
     run(test)
 

@@ -84,7 +84,13 @@ async def stage(
     ports = free_port(), free_port(), free_port()
     path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=gige)
     routes = StageRoutes(world.stage)
-    daemon = Daemon(path, load_any_cell(path), observers=[routes], world=world, routes=[routes.add_to])
+    daemon = Daemon(
+        path,
+        load_any_cell(path),
+        observers=[routes],
+        world=world,
+        routes=[routes, routes.robot],
+    )
     running = asyncio.create_task(daemon.run())
     origin = f"http://127.0.0.1:{ports[0]}"
     try:

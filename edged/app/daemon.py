@@ -14,7 +14,7 @@ from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import Size, head_of
 from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_registration
 from edged.app.running import Running
-from edged.app.servers import START_S, AddRoutes, Servers, close_within, start_within
+from edged.app.servers import START_S, Servers, close_within, start_within
 from edged.cell.cycle import Cycle
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
@@ -79,7 +79,7 @@ class Daemon:
         *,
         observers: Sequence[Publisher] = (),
         world: VirtualWorld | None = None,
-        routes: Sequence[AddRoutes] = (),
+        routes: Sequence[object] = (),
     ) -> None:
         self.on_started: Callable[[], None] = lambda: None
         self._path = path
@@ -233,7 +233,7 @@ class Daemon:
             with contextlib.suppress(asyncio.CancelledError):
                 await task
 
-    def _routes(self) -> Sequence[AddRoutes]:
+    def _routes(self) -> Sequence[object]:
         """What is set up on the page; a cell without the page loads none of it."""
         from edged.app.setup import SetupServices
 

@@ -38,7 +38,6 @@ from edged.ports import Publisher
 from edged.robot.orientations import Brand, Convention
 
 if TYPE_CHECKING:
-    from edged.adapters.web.routes import RouteTable
     from edged.adapters.zenoh import ZenohSettings
 
 log = logging.getLogger(__name__)
@@ -144,8 +143,6 @@ def _digests(files: Mapping[str, Path], beginning: str = "") -> tuple[tuple[Path
     )
 
 
-AddRoutes = Callable[["RouteTable"], None]
-"""Adds its routes of /api/v1."""
 Build = Callable[[], Publisher]
 """Makes a server anew of what was read before: it needs no file any more."""
 
@@ -177,8 +174,8 @@ class Servers:
 
     running : the cell, whose `servers` and `problems` are kept up to date. changed : called whenever others
     run than before an exchange. metrics : Prometheus' text. notices, live : what pages are told and shown.
-    routes : adds further routes of /api/v1; asked when a page that has it is made. state : the folder in
-    which users are kept.
+    routes : objects with further routes of /api/v1; asked when a page that has it is made. state : folder of
+    the users.
     """
 
     def __init__(
@@ -188,7 +185,7 @@ class Servers:
         metrics: Callable[[], bytes] = bytes,
         notices: Notices | None = None,
         live: LivePictures | None = None,
-        routes: Callable[[], Sequence[AddRoutes]] = tuple,
+        routes: Callable[[], Sequence[object]] = tuple,
         state: Path | None = None,
     ) -> None:
         self._running = running

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections import ChainMap
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from edged.app.running import Running
 from edged.cell.lease.live import LivePictures
@@ -37,9 +36,6 @@ from edged.setup.teaching import service as teachings
 from edged.setup.teaching.service import Teachings
 from edged.setup.trials import service as trials
 from edged.setup.trials.service import Trials
-
-if TYPE_CHECKING:
-    from edged.adapters.web.routes import RouteTable
 
 
 class SetupServices:
@@ -96,8 +92,8 @@ class SetupServices:
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._offer)
 
-    def routes(self) -> Sequence[Callable[[RouteTable], None]]:
-        """What adds the routes; aiohttp is imported only for a page."""
+    def routes(self) -> Sequence[object]:
+        """Objects with the routes; aiohttp is imported only for a page."""
         from edged.setup.calibration.checkroutes import CheckRoutes
         from edged.setup.calibration.routes import CalibrationRoutes
         from edged.setup.cameras.routes import CameraRoutes
@@ -111,17 +107,17 @@ class SetupServices:
         from edged.setup.trials.routes import TrialRoutes
 
         return [
-            CameraRoutes(self._cameras).add_to,
-            CalibrationRoutes(self._calibrations, self._cell.tasks).add_to,
-            ReleaseRoutes(self._calibrations, self._activation, self._cell.worker).add_to,
-            CheckRoutes(self._checks).add_to,
-            CycleRoutes(self._cycles).add_to,
-            RegistrationRoutes(self._registrations, self._activation).add_to,
-            PlcRoutes(self._servers).add_to,
-            TeachingRoutes(self._teachings, self._activation).add_to,
-            TrialRoutes(self._trials).add_to,
-            JobRoutes(self._jobs, self._activation).add_to,
-            RegressionRoutes(self._regressions, self._candidates).add_to,
+            CameraRoutes(self._cameras),
+            CalibrationRoutes(self._calibrations, self._cell.tasks),
+            ReleaseRoutes(self._calibrations, self._activation, self._cell.worker),
+            CheckRoutes(self._checks),
+            CycleRoutes(self._cycles),
+            RegistrationRoutes(self._registrations, self._activation),
+            PlcRoutes(self._servers),
+            TeachingRoutes(self._teachings, self._activation),
+            TrialRoutes(self._trials),
+            JobRoutes(self._jobs, self._activation),
+            RegressionRoutes(self._regressions, self._candidates),
         ]
 
     def _offer(self, number: int, pair: FramePair) -> None:

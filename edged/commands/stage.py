@@ -49,7 +49,9 @@ def run_stage(
         highlight=False,
         soft_wrap=True,
     )
-    asyncio.run(serve(lambda: Daemon(path, loaded, observers=[routes], world=world, routes=[routes.add_to])))
+    asyncio.run(
+        serve(lambda: Daemon(path, loaded, observers=[routes], world=world, routes=[routes, routes.robot]))
+    )
     return 0
 
 

@@ -35,3 +35,14 @@ def decimal(text: str) -> float:
     if len(text) > LONGEST or not _DECIMAL.fullmatch(text) or not math.isfinite(value := float(text)):
         raise ValueError(f"expected a finite number, got {text[:LONGEST]!r}")
     return value
+
+
+def known(value: float | None, digits: int | None = None) -> float | None:
+    """A number as JSON has it, rounded to so many digits; None for NaN and infinity.
+
+    >>> known(1.26, 1), known(math.nan)
+    (1.3, None)
+    """
+    if value is None or not math.isfinite(value):
+        return None
+    return float(value) if digits is None else round(float(value), digits)

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from aiohttp import web
 
 from edged.adapters.modbus import ModbusPublisher
-from edged.adapters.web.routes import Answer, Call, Problem, RouteTable
+from edged.adapters.web.routes import Answer, Call, Problem, route
 from edged.identity.visitors import Role
 from edged.plc.ladder import Exchange
 from edged.plc.registers import ADDRESS, constant_values
@@ -114,28 +114,7 @@ class PlcRoutes:
         server = self._servers.get("modbus")
         return server if isinstance(server, ModbusPublisher) else None
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add them."""
-        see = Role.VIEWER
-        table.route("GET", "/plc", self._plc, "How PLCs reach the cell", role=see, answer=PlcDocument)
-        table.route(
-            "GET",
-            "/plc/exchanges",
-            self._exchanges,
-            "The last commands of PLC or robot, and what became of them",
-            role=see,
-            answer=Exchanges,
-            is_by_itself=True,
-        )
-        table.route(
-            "GET",
-            "/plc/clients/{kind:[a-z0-9]{2,20}}",
-            self._client,
-            "The source of a client: structured text, URScript, Python and others",
-            role=see,
-            answer="application/octet-stream",
-        )
-
+    @route("GET", "/plc", "How PLCs reach the cell", role=Role.VIEWER)
     async def _plc(self, _call: Call[None]) -> PlcDocument:
         modbus = self._modbus
         clients = [ClientDocument(kind=kind, file=file) for kind, file in FILES.items()]
@@ -174,10 +153,24 @@ class PlcRoutes:
             clients=clients,
         )
 
+    @route(
+        "GET",
+        "/plc/exchanges",
+        "The last commands of PLC or robot, and what became of them",
+        role=Role.VIEWER,
+        is_by_itself=True,
+    )
     async def _exchanges(self, _call: Call[None]) -> Exchanges:
         modbus = self._modbus
         return Exchanges(exchanges=[] if modbus is None else [_document(one) for one in modbus.exchanges])
 
+    @route(
+        "GET",
+        "/plc/clients/{kind:[a-z0-9]{2,20}}",
+        "The source of a client: structured text, URScript, Python and others",
+        role=Role.VIEWER,
+        answer="application/octet-stream",
+    )
     async def _client(self, call: Call[None]) -> web.Response:
         kind = call.part("kind")
         if kind not in FILES:

@@ -259,7 +259,7 @@ def test_strangers_cannot_take_every_descriptor(unit_file):
         limit.le for limit in ModbusSection.model_fields["max_clients"].metadata if isinstance(limit, Le)
     )
     zenoh = 3 * session.MAX_SESSIONS + session.ACCEPT_PENDING
-    assert modbus + lines.MAX_CLIENTS + server.MAX_GUESTS + zenoh + 400 <= 1024
+    assert modbus + lines.MAX_CLIENTS + server.MAX_CONNECTIONS + zenoh + 400 <= 1024
 
 
 def test_the_unit_asks_for_what_the_notifier_tells(unit_file):

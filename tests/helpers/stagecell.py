@@ -67,7 +67,7 @@ async def staged(folder: Path, *, gige: bool = True) -> AsyncIterator[Newcomer]:
         path.write_text(text)
         routes = StageRoutes(world.stage)
         loaded = load_any_cell(path)
-        daemon = Daemon(path, loaded, observers=[routes], world=world, routes=[routes.add_to])
+        daemon = Daemon(path, loaded, observers=[routes], world=world, routes=[routes, routes.robot])
         running = asyncio.create_task(daemon.run())
         try:
             async with browsing(f"http://127.0.0.1:{ports[0]}") as session:

@@ -105,7 +105,7 @@ async def running(
             sources,
             commissioner=cycle.session,
             clock_s=lambda: time.monotonic() + asleep_s[0],
-            routes=[] if plc is None else [PlcRoutes({"modbus": plc}).add_to],
+            routes=[] if plc is None else [PlcRoutes({"modbus": plc})],
         )
         await web.start()
         if plc is not None:

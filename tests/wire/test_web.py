@@ -945,10 +945,10 @@ def test_many_connections_take_no_place_from_others() -> None:
     async def test() -> None:
         async with served() as (web, session):
             other_reader, other = await connect(web, "127.0.0.2")
-            many = [await connect(web) for _ in range(3 * server.MAX_GUESTS)]
+            many = [await connect(web) for _ in range(3 * server.MAX_CONNECTIONS)]
             async with session.get("/health") as answer:
                 assert answer.status == 200
-            for reader, _ in many[: 2 * server.MAX_GUESTS]:
+            for reader, _ in many[: 2 * server.MAX_CONNECTIONS]:
                 assert await ended(reader)
             other.write(b"GET /health HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
             assert (await other_reader.readline()).startswith(b"HTTP/1.1 200")
@@ -1026,8 +1026,7 @@ def test_a_bug_that_strangers_find_is_one_trace(caplog: pytest.LogCaptureFixture
     """Whatever request makes the page or its library fail: not one trace for each."""
 
     async def test() -> None:
-        broken = replace(sources(), metrics=lambda: 1 / 0)
-        async with served(asked=broken) as (_, session):
+        async with served(metrics=lambda: 1 / 0) as (_, session):
             for _ in range(5):
                 async with session.get("/metrics") as answer:
                     assert answer.status == 500

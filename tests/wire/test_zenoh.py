@@ -452,7 +452,9 @@ def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
     right = dataclasses.replace(left, camera="right", image=np.zeros_like(image))
     encoded: list[bool] = []
     monkeypatch.setattr(
-        preview, "jpeg", lambda pixels, jpeg=preview.jpeg: encoded.append(pixels.any()) or jpeg(pixels)
+        preview,
+        "jpeg",
+        lambda pixels, *size, jpeg=preview.jpeg: encoded.append(pixels.any()) or jpeg(pixels, *size),
     )
     exposure = ExposureDone(4, None, FramePair(left, right))
 

@@ -30,7 +30,7 @@ from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
 from edged.adapters.modbus.tcp import SILENT_S
-from edged.connections import Door, Guest
+from edged.connections import TcpClient, TcpListener
 from edged.domain.arrays import FloatArray
 from edged.domain.events import REGISTERING, CommandKind
 from edged.domain.measurement import Reject
@@ -442,17 +442,17 @@ class LineServer:
         self._log = LogLimit(__name__)
         self._tasks: set[asyncio.Task[None]] = set()
         # who is silent is hung up on where its lines are read
-        self._door = Door("modbus.socket", self._protocol, self._admits, idle_s=math.inf)
+        self._listener = TcpListener("modbus.socket", self._protocol, self._admits, idle_s=math.inf)
 
     @property
     def port(self) -> int:
         """Port that is listened on; 0 when closed."""
-        return self._door.port
+        return self._listener.port
 
     async def start(self) -> None:
         """Listen. Raises `ListenError`."""
         try:
-            await self._door.open(self._settings.host, self._line.port)
+            await self._listener.open(self._settings.host, self._line.port)
         except (OSError, OverflowError) as error:
             place = f"{self._settings.host}:{self._line.port}"
             why = getattr(error, "strerror", None) or str(error)
@@ -460,28 +460,30 @@ class LineServer:
 
     async def close(self) -> None:
         """Stop listening and hang up on every robot."""
-        self._door.shut()
+        self._listener.shut()
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        await self._door.close()
+        await self._listener.close()
 
-    def _protocol(self, guest: Guest) -> asyncio.Protocol:
+    def _protocol(self, client: TcpClient) -> asyncio.Protocol:
         def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            task = asyncio.create_task(self._converse(guest, reader, writer))
+            task = asyncio.create_task(self._converse(client, reader, writer))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
         return asyncio.StreamReaderProtocol(asyncio.StreamReader(limit=MAX_LINE_BYTES), accept)
 
     async def _converse(
-        self, guest: Guest, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self, client: TcpClient, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         number = next(self._numbers)
         try:
-            await self._serve(guest, reader, writer, number)
+            await self._serve(client, reader, writer, number)
         except (TimeoutError, OSError) as error:
-            self._log.warning("modbus.socket: %s is hung up on: %s", guest.peer, str(error) or "it is silent")
+            self._log.warning(
+                "modbus.socket: %s is hung up on: %s", client.peer, str(error) or "it is silent"
+            )
         finally:
             self._cell.gone(number)
             writer.close()
@@ -491,7 +493,7 @@ class LineServer:
             except (TimeoutError, OSError):
                 writer.transport.abort()
 
-    def _admits(self, newcomer: Guest) -> bool:
+    def _admits(self, newcomer: TcpClient) -> bool:
         """Whether a robot may stay.
 
         When all places are taken one that may write makes a stranger go, or else who is silent longest: what
@@ -502,18 +504,18 @@ class LineServer:
         if settings.readers and not contains((*settings.readers, *settings.writers), peer):
             self._log.warning("modbus.socket: %s is not in the list of networks, closed", peer)
             return False
-        guests = self._door.guests
-        if len(guests) < MAX_CLIENTS:
+        clients = self._listener.clients
+        if len(clients) < MAX_CLIENTS:
             return True
-        strangers = [guest for guest in guests if not contains(settings.writers, guest.peer)]
-        silent = [guest for guest in guests if guest.is_silent(newcomer.active_s - SILENT_S)]
+        strangers = [client for client in clients if not contains(settings.writers, client.peer)]
+        silent = [client for client in clients if client.is_silent(newcomer.active_s - SILENT_S)]
         lapsed_s = newcomer.active_s - max(SILENT_S, settings.owner_s)
         if contains(settings.writers, peer):
-            own = [guest for guest in silent if guest.peer == peer]
-            rest = strangers or own or [guest for guest in silent if guest.is_silent(lapsed_s)]
+            own = [client for client in silent if client.peer == peer]
+            rest = strangers or own or [client for client in silent if client.is_silent(lapsed_s)]
         else:
-            rest = [guest for guest in silent if guest in strangers]
-        displaced = min(rest, key=lambda guest: guest.active_s, default=None)
+            rest = [client for client in silent if client in strangers]
+        displaced = min(rest, key=lambda client: client.active_s, default=None)
         if displaced is None:
             self._log.warning("modbus.socket: %s closed, %d robots are connected", peer, MAX_CLIENTS)
             return False
@@ -521,9 +523,9 @@ class LineServer:
         return True
 
     async def _serve(
-        self, guest: Guest, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, number: int
+        self, client: TcpClient, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, number: int
     ) -> None:
-        may_write = contains(self._settings.writers, guest.peer)
+        may_write = contains(self._settings.writers, client.peer)
         robot = Robot(ClientView(self._cell, number), self._settings, self._line, may_write=may_write)
         messages = Messages(reader)
         while True:
@@ -533,14 +535,14 @@ class LineServer:
                 return
             is_frame = message.startswith(MAGIC[:1])
             if not may_write:
-                self._refusals.note(address_of(guest.peer), "it is not in modbus.writers")
-            guest.touch(busy=True)
+                self._refusals.note(address_of(client.peer), "it is not in modbus.writers")
+            client.touch(busy=True)
             answer, brand = await robot.answer(message)
             writer.write(
                 answer_frame(answer, brand) if is_frame else answer.line(brand, await messages.end())
             )
             async with asyncio.timeout(SEND_S):
                 await writer.drain()
-            guest.touch()
+            client.touch()
             if is_frame and answer.status == LineStatus.NOT_UNDERSTOOD and answer.sequence == 0:
                 return  # where the next frame begins is not known

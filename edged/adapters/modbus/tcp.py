@@ -23,7 +23,7 @@ from edged.adapters.modbus.pdu import WRITES, respond
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.security import certificate_role, server_context
 from edged.adapters.modbus.settings import ModbusSettings, address_of, contains
-from edged.connections import Door, Guest, Rate
+from edged.connections import Rate, TcpClient, TcpListener
 from edged.errors import ListenError
 from edged.logs import LogLimit
 
@@ -55,23 +55,23 @@ class TcpServer:
         self.refusals = refusals
         self._numbers = clients
         self._context = context
-        self._connections: dict[Guest, Connection] = {}
-        self._door: Door | None = None
+        self._connections: dict[TcpClient, Connection] = {}
+        self._listener: TcpListener | None = None
         self._handshakes = Rate(STRANGERS_PER_S)
 
     @property
     def port(self) -> int:
         """Port that is listened on (useful when 0 was asked for); 0 when closed."""
-        return self._door.port if self._door is not None else 0
+        return self._listener.port if self._listener is not None else 0
 
     async def start(self) -> None:
         """Listen. Raises `ListenError` that says what to do."""
         settings = self.settings
         if self._context is None and settings.tls is not None:
             self._context = server_context(settings.tls)
-        door = Door(
+        listener = TcpListener(
             "modbus",
-            lambda guest: Connection(self, guest, next(self._numbers)),
+            lambda client: Connection(self, client, next(self._numbers)),
             self._admit,
             self._left,
             idle_s=settings.idle_s,
@@ -79,34 +79,34 @@ class TcpServer:
             tells=True,
         )
         try:
-            await door.open(settings.host, settings.port)
+            await listener.open(settings.host, settings.port)
         except (OSError, OverflowError) as error:
             raise ListenError(_listen_problem(settings, error)) from error
-        self._door = door
+        self._listener = listener
 
     async def close(self) -> None:
         """Stop listening and drop every connection, also those in their handshake."""
-        door, self._door = self._door, None
-        if door is not None:
-            await door.close()
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            await listener.close()
 
     def entered(self, connection: Connection) -> None:
         """A connection is through its handshake."""
-        self._connections[connection.guest] = connection
+        self._connections[connection.client] = connection
         self.cell.clients += 1
 
     def peer(self, number: int) -> str | None:
         """The address of a client; None: it is none of these connections."""
-        return next((guest.peer for guest, one in self._connections.items() if one.number == number), None)
+        return next((client.peer for client, one in self._connections.items() if one.number == number), None)
 
-    def _left(self, guest: Guest) -> None:
-        """A guest has gone: its place is free, and so is the right to write, at once."""
-        connection = self._connections.pop(guest, None)
+    def _left(self, client: TcpClient) -> None:
+        """A client has gone: its place is free, and so is the right to write, at once."""
+        connection = self._connections.pop(client, None)
         if connection is not None:
             self.cell.clients -= 1
             self.cell.gone(connection.number)
 
-    def _admit(self, newcomer: Guest) -> bool:
+    def _admit(self, newcomer: TcpClient) -> bool:
         """Whether a new connection may stay; a handshake takes a place, memory and time, so before that."""
         settings, peer = self.settings, newcomer.peer
         if settings.readers and not contains((*settings.readers, *settings.writers), peer):
@@ -117,26 +117,26 @@ class TcpServer:
             self.log.warning("modbus: %s closed, strangers begin too many TLS handshakes", peer)
             return False
         if not self._has_room(peer) and not self._make_room(newcomer, is_known=is_known):
-            self.log.warning("modbus: %s closed, %d clients are connected", peer, len(self._guests))
+            self.log.warning("modbus: %s closed, %d clients are connected", peer, len(self._clients))
             return False
         return True
 
     @property
-    def _guests(self) -> tuple[Guest, ...]:
-        return self._door.guests if self._door is not None else ()
+    def _clients(self) -> tuple[TcpClient, ...]:
+        return self._listener.clients if self._listener is not None else ()
 
     def _has_room(self, peer: str) -> bool:
         """Whether a place is free that is not kept for somebody else."""
-        guests, own = self._guests, address_of(peer)
-        here = Counter(address_of(guest.peer) for guest in guests)
+        clients, own = self._clients, address_of(peer)
+        here = Counter(address_of(client.peer) for client in clients)
         kept = sum(
             max(0, slots - here[address])
             for address, slots in self.settings.reserved.items()
             if address != own
         )
-        return len(guests) + kept < self.settings.max_clients
+        return len(clients) + kept < self.settings.max_clients
 
-    def _make_room(self, newcomer: Guest, *, is_known: bool) -> bool:
+    def _make_room(self, newcomer: TcpClient, *, is_known: bool) -> bool:
         """Whoever has not shown yet who it is makes room: the one of them that came first.
 
         A known PLC also displaces the stranger that is idle longest, or else the longest silent connection.
@@ -144,28 +144,30 @@ class TcpServer:
         anybody whose right to write has lapsed. A stranger displaces silent strangers only: a PLC may be
         silent between two commands, and must not lose its connection to a scan of the network.
         """
-        guests, writers = self._guests, self.settings.writers
-        strangers = [guest for guest in guests if not contains(writers, guest.peer)]
-        own = [guest for guest in guests if is_known and guest.peer == newcomer.peer]
-        nameless = [guest for guest in (*strangers, *own) if not guest.is_in]
-        count = Counter(guest.peer for guest in guests)
+        clients, writers = self._clients, self.settings.writers
+        strangers = [client for client in clients if not contains(writers, client.peer)]
+        own = [client for client in clients if is_known and client.peer == newcomer.peer]
+        nameless = [client for client in (*strangers, *own) if not client.is_in]
+        count = Counter(client.peer for client in clients)
 
-        def kept(guest: Guest) -> int:
-            address = address_of(guest.peer)
+        def kept(client: TcpClient) -> int:
+            address = address_of(client.peer)
             return self.settings.reserved.get(address, 0) if address is not None else 0
 
-        def has_many(guest: Guest) -> bool:
-            most = max(count[newcomer.peer] + 1, kept(guest))
-            return guest.peer == newcomer.peer or count[guest.peer] > most
+        def has_many(client: TcpClient) -> bool:
+            most = max(count[newcomer.peer] + 1, kept(client))
+            return client.peer == newcomer.peer or count[client.peer] > most
 
-        silent = [guest for guest in guests if guest.is_silent(newcomer.active_s - SILENT_S)]
+        silent = [client for client in clients if client.is_silent(newcomer.active_s - SILENT_S)]
         lapsed_s = newcomer.active_s - max(SILENT_S, self.settings.owner_s)
-        lapsed = [guest for guest in silent if guest.is_silent(lapsed_s) and count[guest.peer] > kept(guest)]
+        lapsed = [
+            client for client in silent if client.is_silent(lapsed_s) and count[client.peer] > kept(client)
+        ]
         if is_known:
-            rest = strangers or [guest for guest in silent if has_many(guest)] or lapsed
+            rest = strangers or [client for client in silent if has_many(client)] or lapsed
         else:
-            rest = [guest for guest in silent if guest in strangers]
-        displaced = min(nameless or rest, key=lambda guest: guest.active_s, default=None)
+            rest = [client for client in silent if client in strangers]
+        displaced = min(nameless or rest, key=lambda client: client.active_s, default=None)
         if displaced is None:
             return False
         displaced.abort()
@@ -190,9 +192,9 @@ def _listen_problem(settings: ModbusSettings, error: Exception) -> str:
 class Connection(asyncio.Protocol):
     """One client."""
 
-    def __init__(self, server: TcpServer, guest: Guest, number: int) -> None:
+    def __init__(self, server: TcpServer, client: TcpClient, number: int) -> None:
         self.number = number
-        self.guest = guest
+        self.client = client
         self._server = server
         self._loop = asyncio.get_running_loop()
         self._framer = FramerSocket(DecodePDU(is_server=True))
@@ -209,8 +211,8 @@ class Connection(asyncio.Protocol):
             raise TypeError("a stream transport was expected")
         self._transport = transport
         settings = self._server.settings
-        self.guest.touch()
-        self._may_write = contains(settings.writers, self.guest.peer)
+        self.client.touch()
+        self._may_write = contains(settings.writers, self.client.peer)
         tls = transport.get_extra_info("ssl_object")
         if settings.tls is not None and isinstance(tls, ssl.SSLObject | ssl.SSLSocket):
             role = certificate_role(tls.getpeercert(binary_form=True) or b"")
@@ -265,8 +267,8 @@ class Connection(asyncio.Protocol):
             return None
         length = int.from_bytes(self._buffer[4:6], "big")
         if self._buffer[2:4] != b"\0\0" or not 2 <= length <= MAX_LENGTH:
-            self._server.log.warning("modbus: %s sent what is no Modbus/TCP, closed", self.guest.peer)
-            self.guest.abort()
+            self._server.log.warning("modbus: %s sent what is no Modbus/TCP, closed", self.client.peer)
+            self.client.abort()
             return None
         end = 6 + length
         if len(self._buffer) < end:
@@ -283,11 +285,11 @@ class Connection(asyncio.Protocol):
             response = respond(request, self._view, may_write=self._may_write)
             if request[0] in WRITES and not self._may_write:
                 role = "the role in its certificate is not in modbus.tls.writer_roles"
-                is_known = contains(settings.writers, self.guest.peer)
+                is_known = contains(settings.writers, self.client.peer)
                 why = role if is_known else "it is not in modbus.writers"
-                self._server.refusals.note(address_of(self.guest.peer), why)
+                self._server.refusals.note(address_of(self.client.peer), why)
         else:
             response = bytes((request[0] | 0x80, GATEWAY_NO_RESPONSE))
-        self.guest.touch()
+        self.client.touch()
         if self._transport is not None:
             self._transport.write(self._framer.encode(response, unit, transaction))

@@ -18,7 +18,7 @@ from asyncua.ua.ua_binary import header_from_binary, struct_from_binary
 
 from edged.adapters.opcua.security import TrustList
 from edged.adapters.opcua.session import Processor, Server
-from edged.connections import Guest, Rate
+from edged.connections import Rate, TcpClient
 from edged.logs import LogLimit
 
 FRAME = struct.Struct("<3scI")
@@ -47,7 +47,7 @@ class Refused(Exception):
 
 
 class Connection(asyncio.Protocol):
-    """The protocol of one guest."""
+    """The protocol of one client."""
 
     def __init__(
         self,
@@ -55,14 +55,14 @@ class Connection(asyncio.Protocol):
         policies: list[Any],
         trust: TrustList,
         channels: Rate,
-        guest: Guest,
+        client: TcpClient,
         log: LogLimit,
     ) -> None:
         self._server = server
         self._policies = policies
         self._trust = trust
         self._channels = channels
-        self._guest = guest
+        self._client = client
         self._log = log
         self._rate = Rate(REQUESTS_PER_S)
         self._received = bytearray()
@@ -80,7 +80,7 @@ class Connection(asyncio.Protocol):
         return self._processor is not None and self._processor.is_active
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """The guest is in."""
+        """The client is in."""
         if not isinstance(transport, asyncio.Transport):
             raise TypeError("a stream transport was expected")
         self._transport = transport
@@ -92,7 +92,7 @@ class Connection(asyncio.Protocol):
         self._task = loop.create_task(self._work(self._processor), name="opcua-connection")
 
     def connection_lost(self, _exc: Exception | None) -> None:
-        """The guest has left."""
+        """The client has left."""
         for timer in self._timers.values():
             timer.cancel()
         if self._task is not None:
@@ -128,7 +128,7 @@ class Connection(asyncio.Protocol):
     def pause_writing(self) -> None:
         """It does not read its answers: it may take its time, but not for ever."""
         loop = asyncio.get_running_loop()
-        self._timers["send"] = loop.call_later(SEND_S, self._guest.abort)
+        self._timers["send"] = loop.call_later(SEND_S, self._client.abort)
 
     def resume_writing(self) -> None:
         """It reads."""
@@ -136,7 +136,7 @@ class Connection(asyncio.Protocol):
 
     def _must_be_active(self) -> None:
         if not self.is_active:
-            self._guest.abort()
+            self._client.abort()
 
     async def _work(self, processor: Processor) -> None:
         """Answer one frame after another."""
@@ -154,7 +154,7 @@ class Connection(asyncio.Protocol):
         except Refused as refused:
             self._refuse(refused)
         except Exception as error:  # noqa: BLE001  # whatever asyncua stumbles over was sent by the client
-            self._log.warning("opcua: %s is hung up on: %s", self._guest.peer, type(error).__name__)
+            self._log.warning("opcua: %s is hung up on: %s", self._client.peer, type(error).__name__)
         finally:
             if self._transport is not None:
                 self._transport.close()
@@ -167,7 +167,7 @@ class Connection(asyncio.Protocol):
         header = header_from_binary(buffer)
         goes_on = bool(await processor.process(header, buffer))
         if processor.is_active:
-            self._guest.touch()
+            self._client.touch()
         transport = self._transport
         if transport is not None and transport.get_write_buffer_size() > MAX_UNSENT_BYTES:
             raise Refused(ua.StatusCodes.BadTcpNotEnoughResources, "it does not read")
@@ -197,7 +197,7 @@ class Connection(asyncio.Protocol):
             raise Refused(ua.StatusCodes.BadSecurityChecksFailed, why)
 
     def _refuse(self, refused: Refused) -> None:
-        self._log.warning("opcua: %s is hung up on: %s", self._guest.peer, refused)
+        self._log.warning("opcua: %s is hung up on: %s", self._client.peer, refused)
         transport = self._transport
         if transport is not None and not transport.is_closing():
             # no reason in the message: it would tell a stranger what to try next (OPC 10000-6, 7.1.5)

@@ -32,7 +32,7 @@ from edged.adapters.opcua.security import Identity, TrustList, Users
 from edged.adapters.opcua.session import MAX_NODES, Server
 from edged.adapters.opcua.settings import OpcUaSettings
 from edged.adapters.opcua.space import Space
-from edged.connections import Door, Guest, Rate
+from edged.connections import Rate, TcpClient, TcpListener
 from edged.errors import EdgedError, ListenError, TookTooLong
 from edged.logs import LogLimit
 
@@ -76,10 +76,10 @@ class ServerThread:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stopping = asyncio.Event()
         self._thread: threading.Thread | None = None
-        self._door: Door | None = None
+        self._listener: TcpListener | None = None
         self._log = LogLimit(__name__)
         self._channels = Rate(STRANGERS_PER_S)
-        self._connections: dict[Guest, Connection] = {}
+        self._connections: dict[TcpClient, Connection] = {}
         self._newest: Picture | None = None
         self._shown = asyncio.Event()
         self._space: Space | None = None
@@ -90,7 +90,7 @@ class ServerThread:
     @property
     def port(self) -> int:
         """TCP port that is listened on; 0 when closed."""
-        return self._door.port if self._door is not None else 0
+        return self._listener.port if self._listener is not None else 0
 
     async def start(self) -> None:
         """Build the address space and listen. Raises `ListenError`."""
@@ -160,19 +160,22 @@ class ServerThread:
         server.refresh = self._before_read
         if self._is_given_up:
             return  # its start took too long: the port is another's now
-        self._door = door = Door(
+        self._listener = listener = TcpListener(
             "opcua",
             functools.partial(self._connect, server, policies, trust),
             self._admits,
             self._left,
             idle_s=IDLE_S,
         )
-        await self._open(door)
+        await self._open(listener)
         await server.start()
         tasks = [asyncio.create_task(work) for work in (self._tick(server), self._show(space))]
         done(None)
         log.info(
-            "opcua: serving opc.tcp://%s:%d, %d trusted certificates", settings.host, door.port, len(trust)
+            "opcua: serving opc.tcp://%s:%d, %d trusted certificates",
+            settings.host,
+            listener.port,
+            len(trust),
         )
         stopped = asyncio.create_task(self._stopping.wait())
         try:
@@ -181,26 +184,26 @@ class ServerThread:
                 if task.done():
                     task.result()  # a bug: it goes where the thread's errors go
         finally:
-            await self._close(server, door, [stopped, *tasks])
+            await self._close(server, listener, [stopped, *tasks])
 
-    async def _close(self, server: Server, door: Door, tasks: list[asyncio.Task[Any]]) -> None:
+    async def _close(self, server: Server, listener: TcpListener, tasks: list[asyncio.Task[Any]]) -> None:
         if self._timer is not None:
             self._timer.cancel()
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         connections = list(self._connections.values())
-        await door.close()
+        await listener.close()
         for connection in connections:
             await connection.ended()
         for session in list(server.sessions.values()):
             await session.close_session(True)
         await server.stop()
 
-    async def _open(self, door: Door) -> None:
+    async def _open(self, listener: TcpListener) -> None:
         settings = self._settings
         try:
-            await door.open(settings.host, settings.port)
+            await listener.open(settings.host, settings.port)
         except (OSError, OverflowError) as error:
             why = getattr(error, "strerror", None) or str(error)
             raise ListenError(f"opcua: cannot listen on {settings.host}:{settings.port}: {why}") from error
@@ -259,38 +262,40 @@ class ServerThread:
             found.UserIdentityTokens.append(token)
         return found
 
-    # --- guests --------------------------------------------------------------------------------
+    # --- clients --------------------------------------------------------------------------------
 
-    def _connect(self, server: Server, policies: list[Any], trust: TrustList, guest: Guest) -> Connection:
-        connection = Connection(server, policies, trust, self._channels, guest, self._log)
+    def _connect(
+        self, server: Server, policies: list[Any], trust: TrustList, client: TcpClient
+    ) -> Connection:
+        connection = Connection(server, policies, trust, self._channels, client, self._log)
         # one that had to go while it came in has left already, and nobody would forget it
-        if self._door is not None and self._door.guest(guest.name) is guest:
-            self._connections[guest] = connection
+        if self._listener is not None and self._listener.client(client.name) is client:
+            self._connections[client] = connection
         return connection
 
-    def _admits(self, newcomer: Guest) -> bool:
+    def _admits(self, newcomer: TcpClient) -> bool:
         """Whether a client may stay. No address gets more than half of the connections."""
         settings, peer = self._settings, newcomer.peer
         if settings.readers and not _contains(settings, peer):
             self._log.warning("opcua: %s is not in the list of networks, closed", peer)
             return False
-        guests = self._door.guests if self._door is not None else ()
-        same = [guest for guest in guests if guest.peer == peer]
-        if len(guests) < settings.max_clients and len(same) < max(settings.max_clients // 2, 1):
+        clients = self._listener.clients if self._listener is not None else ()
+        same = [client for client in clients if client.peer == peer]
+        if len(clients) < settings.max_clients and len(same) < max(settings.max_clients // 2, 1):
             return True
-        strangers = [guest for guest in same if not self._is_active(guest)]
+        strangers = [client for client in same if not self._is_active(client)]
         if not strangers:
-            self._log.warning("opcua: %s closed, %d clients are connected", peer, len(guests))
+            self._log.warning("opcua: %s closed, %d clients are connected", peer, len(clients))
             return False
-        min(strangers, key=lambda guest: guest.active_s).abort()
+        min(strangers, key=lambda client: client.active_s).abort()
         return True
 
-    def _is_active(self, guest: Guest) -> bool:
-        connection = self._connections.get(guest)
+    def _is_active(self, client: TcpClient) -> bool:
+        connection = self._connections.get(client)
         return connection is not None and connection.is_active
 
-    def _left(self, guest: Guest) -> None:
-        self._connections.pop(guest, None)
+    def _left(self, client: TcpClient) -> None:
+        self._connections.pop(client, None)
 
     # --- showing -------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from typing import Any
 from aiohttp import web
 from pydantic import Field
 
-from edged.adapters.web.routes import BASE, Answer, Body, Call, Route, RouteTable
+from edged.adapters.web.routes import BASE, Answer, Body, Call, Route, route
 from edged.connections import Rate
 from edged.errors import FileFormatError
 from edged.identity.audit import AuditFile, Deed, shown
@@ -75,11 +75,6 @@ class Auditor:
         self._limit = LogLimit(__name__)
         self._runs_by = ""
         self._is_closed = False
-
-    def add_to(self, table: RouteTable) -> None:
-        """Add the route."""
-        if self._file is not None:
-            table.route("GET", "/audit", self._read, "Who did what", body=Asked, answer=AuditNow)
 
     async def note(self, route: Route, call: Call[Any], outcome: str) -> None:
         """A request to a route; on the disc when this returns, if that is possible at all."""
@@ -151,9 +146,21 @@ class Auditor:
         if before != fingerprint:
             self._keep(Deed("", "", "", RUN, "cell", "ok", before=before, after=fingerprint))
 
+
+def _text(deed: Deed) -> str:
+    who = f"{shown(deed.user) or 'nobody'} at {deed.address or 'the cell'}"
+    why = f" ({shown(deed.reason)})" if deed.reason else ""
+    return f"{deed.verb} {deed.object!r} by {who}: {deed.outcome}{why}"
+
+
+class AuditRoutes:
+    """The routes of an audit that is kept."""
+
+    def __init__(self, file: AuditFile) -> None:
+        self._file = file
+
+    @route("GET", "/audit", "Who did what")
     async def _read(self, call: Call[Asked]) -> AuditNow:
-        if self._file is None:
-            raise LookupError("the route is not there without a file")
         after, most = call.body.after, call.body.most
         verdict = await asyncio.to_thread(
             self._file.verify, lambda record: bool(after < record["number"] <= after + most)
@@ -165,9 +172,3 @@ class Auditor:
             problem=verdict.problem or None,
             torn_bytes=verdict.torn_bytes,
         )
-
-
-def _text(deed: Deed) -> str:
-    who = f"{shown(deed.user) or 'nobody'} at {deed.address or 'the cell'}"
-    why = f" ({shown(deed.reason)})" if deed.reason else ""
-    return f"{deed.verb} {deed.object!r} by {who}: {deed.outcome}{why}"

@@ -5,15 +5,15 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable
-from functools import cache
 
 from aiohttp import web
 from pydantic import Field
 
 from edged.adapters.web.openapi import document_of
 from edged.adapters.web.page import Overview, Page
-from edged.adapters.web.routes import Answer, Call, RouteTable
+from edged.adapters.web.routes import Answer, Call, RouteTable, route
 from edged.domain.cell import SetupSource
+from edged.domain.numerals import known
 from edged.identity.visitors import Role
 
 
@@ -79,39 +79,32 @@ class CellNow(Answer):
 class OverviewRoutes:
     """`cell`, and the document of all routes.
 
-    holder : the session that took the cell last. asked : what events do not tell.
+    holder : the session that took the cell last. asked : what events do not tell. table : all routes.
     """
 
     def __init__(
-        self, cell: str, page: Page, asked: Callable[[], Overview], holder: Callable[[], str]
+        self,
+        cell: str,
+        page: Page,
+        asked: Callable[[], Overview],
+        holder: Callable[[], str],
+        table: RouteTable,
     ) -> None:
         self._cell = cell
         self._page = page
         self._asked = asked
         self._holder = holder
+        self._table = table
+        self._described = ""
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add the routes."""
+    @route("GET", "/openapi.json", "This document", role=Role.VIEWER, answer="application/json")
+    async def _document(self, _call: Call[None]) -> web.Response:
+        if not self._described:  # it takes a tenth of a second: models of all routes
+            document = await asyncio.to_thread(document_of, self._table, self._cell)
+            self._described = json.dumps(document)
+        return web.json_response(text=self._described)
 
-        @cache
-        def described() -> str:
-            return json.dumps(document_of(table, self._cell))
-
-        async def document(_call: Call[None]) -> web.Response:
-            # the first one takes a tenth of a second: models of all routes
-            text = await asyncio.to_thread(described)
-            return web.json_response(text=text)
-
-        table.route("GET", "/cell", self._now, "The cell at a glance", role=Role.VIEWER, answer=CellNow)
-        table.route(
-            "GET",
-            "/openapi.json",
-            document,
-            "This document",
-            role=Role.VIEWER,
-            answer="application/json",
-        )
-
+    @route("GET", "/cell", "The cell at a glance", role=Role.VIEWER)
     async def _now(self, call: Call[None]) -> CellNow:
         return self.now(call.visitor.session)
 
@@ -142,17 +135,13 @@ class OverviewRoutes:
                 id=rig.calibration_id,
                 robot=rig.robot,
                 verdict=rig.verdict,
-                rows_px=_known(rig.rows_px),
-                length_percent=_known(rig.length_percent),
+                rows_px=known(rig.rows_px),
+                length_percent=known(rig.length_percent),
                 sigma_um=_sigma(rig.sigma_um),
             ),
             jobs=[JobName(number=number, name=name) for number, name in self._page.jobs()],
             stage=asked.stage,
         )
-
-
-def _known(number: float) -> float | None:
-    return None if number != number else number
 
 
 def _sigma(axes_um: tuple[float, float, float] | None) -> RigSigma | None:

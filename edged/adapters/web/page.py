@@ -23,9 +23,11 @@ from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import CommandKind, Event, ExposureDone, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Status, Target
+from edged.domain.numerals import known
 from edged.logs import RELAPSE_S
 from edged.payload import Json, reject_names, said, snapshot_to_json, state_to_json
 from edged.pictures.captions import REASONS, why_nothing
+from edged.pictures.encoding import jpeg
 from edged.plc.registers import Number, Register
 from edged.plc.registers.readings import meaning_of, text_of
 from edged.robot.orientations import Convention
@@ -250,7 +252,7 @@ class Page:
             {
                 "address": register.address,
                 "name": register.name,
-                "value": value if math.isfinite(value) else None,
+                "value": known(value),
                 # a browser's numbers have 53 bits, fewer than a time in ns needs
                 "text": text_of(register, value),
                 "unit": register.unit,
@@ -316,10 +318,7 @@ def picture(pair: FramePair, rectification: Rectification, side: Side, width_px:
         image = np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.uint8)
     if maps is not None:
         image = np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR), np.uint8)
-    encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    if not encoded:
-        raise ValueError(f"an image of the shape {image.shape} cannot be a JPEG")
-    return data.tobytes()
+    return jpeg(image, QUALITY)
 
 
 @lru_cache(maxsize=4)

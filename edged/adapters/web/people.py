@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field, StringConstraints
 
-from edged.adapters.web.routes import Answer, Body, Call, Problem, RouteTable
+from edged.adapters.web.routes import Answer, Body, Call, Problem, route
 from edged.identity.access import Access
 from edged.identity.users import Language, LastEngineer, RoleName, User, UserFile, UserName
 from edged.identity.visitors import Role
@@ -87,43 +87,18 @@ class People:
         self._access = access
         self._users = users
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add the routes."""
-        viewer = Role.VIEWER
-        table.route("GET", "/me", _me, "Who I am, and what I may", role=viewer, answer=Me)
-        table.route("PUT", "/me", self._change_me, "My language", role=viewer, body=MyChange, answer=UserNow)
-        table.route(
-            "PUT",
-            "/me/password",
-            self._my_password,
-            "Another password",
-            role=viewer,
-            body=MyPassword,
-            audit=True,
-        )
-        table.route(
-            "POST",
-            "/me/wake",
-            self._wake,
-            "The rights of an engineer who was idle, again",
-            role=viewer,
-            body=Waking,
-            audit=True,
-        )
-        table.route("GET", "/users", self._all, "Everybody with a password", answer=UsersNow)
-        table.route(
-            "POST", "/users", self._add, "Somebody new", body=NewUser, answer=UserNow, status=201, audit=True
-        )
-        table.route(
-            "PUT", PERSON, self._change, "Another role, password or language", body=UserChange, audit=True
-        )
-        table.route("DELETE", PERSON, self._remove, "Take somebody out; their sessions end", audit=True)
+    @route("GET", "/me", "Who I am, and what I may", role=Role.VIEWER)
+    async def _me(self, call: Call[None]) -> Me:
+        visitor = call.visitor
+        return Me(name=visitor.name, role=visitor.role.word, language=visitor.language, idle=visitor.is_idle)
 
+    @route("PUT", "/me", "My language", role=Role.VIEWER)
     async def _change_me(self, call: Call[MyChange]) -> UserNow:
         user = self._user(call.visitor.name).model_copy(update={"language": call.body.language})
         await self._put(user)
         return _now(user)
 
+    @route("PUT", "/me/password", "Another password", role=Role.VIEWER, audit=True)
     async def _my_password(self, call: Call[MyPassword]) -> None:
         user = self._user(call.visitor.name)
         if not await self._access.is_user(call.visitor.address, user.name, call.body.old):
@@ -132,14 +107,17 @@ class People:
         await self._put(self._user(user.name).model_copy(update={"password_hash": password_hash}))
         self._access.end_sessions(user.name, but=call.visitor.session)
 
+    @route("POST", "/me/wake", "The rights of an engineer who was idle, again", role=Role.VIEWER, audit=True)
     async def _wake(self, call: Call[Waking]) -> None:
         self._user(call.visitor.name)
         if not await self._access.wake(call.visitor.address, call.visitor, call.body.password):
             raise Problem(403, "password", "password: this is not your password", field="password")
 
+    @route("GET", "/users", "Everybody with a password")
     async def _all(self, _call: Call[None]) -> UsersNow:
         return UsersNow(users=[_now(user) for user in self._users.users], problem=self._users.problem or None)
 
+    @route("POST", "/users", "Somebody new", status=201, audit=True)
     async def _add(self, call: Call[NewUser]) -> UserNow:
         body = call.body
         if self._users.get(body.name) is not None:
@@ -150,6 +128,7 @@ class People:
         await self._put(user)
         return _now(user)
 
+    @route("PUT", PERSON, "Another role, password or language", audit=True)
     async def _change(self, call: Call[UserChange]) -> None:
         changes = call.body.model_dump(exclude_unset=True, exclude={"password"})
         if changes.get("role", "") is None:
@@ -165,6 +144,7 @@ class People:
             own = name == call.visitor.name
             self._access.end_sessions(name, but=call.visitor.session if own else "")
 
+    @route("DELETE", PERSON, "Take somebody out; their sessions end", audit=True)
     async def _remove(self, call: Call[None]) -> None:
         user = self._user(call.part("name"))
         name, call.trail.before = user.name, _digest(user)
@@ -199,8 +179,3 @@ def _digest(user: User) -> str:
 
 def _now(user: User) -> UserNow:
     return UserNow(name=user.name, role=user.role, language=user.language)
-
-
-async def _me(call: Call[None]) -> Me:
-    visitor = call.visitor
-    return Me(name=visitor.name, role=visitor.role.word, language=visitor.language, idle=visitor.is_idle)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar, get_args, get_type_hints
 
 from aiohttp import web
 from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints
@@ -23,6 +23,7 @@ LIMIT_BYTES = 4096
 """Of a body, where the route says nothing else."""
 WEBSOCKET = "websocket"
 """What a route answers that becomes a WebSocket."""
+_MARK = "_route"
 _PARAMETER = re.compile(r"\{(\w+)(?::([^{}]*(?:\{[\d,]+\}[^{}]*)*))?\}")
 
 
@@ -159,14 +160,78 @@ class Route:
         return BASE + _PARAMETER.sub(r"{\1}", self.path)
 
 
+H = TypeVar("H", bound=Callable[..., Awaitable[Given]])
+
+
+def route(
+    method: str,
+    path: str,
+    what: str,
+    *,
+    answer: str | None = None,
+    role: Role = Role.ENGINEER,
+    status: int | None = None,
+    audit: bool = False,
+    needs_lease: bool = False,
+    limit_bytes: int = LIMIT_BYTES,
+    is_by_itself: bool = False,
+) -> Callable[[H], H]:
+    """Make a method with one argument, a `Call`, the handler of a route; see `RouteTable.route`.
+
+    Its annotations say what it takes, `Call[Body]`, and what it answers, unless that is no model.
+    """
+
+    def mark(handler: H) -> H:
+        options = {
+            "role": role,
+            "status": status,
+            "audit": audit,
+            "needs_lease": needs_lease,
+            "limit_bytes": limit_bytes,
+            "is_by_itself": is_by_itself,
+        }
+        vars(handler)[_MARK] = (method, path, what, answer, options)
+        return handler
+
+    return mark
+
+
+def _body_and_answer(handler: Callable[..., Any]) -> tuple[Any, Any]:
+    """Models that a handler's annotations name; None for what is none."""
+    types = get_type_hints(handler)
+    returned = types.pop("return")
+    (taken,) = (get_args(call) for call in types.values())
+    is_model = isinstance(returned, type) and issubclass(returned, BaseModel)
+    return (taken[0] if taken else None), (returned if is_model else None)
+
+
 class RouteTable:
-    """Every route of the API. Each room of the cell adds its own, by a function `add_to(table, …)`."""
+    """Every route of the API."""
 
     def __init__(self) -> None:
         self._routes: dict[tuple[str, str], Route] = {}
 
     def __iter__(self) -> Iterator[Route]:
         return iter(self._routes.values())
+
+    def add(self, *several: object) -> None:
+        """Add the methods that `route` marks; an object may also have an `add_to` for this table."""
+        for routes in several:
+            for name, handler in vars(type(routes)).items():
+                if (mark := getattr(handler, _MARK, None)) is not None:
+                    method, path, what, media, options = mark
+                    body, answer = _body_and_answer(handler)
+                    self.route(
+                        method,
+                        path,
+                        getattr(routes, name),
+                        what,
+                        body=body,
+                        answer=media or answer,
+                        **options,
+                    )
+            if (add_to := getattr(routes, "add_to", None)) is not None:
+                add_to(self)
 
     def route(
         self,

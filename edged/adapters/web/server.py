@@ -21,7 +21,7 @@ from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
 from edged.adapters.web.assets import modules, read_assets, run_modules, type_of
-from edged.adapters.web.auditing import Auditor
+from edged.adapters.web.auditing import Auditor, AuditRoutes
 from edged.adapters.web.gate import Gate
 from edged.adapters.web.login import COOKIE, LoginForms, tell_of_users
 from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
@@ -32,10 +32,10 @@ from edged.adapters.web.routes import BASE, RouteTable
 from edged.adapters.web.settings import WebSettings, is_loopback, page_context
 from edged.adapters.web.setup import SetupRoutes
 from edged.adapters.web.sockets import Sockets
-from edged.adapters.web.viewers import Viewers, foremost
+from edged.adapters.web.viewers import Viewers, least_active
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
-from edged.connections import Door, Guest, Rate, Rates
+from edged.connections import Rate, Rates, TcpClient, TcpListener
 from edged.domain.arrays import Side
 from edged.domain.cell import CellState
 from edged.domain.events import Event, Idle
@@ -53,7 +53,7 @@ from edged.report.page import render
 
 log = logging.getLogger(__name__)
 
-MAX_GUESTS = 96
+MAX_CONNECTIONS = 96
 """Connections at a time; a browser has six, a scraper one. Viewers and sockets leave a third of them."""
 IDLE_S = 15.0
 """From the connection to its first whole request, from an answer to the next one, and to fetch an answer."""
@@ -107,7 +107,7 @@ class WebPublisher:
 
     manual : folder that it was built into. context : `page_context`; None: read at the start.
     commissioner : where people take the cell, if the settings let them. notices, live : what tabs are told
-    and shown; None: of its own. routes : each adds its routes of /api/v1. metrics : Prometheus' text.
+    and shown; None: of its own. routes : objects with further routes of /api/v1. metrics : Prometheus' text.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class WebPublisher:
         commissioner: Commissioner | None = None,
         notices: Notices | None = None,
         live: LivePictures | None = None,
-        routes: Sequence[Callable[[RouteTable], None]] = (),
+        routes: Sequence[object] = (),
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._cell = cell
@@ -142,7 +142,8 @@ class WebPublisher:
         state = settings.state if is_set_up else None
         self._users = None if state is None else UserFile(state / "users.json")
         self._invite = None if state is None else Invite(state)
-        self._auditor = Auditor(None if state is None else AuditFile(state))
+        self._audit = None if state is None else AuditFile(state)
+        self._auditor = Auditor(self._audit)
         self._access = Access(settings.password_hash, clock_s, users=self._users, invite=self._invite)
         self._manual_folder = manual
         self._manual: Manual | None = None
@@ -155,7 +156,7 @@ class WebPublisher:
             "index.html", __package__, cell=cell, setup=is_set_up, modules=run_modules(self._assets)
         )
         self._runner: web.AppRunner | None = None
-        self._door: Door | None = None
+        self._listener: TcpListener | None = None
         self._handshakes = Rate(HANDSHAKES_PER_S)
         self._requests = Rates(REQUESTS_PER_S, REQUESTS_AT_ONCE)
         self._limit = LogLimit(__name__)
@@ -163,7 +164,7 @@ class WebPublisher:
     @property
     def port(self) -> int:
         """The port that is listened on."""
-        return self._door.port if self._door is not None else 0
+        return self._listener.port if self._listener is not None else 0
 
     async def start(self) -> None:
         """Listen. Raises `ListenError`."""
@@ -201,11 +202,11 @@ class WebPublisher:
         protocol = runner.server
         if protocol is None:
             raise RuntimeError("aiohttp's runner was set up and has no server")
-        self._door = Door(
-            "status page", lambda _guest: protocol(), self._admit, idle_s=IDLE_S, context=context
+        self._listener = TcpListener(
+            "status page", lambda _client: protocol(), self._admit, idle_s=IDLE_S, context=context
         )
         try:
-            await self._door.open(settings.host, settings.port)
+            await self._listener.open(settings.host, settings.port)
         except OSError as error:
             await self.close()
             place = f"{settings.host}:{settings.port}"
@@ -220,13 +221,13 @@ class WebPublisher:
         """What sets the cell up: the routes that every cell has, and further ones."""
         table = RouteTable()
         self._taking = setup = SetupRoutes(commissioner, self._drawer)
-        setup.add_to(table)
         asked = self._sources.overview
-        overview = OverviewRoutes(self._cell, self._page, asked, lambda: setup.holder)
-        overview.add_to(table)
+        overview = OverviewRoutes(self._cell, self._page, asked, lambda: setup.holder, table)
+        table.add(setup, overview)
         if self._users is not None:
-            People(self._access, self._users).add_to(table)
-        self._auditor.add_to(table)
+            table.add(People(self._access, self._users))
+        if self._audit is not None:
+            table.add(AuditRoutes(self._audit))
         live = self._live or LivePictures(commissioner, self._notices)
         self._sockets = Sockets(
             live,
@@ -235,12 +236,10 @@ class WebPublisher:
             self._visitor,
             overview.now,
             self._access.note_activity,
-            self._guest,
+            self._client,
             lambda request: self._rate(request).forfeit(FLOODED_S),
         )
-        self._sockets.add_to(table)
-        for add_to in self._routes:
-            add_to(table)
+        table.add(self._sockets, *self._routes)
         offers = sorted({route.plain_path.removeprefix(f"{BASE}/") for route in table})
         self._html["setup"] = render(
             "setup.html", __package__, cell=self._cell, modules=modules(self._assets), offers=offers
@@ -272,26 +271,26 @@ class WebPublisher:
         self._viewers.close()
         if self._sockets is not None:
             await self._sockets.close()
-        door, self._door = self._door, None
-        if door is not None:
-            door.shut()
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.shut()
         if self._runner is not None:
             await self._runner.cleanup()
             self._runner = None
-        if door is not None:
-            await door.close()
+        if listener is not None:
+            await listener.close()
         await self._auditor.close()
         await asyncio.to_thread(self._drawer.shutdown, wait=True, cancel_futures=True)
 
     # --- every connection --------------------------------------------------------------------
 
-    def _admit(self, newcomer: Guest) -> bool:
+    def _admit(self, newcomer: TcpClient) -> bool:
         """Whether a new connection may stay; where all places are taken, an idle one makes room.
 
         Of whoever has the most: one that opens many takes no place from others.
         """
-        door = self._door
-        if door is None:
+        listener = self._listener
+        if listener is None:
             return False
         if self._settings.certificate is not None and not self._handshakes.take():
             self._limit.warning("status page: %s closed, too many TLS handshakes", newcomer.peer)
@@ -299,47 +298,47 @@ class WebPublisher:
         if not self._requests.of(newcomer.peer).take():
             self._limit.warning("status page: %s closed, too many connections", newcomer.peer)
             return False
-        guests = door.guests
-        if len(guests) < MAX_GUESTS:
+        clients = listener.clients
+        if len(clients) < MAX_CONNECTIONS:
             return True
-        self._limit.warning("status page: %d connections, one of them %s", len(guests), newcomer.peer)
-        displaced = foremost([guest for guest in guests if not guest.busy], guests)
+        self._limit.warning("status page: %d connections, one of them %s", len(clients), newcomer.peer)
+        displaced = least_active([client for client in clients if not client.busy], clients)
         if displaced is not None:
             displaced.abort()
         return displaced is not None
 
-    def _guest(self, request: web.Request) -> Guest | None:
+    def _client(self, request: web.Request) -> TcpClient | None:
         """Whose request it is; None when it has gone."""
-        transport, door = request.transport, self._door
-        if transport is None or door is None:
+        transport, listener = request.transport, self._listener
+        if transport is None or listener is None:
             return None
-        return door.guest(transport.get_extra_info("peername"))
+        return listener.client(transport.get_extra_info("peername"))
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
-        guest = self._guest(request)
-        if guest is None:  # it has gone
+        client = self._client(request)
+        if client is None:  # it has gone
             return web.Response(status=503)
-        return await self._viewers.serve(request, guest, HEADERS)
+        return await self._viewers.serve(request, client, HEADERS)
 
     # --- every request -----------------------------------------------------------------------
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        guest = self._guest(request)
-        if guest is None:  # it has gone
+        client = self._client(request)
+        if client is None:  # it has gone
             return web.Response(status=503)
         # requests that have come already are read without a pause: others get their turn
         await asyncio.sleep(0)
         if not self._rate(request).take():
-            self._limit.warning("status page: %s closed, too many requests", guest.peer)
+            self._limit.warning("status page: %s closed, too many requests", client.peer)
             response = web.Response(status=429, text="too many requests\n", headers=HEADERS)
             response.force_close()
             return response
-        guest.touch(busy=True)
+        client.touch(busy=True)
         try:
             return await self._answer(request, handler)
         finally:
-            guest.touch()
+            client.touch()
 
     def _rate(self, request: web.Request) -> Rate:
         """Of whoever sent it: strangers at an address take nothing from who has logged in there."""

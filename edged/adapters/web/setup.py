@@ -6,17 +6,15 @@ import asyncio
 import logging
 from collections import OrderedDict
 from concurrent.futures import Executor
-from functools import partial
 
-import cv2
 from aiohttp import web
 from pydantic import Field, model_validator
 
-from edged.adapters.web.routes import BASE, Answer, Body, Call, Leased, Name, Problem, RouteTable, Token
-from edged.domain.arrays import Image
+from edged.adapters.web.routes import BASE, Answer, Body, Call, Leased, Name, Problem, Token, route
 from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.frames import FramePair
 from edged.identity.visitors import Role
+from edged.pictures.encoding import png
 from edged.ports import Commissioner
 
 log = logging.getLogger(__name__)
@@ -25,7 +23,6 @@ KEPT = 4
 """Pairs that can be fetched after they were taken."""
 ENDED = {CellPhase.READY, CellPhase.FAULT, CellPhase.SETUP}
 """What a cell is that goes on without the person; one that stops is still theirs."""
-PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
 class Entering(Body):
@@ -90,56 +87,7 @@ class SetupRoutes:
             self._holder = ""
         return is_over
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add the routes."""
-        table.route(
-            "POST",
-            "/setup",
-            self._enter,
-            "Take the cell after the running cycle",
-            body=Entering,
-            answer=Lease,
-            status=201,
-            audit=True,
-        )
-        table.route(
-            "PUT",
-            "/setup/lease",
-            self._renew,
-            "Somebody still looks after the cell: once a minute at least",
-            role=Role.VIEWER,  # the token is the proof: who is idle still has the cell
-            body=Leased,
-            is_by_itself=True,
-            needs_lease=True,
-        )
-        table.route(
-            "DELETE",
-            "/setup",
-            self._leave,
-            "Give the cell back, or end SETUP for whoever had it",
-            role=Role.OPERATOR,
-            body=Leaving,
-            audit=True,
-        )
-        table.route(
-            "POST",
-            "/captures",
-            self._capture,
-            "One exposure of both cameras",
-            body=Leased,
-            answer=Capture,
-            status=201,
-            needs_lease=True,
-        )
-        table.route(
-            "GET",
-            "/captures/{number:[0-9]{1,9}}/{side:left|right}.png",
-            self._picture,
-            "A raw image of a capture, every grey value as the camera gave it",
-            role=Role.VIEWER,
-            answer="image/png",
-        )
-
+    @route("POST", "/setup", "Take the cell after the running cycle", status=201, audit=True)
     async def _enter(self, call: Call[Entering]) -> Lease:
         name = call.body.name or call.visitor.name
         token = await self._commissioner.enter_setup(name, take_over=call.body.take_over)
@@ -148,9 +96,24 @@ class SetupRoutes:
         log.info("setup: %s at %s has the cell", name, call.visitor.address)
         return Lease(token=token)
 
+    @route(
+        "PUT",
+        "/setup/lease",
+        "Somebody still looks after the cell: once a minute at least",
+        role=Role.VIEWER,
+        is_by_itself=True,
+        needs_lease=True,
+    )
     async def _renew(self, _call: Call[Leased]) -> None:
         """The gate has done it."""
 
+    @route(
+        "DELETE",
+        "/setup",
+        "Give the cell back, or end SETUP for whoever had it",
+        role=Role.OPERATOR,
+        audit=True,
+    )
     async def _leave(self, call: Call[Leaving]) -> None:
         if call.body.token is not None:
             self._commissioner.leave_setup(call.body.token)
@@ -162,6 +125,7 @@ class SetupRoutes:
             log.info("setup: ended by %s at %s", name, call.visitor.address)
         self._holder = ""
 
+    @route("POST", "/captures", "One exposure of both cameras", status=201, needs_lease=True)
     async def _capture(self, call: Call[Leased]) -> Capture:
         pair = await self._commissioner.capture(call.body.token)
         self._count += 1
@@ -176,16 +140,18 @@ class SetupRoutes:
             right=f"{place}/right.png",
         )
 
+    @route(
+        "GET",
+        "/captures/{number:[0-9]{1,9}}/{side:left|right}.png",
+        "A raw image of a capture, every grey value as the camera gave it",
+        role=Role.VIEWER,
+        answer="image/png",
+    )
     async def _picture(self, call: Call[None]) -> web.Response:
         pair = self._pairs.get(int(call.part("number")))
         if pair is None:
             raise Problem(404, "gone", f"only the last {KEPT} pairs are kept")
         frame = pair.left if call.part("side") == "left" else pair.right
         loop = asyncio.get_running_loop()
-        data = await loop.run_in_executor(self._encoder, partial(_png, frame.image))
+        data = await loop.run_in_executor(self._encoder, png, frame.image)
         return web.Response(body=data, content_type="image/png")
-
-
-def _png(image: Image) -> bytes:
-    _, data = cv2.imencode(".png", image, PNG_QUICK)
-    return data.tobytes()

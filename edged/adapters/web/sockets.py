@@ -14,23 +14,21 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import cv2
-import numpy as np
 from aiohttp import WSCloseCode, WSMsgType, web
 from pydantic import Field, ValidationError
 
 from edged.adapters.web.overview import CellNow
-from edged.adapters.web.routes import WEBSOCKET, Body, Call, Problem, RouteTable, Token
+from edged.adapters.web.routes import WEBSOCKET, Body, Call, Problem, Token, route
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
-from edged.connections import Guest, Rate
-from edged.domain.arrays import Image
+from edged.connections import Rate, TcpClient
 from edged.domain.frames import FramePair
 from edged.errors import SetupRefused
 from edged.identity.visitors import Role, Visitor
 from edged.logs import LogLimit
 from edged.payload import Json
+from edged.pictures.encoding import jpeg
 
 MAX_SOCKETS = 32
 MESSAGE_BYTES = 1024
@@ -46,7 +44,7 @@ CLOSE_S = 0.3
 """For a tab to answer that it has heard of the end."""
 WIDTH_PX = 960
 """Of the pictures that are sent."""
-QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 75)
+QUALITY = 75
 LOGGED_OUT = 4401
 """Why a socket is closed whose session has ended: the page asks for the password."""
 
@@ -91,7 +89,7 @@ class Sockets:
 
     visitor_of : who sent a request; None when their session has ended. now : the cell, as a session sees it.
     encoder : where pictures are encoded. active : told of a session in which a person does something.
-    guest_of : the connection of a request; None when it has gone. flooded : told of who sent too much.
+    client_of : the connection of a request; None when it has gone. flooded : told of who sent too much.
     """
 
     def __init__(
@@ -102,11 +100,11 @@ class Sockets:
         visitor_of: Callable[[web.Request], Visitor | None],
         now: Callable[[str], CellNow],
         active: Callable[[str], None],
-        guest_of: Callable[[web.Request], Guest | None],
+        client_of: Callable[[web.Request], TcpClient | None],
         flooded: Callable[[web.Request], None],
     ) -> None:
         self._active = active
-        self._guest_of = guest_of
+        self._client_of = client_of
         self._flooded = flooded
         self._log = LogLimit(__name__)
         self._live = live
@@ -119,17 +117,6 @@ class Sockets:
         self._telling: asyncio.TimerHandle | None = None
         self._closing = False
         self._stops = (live.listen(self._take), notices.listen(self._note))
-
-    def add_to(self, table: RouteTable) -> None:
-        """Add the route."""
-        table.route(
-            "GET",
-            "/ws",
-            self._serve,
-            "State, drafts, tasks and live pictures as they change",
-            role=Role.VIEWER,
-            answer=WEBSOCKET,
-        )
 
     def cell_changed(self) -> None:
         """Tell every tab, soon."""
@@ -195,6 +182,13 @@ class Sockets:
 
     # --- a tab -------------------------------------------------------------------------------
 
+    @route(
+        "GET",
+        "/ws",
+        "State, drafts, tasks and live pictures as they change",
+        role=Role.VIEWER,
+        answer=WEBSOCKET,
+    )
     async def _serve(self, call: Call[None]) -> web.WebSocketResponse:
         if len(self._tabs) >= MAX_SOCKETS:
             raise Problem(503, "sockets", f"{MAX_SOCKETS} pages are open already: close some")
@@ -208,13 +202,13 @@ class Sockets:
         telling: asyncio.Task[None] | None = None
         try:
             await socket.prepare(call.request)
-            guest = self._guest_of(call.request)
-            if guest is not None:  # also of frames that are no messages yet
-                guest.limit(MESSAGES_PER_S * MESSAGE_BYTES, MESSAGES_AT_ONCE * MESSAGE_BYTES)
+            client = self._client_of(call.request)
+            if client is not None:  # also of frames that are no messages yet
+                client.limit(MESSAGES_PER_S * MESSAGE_BYTES, MESSAGES_AT_ONCE * MESSAGE_BYTES)
             tab.wake.set()
             telling = asyncio.create_task(self._tell(tab), name="tab")
             await self._hear(tab)
-            if guest is not None and guest.has_flooded:
+            if client is not None and client.has_flooded:
                 self._flooded(tab.request)
         finally:
             self._live.unwant(tab)
@@ -335,14 +329,8 @@ def _encoded(number: int, pair: FramePair) -> _Encoded:
     return _Encoded(
         number,
         json.dumps(about, separators=(",", ":")),
-        (b"\0" + head + _jpeg(pair.left.image), b"\1" + head + _jpeg(pair.right.image)),
+        (
+            b"\0" + head + jpeg(pair.left.image, QUALITY, WIDTH_PX),
+            b"\1" + head + jpeg(pair.right.image, QUALITY, WIDTH_PX),
+        ),
     )
-
-
-def _jpeg(image: Image) -> bytes:
-    height, width = image.shape
-    if width > WIDTH_PX:
-        size = (WIDTH_PX, max(1, round(height * WIDTH_PX / width)))
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
-    _, data = cv2.imencode(".jpg", image, QUALITY)
-    return data.tobytes()

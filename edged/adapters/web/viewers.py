@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from aiohttp import web
 
-from edged.connections import Guest
+from edged.connections import TcpClient
 from edged.payload import Json
 
 PERIOD_S = 0.2
@@ -30,7 +30,7 @@ WRITE_S = 10.0
 class Viewer:
     """Somebody who watches the page. changed : there is something new for it."""
 
-    guest: Guest
+    client: TcpClient
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
 
@@ -57,12 +57,12 @@ class Viewers:
         self.wake()
 
     async def serve(
-        self, request: web.Request, guest: Guest, headers: Mapping[str, str]
+        self, request: web.Request, client: TcpClient, headers: Mapping[str, str]
     ) -> web.StreamResponse:
         """Server-sent events: the whole history once, then the newest state after each change."""
         self._make_room()
         response = web.StreamResponse(headers={**headers, "Content-Type": "text/event-stream"})
-        viewer = Viewer(guest)
+        viewer = Viewer(client)
         self._viewers[viewer] = None
 
         async def write(data: bytes) -> None:
@@ -85,7 +85,7 @@ class Viewers:
                     await write(_event("update", {**await self._shown(), "points": points}))
                     await asyncio.sleep(PERIOD_S)
         except (ConnectionResetError, TimeoutError):  # the viewer has gone, or does not read
-            guest.abort()
+            client.abort()
         finally:
             self._viewers.pop(viewer, None)
         return response
@@ -94,19 +94,19 @@ class Viewers:
         """Where all places are taken the first viewer goes of whoever has the most; a page connects again."""
         if len(self._viewers) < MAX_VIEWERS:
             return
-        guests = [viewer.guest for viewer in self._viewers]
-        displaced = foremost(guests, guests)
+        clients = [viewer.client for viewer in self._viewers]
+        displaced = least_active(clients, clients)
         for viewer in tuple(self._viewers):
-            if viewer.guest is displaced:
+            if viewer.client is displaced:
                 del self._viewers[viewer]
                 viewer.changed.set()
-                viewer.guest.abort()
+                viewer.client.abort()
 
 
-def foremost(guests: Sequence[Guest], everybody: Sequence[Guest]) -> Guest | None:
-    """Of guests, of those whose host has the most connections of all, the one that asked least lately."""
-    count = Counter(guest.peer for guest in everybody)
-    return min(guests, key=lambda guest: (-count[guest.peer], guest.active_s), default=None)
+def least_active(clients: Sequence[TcpClient], everybody: Sequence[TcpClient]) -> TcpClient | None:
+    """The least recently active of those clients whose host has the most connections of all."""
+    count = Counter(client.peer for client in everybody)
+    return min(clients, key=lambda client: (-count[client.peer], client.active_s), default=None)
 
 
 def _event(name: str, data: Json) -> bytes:

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import time
 
-import cv2
-import numpy as np
 import zenoh
 
 from edged.adapters.zenoh.worker import Worker
-from edged.domain.arrays import SIDES, Image
+from edged.domain.arrays import SIDES
 from edged.domain.events import ExposureDone
 from edged.domain.frames import Frame
 from edged.payload import encode
+from edged.pictures.encoding import jpeg
 
 PERIOD_S = 0.2
 WIDTH_PX = 640
@@ -59,25 +58,13 @@ class Preview:
                 status = publisher.matching_status
                 if getattr(status, "matching", status):  # its stub says bool, it is a MatchingStatus
                     caption = _caption(self._zid, event.cycle, frame)
-                    publisher.put(jpeg(frame.image), attachment=encode(caption))
+                    publisher.put(jpeg(frame.image, QUALITY, WIDTH_PX), attachment=encode(caption))
 
         self._worker.post(send)
 
     def stop(self, timeout_s: float) -> None:
         """End the thread."""
         self._worker.stop(timeout_s)
-
-
-def jpeg(image: Image) -> bytes:
-    """A JPEG of at most `WIDTH_PX` columns, of an image (H, W) uint8."""
-    scale = WIDTH_PX / image.shape[1]
-    if scale < 1:
-        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        image = np.asarray(small, np.uint8)
-    encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    if not encoded:
-        raise ValueError(f"an image of the shape {image.shape} cannot be a JPEG")
-    return data.tobytes()
 
 
 def _caption(zid: str, cycle: int, frame: Frame) -> dict[str, int | str]:

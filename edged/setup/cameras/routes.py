@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from edged.adapters.web.routes import Answer, Body, Call, Leased, Problem, RouteTable, Token
+from edged.adapters.web.routes import Answer, Body, Call, Leased, Problem, Token, route
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraValues
 from edged.setup.cameras.service import CameraService
@@ -146,54 +146,11 @@ class CameraRoutes:
     def __init__(self, cameras: CameraService) -> None:
         self._cameras = cameras
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add the routes."""
-        table.route(
-            "GET",
-            "/cameras",
-            self._now,
-            "Which cameras there are; with the token of who has the cell also what they are set to",
-            body=Asking,
-            answer=CamerasNow,
-        )
-        table.route(
-            "PUT",
-            f"/cameras/{SIDE}",
-            self._adjust,
-            "Set exposure and gain, or make another camera this one, until SETUP ends",
-            body=Adjusting,
-            answer=Settings,
-            audit=True,
-            needs_lease=True,
-        )
-        table.route(
-            "POST",
-            "/cameras/keep",
-            self._keep,
-            "Make what is tried the cell's: exposure and gain; without a rig also which camera is left",
-            body=Leased,
-            audit=True,
-            needs_lease=True,
-        )
-        table.route(
-            "POST",
-            "/cameras/wave",
-            self._wave,
-            "Wait for a hand before one camera, and make it this side's",
-            body=Waving,
-            answer=Waved,
-            audit=True,
-            needs_lease=True,
-        )
-        table.route(
-            "GET",
-            "/cameras/quality",
-            self._quality,
-            "Light and focus of the last live pictures",
-            body=Asking,
-            answer=Quality,
-        )
-
+    @route(
+        "GET",
+        "/cameras",
+        "Which cameras there are; with the token of who has the cell also what they are set to",
+    )
     async def _now(self, call: Call[Asking]) -> CamerasNow:
         token, settings, limits = call.body.token, None, None
         if token is not None:
@@ -215,6 +172,13 @@ class CameraRoutes:
             limits=limits,
         )
 
+    @route(
+        "PUT",
+        f"/cameras/{SIDE}",
+        "Set exposure and gain, or make another camera this one, until SETUP ends",
+        audit=True,
+        needs_lease=True,
+    )
     async def _adjust(self, call: Call[Adjusting]) -> Settings:
         side, body = _side(call), call.body
         if body.serial is not None:
@@ -222,13 +186,28 @@ class CameraRoutes:
         values = CameraValues(body.exposure_us, body.gain_db)
         return _settings(await self._cameras.adjust(body.token, side, values))
 
+    @route(
+        "POST",
+        "/cameras/keep",
+        "Make what is tried the cell's: exposure and gain; without a rig also which camera is left",
+        audit=True,
+        needs_lease=True,
+    )
     async def _keep(self, call: Call[Leased]) -> None:
         await self._cameras.keep(call.body.token)
 
+    @route(
+        "POST",
+        "/cameras/wave",
+        "Wait for a hand before one camera, and make it this side's",
+        audit=True,
+        needs_lease=True,
+    )
     async def _wave(self, call: Call[Waving]) -> Waved:
         moved, exchanged = await self._cameras.wave(call.body.token, call.body.side)
         return Waved(moved=moved, exchanged=exchanged)
 
+    @route("GET", "/cameras/quality", "Light and focus of the last live pictures")
     async def _quality(self, _call: Call[Asking]) -> Quality:
         document = self._cameras.quality()
         if document is None:

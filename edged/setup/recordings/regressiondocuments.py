@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from edged.domain.arrays import FloatArray
+from edged.domain.numerals import known
 from edged.setup.recordings.comparing import Compared, Comparison, Motion, Tried
 
 MOST_LISTED = 200
@@ -188,9 +189,9 @@ def _changed(one: Compared) -> ChangedCycle:
         before=status[0],
         after=status[1],
         reasons=[] if why is None else list(why.reasons),
-        apart_sigmas=None if apart is None else _number(apart.sigmas, 2),
+        apart_sigmas=None if apart is None else known(apart.sigmas, 2),
         apart_um=None if apart is None else _micrometres(apart.by_mm),
-        turned_deg=None if apart is None else _number(apart.turned_deg, 4),
+        turned_deg=None if apart is None else known(apart.turned_deg, 4),
         lost=one.lost,
         pictures=RegressionPictures(left=left, right=right),
     )
@@ -217,14 +218,10 @@ def _spread(stay: list[Compared]) -> Spread | None:
     return Spread(
         rms_um=round(float(np.sqrt(np.mean(far**2))), 2),
         max_um=round(float(far.max()), 2),
-        rms_sigmas=_number(float(np.sqrt(np.mean(sigmas**2))), 2),
-        max_sigmas=_number(float(sigmas.max()), 2),
+        rms_sigmas=known(float(np.sqrt(np.mean(sigmas**2))), 2),
+        max_sigmas=known(float(sigmas.max()), 2),
     )
 
 
 def _micrometres(vector_mm: FloatArray) -> list[float]:
     return [round(1e3 * float(one), 2) for one in vector_mm]
-
-
-def _number(value: float, digits: int) -> float | None:
-    return round(value, digits) if math.isfinite(value) else None

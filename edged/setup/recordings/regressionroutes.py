@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from edged.adapters.web.routes import Answer, Body, Call, RouteTable
+from edged.adapters.web.routes import Answer, Body, Call, route
 from edged.identity.visitors import Role
 from edged.setup.calibration.routes import known
 from edged.setup.recordings.candidates import Candidates
@@ -64,37 +64,14 @@ class RegressionRoutes:
         self._regressions = regressions
         self._candidates = candidates
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add them."""
-        see = Role.VIEWER
-        table.route(
-            "POST",
-            "/regressions",
-            self._begin,
-            "Measure the recorded cycles by a new job or rig, against what runs",
-            body=Testing,
-            answer=RegressionBegun,
-            status=202,
-            audit=True,
-            limit_bytes=LIMIT_BYTES,
-        )
-        table.route(
-            "GET",
-            "/regressions",
-            self._list,
-            "The last regressions, the youngest first",
-            role=see,
-            answer=RegressionList,
-        )
-        table.route(
-            "GET",
-            f"/regressions/{{id:{IDENTITY}}}",
-            self._get,
-            "A regression: which cycles come out otherwise, worst first",
-            role=see,
-            answer=RegressionDocument,
-        )
-
+    @route(
+        "POST",
+        "/regressions",
+        "Measure the recorded cycles by a new job or rig, against what runs",
+        status=202,
+        audit=True,
+        limit_bytes=LIMIT_BYTES,
+    )
     async def _begin(self, call: Call[Testing]) -> RegressionBegun:
         what, contents = await known(self._wanted(call.body))
         task, identity = await self._regressions.begin(contents, what, call.visitor.name)
@@ -115,8 +92,15 @@ class RegressionRoutes:
         number = body.release or 0
         return Candidate(kind="release", id=str(number)), await self._candidates.of_release(number)
 
+    @route("GET", "/regressions", "The last regressions, the youngest first", role=Role.VIEWER)
     async def _list(self, _call: Call[None]) -> RegressionList:
         return RegressionList(regressions=await self._regressions.listed())
 
+    @route(
+        "GET",
+        f"/regressions/{{id:{IDENTITY}}}",
+        "A regression: which cycles come out otherwise, worst first",
+        role=Role.VIEWER,
+    )
     async def _get(self, call: Call[None]) -> RegressionDocument:
         return await known(self._regressions.get(call.part("id")))

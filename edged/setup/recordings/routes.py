@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from aiohttp import web
 from pydantic import Field
 
-from edged.adapters.web.routes import Body, Call, RouteTable
+from edged.adapters.web.routes import Body, Call, route
 from edged.domain.arrays import Side
 from edged.errors import FileFormatError, ImageError
 from edged.identity.visitors import Role
@@ -52,66 +52,42 @@ class CycleRoutes:
     def __init__(self, cycles: Cycles) -> None:
         self._cycles = cycles
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add them."""
-        see = Role.VIEWER
-        table.route(
-            "GET",
-            "/cycles",
-            self._list,
-            "Recorded cycles, the youngest first",
-            role=see,
-            body=Listing,
-            answer=CycleList,
-        )
-        table.route(
-            "GET",
-            CYCLE,
-            self._get,
-            "A recorded cycle: its features as taught, as measured, and in a good cycle",
-            role=see,
-            answer=CycleDocument,
-        )
-        table.route(
-            "GET",
-            f"{CYCLE}/{{side:left|right}}.jpg",
-            self._picture,
-            "A picture of it",
-            role=see,
-            answer="image/jpeg",
-        )
-        table.route(
-            "GET",
-            f"{CYCLE}/taught/{{side:left|right}}.jpg",
-            self._taught_picture,
-            "A picture of the pair that its job was taught from, where the job keeps it",
-            role=see,
-            answer="image/jpeg",
-        )
-        table.route(
-            "POST",
-            f"{CYCLE}/what-if",
-            self._what_if,
-            "The same exposure by other limits, features, contrast or light; without any: what would have "
-            "helped",
-            body=Trying,
-            answer=WhatIf,
-            limit_bytes=WHAT_IF_BYTES,
-        )
-
+    @route("GET", "/cycles", "Recorded cycles, the youngest first", role=Role.VIEWER)
     async def _list(self, call: Call[Listing]) -> CycleList:
         body = call.body
         return await self._cycles.listed(Wanted(body.status, body.reason, body.job, body.before, body.most))
 
+    @route(
+        "GET",
+        CYCLE,
+        "A recorded cycle: its features as taught, as measured, and in a good cycle",
+        role=Role.VIEWER,
+    )
     async def _get(self, call: Call[None]) -> CycleDocument:
         return await known(self._cycles.document(int(call.part("number"))))
 
+    @route(
+        "GET", f"{CYCLE}/{{side:left|right}}.jpg", "A picture of it", role=Role.VIEWER, answer="image/jpeg"
+    )
     async def _picture(self, call: Call[None]) -> web.Response:
         return await _jpeg(self._cycles.picture(*_asked(call)))
 
+    @route(
+        "GET",
+        f"{CYCLE}/taught/{{side:left|right}}.jpg",
+        "A picture of the pair that its job was taught from, where the job keeps it",
+        role=Role.VIEWER,
+        answer="image/jpeg",
+    )
     async def _taught_picture(self, call: Call[None]) -> web.Response:
         return await _jpeg(self._cycles.taught_picture(*_asked(call)))
 
+    @route(
+        "POST",
+        f"{CYCLE}/what-if",
+        "The same exposure by other limits, features, contrast or light; without any: what would have helped",
+        limit_bytes=WHAT_IF_BYTES,
+    )
     async def _what_if(self, call: Call[Trying]) -> WhatIf:
         return await known(self._cycles.what_if(int(call.part("number")), call.body.change()))
 

@@ -13,13 +13,13 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-import cv2
 from pydantic import BaseModel, ConfigDict
 
-from edged.domain.arrays import Image, Side
+from edged.domain.arrays import Side
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.files.images import load_image
+from edged.pictures.encoding import jpeg
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.recorded import Damaged, Line, Records, Wanted
 from edged.setup.recordings.setups import Setups, facts_of_jobs, job_of_cycle
@@ -240,7 +240,7 @@ class Cycles:
         return self._cell.config.cell.jobs / folder / TAUGHT / f"{side}.png"
 
     def _picture(self, number: int, side: Side) -> bytes:
-        return _jpeg(recording.load_picture(self._known().entry(number).path, side))
+        return jpeg(recording.load_picture(self._known().entry(number).path, side), JPEG_QUALITY)
 
     def _taught_picture(self, number: int, side: Side) -> bytes:
         line, folder = self._known().line(self._known().entry(number)), None
@@ -248,12 +248,7 @@ class Cycles:
             folder, _ = self._folder_of(line.job, line.job_number, None)
         if folder is None or not self._taught_file(folder, side).is_file():
             raise KeyError(number)
-        return _jpeg(load_image(self._taught_file(folder, side)))
-
-
-def _jpeg(image: Image) -> bytes:
-    _, data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
-    return data.tobytes()
+        return jpeg(load_image(self._taught_file(folder, side)), JPEG_QUALITY)
 
 
 def _limits(job: Job) -> JobLimits:

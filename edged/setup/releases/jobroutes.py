@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import model_validator
 
-from edged.adapters.web.routes import Body, Call, Problem, RouteTable, Token
+from edged.adapters.web.routes import Body, Call, Problem, Token, route
 from edged.identity.visitors import Role
 from edged.setup.calibration.routes import Nothing, known
 from edged.setup.releases.jobs import JobList, Jobs, VersionList
@@ -55,51 +55,16 @@ class JobRoutes:
         self._jobs = jobs
         self._activation = activation
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add them."""
-        table.route("GET", "/jobs", self._list, "All jobs, and how they do", role=Role.VIEWER, answer=JobList)
-        table.route(
-            "PUT",
-            JOB,
-            self._change,
-            "Rename a job, give it another number, retire it or bring it back: as a release",
-            body=Changing,
-            answer=JobList,
-            audit=True,
-        )
-        table.route(
-            "POST",
-            f"{JOB}/use",
-            self._take,
-            "Measure by this job from the next cycle on; not while a PLC has the right to write",
-            role=Role.OPERATOR,
-            body=Nothing,
-            status=202,
-            audit=True,
-        )
-
-        table.route(
-            "POST",
-            f"{JOB}/duplicate",
-            self._copy,
-            "The same job once more, under another name: as a release",
-            body=Copying,
-            answer=JobList,
-            status=201,
-            audit=True,
-        )
-        table.route(
-            "GET",
-            f"{JOB}/versions",
-            self._versions,
-            "The releases that changed a job",
-            role=Role.VIEWER,
-            answer=VersionList,
-        )
-
+    @route("GET", "/jobs", "All jobs, and how they do", role=Role.VIEWER)
     async def _list(self, _call: Call[None]) -> JobList:
         return await self._jobs.listed()
 
+    @route(
+        "PUT",
+        JOB,
+        "Rename a job, give it another number, retire it or bring it back: as a release",
+        audit=True,
+    )
     async def _change(self, call: Call[Changing]) -> JobList:
         self._activation.check(call.body.token)
         folder, body, author = call.part("name"), call.body, call.visitor.name
@@ -121,6 +86,13 @@ class JobRoutes:
         call.trail.after = (await known(asked)).fingerprint
         return await self._jobs.listed()
 
+    @route(
+        "POST",
+        f"{JOB}/duplicate",
+        "The same job once more, under another name: as a release",
+        status=201,
+        audit=True,
+    )
     async def _copy(self, call: Call[Copying]) -> JobList:
         self._activation.check(call.body.token)
         job, body = call.part("name"), call.body
@@ -132,9 +104,18 @@ class JobRoutes:
         call.trail.after = (await known(asked)).fingerprint
         return await self._jobs.listed()
 
+    @route("GET", f"{JOB}/versions", "The releases that changed a job", role=Role.VIEWER)
     async def _versions(self, call: Call[None]) -> VersionList:
         return await known(self._jobs.versions(call.part("name")))
 
+    @route(
+        "POST",
+        f"{JOB}/use",
+        "Measure by this job from the next cycle on; not while a PLC has the right to write",
+        role=Role.OPERATOR,
+        status=202,
+        audit=True,
+    )
     async def _take(self, call: Call[Nothing]) -> None:
         call.trail.object = call.part("name")
         try:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, StringConstraints
 
-from edged.adapters.web.routes import Answer, Body, Call, RouteTable, Token
+from edged.adapters.web.routes import Answer, Body, Call, Token, route
 from edged.identity.visitors import Role
 from edged.setup.calibration.routes import DRAFT, known
 from edged.setup.calibration.service import Calibrations
@@ -73,36 +73,7 @@ class ReleaseRoutes:
         self._activation = activation
         self._worker = worker
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add them."""
-        table.route(
-            "POST",
-            f"{DRAFT}/activate",
-            self._activate,
-            "Let the cell run by what the draft was solved to",
-            body=Activating,
-            answer=ReleaseDocument,
-            audit=True,
-        )
-        table.route("GET", "/releases", self._list, "All releases", role=Role.VIEWER, answer=ReleaseList)
-        table.route(
-            "GET",
-            "/releases/{before:[0-9]{1,6}}..{after:[0-9]{1,6}}",
-            self._compare,
-            "What is other in one release than in another: jobs, rig, cameras, settings",
-            role=Role.VIEWER,
-            answer=ReleaseDifference,
-        )
-        table.route(
-            "POST",
-            "/releases/{number:[0-9]{1,6}}/activate",
-            self._return,
-            "Let the cell run by rig, cameras and jobs of a release again; settings stay",
-            body=Returning,
-            answer=ReleaseDocument,
-            audit=True,
-        )
-
+    @route("POST", f"{DRAFT}/activate", "Let the cell run by what the draft was solved to", audit=True)
     async def _activate(self, call: Call[Activating]) -> ReleaseDocument:
         self._activation.check(call.body.token)
         _, rig = await known(self._calibrations.solution(call.part("id")))
@@ -113,6 +84,12 @@ class ReleaseRoutes:
         await self._calibrations.tell(call.part("id"))
         return document_of_release(release, is_active=True)
 
+    @route(
+        "POST",
+        "/releases/{number:[0-9]{1,6}}/activate",
+        "Let the cell run by rig, cameras and jobs of a release again; settings stay",
+        audit=True,
+    )
     async def _return(self, call: Call[Returning]) -> ReleaseDocument:
         self._activation.check(call.body.token)
         number, body = int(call.part("number")), call.body
@@ -121,12 +98,19 @@ class ReleaseRoutes:
         call.trail.after = release.fingerprint
         return document_of_release(release, is_active=True)
 
+    @route(
+        "GET",
+        "/releases/{before:[0-9]{1,6}}..{after:[0-9]{1,6}}",
+        "What is other in one release than in another: jobs, rig, cameras, settings",
+        role=Role.VIEWER,
+    )
     async def _compare(self, call: Call[None]) -> ReleaseDifference:
         numbers = (int(call.part(one)) for one in ("before", "after"))
         archives = await known(self._activation.archives(*numbers))
         told: ReleaseDifference = await self._worker.run("compare_releases", *archives)
         return told
 
+    @route("GET", "/releases", "All releases", role=Role.VIEWER)
     async def _list(self, _call: Call[None]) -> ReleaseList:
         releases, active = await self._activation.listed()
         return ReleaseList(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from edged.adapters.web.routes import Answer, Body, Call, Problem, RouteTable
+from edged.adapters.web.routes import Answer, Body, Call, Problem, route
 from edged.identity.visitors import Role
 from edged.robot.orientations import Brand, pose_of
 from edged.robot.pendant import PENDANTS, mm_per_unit
@@ -53,34 +53,14 @@ class PendantNow(Answer):
     text: str
 
 
-class StageRobot:
+class StageRobotRoutes:
     """The routes."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
         self._robot = VirtualRobot(stage)
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add them."""
-        table.route(
-            "GET",
-            "/stage/robot",
-            self._show,
-            "What the virtual robot's pendant shows",
-            role=Role.VIEWER,
-            body=Asking,
-            answer=PendantNow,
-        )
-        table.route(
-            "POST",
-            "/stage/robot/walk",
-            self._walk,
-            "Let the virtual robot carry the board, or the cameras, to the next pose",
-            role=Role.OPERATOR,
-            body=Walking,
-            answer=Walked,
-        )
-
+    @route("GET", "/stage/robot", "What the virtual robot's pendant shows", role=Role.VIEWER)
     async def _show(self, call: Call[Asking]) -> PendantNow:
         body = call.body
         if body.x is not None and body.y is not None:
@@ -96,7 +76,13 @@ class StageRobot:
             numbers = pose_of(body.brand, flange)
         return PendantNow(numbers=list(numbers), text=PENDANTS[body.brand].text(numbers))
 
-    async def _walk(self, _call: Call[Any]) -> Walked:
+    @route(
+        "POST",
+        "/stage/robot/walk",
+        "Let the virtual robot carry the board, or the cameras, to the next pose",
+        role=Role.OPERATOR,
+    )
+    async def _walk(self, _call: Call[Walking]) -> Walked:
         number = self._robot.walk()
         if self._stage.cell.showing.thing is not Thing.BOARD:
             self._stage.show(Thing.BOARD)

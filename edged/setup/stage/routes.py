@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from edged.adapters.terminal import Comparison
-from edged.adapters.web.routes import Answer, Body, Call, Problem, RouteTable
+from edged.adapters.web.routes import Answer, Body, Call, Problem, route
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.domain.events import Event, Snapshot
 from edged.identity.visitors import Role
-from edged.setup.stage.robotroutes import StageRobot
+from edged.setup.stage.robotroutes import StageRobotRoutes
 from edged.sim.showing import Thing
 from edged.sim.stage import BOARD, Stage
 
@@ -80,11 +80,11 @@ class TruthNow(Answer):
 
 
 class StageRoutes:
-    """Routes, and a publisher that remembers the last result."""
+    """Routes, and a publisher that remembers the last result. robot : those of the virtual robot."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
-        self._robot = StageRobot(stage)
+        self.robot = StageRobotRoutes(stage)
         self._last: Snapshot | None = None
 
     # --- publisher -----------------------------------------------------------------------------
@@ -102,53 +102,7 @@ class StageRoutes:
 
     # --- routes --------------------------------------------------------------------------------
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add the routes."""
-        self._robot.add_to(table)
-        table.route(
-            "GET",
-            "/stage",
-            self._now,
-            "What is before the virtual cameras",
-            role=Role.VIEWER,
-            answer=StageNow,
-        )
-        table.route(
-            "PUT",
-            "/stage",
-            self._show,
-            "Show board, part or nothing; wave a hand; turn a lens's ring",
-            role=Role.OPERATOR,
-            body=Showing,
-            answer=StageNow,
-        )
-        table.route(
-            "PUT",
-            "/stage/hand",
-            self._hold,
-            "Move the board, by a hand that trembles and misses",
-            role=Role.OPERATOR,
-            body=Holding,
-            answer=StageNow,
-        )
-        table.route(
-            "POST",
-            "/stage/lay",
-            self._lay,
-            "Lay the part somewhere else",
-            role=Role.OPERATOR,
-            body=Laying,
-            answer=StageNow,
-        )
-        table.route(
-            "GET",
-            "/stage/truth",
-            self._truth,
-            "The last result beside what is true",
-            role=Role.VIEWER,
-            answer=TruthNow,
-        )
-
+    @route("GET", "/stage", "What is before the virtual cameras", role=Role.VIEWER)
     async def _now(self, _call: Call[Any]) -> StageNow:
         stage, showing = self._stage, self._stage.cell.showing
         columns, rows, square_mm = BOARD
@@ -162,6 +116,9 @@ class StageRoutes:
             rings=dict(stage.rings.items()),
         )
 
+    @route(
+        "PUT", "/stage", "Show board, part or nothing; wave a hand; turn a lens's ring", role=Role.OPERATOR
+    )
     async def _show(self, call: Call[Showing]) -> StageNow:
         body, stage = call.body, self._stage
         before = stage.cell.showing
@@ -180,6 +137,7 @@ class StageRoutes:
                     await asyncio.to_thread(stage.turn_ring, side, turn)
         return await self._now(call)
 
+    @route("PUT", "/stage/hand", "Move the board, by a hand that trembles and misses", role=Role.OPERATOR)
     async def _hold(self, call: Call[Holding]) -> StageNow:
         body, stage = call.body, self._stage
         if body.left is not None:
@@ -193,10 +151,12 @@ class StageRoutes:
             stage.show(Thing.BOARD)
         return await self._now(call)
 
+    @route("POST", "/stage/lay", "Lay the part somewhere else", role=Role.OPERATOR)
     async def _lay(self, call: Call[Laying]) -> StageNow:
         self._stage.lay()
         return await self._now(call)
 
+    @route("GET", "/stage/truth", "The last result beside what is true", role=Role.VIEWER)
     async def _truth(self, _call: Call[None]) -> TruthNow:
         last = self._last
         true = None if last is None else self._stage.cell.truth(last.exposed_ns)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from edged.domain.numerals import known
 from edged.setup.calibration.documents import Trouble
 from edged.setup.trials.sigmamap import SigmaMap
 from edged.setup.trials.stilltest import Stillness, StillVerdict
@@ -104,8 +103,8 @@ def map_document(name: str, found: SigmaMap, *, measured: bool) -> MapDocument:
     for place, sigma, left in zip(found.places_mm.tolist(), found.sigma_mm, found.left_px, strict=True):
         x, y, z = (round(value, 3) for value in place)
         shown = [round(value, 1) for value in left.tolist()] if np.isfinite(left).all() else None
-        known = sigma_of(sigma) if np.isfinite(sigma).all() else None
-        points.append(MapPoint(x=x, y=y, z=z, sigma_um=known, left=shown))
+        expected = sigma_of(sigma) if np.isfinite(sigma).all() else None
+        points.append(MapPoint(x=x, y=y, z=z, sigma_um=expected, left=shown))
     return MapDocument(
         name=name,
         columns=columns,
@@ -129,7 +128,7 @@ def still_document(found: Stillness, name: str, calibration: str, at: str, by: s
         scatter_um=None if found.scatter_mm is None else sigma_of(found.scatter_mm),
         edges_um=None if found.edges_mm is None else sigma_of(found.edges_mm),
         noise_um=None if found.noise_mm is None else sigma_of(found.noise_mm),
-        chi2=None if found.chi2 is None or not math.isfinite(found.chi2) else round(found.chi2, 3),
+        chi2=known(found.chi2, 3),
         expected=(round(low, 3), round(high, 3)),
         verdict=found.verdict,
         covers=found.covers,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from edged.adapters.web.routes import Body, Call, Leased, Name, RouteTable
+from edged.adapters.web.routes import Body, Call, Leased, Name, route
 from edged.identity.visitors import Role
 from edged.setup.calibration.routes import Begun, known
 from edged.setup.trials.documents import MapDocument, Stills, TrialDocument
@@ -51,55 +51,32 @@ class TrialRoutes:
     def __init__(self, trials: Trials) -> None:
         self._trials = trials
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add them."""
-        see = Role.VIEWER
-        table.route("GET", "/trials", self._get, "The trial as it stands", role=see, answer=TrialDocument)
-        table.route(
-            "PUT",
-            "/trials",
-            self._turn,
-            "Measure each live pair by a job, or none",
-            body=Trying,
-            answer=TrialDocument,
-            needs_lease=True,
-        )
-        table.route("GET", "/trials/still", self._last_still, "The last still test", role=see, answer=Stills)
-        table.route(
-            "POST",
-            "/trials/still",
-            self._hold_still,
-            "Hold the scatter of a part that lies still against its sigma",
-            body=HoldingStill,
-            answer=Begun,
-            status=202,
-            audit=True,
-            needs_lease=True,
-        )
-        table.route(
-            "GET",
-            "/trials/map",
-            self._map,
-            "The sigma to be expected in the working volume",
-            role=see,
-            body=Wanted,
-            answer=MapDocument,
-        )
-
+    @route("GET", "/trials", "The trial as it stands", role=Role.VIEWER)
     async def _get(self, _call: Call[None]) -> TrialDocument:
         return await self._trials.document()
 
+    @route("PUT", "/trials", "Measure each live pair by a job, or none", needs_lease=True)
     async def _turn(self, call: Call[Trying]) -> TrialDocument:
         return await known(self._trials.turn(call.body.token, call.body.what(), on=call.body.on))
 
+    @route("GET", "/trials/still", "The last still test", role=Role.VIEWER)
     async def _last_still(self, _call: Call[None]) -> Stills:
         return Stills(last=await self._trials.last_still())
 
+    @route(
+        "POST",
+        "/trials/still",
+        "Hold the scatter of a part that lies still against its sigma",
+        status=202,
+        audit=True,
+        needs_lease=True,
+    )
     async def _hold_still(self, call: Call[HoldingStill]) -> Begun:
         body = call.body
         asked = self._trials.hold_still(body.token, body.what(), body.pictures, call.visitor.name)
         call.trail.object = task = await known(asked)
         return Begun(task=task)
 
+    @route("GET", "/trials/map", "The sigma to be expected in the working volume", role=Role.VIEWER)
     async def _map(self, call: Call[Wanted]) -> MapDocument:
         return await known(self._trials.map(call.body.what()))

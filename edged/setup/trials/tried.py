@@ -5,7 +5,6 @@ As the cell itself would judge the pair, with the job's picking and the cell's b
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,6 +14,7 @@ from pydantic import BaseModel, ConfigDict
 from edged.domain.arrays import SIDES, FloatArray
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Status, Target
+from edged.domain.numerals import known
 from edged.domain.picking import Bounds
 from edged.payload import reject_names
 from edged.pictures.evidence import Feature, features_of, missing_outlines, residuals
@@ -169,7 +169,6 @@ def _part(
     features = features_of(measured)
     outlines = [outline_in(rig, one.outline_mm) for one in features]
     missing = [outline_in(rig, one) for one in missing_outlines(job, measured.target).values()]
-    rms = measured.evidence.rms_px
     reference = rig.left.project(target.position_mm[None])[0]
     left, right = (_whiskers(rig, features, side) for side in range(len(SIDES)))
     return TriedPart(
@@ -184,7 +183,7 @@ def _part(
         outlines=Lines(left=[one.left for one in outlines], right=[one.right for one in outlines]),
         missing=Lines(left=[one.left for one in missing], right=[one.right for one in missing]),
         residuals=Whiskers(left=left, right=right),
-        rms_px=round(rms, 3) if math.isfinite(rms) else None,
+        rms_px=known(measured.evidence.rms_px, 3),
         left=[round(float(value), 2) for value in reference],
     )
 
@@ -222,8 +221,8 @@ def _angles(target: Target, reading: Reading) -> SigmaAngles:
     a, b, c = (round(float(value), 5) for value in reading.sigma_deg)
     if target.free_axis is None:
         return SigmaAngles(a=a, b=b, c=c)
-    known = [value if value < UNKNOWN_DEG else None for value in (a, b, c)]
-    return SigmaAngles(a=known[0], b=known[1], c=known[2])
+    told = [value if value < UNKNOWN_DEG else None for value in (a, b, c)]
+    return SigmaAngles(a=told[0], b=told[1], c=told[2])
 
 
 def terms_of(rig: StereoRig, target: Target) -> Terms | None:

@@ -1,0 +1,29 @@
+"""Images as JPEG for people to look at, and as PNG that keeps every grey value."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from edged.domain.arrays import Image
+
+
+def jpeg(image: Image, quality: int, width_px: int | None = None) -> bytes:
+    """A JPEG of an image (H, W) uint8. quality : per cent. width_px : at most; None: as wide as it is."""
+    height, width = image.shape
+    if width_px is not None and width > width_px:
+        size = (width_px, max(1, round(height * width_px / width)))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return _encoded(".jpg", image, cv2.IMWRITE_JPEG_QUALITY, quality)
+
+
+def png(image: Image) -> bytes:
+    """A PNG of an image (H, W) uint8, compressed little: in a tenth of the time of the default."""
+    return _encoded(".png", image, cv2.IMWRITE_PNG_COMPRESSION, 1)
+
+
+def _encoded(suffix: str, image: Image, option: int, value: int) -> bytes:
+    encoded, data = cv2.imencode(suffix, image, (option, value))
+    if not encoded:
+        raise ValueError(f"an image of the shape {image.shape} cannot be encoded as {suffix}")
+    return data.tobytes()
