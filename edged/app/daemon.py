@@ -100,7 +100,7 @@ class Daemon:
         self._job_use = JobUse()
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, self._job_use, *observers)
         self._notices = Notices()
-        self._live = LivePictures(self._cycle, self._notices)
+        self._live = LivePictures(self._cycle.session, self._notices)
         self._servers = Servers(
             self._running,
             self._tell_cycle,

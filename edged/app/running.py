@@ -16,6 +16,7 @@ from edged.adapters.recorder import Recorder
 from edged.app.cameras import camera_facts, camera_figures
 from edged.app.cell import LoadedCell
 from edged.cell.cycle import Cycle
+from edged.cell.lease.session import SetupSession
 from edged.cell.stereohead import StereoHead
 from edged.payload import Json, said
 from edged.plc.registers import Number, Register
@@ -55,6 +56,11 @@ class Running:
     def files(self) -> CellFiles | UnfinishedCell:
         """The files that it runs by."""
         return self.loaded.cell
+
+    @property
+    def session(self) -> SetupSession:
+        """Its lease, and its cameras in SETUP."""
+        return self.cycle.session
 
     def modbus(self) -> ModbusPublisher | None:
         """The Modbus server that runs, if any."""
@@ -222,7 +228,7 @@ class Running:
             ),
             rig=rig,
             plc_owner="" if modbus is None else modbus.owner,
-            auto_lock=self.cycle.setup_locked,
+            auto_lock=self.session.lease.locked,
             stage=self.staged,
         )
 

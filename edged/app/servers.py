@@ -366,7 +366,7 @@ class Servers:
                     running,
                     self._metrics,
                     context=page_context(web),
-                    commissioner=running.cycle,
+                    commissioner=running.session,
                     notices=self._notices,
                     live=self._live,
                     routes=self._routes() if section.commissioning else (),

@@ -88,7 +88,7 @@ class SetupServices:
         self._candidates = Candidates(cell, shelf, self._calibrations.solution, self._teachings.candidate)
         self._trials = Trials(cell, self._teachings.job)
         self._jobs = Jobs(cell, shelf, self._activation, job_use, cycle, running.servers)
-        self._cameras = CameraService(cell, cycle, live, addresses, head_with)
+        self._cameras = CameraService(cell, live, addresses, head_with)
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._offer)
 

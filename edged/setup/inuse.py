@@ -18,10 +18,9 @@ from edged.setup.releases.jobsinuse import JobsInUse, lines_in
 from edged.vision.geometry.camera import StereoRig
 
 if TYPE_CHECKING:  # the worker process knows rigs, and needs none of these
-    from edged.cell.lease.cameras import CameraChanges
     from edged.cell.lease.notices import Notices
+    from edged.cell.lease.session import SetupSession
     from edged.config.configuration import Config
-    from edged.domain.arrays import Side
     from edged.domain.frames import FramePair
     from edged.setup.jobs.tasks import Tasks
     from edged.setup.jobs.worker import Worker
@@ -63,33 +62,6 @@ def _stereo(rig: RigInUse) -> StereoRig:
     return rig_of(rig.content, rig.path)
 
 
-class LeasedCycle(Protocol):
-    """The cycle, of which a person may hold the lease in SETUP; `edged.cell.cycle.Cycle` is one."""
-
-    @property
-    def camera_changes(self) -> Mapping[Side, CameraChanges]:
-        """Camera settings that are tried until SETUP ends."""
-        ...
-
-    @property
-    def setup_by(self) -> str:
-        """Name of the lease's holder; "" without a lease."""
-        ...
-
-    @property
-    def setup_locked(self) -> bool:
-        """Whether the PLC forbids SETUP."""
-        ...
-
-    def renew_setup(self, token: str) -> None:
-        """Raises `SetupRefused` unless the token is that of the lease."""
-        ...
-
-    async def capture(self, token: str) -> FramePair:
-        """One exposure for the lease's holder. Raises `SetupRefused`, `CaptureError`."""
-        ...
-
-
 class RunningCell(Protocol):
     """The cell that the daemon runs; a reload exchanges `files`."""
 
@@ -104,8 +76,8 @@ class RunningCell(Protocol):
         ...
 
     @property
-    def cycle(self) -> LeasedCycle:
-        """Its cycle."""
+    def session(self) -> SetupSession:
+        """Its lease, and its cameras in SETUP."""
         ...
 
     def reload(self) -> Awaitable[str]:
@@ -138,9 +110,9 @@ class CellInUse:
         return self.running.files
 
     @property
-    def cycle(self) -> LeasedCycle:
-        """The cycle."""
-        return self.running.cycle
+    def session(self) -> SetupSession:
+        """The lease of the cell, and its cameras in SETUP."""
+        return self.running.session
 
     @property
     def config(self) -> Config:
@@ -206,11 +178,11 @@ class CellInUse:
 
     def renew(self, token: str) -> None:
         """Renew the lease. Raises `SetupRefused` for another token."""
-        self.cycle.renew_setup(token)
+        self.session.renew_setup(token)
 
     async def capture(self, token: str) -> FramePair:
         """One exposure for the lease's holder. Raises `SetupRefused`, `CaptureError`."""
-        return await self.cycle.capture(token)
+        return await self.session.capture(token)
 
     async def reload(self) -> str:
         """Read the configuration again; returns why it was refused, or ""."""

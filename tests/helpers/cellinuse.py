@@ -1,4 +1,4 @@
-"""A cell in use without a daemon: its files, and a cycle that does nothing by itself."""
+"""A cell in use without a daemon: its files, and a session that does nothing by itself."""
 
 from __future__ import annotations
 
@@ -18,12 +18,19 @@ from edged.setup.jobs.tasks import Tasks
 
 
 @dataclass
-class StillCycle:
-    """A cycle whose lease has the token "theirs"; every capture gives the same pair."""
+class StillLease:
+    """Whose it is, and whether the plant forbids it."""
+
+    name: str = ""
+    locked: bool = False
+
+
+@dataclass
+class StillSession:
+    """A session whose token is "theirs"; every capture gives the same pair."""
 
     camera_changes: Mapping[Side, CameraChanges] = field(default_factory=dict)
-    setup_by: str = ""
-    setup_locked: bool = False
+    lease: StillLease = field(default_factory=StillLease)
     pair: FramePair | None = None
 
     def renew_setup(self, token: str) -> None:
@@ -44,7 +51,7 @@ class StillCell:
     def __init__(self, config: Path) -> None:
         self.path = config
         self.files: CellFiles | UnfinishedCell = read_any_cell(config)
-        self.cycle = StillCycle()
+        self.session = StillSession()
         self.refuses = ""
 
     async def reload(self) -> str:

@@ -14,6 +14,7 @@ import aiohttp
 import pytest
 from helpers.browsersession import browsing
 from helpers.pagesources import FixedSources
+from helpers.waiting import WHOLE_S
 from yarl import URL
 
 from edged.adapters.web import WebPublisher, WebSettings
@@ -64,7 +65,7 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
     """A test's coroutine, bounded."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(WHOLE_S):
             await test()
 
     asyncio.run(bounded())

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
-from edged.cell.cycle import Cycle
 from edged.cell.lease.cameras import CameraChanges
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
@@ -41,13 +40,11 @@ class CameraService:
     def __init__(
         self,
         cell: CellInUse,
-        cycle: Cycle,
         live: LivePictures,
         addresses: tuple[str, str] | None,
         head_with: Callable[[CamerasSection], Head],
     ) -> None:
         self._cell = cell
-        self._cycle = cycle
         self._addresses = addresses
         self._head_with = head_with
         self._values: dict[Side, CameraValues] = {}
@@ -60,7 +57,7 @@ class CameraService:
 
     def configured(self) -> dict[Side, dict[str, Any]]:
         """Of each side, as it is configured, and as it is tried."""
-        cameras, changes = self._cell.config.cameras, self._cycle.camera_changes
+        cameras, changes = self._cell.config.cameras, self._cell.session.camera_changes
         return {
             side: {
                 "device": getattr(cameras, side).device or self._address(side),
@@ -86,7 +83,7 @@ class CameraService:
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
         """What it can be set to. Raises `SetupRefused`, `CaptureError`."""
-        return await self._cycle.limits(token, side)
+        return await self._cell.session.limits(token, side)
 
     async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
         """Set what is stated until SETUP ends; returns what is in force, as read back.
@@ -95,7 +92,7 @@ class CameraService:
         """
         if values != CameraValues() and (problem := (await self.limits(token, side)).problem(values)):
             raise UserError(problem)
-        self._values[side] = await self._cycle.adjust(token, side, values)
+        self._values[side] = await self._cell.session.adjust(token, side, values)
         return self._values[side]
 
     async def assign(self, token: str, side: Side, serial: str) -> None:
@@ -124,7 +121,7 @@ class CameraService:
                     f"{wanted.serial} is the {other} one, and the camera to take its place is silent"
                 )
             changes[other] = _with_camera(before)
-        elif (kept := self._cycle.camera_changes.get(other)) is not None and kept.device is not None:
+        elif (kept := self._cell.session.camera_changes.get(other)) is not None and kept.device is not None:
             changes[other] = CameraChanges(kept.device, kept.serial)
         await self._try(token, changes)
 
@@ -134,8 +131,8 @@ class CameraService:
         Raises `UserError` where a rig was calibrated with other cameras, where the file cannot be written,
         and where the cell cannot be loaded with it; then nothing has changed. Raises `SetupRefused`.
         """
-        self._cycle.renew_setup(token)
-        changes = self._cycle.camera_changes
+        self._cell.session.renew_setup(token)
+        changes = self._cell.session.camera_changes
         stated = {side: change.stated() for side, change in changes.items()}
         if self._cell.files.rig is not None and any("device" in change for change in stated.values()):
             raise UserError(
@@ -174,10 +171,10 @@ class CameraService:
     async def _waved_at(self, token: str) -> Side | None:
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + WAVE_S
-        first = await self._cycle.capture(token)
+        first = await self._cell.session.capture(token)
         seen: list[Side | None] = []
         while loop.time() < deadline_s:
-            pair = await self._cycle.capture(token)
+            pair = await self._cell.session.capture(token)
             shares: dict[Side, float] = {
                 "left": changed_share(first.left.image, pair.left.image),
                 "right": changed_share(first.right.image, pair.right.image),
@@ -206,13 +203,13 @@ class CameraService:
 
     async def _try(self, token: str, cameras: Mapping[Side, CameraChanges]) -> None:
         """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
-        tried, section = self._cycle.camera_changes, self._cell.config.cameras
+        tried, section = self._cell.session.camera_changes, self._cell.config.cameras
         sides: dict[str, CameraSection] = {
             side: getattr(section, side).model_copy(update=change.stated())
             for side, change in cameras.items()
         }
         head = self._head_with(section.model_copy(update=sides))
-        await self._cycle.try_head(token, head, cameras)
+        await self._cell.session.try_head(token, head, cameras)
         for side, change in tried.items():
             values = CameraValues(change.exposure_us, change.gain_db)
             if values != CameraValues():

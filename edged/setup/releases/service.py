@@ -94,12 +94,12 @@ class Activation:
         """Raises `SetupRefused` when nothing may be changed now, by somebody without or with a token."""
         if token is not None:
             self._cell.renew(token)
-        elif holder := self._cell.cycle.setup_by:
+        elif holder := self._cell.session.lease.name:
             raise SetupRefused(f"{holder} has the cell")
         self._check_unlocked()
 
     def _check_unlocked(self) -> None:
-        if self._cell.cycle.setup_locked:
+        if self._cell.session.lease.locked:
             raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
 
     async def activate(self, rig: bytes, author: str, note: str, signed: str | None = None) -> Release:
@@ -111,7 +111,7 @@ class Activation:
         rig_of(rig, Path("the new rig"))
 
         def wanted(there: _Parts) -> _Parts:
-            stated = {side: change.stated() for side, change in self._cell.cycle.camera_changes.items()}
+            stated = {side: change.stated() for side, change in self._cell.session.camera_changes.items()}
             tried = {side: values for side, values in stated.items() if values}
             cameras = with_changes(there.cameras, chosen_file(self._rig), tried) if tried else there.cameras
             return replace(there, rig=rig, cameras=cameras)

@@ -317,13 +317,13 @@ def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
 def test_the_plant_forbids_it(cell: RunningCell) -> None:
     """AUTO_LOCK, before anybody asks and while somebody has; so does whoever has the cell."""
     cell.activation.check(None)
-    cell.running.cycle.setup_by = "Ben"
+    cell.running.session.lease.name = "Ben"
     with pytest.raises(SetupRefused, match="Ben has the cell"):
         cell.activation.check(None)
     with pytest.raises(SetupRefused, match="SETUP has ended"):
         cell.activation.check("stale")
     cell.activation.check("theirs")
-    cell.running.cycle.setup_locked = True
+    cell.running.session.lease.locked = True
     with pytest.raises(SetupRefused, match="AUTO_LOCK"):
         cell.activation.check("theirs")
     files = cell.files()
@@ -334,13 +334,13 @@ def test_the_plant_forbids_it(cell: RunningCell) -> None:
 
 def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
     """And go with it again: they are of one release."""
-    cell.running.cycle.camera_changes = {"left": CameraChanges(exposure_us=1234.0)}
+    cell.running.session.camera_changes = {"left": CameraChanges(exposure_us=1234.0)}
 
     activate(cell, cell.wider(1.001))
 
     chosen = cell.config.parent / "rig.cameras.json"
     assert {"left": {"exposure_us": 1234.0}, "right": {}} == json.loads(chosen.read_text())
-    cell.running.cycle.camera_changes = {}
+    cell.running.session.camera_changes = {}
     before = cell.files()
     cell.running.refuses = "no"
     with pytest.raises(UserError):
@@ -366,7 +366,7 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     with record.watching():
         replace_folder(root / "cell", files_in(template))
         cell = RunningCell(root / "cell")
-        cell.running.cycle.camera_changes = cameras
+        cell.running.session.camera_changes = cameras
         start = len(record.calls)
         before = cell.now.fingerprint
         after = activate(cell, cell.wider(1.001)).fingerprint
