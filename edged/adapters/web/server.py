@@ -10,23 +10,22 @@ import logging
 import math
 import ssl
 import time
-from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from edged.adapters.web.assets import modules, read_assets, run_modules, type_of
+from edged.adapters.web.assets import modules, read_assets
 from edged.adapters.web.auditing import Auditor, AuditRoutes
 from edged.adapters.web.gate import Gate
 from edged.adapters.web.login import COOKIE, LoginForms, tell_of_users
-from edged.adapters.web.manualfiles import FOLDER, Manual, read_manual
+from edged.adapters.web.manualfiles import FOLDER
 from edged.adapters.web.overview import OverviewRoutes
-from edged.adapters.web.page import THUMBNAIL_PX, Page, Sources, picture
+from edged.adapters.web.page import Page, Sources
+from edged.adapters.web.pages import PageHandlers, html
 from edged.adapters.web.people import People
 from edged.adapters.web.routes import BASE, RouteTable
 from edged.adapters.web.settings import WebSettings, is_loopback, page_context
@@ -36,10 +35,8 @@ from edged.adapters.web.viewers import Viewers, least_active
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.connections import Rate, Rates, TcpClient, TcpListener
-from edged.domain.arrays import Side
 from edged.domain.cell import CellState
 from edged.domain.events import Event, Idle
-from edged.domain.measurement import Nearest
 from edged.errors import ListenError
 from edged.identity.access import Access, TooManyAttempts
 from edged.identity.audit import AuditFile, Deed
@@ -47,7 +44,6 @@ from edged.identity.invite import Invite
 from edged.identity.users import UserFile
 from edged.identity.visitors import Visitor
 from edged.logs import LogLimit
-from edged.payload import Json
 from edged.ports import Commissioner
 from edged.report.page import render
 
@@ -67,9 +63,6 @@ page that is opened for some eighty files.
 FLOODED_S = 5.0
 """Who has sent too much over a socket has no turn for so long."""
 MAX_FORM_BYTES = 4096
-CACHED_BYTES = 4 * 1024 * 1024
-"""Of JPEGs that were drawn for one viewer, and may be asked for by the next."""
-WIDTHS_PX = {"": None, "/small": THUMBNAIL_PX, "/full": 1_000_000}
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'",
@@ -128,11 +121,11 @@ class WebPublisher:
         self._cell = cell
         self._clock_s = clock_s
         self._sources = sources
-        self._metrics = metrics
         self._notices = notices or Notices()
         self._live = live
         self._routes = routes
         self._sockets: Sockets | None = None
+        self._setup_page = ""
         self._taking: SetupRoutes | None = None
         self._settings = settings
         self._context = context
@@ -145,16 +138,19 @@ class WebPublisher:
         self._audit = None if state is None else AuditFile(state)
         self._auditor = Auditor(self._audit)
         self._access = Access(settings.password_hash, clock_s, users=self._users, invite=self._invite)
-        self._manual_folder = manual
-        self._manual: Manual | None = None
-        self._viewers = Viewers(self._shown, self._page.history)
-        self._pictures: OrderedDict[tuple[int, str, str], bytes] = OrderedDict()
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
         self._assets = read_assets()
-        self._html = {"nomanual": render("nomanual.html", __package__, cell=cell)}
-        self._html["index"] = render(
-            "index.html", __package__, cell=cell, setup=is_set_up, modules=run_modules(self._assets)
+        self._handlers = PageHandlers(
+            cell,
+            self._page,
+            self._drawer,
+            self._assets,
+            manual,
+            metrics,
+            protected=not self._access.is_open,
+            is_set_up=is_set_up,
         )
+        self._viewers = Viewers(self._handlers.status, self._page.history)
         self._runner: web.AppRunner | None = None
         self._listener: TcpListener | None = None
         self._handshakes = Rate(HANDSHAKES_PER_S)
@@ -173,28 +169,16 @@ class WebPublisher:
         if context is None and settings.password_hash and not is_loopback(settings.host):
             log.warning("the status page sends its password in the clear: set web.certificate and web.key")
         app = web.Application(middlewares=[self._guard], client_max_size=MAX_FORM_BYTES)
-        app.router.add_get("/", self._index)
         secure = settings.certificate is not None
         forms = LoginForms(
             self._cell, self._access, self._auditor, users=self._users is not None, secure=secure
         )
         forms.add_to(app.router)
         app.router.add_get("/events", self._events)
-        app.router.add_get("/status.json", self._status)
-        app.router.add_get("/registers.json", self._registers)
-        app.router.add_get(
-            "/picture/{cycle:[0-9]{1,15}}/{side:left|right}{size:(/small|/full)?}", self._picture
-        )
-        app.router.add_get("/cycle/{cycle:[0-9]{1,15}}.json", self._cycle)
-        app.router.add_get("/static/{name:.+}", self._static)
-        app.router.add_get("/manual", self._manual_index)
-        app.router.add_get("/manual/{path:.*}", self._manual_file)
-        app.router.add_get("/metrics", self._show_metrics)
-        app.router.add_get("/health", self._health)
-        app.router.add_get("/ready", self._ready)
+        self._handlers.add_to(app.router)
         if settings.commissioning and self._commissioner is not None:
             self._api(self._commissioner).add_to(app.router)
-            app.router.add_get("/setup", self._setup)
+            app.router.add_get("/setup", self._show_setup)
         self._runner = runner = web.AppRunner(
             app, handle_signals=False, access_log=None, shutdown_timeout=0.5, logger=_ServerLog()
         )
@@ -241,7 +225,7 @@ class WebPublisher:
         )
         table.add(self._sockets, *self._routes)
         offers = sorted({route.plain_path.removeprefix(f"{BASE}/") for route in table})
-        self._html["setup"] = render(
+        self._setup_page = render(
             "setup.html", __package__, cell=self._cell, modules=modules(self._assets), offers=offers
         )
         return Gate(
@@ -389,94 +373,5 @@ class WebPublisher:
         """Who sent it, if they logged in on the page."""
         return self._access.visitor(request.cookies.get(COOKIE, ""), request.remote or "")
 
-    # --- pages -------------------------------------------------------------------------------
-
-    async def _index(self, _request: web.Request) -> web.Response:
-        return _text(self._html["index"], "text/html")
-
-    async def _setup(self, _request: web.Request) -> web.Response:
-        return _text(self._html["setup"], "text/html")
-
-    async def _static(self, request: web.Request) -> web.Response:
-        name = request.match_info["name"]
-        if name not in self._assets:
-            raise web.HTTPNotFound
-        return _text(self._assets[name], type_of(name))
-
-    async def _manual_index(self, _request: web.Request) -> web.Response:
-        raise web.HTTPMovedPermanently("/manual/")
-
-    async def _manual_file(self, request: web.Request) -> web.StreamResponse:
-        """One file of the manual: a name that was there when it was first asked for, and no other."""
-        if self._manual is None:
-            self._manual = await asyncio.to_thread(read_manual, self._manual_folder)
-        if self._manual is None:
-            response = _text(self._html["nomanual"], "text/html")
-            response.set_status(404)
-            return response
-        path = request.match_info["path"] or "index.html"
-        file = self._manual.files.get(path)
-        if file is None:
-            raise web.HTTPNotFound(text="the manual has no such page\n")
-        return web.FileResponse(file, headers=self._manual.headers(path))
-
-    # --- data --------------------------------------------------------------------------------
-
-    async def _status(self, _request: web.Request) -> web.Response:
-        return web.json_response(await self._shown())
-
-    async def _shown(self) -> Json:
-        questions = self._page.questions()
-        if questions:
-            await asyncio.get_running_loop().run_in_executor(self._drawer, _ask, questions)
-        return {**self._page.status(), "protected": not self._access.is_open}
-
-    async def _registers(self, _request: web.Request) -> web.Response:
-        return web.json_response(self._page.registers())
-
-    async def _show_metrics(self, _request: web.Request) -> web.Response:
-        return web.Response(
-            body=self._metrics(), headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"}
-        )
-
-    async def _health(self, _request: web.Request) -> web.Response:
-        """200 as long as the loop answers; the state is the cell's own."""
-        state = self._page.state
-        return web.json_response({"alive": True, "state": None if state is None else state.state})
-
-    async def _ready(self, _request: web.Request) -> web.Response:
-        """200 when a trigger would be carried out, else 503 with the reason."""
-        state = self._page.state
-        ready = state is not None and state.ready
-        reason = "" if state is None else state.why
-        return web.json_response({"ready": ready, "error": reason}, status=200 if ready else 503)
-
-    async def _cycle(self, request: web.Request) -> web.Response:
-        shown = self._page.cycle(int(request.match_info["cycle"]))
-        if shown is None:
-            raise web.HTTPNotFound(text="this cycle is no longer in memory\n")
-        return web.json_response(shown)
-
-    async def _picture(self, request: web.Request) -> web.Response:
-        cycle, size = int(request.match_info["cycle"]), request.match_info["size"]
-        side: Side = "left" if request.match_info["side"] == "left" else "right"
-        pair = self._page.pair(cycle)
-        if pair is None:
-            raise web.HTTPNotFound(text="this cycle is no longer in memory\n")
-        data = self._pictures.get((cycle, side, size))
-        if data is None:
-            draw = partial(picture, pair, self._page.rectification(), side, WIDTHS_PX[size])
-            data = await asyncio.get_running_loop().run_in_executor(self._drawer, draw)
-            self._pictures[cycle, side, size] = data
-            while len(self._pictures) > 1 and sum(map(len, self._pictures.values())) > CACHED_BYTES:
-                self._pictures.popitem(last=False)
-        return web.Response(body=data, content_type="image/jpeg")
-
-
-def _ask(questions: Sequence[Nearest]) -> None:
-    for one in questions:
-        one.ask()
-
-
-def _text(text: str, content_type: str) -> web.Response:
-    return web.Response(text=text, content_type=content_type, charset="utf-8")
+    async def _show_setup(self, _request: web.Request) -> web.Response:
+        return html(self._setup_page)

@@ -50,8 +50,9 @@ class Worker:
     functions : what it can do, by name: "module:function", called with a `Progress` and the arguments.
     cpus : how many processors a task may use, asked when it begins. limits : what else it may take.
 
-    A plain process with a pipe of `multiprocessing`, whose own processes would import the daemon's main
-    module again, and keep a third one to look after both.
+    A plain process with a pipe: `pebble` cancels by kill, too, but has no channel for progress, and starts its
+    processes by `multiprocessing`: a fork of a daemon that has threads, or a spawn that imports the daemon's
+    main module again and keeps a third process to look after both.
     """
 
     def __init__(
