@@ -52,7 +52,7 @@ CLOSE_S = 5.0
 RETRY_S = 5.0
 
 
-class Wanted(NamedTuple):
+class WantedServer(NamedTuple):
     """A server that a configuration asks for. cell : the cell's name where the server says it, else "".
 
     free_running : the cell measures unasked, where the server says that.
@@ -92,30 +92,30 @@ class Wanted(NamedTuple):
                 return f"{section.host}:{section.port}"
 
 
-def wanted_servers(config: Config) -> dict[str, Wanted]:
+def wanted_servers(config: Config) -> dict[str, WantedServer]:
     """By the name of their section, the PLC's last; two that are equal need no exchange.
 
     Raises `OSError` for a file that cannot be read.
     """
-    wanted = dict[str, Wanted]()
+    wanted = dict[str, WantedServer]()
     files = config.machine_files()
     if config.recorder is not None:
-        wanted["recorder"] = Wanted(config.recorder)
+        wanted["recorder"] = WantedServer(config.recorder)
     if config.web is not None:
-        wanted["web"] = Wanted(config.web, config.cell.name, _digests(files, "web."))
+        wanted["web"] = WantedServer(config.web, config.cell.name, _digests(files, "web."))
     if config.zenoh.enabled:
         from edged.adapters.zenoh import named_files
 
         own = config.zenoh.config_file
         named = {} if own is None else {str(file): file for file in (own, *named_files(own))}
         digests = (*_digests(named), *_digests(files, "zenoh."))
-        wanted["zenoh"] = Wanted(config.zenoh, config.cell.name, digests)
+        wanted["zenoh"] = WantedServer(config.zenoh, config.cell.name, digests)
     if config.modbus.enabled:
-        wanted["modbus"] = Wanted(config.modbus, files=_digests(files, "modbus."))
+        wanted["modbus"] = WantedServer(config.modbus, files=_digests(files, "modbus."))
     if config.opcua is not None:
         named = {**files, **{f"opcua.trusted {file}": file for file in _certificates(config.opcua.trusted)}}
         digests, is_free = _digests(named, "opcua."), config.cycle.mode != "command"
-        wanted["opcua"] = Wanted(config.opcua, config.cell.name, digests, is_free)
+        wanted["opcua"] = WantedServer(config.opcua, config.cell.name, digests, is_free)
     return wanted
 
 
@@ -197,8 +197,8 @@ class Servers:
         self._live = live
         self._routes = routes
         self._state = state
-        self._wanted: dict[str, tuple[Wanted, Build]] = {}  # of those that run
-        self._failing: dict[str, tuple[Wanted, Build]] = {}
+        self._wanted: dict[str, tuple[WantedServer, Build]] = {}  # of those that run
+        self._failing: dict[str, tuple[WantedServer, Build]] = {}
         self._trying: asyncio.Task[None] | None = None
 
     @property
@@ -240,7 +240,7 @@ class Servers:
         finally:
             self._try_again_later()
 
-    async def _exchange(self, wanted: dict[str, Wanted]) -> None:
+    async def _exchange(self, wanted: dict[str, WantedServer]) -> None:
         before = {name: wanted for name, (wanted, _) in {**self._failing, **self._wanted}.items()}
         changed = [name for name in {**before, **wanted} if before.get(name) != wanted.get(name)]
         new = {name: (wanted[name], self._builder(wanted[name])) for name in changed if name in wanted}
@@ -262,7 +262,7 @@ class Servers:
         for name, publisher in self._started.items():
             await close_within(publisher, name)
 
-    async def _restart(self, name: str, new: tuple[Wanted, Build] | None) -> None:
+    async def _restart(self, name: str, new: tuple[WantedServer, Build] | None) -> None:
         try:
             running = self._wanted.get(name)
             if new is not None and running is not None and _lie_apart(running[0], new[0]):
@@ -278,7 +278,7 @@ class Servers:
         finally:
             self._changed()
 
-    async def _put_back(self, name: str, old: tuple[Wanted, Build] | None) -> None:
+    async def _put_back(self, name: str, old: tuple[WantedServer, Build] | None) -> None:
         if self._wanted.get(name) == old:
             return
         try:
@@ -288,14 +288,14 @@ class Servers:
             if old is not None:
                 self._note_failing(name, old, str(error))
 
-    async def _start(self, name: str, wanted: Wanted, build: Build, limit_s: float = 0.0) -> None:
+    async def _start(self, name: str, wanted: WantedServer, build: Build, limit_s: float = 0.0) -> None:
         publisher = build()
         await start_within(limit_s or START_S, publisher, f"{name} on {wanted.place}")
         self._started[name], self._wanted[name] = publisher, (wanted, build)
 
     # --- those that cannot start now ---------------------------------------------------------------
 
-    def _note_failing(self, name: str, failing: tuple[Wanted, Build], why: str) -> None:
+    def _note_failing(self, name: str, failing: tuple[WantedServer, Build], why: str) -> None:
         self._failing[name], self._problems[name] = failing, why
         log.error("%s; the cell runs without it, and tries again every %g s", why, RETRY_S)
 
@@ -330,7 +330,7 @@ class Servers:
                 self._changed()
         self._trying = None
 
-    def _builder(self, wanted: Wanted) -> Build:
+    def _builder(self, wanted: WantedServer) -> Build:
         """Read what a server needs. Raises `EdgedError` or `OSError` for what it cannot use."""
         running, section = self._running, wanted.section
         match section:
@@ -372,7 +372,7 @@ class Servers:
                     routes=self._routes() if section.commissioning else (),
                 )
 
-    def _opcua_builder(self, wanted: Wanted, section: OpcUaSection) -> Build:
+    def _opcua_builder(self, wanted: WantedServer, section: OpcUaSection) -> Build:
         try:
             from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings, identity_of
         except ImportError as error:
@@ -404,7 +404,7 @@ def _show_bug(trying: asyncio.Task[None]) -> None:
         log.error("a server cannot be started by a bug, and is tried no more", exc_info=bug)
 
 
-def _lie_apart(one: Wanted, other: Wanted) -> bool:
+def _lie_apart(one: WantedServer, other: WantedServer) -> bool:
     """Whether both can run at once."""
     return None not in (one.port, other.port) and one.port != other.port
 

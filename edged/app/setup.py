@@ -22,7 +22,7 @@ from edged.setup.jobs.tasks import Tasks
 from edged.setup.jobs.worker import Worker
 from edged.setup.recordings import regressions
 from edged.setup.recordings import service as cycles
-from edged.setup.recordings.candidates import Candidates
+from edged.setup.recordings.candidates import CandidateContents
 from edged.setup.recordings.regressions import Regressions
 from edged.setup.recordings.service import Cycles
 from edged.setup.registration import service as registrations
@@ -30,8 +30,8 @@ from edged.setup.registration.program import RobotProgram
 from edged.setup.registration.service import Registrations
 from edged.setup.releases.jobs import Jobs
 from edged.setup.releases.jobuse import JobUse
+from edged.setup.releases.releasefolder import ReleaseFolder
 from edged.setup.releases.service import Activation
-from edged.setup.releases.shelf import Shelf
 from edged.setup.teaching import service as teachings
 from edged.setup.teaching.service import Teachings
 from edged.setup.trials import service as trials
@@ -66,9 +66,9 @@ class SetupServices:
             lambda: cell.config.cell.rig,
             lambda identity: identity == cell.calibration_id,
         )
-        shelf = Shelf(cell.folder / "releases")
+        releases = ReleaseFolder(cell.folder / "releases")
         self._regressions = Regressions(cell)
-        self._activation = Activation(shelf, cell, self._regressions.check)
+        self._activation = Activation(releases, cell, self._regressions.check)
         self._checks = Checks(cell.folder / "check.json", worker, notices, cell.capture, cell.rig, cell.jobs)
         self._cycles = Cycles(cell)
         self._registrations = Registrations(
@@ -85,9 +85,11 @@ class SetupServices:
             cell.job_lines,
             self._cycles.file,
         )
-        self._candidates = Candidates(cell, shelf, self._calibrations.solution, self._teachings.candidate)
+        self._candidates = CandidateContents(
+            cell, releases, self._calibrations.solution, self._teachings.candidate
+        )
         self._trials = Trials(cell, self._teachings.job)
-        self._jobs = Jobs(cell, shelf, self._activation, job_use, cycle, running.servers)
+        self._jobs = Jobs(cell, releases, self._activation, job_use, cycle, running.servers)
         self._cameras = CameraService(cell, live, addresses, head_with)
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._offer)

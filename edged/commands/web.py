@@ -10,7 +10,7 @@ from edged.config.reading import load
 from edged.errors import UserError
 from edged.files.owners import as_owner
 from edged.files.statefolder import state_folder
-from edged.identity.audit import AuditFile, Deed
+from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import VALID_S, Invite
 
 
@@ -23,7 +23,7 @@ def invite(config: Path) -> int:
     try:
         with as_owner(folder) as place:
             code = Invite(place).make()
-            _note(AuditFile(place), Deed(who, "", "", "make", "invitation", "ok"), folder)
+            _note(AuditFile(place), AuditEntry(who, "", "", "make", "invitation", "ok"), folder)
     except OSError as error:
         raise UserError(f"{folder}: the code cannot be kept: {error.strerror or error}") from error
     scheme, host = "https" if web.certificate else "http", f"[{web.host}]" if ":" in web.host else web.host
@@ -31,7 +31,7 @@ def invite(config: Path) -> int:
     return 0
 
 
-def _note(audit: AuditFile, deed: Deed, folder: Path) -> None:
+def _note(audit: AuditFile, deed: AuditEntry, folder: Path) -> None:
     """Add it to the chain; the code is made by now, and a disc without room must not keep it."""
     try:
         audit.add(deed)

@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 from edged.errors import FileFormatError
 from edged.files.atomic import give_like, make_folders, open_folder, write_atomically
 from edged.files.owners import open_plain
-from edged.identity.auditchain import START, Chain, Head, end_of, head_in, line_of
+from edged.identity.auditchain import START, AuditChain, AuditHead, end_of, head_in, line_of
 
 LINES, HEAD = "audit.jsonl", "audit.head"
 FULL = re.compile(r"audit\.([0-9]{9,})\.jsonl")
@@ -38,7 +38,7 @@ MAX_TEXT = 300
 
 
 @dataclass(frozen=True, slots=True)
-class Deed:
+class AuditEntry:
     """What somebody did, or tried to.
 
     before, after : hash of what was changed, where there is one. outcome : "ok", or why not, as a code.
@@ -56,7 +56,7 @@ class Deed:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class AuditVerdict:
     """Of a chain. records : that were wanted.  first, count : numbers of the oldest kept, and of the newest.
 
     hash : of the last. problem : "" for one that holds. torn_bytes : of a line that a crash tore, at the end.
@@ -86,7 +86,7 @@ class AuditFile:
         self._called = called or folder
         self._utc_s = utc_s
 
-    def add(self, deed: Deed) -> dict[str, Any]:
+    def add(self, deed: AuditEntry) -> dict[str, Any]:
         """Keep a deed, on the disc when this returns; its number and hash. Raises `OSError`."""
         make_folders(self._folder)
         while True:
@@ -95,7 +95,7 @@ class AuditFile:
                 if torn_bytes:
                     end = file.seek(0, os.SEEK_END) - torn_bytes
                     file.truncate(end)
-                    torn = Deed(
+                    torn = AuditEntry(
                         "", "", "", "mend", LINES, "ok", reason=f"a line of {torn_bytes} bytes was torn"
                     )
                     number, digest = self._write(file, torn, number, digest)
@@ -108,12 +108,12 @@ class AuditFile:
                 self._let_go(folder, file, number, digest)
                 return {"number": number, "hash": digest}
 
-    def _write(self, file: BinaryIO, deed: Deed, number: int, digest: str) -> tuple[int, str]:
+    def _write(self, file: BinaryIO, deed: AuditEntry, number: int, digest: str) -> tuple[int, str]:
         """One line; returns its number and hash."""
         body = {
             "number": number + 1,
             "time": datetime.fromtimestamp(self._utc_s(), UTC).isoformat(timespec="milliseconds"),
-            **{name: _short(getattr(deed, name)) for name in Deed.__slots__},
+            **{name: _short(getattr(deed, name)) for name in AuditEntry.__slots__},
             "previous": digest,
         }
         line, digest = line_of(body)
@@ -130,10 +130,10 @@ class AuditFile:
 
     def _note_end(self, number: int, digest: str) -> None:
         """In the head, which keeps where the chain begins."""
-        before = self._head() or Head(0, START)
-        self._put_head(Head(number, digest, before.first, before.previous))
+        before = self._head() or AuditHead(0, START)
+        self._put_head(AuditHead(number, digest, before.first, before.previous))
 
-    def _put_head(self, head: Head) -> None:
+    def _put_head(self, head: AuditHead) -> None:
         write_atomically(self._folder / HEAD, head.to_bytes(), mode=0o600, is_state=True)
 
     def _let_go(self, folder: int, file: BinaryIO, number: int, digest: str) -> None:
@@ -146,7 +146,7 @@ class AuditFile:
             last, name = old[-1]
             with os.fdopen(open_plain(name, os.O_RDONLY, folder), "rb") as oldest:
                 found = _tail(oldest)[0]
-            told = Deed(
+            told = AuditEntry(
                 "",
                 "",
                 "",
@@ -157,12 +157,12 @@ class AuditFile:
             )
             number, digest = self._write(file, told, number, digest)
             # first: a file whose records are before the first one counts no more
-            self._put_head(Head(number, digest, last + 1, "" if found is None else found[1]))
+            self._put_head(AuditHead(number, digest, last + 1, "" if found is None else found[1]))
         for _, name in old:
             with suppress(FileNotFoundError):
                 os.unlink(name, dir_fd=folder)
 
-    def _head(self) -> Head | None:
+    def _head(self) -> AuditHead | None:
         try:
             with open_folder(self._folder) as folder:
                 data = _read_head(folder)
@@ -183,13 +183,13 @@ class AuditFile:
         number, digest = max(ends, key=lambda end: end[0])
         return number, digest, torn_bytes
 
-    def verify(self, wanted: Wanted = lambda _record: True, last: int | None = None) -> Verdict:
+    def verify(self, wanted: Wanted = lambda _record: True, last: int | None = None) -> AuditVerdict:
         """Read all of it. wanted : of the records, and of those the last ones. Raises `FileFormatError`."""
         with ExitStack() as opened:
             try:
                 data, full, head_data = self._opened(opened)
                 head = None if head_data is None else head_in(head_data)
-                chain = Chain(head)
+                chain = AuditChain(head)
                 kept = deque[dict[str, Any]](maxlen=last)
                 at_head = ""
                 torn = b""
@@ -208,7 +208,7 @@ class AuditFile:
         problem = chain.problem or _ends(chain, head, at_head, has_head=head_data is not None)
         if problem and data is None and not chain.problem and head is not None:
             problem = f"{LINES} is missing, with {head.number - chain.number} records"
-        return Verdict(tuple(kept), chain.first, chain.number, chain.digest, problem, len(torn))
+        return AuditVerdict(tuple(kept), chain.first, chain.number, chain.digest, problem, len(torn))
 
     def _opened(self, opened: ExitStack) -> tuple[bytes | None, list[tuple[int, BinaryIO]], bytes | None]:
         """All files of one moment: the newest, None for none; the full ones, which nobody writes; the head.
@@ -246,7 +246,7 @@ def shown(text: str) -> str:
     return "".join(letter if letter.isprintable() else "�" for letter in text)
 
 
-def _ends(chain: Chain, head: Head | None, at_head: str, *, has_head: bool) -> str:
+def _ends(chain: AuditChain, head: AuditHead | None, at_head: str, *, has_head: bool) -> str:
     """Why a chain that holds does not end where it should; "" when it does."""
     if head is None:
         if has_head:

@@ -13,7 +13,7 @@ START = "0" * 64
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
+class AuditHead:
     """Number and hash of the last record; and of the first that is kept, with the hash before it."""
 
     number: int
@@ -26,12 +26,12 @@ class Head:
         return json.dumps({name: getattr(self, name) for name in self.__slots__}).encode()
 
 
-def head_in(data: bytes) -> Head | None:
+def head_in(data: bytes) -> AuditHead | None:
     """None for what is none."""
     try:
         head = json.loads(data)
         first, previous = int(head.get("first", 1)), str(head.get("previous", START))
-        return Head(int(head["number"]), str(head["hash"]), first, previous)
+        return AuditHead(int(head["number"]), str(head["hash"]), first, previous)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
 
@@ -50,10 +50,10 @@ def end_of(line: bytes) -> tuple[int, str] | None:
     return record["number"], str(record.get("hash"))
 
 
-class Chain:
+class AuditChain:
     """Follows lines. number, digest : of the last record that fits.  problem : of the first that does not."""
 
-    def __init__(self, begins: Head | None) -> None:
+    def __init__(self, begins: AuditHead | None) -> None:
         self.first = 1 if begins is None else begins.first
         self.number = self.first - 1
         self.digest = START if begins is None else begins.previous

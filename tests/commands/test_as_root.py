@@ -23,7 +23,7 @@ from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.jobs import load_job, save_job
 from edged.files.owners import as_owner
-from edged.identity.audit import AuditFile, Deed
+from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import Invite
 from edged.identity.passwords import hash_password
 from edged.identity.users import User, UserFile
@@ -214,8 +214,8 @@ def test_looking_at_the_audit_tells_nothing_of_roots(
     machine: Machine, trap: Trap, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nor changes it; it says that the chain does not hold, or cannot be read, and where."""
-    AuditFile(machine.state).add(Deed("Anna", "", "", "make", "x", "ok"))
-    AuditFile(machine.prize).add(Deed("root", "", "", "hide", "treasure", "ok"))
+    AuditFile(machine.state).add(AuditEntry("Anna", "", "", "make", "x", "ok"))
+    AuditFile(machine.prize).add(AuditEntry("root", "", "", "hide", "treasure", "ok"))
     give(machine.state)
     if trap in (hard_linked, pipe):
         (machine.state / "audit.jsonl").unlink()
@@ -236,7 +236,7 @@ def test_a_daemon_that_is_root_follows_no_link_either(machine: Machine, name: st
     before = machine.what_root_has()
     anna = User(name="Anna", role="engineer", password_hash=hash_password("secret words"))
     for act in (
-        lambda: AuditFile(machine.state).add(Deed("Anna", "", "", "make", "x", "ok")),
+        lambda: AuditFile(machine.state).add(AuditEntry("Anna", "", "", "make", "x", "ok")),
         lambda: Invite(machine.state).make(),
         lambda: UserFile(machine.state / "users.json").put(anna),
     ):

@@ -9,7 +9,7 @@ import pytest
 
 from edged.__main__ import main
 from edged.files.statefolder import state_folder
-from edged.identity.audit import LINES, AuditFile, Deed
+from edged.identity.audit import LINES, AuditEntry, AuditFile
 
 
 def test_the_chain_is_printed_and_verified(
@@ -30,7 +30,7 @@ def test_the_chain_is_printed_and_verified(
     assert (0, True) == ((first := asked())[0], "0 records" in first[1])
     for outcome in ("role", "ok"):
         AuditFile(lines.parent).add(
-            Deed("[red]Anna\x1b[2J", "engineer", "10.0.0.7", "POST", "setup", outcome, reason="a board")
+            AuditEntry("[red]Anna\x1b[2J", "engineer", "10.0.0.7", "POST", "setup", outcome, reason="a board")
         )
     code, said = asked()
     assert 0 == code

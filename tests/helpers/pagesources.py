@@ -14,7 +14,7 @@ from edged.vision.geometry.rectification import Rectification
 
 @dataclass(frozen=True)
 class FixedSources:
-    """`edged.adapters.web.Sources`."""
+    """`edged.adapters.web.PageSources`."""
 
     rectification: Callable[[], Rectification]
     jobs: Callable[[], Sequence[tuple[int, str]]] = tuple

@@ -13,9 +13,9 @@ import pytest
 from helpers.waiting import LIMIT_S
 
 from edged.identity import audit as audit_module
-from edged.identity.audit import HEAD, LINES, AuditFile, Deed
+from edged.identity.audit import HEAD, LINES, AuditEntry, AuditFile
 
-DEED = Deed("Anna", "engineer", "10.0.0.7", "POST", "setup", "ok", reason="Jörg „hat“ sie\n")
+DEED = AuditEntry("Anna", "engineer", "10.0.0.7", "POST", "setup", "ok", reason="Jörg „hat“ sie\n")
 
 
 def kept(folder: Path, count: int = 5) -> AuditFile:
@@ -255,8 +255,8 @@ def test_processes_that_add_at_once_make_one_chain(tmp_path: Path) -> None:
     """The daemon, and a command in a shell; also while files are full."""
     work = (
         "import sys; from pathlib import Path; from edged.identity import audit\n"
-        "from edged.identity.audit import AuditFile, Deed; audit.FULL_BYTES = 2000\n"
-        "for _ in range(20): AuditFile(Path(sys.argv[1])).add(Deed('root', '', '', 'make', 'x', 'ok'))"
+        "from edged.identity.audit import AuditFile, AuditEntry; audit.FULL_BYTES = 2000\n"
+        "for _ in range(20): AuditFile(Path(sys.argv[1])).add(AuditEntry('root', '', '', 'make', 'x', 'ok'))"
     )
     others = [subprocess.Popen([sys.executable, "-c", work, str(tmp_path)]) for _ in range(2)]
     assert [0, 0] == [other.wait(LIMIT_S) for other in others]

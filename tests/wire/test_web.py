@@ -32,7 +32,7 @@ from rich.console import Console
 from edged.adapters.web import WebPublisher, WebSettings, login, page, server, viewers
 from edged.adapters.web.assets import read_assets
 from edged.adapters.web.marks import outlines
-from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, Page, picture
+from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, StatusPage, picture
 from edged.adapters.web.server import FREE
 from edged.commands.status import status
 from edged.domain.cell import Calibrated, CellPhase, CellState, DriftState, SetupSource
@@ -82,7 +82,7 @@ def make_pair(grey: int = 100) -> FramePair:
     )
 
 
-def measure(web: WebPublisher | Page, cycle: int, status: Status = Status.OK, error: str = "") -> None:
+def measure(web: WebPublisher | StatusPage, cycle: int, status: Status = Status.OK, error: str = "") -> None:
     """One cycle with pictures; without, when it is a fault of the cameras."""
     take = web.announce if isinstance(web, WebPublisher) else web.take
     if not error:
@@ -298,7 +298,7 @@ def test_marks_lie_on_the_parts_edge() -> None:
 
 def test_the_page_says_where_a_sigma_comes_from() -> None:
     """Of the first good part, mm and degrees, with the job's limit; squares add up to the published sigma."""
-    page = Page("cell", replace(sources(), limits=lambda: {1: 0.2}))
+    page = StatusPage("cell", replace(sources(), limits=lambda: {1: 0.2}))
     assert page.status()["budget"] is None
     target = make_target()
     bad = make_target(Reject.SIGMA_LIMIT)
@@ -337,7 +337,7 @@ def test_the_tool_is_drawn_where_it_takes_the_part() -> None:
 
 def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
     """A night without a camera leaves room for what happened before it."""
-    page = Page("cell", sources())
+    page = StatusPage("cell", sources())
     measure(page, 1, Status.LOW_QUALITY)
     for cycle in range(2, 50):
         measure(page, cycle, Status.CAPTURE_FAULT, "cable")
@@ -355,7 +355,7 @@ def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
 
 def test_a_miss_that_repeats_is_listed_once() -> None:
     """An empty table all night is one line with its count; another reason, job or hour is another line."""
-    page, match = Page("cell", sources()), Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91)
+    page, match = StatusPage("cell", sources()), Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91)
     for cycle in range(1, 40):
         measure(page, cycle, Status.NO_TARGET if cycle % 3 else Status.OK)
     empty, start_ns = make_snapshot(40, Status.NO_TARGET), make_snapshot().published_ns
@@ -371,7 +371,7 @@ def test_a_miss_that_repeats_is_listed_once() -> None:
 
 def test_the_last_cycles_stay_to_be_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     """Good or bad, newest first, with marks and reasons; with large cameras only the newest."""
-    page = Page("cell", sources())
+    page = StatusPage("cell", sources())
     newest = RECENT + SPARE + 2
     for cycle in range(1, newest + 1):
         measure(page, cycle, Status.OK if cycle % 2 else Status.LOW_QUALITY)
@@ -413,7 +413,7 @@ def test_a_cycle_can_be_asked_for() -> None:
 
 def test_a_page_in_fault_knows_since_when_there_is_no_picture() -> None:
     """The last picture's time outlives it: an old picture would look like the present one."""
-    page = Page("cell", sources())
+    page = StatusPage("cell", sources())
     assert 0 == page.status()["pictured_ns"]
     measure(page, 1)
     seen_ns = page.status()["pictured_ns"]
@@ -425,7 +425,7 @@ def test_a_page_in_fault_knows_since_when_there_is_no_picture() -> None:
 
 def test_trends_are_of_what_can_get_worse() -> None:
     """Sigma, rows and drift of good cycles; a fault has its status and nothing that looks measured."""
-    page = Page("cell", sources())
+    page = StatusPage("cell", sources())
     page.take(replace(make_snapshot(1), drift=DriftState(Calibrated.HOLDS, 0.05, math.nan)))
     measure(page, 2, Status.CAPTURE_FAULT, "cable")
     good, bad = page.history()
@@ -436,7 +436,7 @@ def test_trends_are_of_what_can_get_worse() -> None:
 
 def test_the_orientation_is_what_the_plc_reads() -> None:
     """A, B, C in the cell's convention and the robot's frame: the numbers of the registers."""
-    page = Page("cell", sources())
+    page = StatusPage("cell", sources())
     turned = make_transform((0.3, -0.2, 2.0), (100.0, 0.0, 0.0))
     snapshot = make_snapshot(1, robot_from_rig=turned)
     page.take(snapshot)
@@ -463,7 +463,7 @@ def test_the_log_in_names_the_cell() -> None:
 
 def test_why_nothing_was_found_reaches_the_page() -> None:
     """A match that could not be measured, with its place; else the best score, where, and what to try."""
-    page, match = Page("cell", sources()), Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91)
+    page, match = StatusPage("cell", sources()), Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91)
     for cycle, code, found, expected in (
         (
             1,
@@ -513,7 +513,7 @@ def test_only_a_viewer_has_the_cell_look_again() -> None:
 def test_a_fault_without_pictures_is_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is forgotten of it are the pictures that a look would need; the text does not guess."""
     monkeypatch.setattr(page, "FAULT_BYTES", 0)
-    shown, asked = Page("cell", sources()), [Nearest(lambda: None), Nearest(lambda: None)]
+    shown, asked = StatusPage("cell", sources()), [Nearest(lambda: None), Nearest(lambda: None)]
     for cycle, nearest in enumerate(asked, 1):
         shown.take(ExposureDone(cycle, None, make_pair()))
         shown.take(replace(make_snapshot(cycle, Status.NO_TARGET), nearest=nearest, job=f"job {cycle}"))
@@ -527,7 +527,7 @@ def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None
     """With large cameras the oldest faults lose their pictures, and say so; the newest always has them."""
     pair = make_pair()
     monkeypatch.setattr(page, "FAULT_BYTES", 2 * (pair.left.image.nbytes + pair.right.image.nbytes))
-    shown = Page("cell", sources())
+    shown = StatusPage("cell", sources())
     for cycle in (1, 2, 3, 4):
         shown.take(ExposureDone(cycle, None, make_pair()))
         shown.take(replace(make_snapshot(cycle, Status.NO_TARGET), job=f"job {cycle}"))
@@ -542,7 +542,7 @@ def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_why_a_target_was_not_good_is_in_words() -> None:
     """The operator reads "sigma over its limit", not 4."""
-    page = Page("cell", sources())
+    page = StatusPage("cell", sources())
     page.take(make_snapshot(1, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),)))
 
     (why,) = page.status()["faults"][0]["why"]
@@ -875,7 +875,7 @@ def test_a_port_in_use_is_named() -> None:
 
 def test_a_snapshot_without_its_exposure_has_no_picture() -> None:
     """An older pair is never shown for a newer result."""
-    page = Page("cell", sources())
+    page = StatusPage("cell", sources())
     measure(page, 1)
     page.take(make_snapshot(2))
 

@@ -14,7 +14,7 @@ from pydantic import Field
 from edged.adapters.web.routes import BASE, Answer, Body, Call, Route, route
 from edged.connections import Rate
 from edged.errors import FileFormatError
-from edged.identity.audit import AuditFile, Deed, shown
+from edged.identity.audit import AuditEntry, AuditFile, shown
 from edged.logs import LogLimit, fields
 
 log = logging.getLogger(__name__)
@@ -82,7 +82,7 @@ class Auditor:
         reason = trail.reason or getattr(call.body, "reason", None) or getattr(call.body, "note", None)
         place = call.request.path.removeprefix(f"{BASE}/")
         await self.add(
-            Deed(
+            AuditEntry(
                 user=call.visitor.name,
                 role=call.visitor.role.word,
                 address=call.visitor.address,
@@ -97,9 +97,9 @@ class Auditor:
 
     async def note_login(self, request: web.Request, name: str, verb: str, outcome: str) -> None:
         """Somebody came in, or tried to."""
-        await self.add(Deed(name, "", request.remote or "", verb, "page", outcome))
+        await self.add(AuditEntry(name, "", request.remote or "", verb, "page", outcome))
 
-    async def add(self, deed: Deed) -> None:
+    async def add(self, deed: AuditEntry) -> None:
         """Keep a deed, and mirror it; on the disc when this returns."""
         if deed.outcome != "ok" and not self._refused.take():
             self._limit.warning("audit: %s", _text(deed))
@@ -107,7 +107,7 @@ class Auditor:
         # the deed is done: whoever hangs up, it is noted
         await asyncio.wait({asyncio.wrap_future(self.post(deed))}, timeout=WAIT_S)
 
-    def post(self, deed: Deed) -> Future[None]:
+    def post(self, deed: AuditEntry) -> Future[None]:
         """The same, of what nobody waits for; after the end it is in the journal alone."""
         if self._is_closed:
             log.info("audit: %s", _text(deed))
@@ -128,7 +128,7 @@ class Auditor:
         self._is_closed = True
         await asyncio.to_thread(self._thread.shutdown, wait=True)
 
-    def _keep(self, deed: Deed) -> None:
+    def _keep(self, deed: AuditEntry) -> None:
         number, digest = 0, ""
         if self._file is not None:
             try:
@@ -144,10 +144,10 @@ class Auditor:
             runs = file.verify(lambda record: bool(record["verb"] == RUN), last=1).records
             before = next((one["after"] for one in runs), None)
         if before != fingerprint:
-            self._keep(Deed("", "", "", RUN, "cell", "ok", before=before, after=fingerprint))
+            self._keep(AuditEntry("", "", "", RUN, "cell", "ok", before=before, after=fingerprint))
 
 
-def _text(deed: Deed) -> str:
+def _text(deed: AuditEntry) -> str:
     who = f"{shown(deed.user) or 'nobody'} at {deed.address or 'the cell'}"
     why = f" ({shown(deed.reason)})" if deed.reason else ""
     return f"{deed.verb} {deed.object!r} by {who}: {deed.outcome}{why}"

@@ -10,7 +10,7 @@ from aiohttp import web
 from pydantic import Field
 
 from edged.adapters.web.openapi import document_of
-from edged.adapters.web.page import Overview, Page
+from edged.adapters.web.page import Overview, StatusPage
 from edged.adapters.web.routes import Answer, Call, RouteTable, route
 from edged.domain.cell import SetupSource
 from edged.domain.numerals import known
@@ -85,7 +85,7 @@ class OverviewRoutes:
     def __init__(
         self,
         cell: str,
-        page: Page,
+        page: StatusPage,
         asked: Callable[[], Overview],
         holder: Callable[[], str],
         table: RouteTable,

@@ -1,7 +1,7 @@
-"""What the page shows, as values: no sockets here.
+"""What the status page shows, as JSON, and its pictures.
 
-`Page` takes note of events and answers with JSON. Pictures are encoded when somebody asks for one, in the
-asker's thread, from the pair that is kept of the newest exposure and of the last faults.
+Pictures are encoded when one is asked for, in the caller's thread, from the pairs of the newest exposure and
+of the last faults.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Overview:
     stage: bool = False
 
 
-class Sources(Protocol):
+class PageSources(Protocol):
     """What the page shows besides events; called on the event loop, answered at once."""
 
     def rectification(self) -> Rectification:
@@ -109,7 +109,7 @@ class Sources(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class ShownCycle:
     """A cycle with its pictures. times : how often this has been seen; last_ns : the last time."""
 
     snapshot: Snapshot
@@ -118,20 +118,20 @@ class Shown:
     last_ns: int = 0
 
 
-class Page:
+class StatusPage:
     """The state of the page."""
 
-    def __init__(self, cell: str, sources: Sources) -> None:
+    def __init__(self, cell: str, sources: PageSources) -> None:
         self._cell = cell
         self._sources = sources
         self._state: CellState | None = None
         self._exposed: tuple[int, FramePair] | None = None
-        self._last: Shown | None = None
-        self._faults: deque[Shown] = deque(maxlen=FAULTS)
-        self._recent: deque[Shown] = deque(maxlen=RECENT + SPARE)
+        self._last: ShownCycle | None = None
+        self._faults: deque[ShownCycle] = deque(maxlen=FAULTS)
+        self._recent: deque[ShownCycle] = deque(maxlen=RECENT + SPARE)
         self._history: deque[Json] = deque(maxlen=HISTORY)
         self._pictured_ns = 0
-        self._drawn: tuple[Shown, Json] | None = None
+        self._drawn: tuple[ShownCycle, Json] | None = None
 
     # --- events ------------------------------------------------------------------------------
 
@@ -149,7 +149,7 @@ class Page:
         self._exposed = None
         if pair is not None:
             self._pictured_ns = event.exposed_ns or event.published_ns
-        self._last = Shown(event, pair, last_ns=event.published_ns)
+        self._last = ShownCycle(event, pair, last_ns=event.published_ns)
         self._history.append(_trend(event))
         if pair is not None:
             self._recent.append(self._last)
@@ -267,7 +267,7 @@ class Page:
         shown = self._kept(cycle)
         return None if shown is None else shown.pair
 
-    def _kept(self, cycle: int) -> Shown | None:
+    def _kept(self, cycle: int) -> ShownCycle | None:
         """A cycle whose pictures are there."""
         for shown in (*self._recent, *self._faults):
             if shown.snapshot.cycle == cycle and shown.pair is not None:
@@ -278,13 +278,13 @@ class Page:
         """Of the rig in use."""
         return self._sources.rectification()
 
-    def _picture(self, shown: Shown) -> Json:
+    def _picture(self, shown: ShownCycle) -> Json:
         """Which picture, its size, and what to draw on it; computed once for all viewers."""
         if self._drawn is None or self._drawn[0] is not shown:
             self._drawn = shown, self._draw(shown)
         return self._drawn[1]
 
-    def _draw(self, shown: Shown) -> Json:
+    def _draw(self, shown: ShownCycle) -> Json:
         rectification = self._sources.rectification()
         width, height = rectification.size
         marks = [
@@ -404,7 +404,7 @@ def _angles(target: Target, snapshot: Snapshot, convention: Convention) -> Json 
     return {"deg": reading.angles_deg.tolist(), "sigma_deg": reading.sigma_deg.tolist()}
 
 
-def _size(shown: Shown) -> int:
+def _size(shown: ShownCycle) -> int:
     """Bytes of the pictures."""
     return 0 if shown.pair is None else shown.pair.left.image.nbytes + shown.pair.right.image.nbytes
 
@@ -417,12 +417,12 @@ def _fault_key(snapshot: Snapshot) -> tuple[object, ...]:
     return snapshot.status, snapshot.job, frozenset(refused)
 
 
-def _recent(shown: Shown) -> Json:
+def _recent(shown: ShownCycle) -> Json:
     snapshot = shown.snapshot
     return {"cycle": snapshot.cycle, "time_ns": snapshot.published_ns, "status": str(snapshot.status)}
 
 
-def _fault(shown: Shown) -> Json:
+def _fault(shown: ShownCycle) -> Json:
     snapshot = shown.snapshot
     return {
         "cycle": snapshot.cycle,

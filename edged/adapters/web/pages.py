@@ -13,7 +13,7 @@ from aiohttp import web
 
 from edged.adapters.web.assets import run_modules, type_of
 from edged.adapters.web.manualfiles import Manual, read_manual
-from edged.adapters.web.page import THUMBNAIL_PX, Page, picture
+from edged.adapters.web.page import THUMBNAIL_PX, StatusPage, picture
 from edged.domain.arrays import Side
 from edged.domain.measurement import Nearest
 from edged.payload import Json
@@ -34,7 +34,7 @@ class PageHandlers:
     def __init__(
         self,
         cell: str,
-        page: Page,
+        page: StatusPage,
         drawer: Executor,
         assets: Mapping[str, str],
         manual: Path,

@@ -24,7 +24,7 @@ from edged.adapters.web.gate import Gate
 from edged.adapters.web.login import COOKIE, LoginForms, tell_of_users
 from edged.adapters.web.manualfiles import FOLDER
 from edged.adapters.web.overview import OverviewRoutes
-from edged.adapters.web.page import Page, Sources
+from edged.adapters.web.page import PageSources, StatusPage
 from edged.adapters.web.pages import PageHandlers, html
 from edged.adapters.web.people import People
 from edged.adapters.web.routes import BASE, RouteTable
@@ -39,7 +39,7 @@ from edged.domain.cell import CellState
 from edged.domain.events import Event, Idle
 from edged.errors import ListenError
 from edged.identity.access import Access, TooManyAttempts
-from edged.identity.audit import AuditFile, Deed
+from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import Invite
 from edged.identity.users import UserFile
 from edged.identity.visitors import Visitor
@@ -107,7 +107,7 @@ class WebPublisher:
         self,
         cell: str,
         settings: WebSettings,
-        sources: Sources,
+        sources: PageSources,
         metrics: Callable[[], bytes] = bytes,
         *,
         manual: Path = FOLDER,
@@ -130,7 +130,7 @@ class WebPublisher:
         self._settings = settings
         self._context = context
         self._commissioner = commissioner
-        self._page = Page(cell, sources)
+        self._page = StatusPage(cell, sources)
         is_set_up = settings.commissioning and commissioner is not None
         state = settings.state if is_set_up else None
         self._users = None if state is None else UserFile(state / "users.json")
@@ -243,7 +243,9 @@ class WebPublisher:
         if is_new:
             self._viewers.wake()
         if self._taking is not None and isinstance(event, CellState) and self._taking.ended_by(event):
-            self._auditor.post(Deed("", "", "", "end", "setup", "ok", reason="by the plant (AUTO_LOCK)"))
+            self._auditor.post(
+                AuditEntry("", "", "", "end", "setup", "ok", reason="by the plant (AUTO_LOCK)")
+            )
         if is_new or isinstance(event, Idle):
             self._auditor.note_run(self._sources.fingerprint())
         # each second, too: who owns the PLC's write right, and AUTO_LOCK, change without an event

@@ -14,7 +14,7 @@ from edged.setup.cameras.service import CameraService
 SIDE = "{side:left|right}"
 
 
-class Asking(Body):
+class CameraQuery(Body):
     """Who has the cell also sees what the cameras are set to."""
 
     token: Token | None = None
@@ -48,7 +48,7 @@ class Settings(Answer):
     gain_db: float | None
 
 
-class Limits(Answer):
+class CameraBounds(Answer):
     """The least and the most."""
 
     exposure_us: tuple[float, float] | None
@@ -65,8 +65,8 @@ class Both(Answer):
 class BothLimits(Answer):
     """Of both cameras."""
 
-    left: Limits
-    right: Limits
+    left: CameraBounds
+    right: CameraBounds
 
 
 class CamerasNow(Answer):
@@ -105,7 +105,7 @@ class Waved(Answer):
     exchanged: bool
 
 
-class Spread(Answer):
+class EdgeSpread(Answer):
     """Sigma of edges, px: of the picture, and in its fields from the top left; null: too few edges."""
 
     median: float | None
@@ -127,7 +127,7 @@ class PictureFigures(Answer):
     noise_grey: float
     contrast_grey: float
     bright_grey: float
-    edge_spread_px: Spread
+    edge_spread_px: EdgeSpread
     sigma_z_factor: float | None
     advice: AdviceNow
 
@@ -151,7 +151,7 @@ class CameraRoutes:
         "/cameras",
         "Which cameras there are; with the token of who has the cell also what they are set to",
     )
-    async def _now(self, call: Call[Asking]) -> CamerasNow:
+    async def _now(self, call: Call[CameraQuery]) -> CamerasNow:
         token, settings, limits = call.body.token, None, None
         if token is not None:
             values = {side: await self._cameras.adjust(token, side, CameraValues()) for side in SIDES}
@@ -159,7 +159,7 @@ class CameraRoutes:
             bounds = {side: await self._cameras.limits(token, side) for side in SIDES}
             limits = BothLimits(
                 **{
-                    side: Limits(exposure_us=bounds[side].exposure_us, gain_db=bounds[side].gain_db)
+                    side: CameraBounds(exposure_us=bounds[side].exposure_us, gain_db=bounds[side].gain_db)
                     for side in SIDES
                 }
             )
@@ -208,7 +208,7 @@ class CameraRoutes:
         return Waved(moved=moved, exchanged=exchanged)
 
     @route("GET", "/cameras/quality", "Light and focus of the last live pictures")
-    async def _quality(self, _call: Call[Asking]) -> Quality:
+    async def _quality(self, _call: Call[CameraQuery]) -> Quality:
         document = self._cameras.quality()
         if document is None:
             raise Problem(404, "no_picture", "no live picture has been judged yet")

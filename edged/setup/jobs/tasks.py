@@ -25,7 +25,7 @@ TELL_S = 1.0
 """Also while nothing changes: who waits sees that it goes on."""
 
 
-class Problem(BaseModel):
+class TaskProblem(BaseModel):
     """Why it failed. code, params : as those of a refused request."""
 
     model_config = ConfigDict(frozen=True)
@@ -45,7 +45,7 @@ class TaskDocument(BaseModel):
     text: str
     seconds: int
     state: str
-    problem: Problem | None
+    problem: TaskProblem | None
 
 
 @dataclass(eq=False, slots=True)
@@ -57,7 +57,7 @@ class _Task:
     done: float | None = None
     state: str = "running"
     ended_s: float | None = None
-    problem: Problem | None = None
+    problem: TaskProblem | None = None
     running: asyncio.Task[None] | None = None
 
     def document(self) -> TaskDocument:
@@ -128,7 +128,10 @@ class Tasks:
             task.state, task.problem = "failed", _problem(error)
         except Exception as error:
             log.exception("the task %s failed", task.what)
-            task.state, task.problem = "failed", Problem(code="bug", detail=f"a bug, see the log: {error}")
+            task.state, task.problem = (
+                "failed",
+                TaskProblem(code="bug", detail=f"a bug, see the log: {error}"),
+            )
         finally:
             ticking.cancel()
             task.ended_s = time.monotonic()
@@ -143,6 +146,6 @@ class Tasks:
         self._notices.publish("task", task.document().model_dump(mode="json"))
 
 
-def _problem(error: EdgedError) -> Problem:
+def _problem(error: EdgedError) -> TaskProblem:
     params = dict(error.params) if isinstance(error, UserError) else {}
-    return Problem(code=code_of(error), detail=str(error), params=params)
+    return TaskProblem(code=code_of(error), detail=str(error), params=params)

@@ -21,14 +21,14 @@ from typing import Any
 from edged import errors
 from edged.errors import TaskFailed, TaskTooLarge, UserError
 from edged.setup.jobs.workerprocess import (
-    Answer,
-    Done,
-    Failed,
-    Order,
     OutOfMemory,
-    Refused,
+    TaskAnswer,
+    TaskBug,
     TaskLimits,
-    Told,
+    TaskOrder,
+    TaskProgress,
+    TaskRefused,
+    TaskResult,
     limits_here,
 )
 from edged.setup.pairs import Progress, silent
@@ -50,7 +50,7 @@ class Worker:
     functions : what it can do, by name: "module:function", called with a `Progress` and the arguments.
     cpus : how many processors a task may use, asked when it begins. limits : what else it may take.
 
-    A plain process with a pipe: `pebble` cancels by kill, too, but has no channel for progress, and starts its
+    A plain process with a pipe: `pebble` cancels by kill, too, but has no channel for progress, and starts
     processes by `multiprocessing`: a fork of a daemon that has threads, or a spawn that imports the daemon's
     main module again and keeps a third process to look after both.
     """
@@ -89,13 +89,13 @@ class Worker:
         """
         loop = asyncio.get_running_loop()
 
-        def tell(told: Told) -> None:
+        def tell(told: TaskProgress) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(progress, told.stage, told.done, told.total)
 
         async with self._turn:
             self._keep(loop)
-            order = Order(self._functions[name], arguments, max(1, self._cpus()), self._limits)
+            order = TaskOrder(self._functions[name], arguments, max(1, self._cpus()), self._limits)
             cancelled = threading.Event()
             try:
                 answer = await loop.run_in_executor(
@@ -109,16 +109,16 @@ class Worker:
             finally:
                 self._keep(loop)
         match answer:
-            case Done(result):
+            case TaskResult(result):
                 return result
-            case Refused():
+            case TaskRefused():
                 raise _user_error(answer)
             case OutOfMemory(trace):
                 log.error("the task %s ran out of memory:\n%s", name, trace)
                 raise _too_large(name, f"{self._limits.memory_bytes >> 20} MiB of memory")
             case _OutOfTime():
                 raise _too_large(name, f"{self._limits.cpu_s} s of processor time")
-            case Failed(trace):
+            case TaskBug(trace):
                 log.error("the task %s failed:\n%s", name, trace)
                 raise TaskFailed(f"{name}: a bug, see the log: {trace.splitlines()[-1]}")
 
@@ -133,8 +133,8 @@ class Worker:
     # --- in the pipe's thread ----------------------------------------------------------------
 
     def _exchange(
-        self, order: Order, tell: Callable[[Told], None], cancelled: threading.Event
-    ) -> Done | Refused | Failed | OutOfMemory | _OutOfTime:
+        self, order: TaskOrder, tell: Callable[[TaskProgress], None], cancelled: threading.Event
+    ) -> TaskResult | TaskRefused | TaskBug | OutOfMemory | _OutOfTime:
         """Send an order, and wait for what comes of it. Raises `TaskFailed` when the process ends."""
         connection = self._connection
         if connection is None or self._process is None or self._process.poll() is not None:
@@ -144,7 +144,7 @@ class Worker:
             if cancelled.is_set():  # before there was a process to kill
                 raise EOFError
             connection.send(order)
-            while isinstance(answer := _received(connection), Told):
+            while isinstance(answer := _received(connection), TaskProgress):
                 tell(answer)
         except (EOFError, OSError) as error:
             ended = self._clear()
@@ -210,12 +210,12 @@ def _too_large(name: str, most: str) -> TaskTooLarge:
     return TaskTooLarge(f"{name}: more than the {most} that it may take: {expected}")
 
 
-def _received(connection: Connection) -> Answer:
-    answer: Answer = connection.recv()
+def _received(connection: Connection) -> TaskAnswer:
+    answer: TaskAnswer = connection.recv()
     return answer
 
 
-def _user_error(refused: Refused) -> UserError:
+def _user_error(refused: TaskRefused) -> UserError:
     """As it was raised there; one whose fields do not come through the pipe is a plain one."""
     found = getattr(errors, refused.kind, UserError)
     plain = found.__init__ is UserError.__init__

@@ -58,7 +58,7 @@ def limits_here() -> TaskLimits:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Order:
+class TaskOrder:
     """A task. function : "module:name", called with a `Progress` and the arguments; cpus : to use at most."""
 
     function: str
@@ -68,7 +68,7 @@ class Order:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class TaskProgress:
     """How far the task is, as `Progress` has it."""
 
     stage: str
@@ -77,14 +77,14 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Done:
+class TaskResult:
     """What the task gave."""
 
     result: Any
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class TaskRefused:
     """A mistake in what it was given: kind of `UserError`, and what it holds."""
 
     kind: str
@@ -94,7 +94,7 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
-class Failed:
+class TaskBug:
     """A bug: the traceback."""
 
     trace: str
@@ -107,12 +107,12 @@ class OutOfMemory:
     trace: str
 
 
-Answer = Told | Done | Refused | Failed | OutOfMemory
+TaskAnswer = TaskProgress | TaskResult | TaskRefused | TaskBug | OutOfMemory
 
 
 def serve(connection: Connection) -> None:
     """Carry out one order after the other, until whoever sends them is gone."""
-    orders: SimpleQueue[Order] = SimpleQueue()
+    orders: SimpleQueue[TaskOrder] = SimpleQueue()
     all_cpus = sorted(os.sched_getaffinity(0))
 
     def receive() -> None:
@@ -130,25 +130,25 @@ def serve(connection: Connection) -> None:
         connection.send(_carry_out(order, connection))
 
 
-def _carry_out(order: Order, connection: Connection) -> Answer:
+def _carry_out(order: TaskOrder, connection: Connection) -> TaskAnswer:
     told_s, told_stage = 0.0, ""
 
     def progress(stage: str, done: int, total: int) -> None:
         nonlocal told_s, told_stage
         if stage != told_stage or done == total or time.monotonic() - told_s >= TELL_S:
             told_s, told_stage = time.monotonic(), stage
-            connection.send(Told(stage, done, total))
+            connection.send(TaskProgress(stage, done, total))
 
     from edged.errors import UserError
 
     module, _, name = order.function.partition(":")
     try:
-        return Done(getattr(import_module(module), name)(progress, *order.arguments))
+        return TaskResult(getattr(import_module(module), name)(progress, *order.arguments))
     except UserError as error:
-        return Refused(type(error).__name__, str(error), error.code, error.params)
+        return TaskRefused(type(error).__name__, str(error), error.code, error.params)
     except Exception as error:  # noqa: BLE001  (a bug is told to who asked, who logs it: the next task may be well)
         trace = traceback.format_exc()
-        return OutOfMemory(trace) if _is_of_memory(error) else Failed(trace)
+        return OutOfMemory(trace) if _is_of_memory(error) else TaskBug(trace)
 
 
 def _is_of_memory(error: BaseException | None) -> bool:

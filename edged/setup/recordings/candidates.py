@@ -14,7 +14,7 @@ from edged.setup.recordings.whatif import JobChange, changed_job
 from edged.setup.releases.archive import jobs_of, rig_in
 from edged.setup.releases.jobsfolder import contents_with
 from edged.setup.releases.jobsinuse import Candidate
-from edged.setup.releases.shelf import Shelf
+from edged.setup.releases.releasefolder import ReleaseFolder
 
 Solution = Callable[[str], Awaitable[tuple[object, bytes]]]
 """What a draft of a calibration was solved to, and its rig's file; raises `KeyError`, `EdgedError`."""
@@ -22,12 +22,12 @@ Taught = Callable[[str], Awaitable[Candidate]]
 """The job of a draft of a teaching, likewise."""
 
 
-class Candidates:
+class CandidateContents:
     """What may be tried in place of what runs."""
 
-    def __init__(self, cell: CellInUse, shelf: Shelf, solution: Solution, taught: Taught) -> None:
+    def __init__(self, cell: CellInUse, releases: ReleaseFolder, solution: Solution, taught: Taught) -> None:
         self._cell = cell
-        self._shelf = shelf
+        self._releases = releases
         self._solution = solution
         self._taught = taught
 
@@ -43,7 +43,7 @@ class Candidates:
 
     async def of_release(self, number: int) -> Contents:
         """By rig and jobs of a release, as it would become active. Raises `KeyError`, `EdgedError`."""
-        kept = await asyncio.to_thread(self._shelf.open, number)
+        kept = await asyncio.to_thread(self._releases.open, number)
         jobs, active = jobs_of(kept), self._cell.contents
         return {**(contents_with(active, jobs) if jobs else active), RIG: rig_in(kept).rig}
 

@@ -39,7 +39,7 @@ TURNED, SHIFTED = 6, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class GoodPart:
     """A good part. position_mm (3,), rotation (3, 3), covariance (6, 6), as published; rig frame.
 
     free_axis (3,) : about which its rotation is not known, or None.
@@ -57,11 +57,11 @@ class Found:
 
     status: str
     reasons: tuple[str, ...]
-    places: tuple[Place, ...]
+    places: tuple[GoodPart, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tried:
+class TriedCycle:
     """A recording measured by both. skipped : why it was not, as a code; then nothing else counts.
 
     Codes: "damaged", "no_pictures", "grab", "no_job".
@@ -77,7 +77,7 @@ class Tried:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class FrameShift:
     """A small motion of a frame about a point: x + shift + turn x (x - centre). turn_rad (3,), or zero."""
 
     centre_mm: FloatArray
@@ -107,7 +107,7 @@ class Compared:
     lost : good parts that are not there any more.
     """
 
-    tried: Tried
+    tried: TriedCycle
     was_good: bool
     is_good: bool
     apart: Apart | None
@@ -121,24 +121,24 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class CycleComparison:
     """All cycles that were tried. motion : of the frame, which was taken out; None: none, or not known."""
 
     compared: tuple[Compared, ...]
-    skipped: tuple[Tried, ...]
-    motion: Motion | None
+    skipped: tuple[TriedCycle, ...]
+    motion: FrameShift | None
 
 
 # --- one recording ------------------------------------------------------------------------------
 
 
-def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy, setups: Setups) -> Tried:
+def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy, setups: Setups) -> TriedCycle:
     """Measure a recording by both. What the very same job, rig and versions have measured is taken as it is.
 
     candidate : with its jobs under the numbers of those that they succeed.
     """
     at = entry.recorded.isoformat(timespec="milliseconds")
-    nothing = Tried(entry.index, at, "")
+    nothing = TriedCycle(entry.index, at, "")
     try:
         taken = recording.load(entry.path)
     except FileFormatError as error:
@@ -195,20 +195,20 @@ def found_in(snapshot: Json) -> Found:
     return Found(str(snapshot["status"]), reasons_of(snapshot), places)
 
 
-def _place(target: Any) -> Place:
+def _place(target: Any) -> GoodPart:
     position, rotation, covariance = (
         np.array(target[key], np.float64).reshape(shape)
         for key, shape in (("position_mm", 3), ("rotation", (3, 3)), ("covariance_6x6", (6, 6)))
     )
     free = target.get("free_axis")
     axis = None if free is None else np.array(free, np.float64).reshape(3)
-    return Place(position, rotation, covariance, axis)
+    return GoodPart(position, rotation, covariance, axis)
 
 
 # --- all of them --------------------------------------------------------------------------------
 
 
-def compare(tried: Sequence[Tried], *, of_rig: bool) -> Comparison:
+def compare(tried: Sequence[TriedCycle], *, of_rig: bool) -> CycleComparison:
     """What all recordings say. of_rig : the new one is a rig, whose frame's motion is told and taken out."""
     skipped = tuple(one for one in tried if one.skipped)
     both = [(one, one.before, one.after) for one in tried if one.before is not None and one.after is not None]
@@ -227,17 +227,17 @@ def compare(tried: Sequence[Tried], *, of_rig: bool) -> Comparison:
         worst = max(apart, key=lambda told: told.sigmas, default=None)
         lost = len(before.places) - len(pairs) if was_good and is_good else 0
         compared.append(Compared(one, was_good, is_good, worst, lost))
-    return Comparison(tuple(compared), skipped, motion)
+    return CycleComparison(tuple(compared), skipped, motion)
 
 
-def _pairs(before: Found, after: Found) -> list[tuple[Place, Place]]:
+def _pairs(before: Found, after: Found) -> list[tuple[GoodPart, GoodPart]]:
     """Good parts of both that are one part: the nearest ones first, each once."""
     ways = [
         (float(np.linalg.norm(first.position_mm - second.position_mm)), i, k)
         for i, first in enumerate(before.places)
         for k, second in enumerate(after.places)
     ]
-    pairs: list[tuple[Place, Place]] = []
+    pairs: list[tuple[GoodPart, GoodPart]] = []
     taken: set[tuple[str, int]] = set()
     for distance, i, k in sorted(ways):
         if distance <= SAME_PART_MM and not {("before", i), ("after", k)} & taken:
@@ -246,7 +246,7 @@ def _pairs(before: Found, after: Found) -> list[tuple[Place, Place]]:
     return pairs
 
 
-def _apart(before: Place, after: Place, motion: Motion | None) -> Apart:
+def _apart(before: GoodPart, after: GoodPart, motion: FrameShift | None) -> Apart:
     by = after.position_mm - before.position_mm
     turn = _turn(before, after)
     if motion is not None:
@@ -259,7 +259,7 @@ def _apart(before: Place, after: Place, motion: Motion | None) -> Apart:
     return Apart(by, float(units.max()), math.degrees(float(np.linalg.norm(turn))))
 
 
-def _turn(before: Place, after: Place) -> FloatArray:
+def _turn(before: GoodPart, after: GoodPart) -> FloatArray:
     """(3,) rotation vector from before to after; zero where one of them is not known."""
     rotation = after.rotation @ before.rotation.T
     return rotation_vector(rotation) if np.isfinite(rotation).all() else np.zeros(3)
@@ -272,7 +272,7 @@ def _in_sigmas(value: float, variance: float) -> float:
     return abs(value) / math.sqrt(variance) if variance > 0 else math.inf
 
 
-def motion_of(before_mm: FloatArray, after_mm: FloatArray) -> Motion | None:
+def motion_of(before_mm: FloatArray, after_mm: FloatArray) -> FrameShift | None:
     """The small motion that most points (N, 3) share; None where there are too few to tell.
 
     Least squares, in which points that do not share it count less (P. J. Huber, "Robust Statistics", 1981).
@@ -300,4 +300,4 @@ def motion_of(before_mm: FloatArray, after_mm: FloatArray) -> Motion | None:
         right = (moved * weights[:, None]).reshape(-1)
         solved = np.linalg.lstsq(left, right, rcond=None)[0]
     turn = solved[3:] if len(solved) == 6 else np.zeros(3)
-    return Motion(centre, solved[:3], turn)
+    return FrameShift(centre, solved[:3], turn)

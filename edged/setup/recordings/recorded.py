@@ -25,7 +25,7 @@ NOT_FOUND, CAPTURE = "NOT_FOUND", "CAPTURE"
 REASONS = (*(str(bit.name) for bit in Reject), NOT_FOUND, CAPTURE)
 
 
-class Line(BaseModel):
+class CycleLine(BaseModel):
     """A recorded cycle. reasons : of `REASONS`; none of a good one.
 
     number : of the recording; `cycle` counts from each start of the cell. kind : of its command, or "".
@@ -58,17 +58,17 @@ class Damaged(BaseModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
+class CyclePage:
     """Some of the list. counts : all recordings by status, by their names. has_more : older ones follow."""
 
-    lines: tuple[Line, ...]
+    lines: tuple[CycleLine, ...]
     damaged: tuple[Damaged, ...]
     counts: dict[str, int]
     has_more: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class CycleFilter:
     """What to list; None: any. before : only recordings with a smaller number."""
 
     status: str | None = None
@@ -83,7 +83,7 @@ class Records:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._known: dict[str, Line | Damaged] = {}
+        self._known: dict[str, CycleLine | Damaged] = {}
 
     def entries(self) -> list[recording.Entry]:
         """By their names, newest first."""
@@ -96,7 +96,7 @@ class Records:
             raise KeyError(number)
         return found
 
-    def page(self, wanted: Wanted) -> Page:
+    def page(self, wanted: CycleFilter) -> CyclePage:
         """What is wanted of the list."""
         entries = self.entries()
         names = {one.path.name for one in entries}
@@ -105,16 +105,16 @@ class Records:
         counts: dict[str, int] = {}
         for one in entries:
             counts[one.status] = counts.get(one.status, 0) + 1
-        lines: list[Line] = []
+        lines: list[CycleLine] = []
         damaged: list[Damaged] = []
         for found in self._found(entries, wanted):
             if isinstance(found, Damaged):
                 damaged.append(found)
             elif len(lines) == wanted.most:
-                return Page(tuple(lines), tuple(damaged), counts, has_more=True)
+                return CyclePage(tuple(lines), tuple(damaged), counts, has_more=True)
             else:
                 lines.append(found)
-        return Page(tuple(lines), tuple(damaged), counts, has_more=False)
+        return CyclePage(tuple(lines), tuple(damaged), counts, has_more=False)
 
     def newest_good(self, job_number: int, calibration: str, but: int) -> recording.Entry | None:
         """A good cycle of a job, measured by a calibration, if it can be: to look at beside another one."""
@@ -130,7 +130,7 @@ class Records:
             other = other or one
         return other
 
-    def line(self, entry: recording.Entry) -> Line | Damaged:
+    def line(self, entry: recording.Entry) -> CycleLine | Damaged:
         """What a recording says in short."""
         name = entry.path.name
         known = self._known.get(name)
@@ -142,14 +142,16 @@ class Records:
             self._known[name] = known
         return known
 
-    def _found(self, entries: Sequence[recording.Entry], wanted: Wanted) -> Iterator[Line | Damaged]:
+    def _found(
+        self, entries: Sequence[recording.Entry], wanted: CycleFilter
+    ) -> Iterator[CycleLine | Damaged]:
         for entry in entries:
             if wanted.before is not None and entry.index >= wanted.before:
                 continue
             if wanted.status is not None and entry.status != wanted.status:
                 continue
             line = self.line(entry)
-            if isinstance(line, Line):
+            if isinstance(line, CycleLine):
                 if wanted.reason is not None and wanted.reason not in line.reasons:
                     continue
                 if wanted.job is not None and wanted.job != line.job:
@@ -169,10 +171,10 @@ def reasons_of(snapshot: Json) -> tuple[str, ...]:
     return tuple(name for name in REASONS if name in told) or (NOT_FOUND,)
 
 
-def _line(entry: recording.Entry, snapshot: Json, has_pictures: bool) -> Line:
+def _line(entry: recording.Entry, snapshot: Json, has_pictures: bool) -> CycleLine:
     targets, command = _objects(snapshot, "targets"), snapshot.get("command")
     kind = command.get("kind", "") if isinstance(command, dict) else ""
-    return Line(
+    return CycleLine(
         number=entry.index,
         at=entry.recorded.isoformat(timespec="milliseconds"),
         status=entry.status,

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 
 from edged.domain.arrays import FloatArray
 from edged.domain.numerals import known
-from edged.setup.recordings.comparing import Compared, Comparison, Motion, Tried
+from edged.setup.recordings.comparing import Compared, CycleComparison, FrameShift, TriedCycle
 
 MOST_LISTED = 200
 """Of each kind, worst first: whoever has looked at so many looks at the counts."""
@@ -22,7 +22,7 @@ class _Document(BaseModel):
     model_config = ConfigDict(frozen=True)
 
 
-class Candidate(_Document):
+class TriedCandidate(_Document):
     """What was tried. id : of the draft, the number of the release, or the job that was changed."""
 
     kind: Literal["teaching", "calibration", "release", "change"]
@@ -84,7 +84,7 @@ class Counts(_Document):
     skipped: int
 
 
-class Spread(_Document):
+class PlaceSpread(_Document):
     """Of the places of good cycles, after against before: rms and largest distance, and in both sigmas."""
 
     rms_um: float
@@ -99,7 +99,7 @@ class RegressionLine(_Document):
     id: str
     at: str
     by: str
-    what: Candidate
+    what: TriedCandidate
     against: str
     cycles: int
     passes: bool
@@ -119,18 +119,18 @@ class RegressionDocument(RegressionLine):
     bad_to_good: list[ChangedCycle]
     skipped: list[SkippedCycle]
     motion: FrameMotion | None
-    spread: Spread | None
+    spread: PlaceSpread | None
     digest: str
     digest_active: str
 
 
 def document_of(
-    comparison: Comparison,
+    comparison: CycleComparison,
     *,
     identity: str,
     at: datetime,
     by: str,
-    what: Candidate,
+    what: TriedCandidate,
     against: str,
     digests: tuple[str, str],
     seconds: float,
@@ -197,11 +197,11 @@ def _changed(one: Compared) -> ChangedCycle:
     )
 
 
-def _skipped(one: Tried) -> SkippedCycle:
+def _skipped(one: TriedCycle) -> SkippedCycle:
     return SkippedCycle(number=one.number, why=one.skipped, detail=one.detail[:500])
 
 
-def _motion(motion: Motion) -> FrameMotion:
+def _motion(motion: FrameShift) -> FrameMotion:
     return FrameMotion(
         shift_um=_micrometres(motion.shift_mm),
         turn_deg=[round(math.degrees(float(one)), 5) for one in motion.turn_rad],
@@ -209,13 +209,13 @@ def _motion(motion: Motion) -> FrameMotion:
     )
 
 
-def _spread(stay: list[Compared]) -> Spread | None:
+def _spread(stay: list[Compared]) -> PlaceSpread | None:
     apart = [one.apart for one in stay if one.apart is not None]
     if not apart:
         return None
     far = 1e3 * np.array([np.linalg.norm(one.by_mm) for one in apart])
     sigmas = np.array([one.sigmas for one in apart])
-    return Spread(
+    return PlaceSpread(
         rms_um=round(float(np.sqrt(np.mean(far**2))), 2),
         max_um=round(float(far.max()), 2),
         rms_sigmas=known(float(np.sqrt(np.mean(sigmas**2))), 2),

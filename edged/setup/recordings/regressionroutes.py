@@ -9,8 +9,8 @@ from pydantic import Field, model_validator
 from edged.adapters.web.routes import Answer, Body, Call, route
 from edged.identity.visitors import Role
 from edged.setup.calibration.routes import known
-from edged.setup.recordings.candidates import Candidates
-from edged.setup.recordings.regressiondocuments import Candidate, RegressionDocument, RegressionLine
+from edged.setup.recordings.candidates import CandidateContents
+from edged.setup.recordings.regressiondocuments import RegressionDocument, RegressionLine, TriedCandidate
 from edged.setup.recordings.regressions import Regressions
 from edged.setup.recordings.setups import Contents
 from edged.setup.recordings.whatif import Features, JobChange, LimitChange
@@ -60,7 +60,7 @@ class RegressionList(Answer):
 class RegressionRoutes:
     """The routes."""
 
-    def __init__(self, regressions: Regressions, candidates: Candidates) -> None:
+    def __init__(self, regressions: Regressions, candidates: CandidateContents) -> None:
         self._regressions = regressions
         self._candidates = candidates
 
@@ -78,19 +78,19 @@ class RegressionRoutes:
         call.trail.object = f"{what.kind} {what.id}: {identity}"
         return RegressionBegun(task=task, regression=identity)
 
-    async def _wanted(self, body: Testing) -> tuple[Candidate, Contents]:
+    async def _wanted(self, body: Testing) -> tuple[TriedCandidate, Contents]:
         if body.teaching is not None:
-            what = Candidate(kind="teaching", id=body.teaching)
+            what = TriedCandidate(kind="teaching", id=body.teaching)
             return what, await self._candidates.of_teaching(body.teaching)
         if body.calibration is not None:
-            what = Candidate(kind="calibration", id=body.calibration)
+            what = TriedCandidate(kind="calibration", id=body.calibration)
             return what, await self._candidates.of_calibration(body.calibration)
         if body.change is not None:
             change = JobChange(**body.change.model_dump(exclude={"job"}))
-            what = Candidate(kind="change", id=body.change.job)
+            what = TriedCandidate(kind="change", id=body.change.job)
             return what, await self._candidates.of_change(body.change.job, change)
         number = body.release or 0
-        return Candidate(kind="release", id=str(number)), await self._candidates.of_release(number)
+        return TriedCandidate(kind="release", id=str(number)), await self._candidates.of_release(number)
 
     @route("GET", "/regressions", "The last regressions, the youngest first", role=Role.VIEWER)
     async def _list(self, _call: Call[None]) -> RegressionList:

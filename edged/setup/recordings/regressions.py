@@ -19,16 +19,16 @@ from edged.files import recording
 from edged.files.atomic import make_folders, read_bytes, write_atomically
 from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress
-from edged.setup.recordings.comparing import Tried, compare
-from edged.setup.recordings.recorded import Line, Records
+from edged.setup.recordings.comparing import TriedCycle, compare
+from edged.setup.recordings.recorded import CycleLine, Records
 from edged.setup.recordings.regressiondocuments import (
-    Candidate,
     RegressionDocument,
     RegressionLine,
+    TriedCandidate,
     document_of,
 )
 from edged.setup.recordings.setups import Contents, concerned, digest_of, facts_of_jobs, job_of_cycle
-from edged.setup.releases.shelf import Tested
+from edged.setup.releases.releasefolder import Tested
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +49,7 @@ class Regressions:
         self._records: Records | None = None
         self._turn = asyncio.Lock()
 
-    async def begin(self, candidate: Contents, what: Candidate, author: str) -> tuple[str, str]:
+    async def begin(self, candidate: Contents, what: TriedCandidate, author: str) -> tuple[str, str]:
         """Try it on all recordings that it concerns; ids of the task and of the result to be.
 
         Raises `UserError` where nothing runs, nothing is recorded, or nothing would be measured otherwise.
@@ -132,7 +132,7 @@ class Regressions:
         found = []
         for entry in self._records.entries():
             line = self._records.line(entry)
-            if not isinstance(line, Line) or not line.has_pictures:
+            if not isinstance(line, CycleLine) or not line.has_pictures:
                 continue
             job = job_of_cycle(jobs, line.job, line.job_number)
             if numbers is None or (job is not None and job.number in numbers):
@@ -141,12 +141,12 @@ class Regressions:
 
     async def _tried(
         self, entries: Sequence[recording.Entry], active: Contents, candidate: Contents, progress: Progress
-    ) -> list[Tried]:
-        tried: list[Tried] = []
+    ) -> list[TriedCycle]:
+        tried: list[TriedCycle] = []
         while len(tried) < len(entries):
             progress(STAGE, len(tried), len(entries))
             rest = entries[len(tried) :]
-            some: list[Tried] = await self._cell.worker.run(
+            some: list[TriedCycle] = await self._cell.worker.run(
                 "try_recordings", rest, dict(active), dict(candidate), CHUNK_S
             )
             tried += some

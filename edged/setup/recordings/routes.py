@@ -13,7 +13,7 @@ from edged.domain.arrays import Side
 from edged.errors import FileFormatError, ImageError
 from edged.identity.visitors import Role
 from edged.setup.calibration.routes import known
-from edged.setup.recordings.recorded import MOST, Wanted
+from edged.setup.recordings.recorded import MOST, CycleFilter
 from edged.setup.recordings.service import CycleDocument, CycleList, Cycles
 from edged.setup.recordings.whatif import Change, Features, LimitChange, WhatIf
 
@@ -22,7 +22,7 @@ WHAT_IF_BYTES = 32 * 1024
 """A job may have hundreds of features."""
 
 
-class Listing(Body):
+class CycleQuery(Body):
     """Which recorded cycles. before : older than this number."""
 
     status: Literal["OK", "NO_TARGET", "LOW_QUALITY", "CAPTURE_FAULT"] | None = None
@@ -32,7 +32,7 @@ class Listing(Body):
     most: Annotated[int, Field(ge=1, le=MOST)] = 50
 
 
-class Trying(Body):
+class WhatIfQuestion(Body):
     """A change of limits, features, contrast or light; nothing of it: what would have helped."""
 
     limits: LimitChange | None = None
@@ -53,9 +53,11 @@ class CycleRoutes:
         self._cycles = cycles
 
     @route("GET", "/cycles", "Recorded cycles, the youngest first", role=Role.VIEWER)
-    async def _list(self, call: Call[Listing]) -> CycleList:
+    async def _list(self, call: Call[CycleQuery]) -> CycleList:
         body = call.body
-        return await self._cycles.listed(Wanted(body.status, body.reason, body.job, body.before, body.most))
+        return await self._cycles.listed(
+            CycleFilter(body.status, body.reason, body.job, body.before, body.most)
+        )
 
     @route(
         "GET",
@@ -88,7 +90,7 @@ class CycleRoutes:
         "The same exposure by other limits, features, contrast or light; without any: what would have helped",
         limit_bytes=WHAT_IF_BYTES,
     )
-    async def _what_if(self, call: Call[Trying]) -> WhatIf:
+    async def _what_if(self, call: Call[WhatIfQuestion]) -> WhatIf:
         return await known(self._cycles.what_if(int(call.part("number")), call.body.change()))
 
 

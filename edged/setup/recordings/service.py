@@ -21,7 +21,7 @@ from edged.files import recording
 from edged.files.images import load_image
 from edged.pictures.encoding import jpeg
 from edged.setup.inuse import CellInUse
-from edged.setup.recordings.recorded import Damaged, Line, Records, Wanted
+from edged.setup.recordings.recorded import CycleFilter, CycleLine, Damaged, Records
 from edged.setup.recordings.setups import Setups, facts_of_jobs, job_of_cycle
 from edged.setup.recordings.sight import PartSight, parts_of, taught_part
 from edged.setup.recordings.whatif import Change, WhatIf
@@ -44,7 +44,7 @@ class CycleList(BaseModel):
 
     model_config = ConfigDict(frozen=True)
     recorder: bool
-    cycles: list[Line]
+    cycles: list[CycleLine]
     damaged: list[Damaged]
     counts: dict[str, int]
     has_more: bool
@@ -58,7 +58,7 @@ class Pictures(BaseModel):
     right: str
 
 
-class Sight(BaseModel):
+class PairView(BaseModel):
     """A pair with what was seen in it, all in raw px.
 
     kind : "now"; "taught", as the part lay at teaching; "good", another cycle that was good. number, at : of
@@ -90,7 +90,7 @@ class JobLimits(BaseModel):
     contrast: float
 
 
-class CycleDocument(Line):
+class CycleDocument(CycleLine):
     """A recorded cycle with its features. folder : of its job, as the cell has it now; null: not any more.
 
     trouble : why there are none: "setup", its rig or job is not kept
@@ -102,9 +102,9 @@ class CycleDocument(Line):
     reference: str
     folder: str | None
     limits: JobLimits | None
-    now: Sight | None
-    taught: Sight | None
-    beside: Sight | None
+    now: PairView | None
+    taught: PairView | None
+    beside: PairView | None
 
 
 class Cycles:
@@ -117,7 +117,7 @@ class Cycles:
         self._records: Records | None = None
         self._setups = Setups()
 
-    async def listed(self, wanted: Wanted) -> CycleList:
+    async def listed(self, wanted: CycleFilter) -> CycleList:
         """Some of the recordings."""
         return await self._on_disc(self._listed)(wanted)
 
@@ -169,7 +169,7 @@ class Cycles:
         job = job_of_cycle(facts_of_jobs(self._cell.contents), name, number)
         return (None, False) if job is None else (job.folder, job.digest == digest)
 
-    def _listed(self, wanted: Wanted) -> CycleList:
+    def _listed(self, wanted: CycleFilter) -> CycleList:
         try:
             page = self._known().page(wanted)
         except KeyError:
@@ -215,11 +215,11 @@ class Cycles:
             beside=self._beside(records, line, job),
         )
 
-    def _beside(self, records: Records, line: Line, job: Job) -> Sight | None:
+    def _beside(self, records: Records, line: CycleLine, job: Job) -> PairView | None:
         """A good cycle; with the features of the job that it was measured by, which may be an older one."""
         entry = records.newest_good(job.number, line.calibration, line.number)
         good = None if entry is None else records.line(entry)
-        if entry is None or not isinstance(good, Line):
+        if entry is None or not isinstance(good, CycleLine):
             return None
         try:
             snapshot, _ = recording.load_snapshot(entry.path)
@@ -229,7 +229,7 @@ class Cycles:
         except FileFormatError:
             return None
 
-    def _of_teaching(self, line: Line, folder: str | None, is_same: bool) -> Pictures | None:
+    def _of_teaching(self, line: CycleLine, folder: str | None, is_same: bool) -> Pictures | None:
         """Of the pair that the job keeps; one that was taught again keeps another."""
         if folder is None or not is_same or not self._taught_file(folder, "left").is_file():
             return None
@@ -260,7 +260,7 @@ def _limits(job: Job) -> JobLimits:
     )
 
 
-def _pictures(line: Line) -> Pictures | None:
+def _pictures(line: CycleLine) -> Pictures | None:
     if not line.has_pictures:
         return None
     left, right = (f"{PLACE}/{line.number}/{side}.jpg" for side in ("left", "right"))
@@ -268,9 +268,13 @@ def _pictures(line: Line) -> Pictures | None:
 
 
 def _sight(
-    kind: str, rig: StereoRig, pictures: Pictures | None, parts: list[PartSight], line: Line | None = None
-) -> Sight:
-    return Sight(
+    kind: str,
+    rig: StereoRig,
+    pictures: Pictures | None,
+    parts: list[PartSight],
+    line: CycleLine | None = None,
+) -> PairView:
+    return PairView(
         kind=kind,
         number=None if line is None else line.number,
         at=None if line is None else line.at,

@@ -32,7 +32,7 @@ _Number = float | None
 _Vector = tuple[_Number, _Number, _Number]
 
 
-class Outline(BaseModel):
+class OutlinePx(BaseModel):
     """Raw px of both pictures; nothing of one that does not show it."""
 
     model_config = ConfigDict(frozen=True)
@@ -54,7 +54,7 @@ class FeatureSight(BaseModel):
     off_um: float | None
     sigma_um: float | None
     why: str | None
-    outline: Outline
+    outline: OutlinePx
 
 
 class SizeSight(BaseModel):
@@ -316,7 +316,7 @@ def _feature(
     now: Mapping[str, float] | None,
     sigma_um: float | None,
     why: str | None,
-    outline: Outline,
+    outline: OutlinePx,
 ) -> FeatureSight:
     known = None
     if now is not None and all(math.isfinite(one) for one in now.values()):
@@ -336,7 +336,7 @@ def _feature(
     )
 
 
-def outline_in(rig: StereoRig, points_mm: FloatArray) -> Outline:
+def outline_in(rig: StereoRig, points_mm: FloatArray) -> OutlinePx:
     """Points (N, 3) of the rig's frame in both pictures."""
     points = _thin(points_mm)
     sides: dict[Side, Points] = {}
@@ -347,7 +347,7 @@ def outline_in(rig: StereoRig, points_mm: FloatArray) -> Outline:
         reach = 4 * max(camera.width, camera.height)
         is_told = np.isfinite(seen).all() and np.abs(seen).max(initial=0.0) < reach
         sides[side] = np.round(seen, 1).tolist() if is_told else []
-    return Outline(**sides)
+    return OutlinePx(**sides)
 
 
 def _thin(points: FloatArray) -> FloatArray:
@@ -360,7 +360,7 @@ def _thin(points: FloatArray) -> FloatArray:
     return np.asarray(points[:: max(1, len(points) // ROUND_POINTS)])
 
 
-def _is_inside(rig: StereoRig, outline: Outline) -> bool:
+def _is_inside(rig: StereoRig, outline: OutlinePx) -> bool:
     """Whether both pictures have room for all of it."""
     for points, camera in ((outline.left, rig.left), (outline.right, rig.right)):
         if not points or not all(0 <= x < camera.width and 0 <= y < camera.height for x, y in points):

@@ -78,7 +78,7 @@ class Change(JobChange):
     light: float | None = Field(None, ge=0.1, le=10)
 
 
-class Verdict(BaseModel):
+class CycleVerdict(BaseModel):
     """What comes out. sigma_um : X, Y, Z of the first part that was measured."""
 
     model_config = ConfigDict(frozen=True)
@@ -113,8 +113,8 @@ class WhatIf(BaseModel):
     """Both verdicts, and what would have helped; null where that was not asked."""
 
     model_config = ConfigDict(frozen=True)
-    before: Verdict
-    after: Verdict | None
+    before: CycleVerdict
+    after: CycleVerdict | None
     helped: list[Remedy] | None
 
 
@@ -133,7 +133,7 @@ def what_if(
     if taken.pair is None:
         raise UserError("this cycle has no pictures: the cameras gave none")
 
-    def look(changed: Change | None) -> tuple[Verdict, Inspection]:
+    def look(changed: Change | None) -> tuple[CycleVerdict, Inspection]:
         return _look(place, taken, rig, job, changed)
 
     before, seen = look(None)
@@ -209,7 +209,7 @@ def brightened(pair: FramePair, factor: float) -> FramePair:
 
 def _look(
     place: Path, taken: Recording, rig: PreparedRig, job: Job, change: Change | None
-) -> tuple[Verdict, Inspection]:
+) -> tuple[CycleVerdict, Inspection]:
     pair = taken.pair
     if pair is None:
         raise ValueError("a recording without images")
@@ -222,7 +222,7 @@ def _look(
     result = shown(taken, seen, rig, job)
     parts = parts_of(result, rig.rig, job, str(place))
     sigma = next((one.sigma_um for one in parts if one.measured), None)
-    verdict = Verdict(
+    verdict = CycleVerdict(
         status=str(result["status"]), reasons=list(reasons_of(result)), sigma_um=sigma, parts=parts
     )
     return verdict, seen

@@ -12,7 +12,7 @@ from pathlib import Path
 from edged.files import recording
 from edged.setup.pairs import Progress
 from edged.setup.recordings import whatif
-from edged.setup.recordings.comparing import Tried, try_on
+from edged.setup.recordings.comparing import TriedCycle, try_on
 from edged.setup.recordings.setups import Contents, MeasuredBy, Setups, measured_by, successors
 from edged.setup.recordings.whatif import Change, WhatIf
 from edged.setup.releases.archive import read
@@ -38,12 +38,12 @@ def try_recordings(
     active: Contents,
     candidate: Contents,
     most_s: float,
-) -> list[Tried]:
+) -> list[TriedCycle]:
     """The first of some recordings by two setups: as many as the time allows, one at least."""
     end_s = time.monotonic() + most_s
     before, after = _in_memory().of(active), _in_memory().of(candidate)
     after = after.in_place_of(successors(active, candidate))
-    tried: list[Tried] = []
+    tried: list[TriedCycle] = []
     for entry in entries:
         tried.append(try_on(entry, before, after, _setups()))
         if time.monotonic() >= end_s:

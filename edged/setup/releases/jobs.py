@@ -23,8 +23,8 @@ from edged.setup.releases.jobsfolder import Jobs as Files
 from edged.setup.releases.jobsfolder import of_job, renamed, with_job, without_job
 from edged.setup.releases.jobsinuse import JobLine, JobsInUse
 from edged.setup.releases.jobuse import JobUse
+from edged.setup.releases.releasefolder import Release, ReleaseFolder
 from edged.setup.releases.service import Activation
-from edged.setup.releases.shelf import Release, Shelf
 from edged.setup.teaching.drafts import keeps_pair
 from edged.setup.teaching.model import JobName, Number
 
@@ -92,7 +92,7 @@ class Jobs:
     def __init__(
         self,
         cell: CellInUse,
-        shelf: Shelf,
+        releases: ReleaseFolder,
         activation: Activation,
         use: JobUse,
         commander: Commander,
@@ -100,7 +100,7 @@ class Jobs:
     ) -> None:
         self._cell = cell
         self._retired = cell.folder / "retired.json"
-        self._shelf = shelf
+        self._releases = releases
         self._activation = activation
         self._use = use
         self._commander = commander
@@ -247,10 +247,10 @@ class Jobs:
 
     def _files(self, folder: str) -> dict[str, bytes]:
         """Of a retired job, from the youngest release that has it. Raises `UserError` when none has."""
-        for release in self._shelf.all():
+        for release in self._releases.all():
             if folder in release.jobs:
                 try:
-                    return of_job(self._shelf.jobs(release.number), folder)
+                    return of_job(self._releases.jobs(release.number), folder)
                 except FileFormatError as error:
                     log.warning("release %d: %s", release.number, error)
         raise UserError(f"no release has the job {folder} any more")

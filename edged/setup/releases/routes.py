@@ -12,8 +12,8 @@ from edged.setup.calibration.routes import DRAFT, known
 from edged.setup.calibration.service import Calibrations
 from edged.setup.jobs.worker import Worker
 from edged.setup.releases.differences import ReleaseDifference
+from edged.setup.releases.releasefolder import Release, Tested
 from edged.setup.releases.service import Activation
-from edged.setup.releases.shelf import Release, Tested
 
 
 def _of_one_line(text: str) -> str:

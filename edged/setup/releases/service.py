@@ -25,7 +25,7 @@ from edged.setup.releases.jobsfolder import (
     without_pictures,
     write_jobs,
 )
-from edged.setup.releases.shelf import Release, Shelf, Tested
+from edged.setup.releases.releasefolder import Release, ReleaseFolder, Tested
 
 log = logging.getLogger(__name__)
 
@@ -56,8 +56,8 @@ class Activation:
     gate : asked before anything is written.
     """
 
-    def __init__(self, shelf: Shelf, cell: CellInUse, gate: Gate = _open) -> None:
-        self._shelf = shelf
+    def __init__(self, releases: ReleaseFolder, cell: CellInUse, gate: Gate = _open) -> None:
+        self._releases = releases
         self._cell = cell
         self._gate = gate
         self._turn = asyncio.Lock()
@@ -79,16 +79,18 @@ class Activation:
     def active(self) -> int | None:
         """The release that the cell runs by; None for one that was changed by hand since."""
         fingerprint = self._cell.fingerprint
-        found = (one.number for one in self._shelf.all() if one.activated and one.fingerprint == fingerprint)
+        found = (
+            one.number for one in self._releases.all() if one.activated and one.fingerprint == fingerprint
+        )
         return next(found, None)
 
     async def listed(self) -> tuple[list[Release], int | None]:
         """All releases, the youngest first, and which of them is active."""
-        return await asyncio.to_thread(lambda: (self._shelf.all(), self.active))
+        return await asyncio.to_thread(lambda: (self._releases.all(), self.active))
 
     async def archives(self, *numbers: int) -> list[Path]:
         """Of releases. Raises `KeyError`, `FileFormatError`."""
-        return await asyncio.to_thread(lambda: [self._shelf.file(number) for number in numbers])
+        return await asyncio.to_thread(lambda: [self._releases.file(number) for number in numbers])
 
     def check(self, token: str | None) -> None:
         """Raises `SetupRefused` when nothing may be changed now, by somebody without or with a token."""
@@ -132,8 +134,8 @@ class Activation:
         A release of before the first job says nothing of jobs. The way back is never barred: its reason is
         the signature.
         """
-        files = rig_in(await asyncio.to_thread(self._shelf.open, number))
-        jobs = await asyncio.to_thread(self._shelf.jobs, number)
+        files = rig_in(await asyncio.to_thread(self._releases.open, number))
+        jobs = await asyncio.to_thread(self._releases.jobs, number)
 
         def wanted(there: _Parts) -> _Parts:
             return _Parts(files.rig, files.cameras, jobs or there.jobs)
@@ -172,9 +174,9 @@ class Activation:
             if refused:
                 await asyncio.to_thread(self._put_back, release, former, again is None)
                 raise UserError(f"the cell does not run by it, and runs on as before: {refused}")
-            await asyncio.to_thread(self._shelf.prune)
+            await asyncio.to_thread(self._releases.prune)
             log.info("release %d is active: %s, by %s", release.number, note, author)
-            return await asyncio.to_thread(self._shelf.get, release.number)
+            return await asyncio.to_thread(self._releases.get, release.number)
 
     def _contents(self, wanted: _Parts) -> Contents:
         """What the cell would measure by."""
@@ -193,7 +195,7 @@ class Activation:
         made = make(self._cell.path, RigFiles(wanted.rig, wanted.cameras), without_pictures(wanted.jobs))
         if made.backup.fingerprint == self._cell.fingerprint:
             raise UserError("the cell runs by this already")
-        all_of_it = self._shelf.all()
+        all_of_it = self._releases.all()
         return made, next((one for one in all_of_it if one.fingerprint == made.backup.fingerprint), None)
 
     def _keep(self, made: Made, wanted: _Parts, former: _Parts, author: str, note: str) -> Release:
@@ -201,11 +203,11 @@ class Activation:
         if self._cell.is_complete and self.active is None:
             found = make(self._cell.path, jobs=without_pictures(former.jobs))
             kept = self._add(found, former, "edged", "as it was found", None)
-            self._shelf.note_active(kept.number, datetime.now(UTC))
+            self._releases.note_active(kept.number, datetime.now(UTC))
         return self._add(made, wanted, author, note, self.active)
 
     def _add(self, made: Made, parts: _Parts, author: str, note: str, parent: int | None) -> Release:
-        return self._shelf.add(
+        return self._releases.add(
             made,
             rig=_rig_id(made),
             author=author,
@@ -221,11 +223,11 @@ class Activation:
         """Write all of it where the configuration has it."""
         try:
             # first: what is cut off here is finished by the release, which must be known to have been active
-            self._shelf.note_active(release.number, datetime.now(UTC), tested)
+            self._releases.note_active(release.number, datetime.now(UTC), tested)
             if _count(wanted, former) > 1:
-                self._shelf.note_underway(release.number)
+                self._releases.note_underway(release.number)
             self._write(wanted, former)
-            self._shelf.note_underway(None)
+            self._releases.note_underway(None)
         except (EdgedError, OSError):
             with contextlib.suppress(EdgedError, OSError):  # where nothing can be written, nothing was
                 self._write(former, self._there())
@@ -239,11 +241,11 @@ class Activation:
 
     def _withdraw(self, release: Release, is_new: bool) -> None:
         """It never was active."""
-        self._shelf.note_underway(None)
+        self._releases.note_underway(None)
         if is_new:
-            self._shelf.forget(release.number)
+            self._releases.forget(release.number)
         else:
-            self._shelf.restore(release)
+            self._releases.restore(release)
 
     def _write(self, wanted: _Parts, there: _Parts) -> None:
         """Let the files of rig, cameras and jobs hold this. there : what they hold.
@@ -272,18 +274,18 @@ class Activation:
         )
 
     def _finish(self) -> bool:
-        number = self._shelf.underway
+        number = self._releases.underway
         if number is None:
             return False
         try:
-            files, there = rig_in(self._shelf.open(number)), self._there()
-            jobs = self._shelf.jobs(number) or there.jobs
+            files, there = rig_in(self._releases.open(number)), self._there()
+            jobs = self._releases.jobs(number) or there.jobs
             self._write(_Parts(files.rig, files.cameras, jobs), there)
         except (KeyError, EdgedError, OSError) as error:
             # the message names the file: a traceback says no more
             log.error("release %d was being activated, and cannot be: %s", number, error)  # noqa: TRY400
             return False
-        self._shelf.note_underway(None)
+        self._releases.note_underway(None)
         return True
 
 

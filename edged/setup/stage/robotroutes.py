@@ -17,7 +17,7 @@ from edged.sim.stage import Stage
 Pixel = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 
-class Asking(Body):
+class PendantQuery(Body):
     """In whose words. x, y : px of the left picture: the tip on what is nearest there; else the flange.
 
     noise_um : standard deviation of each coordinate; of rotations as much at 100 mm.
@@ -30,7 +30,7 @@ class Asking(Body):
     noise_um: Annotated[float, Field(ge=0, le=1e4)] = 10.0
 
     @model_validator(mode="after")
-    def _both_or_none(self) -> Asking:
+    def _both_or_none(self) -> PendantQuery:
         if (self.x is None) != (self.y is None):
             raise ValueError("expected x and y, or neither")
         return self
@@ -61,7 +61,7 @@ class StageRobotRoutes:
         self._robot = VirtualRobot(stage)
 
     @route("GET", "/stage/robot", "What the virtual robot's pendant shows", role=Role.VIEWER)
-    async def _show(self, call: Call[Asking]) -> PendantNow:
+    async def _show(self, call: Call[PendantQuery]) -> PendantNow:
         body = call.body
         if body.x is not None and body.y is not None:
             point = self._robot.tip(body.carries, (body.x, body.y), body.noise_um)

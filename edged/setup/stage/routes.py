@@ -33,7 +33,7 @@ class Rings(Body):
     right: Turn | None = None
 
 
-class Showing(Body):
+class ShowRequest(Body):
     """What is to be seen. What is left out stays. waving : "none" ends it."""
 
     showing: Literal["part", "board", "nothing"] | None = None
@@ -119,7 +119,7 @@ class StageRoutes:
     @route(
         "PUT", "/stage", "Show board, part or nothing; wave a hand; turn a lens's ring", role=Role.OPERATOR
     )
-    async def _show(self, call: Call[Showing]) -> StageNow:
+    async def _show(self, call: Call[ShowRequest]) -> StageNow:
         body, stage = call.body, self._stage
         before = stage.cell.showing
         thing = before.thing if body.showing is None else Thing(body.showing)

@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from edged.domain.numerals import known
 from edged.setup.calibration.documents import Trouble
 from edged.setup.trials.sigmamap import SigmaMap
-from edged.setup.trials.stilltest import Stillness, StillVerdict
-from edged.setup.trials.tried import Sigma, TriedPart, sigma_of
+from edged.setup.trials.stilltest import StillResult, StillVerdict
+from edged.setup.trials.tried import SigmaUm, TriedPart, sigma_of
 
 
 class TrialDocument(BaseModel):
@@ -50,9 +50,9 @@ class StillDocument(BaseModel):
     name: str
     calibration: str
     n: int
-    scatter_um: Sigma | None
-    edges_um: Sigma | None
-    noise_um: Sigma | None = None
+    scatter_um: SigmaUm | None
+    edges_um: SigmaUm | None
+    noise_um: SigmaUm | None = None
     chi2: float | None
     expected: tuple[float, float]
     verdict: StillVerdict
@@ -76,7 +76,7 @@ class MapPoint(BaseModel):
     x: float
     y: float
     z: float
-    sigma_um: Sigma | None
+    sigma_um: SigmaUm | None
     left: list[float] | None
 
 
@@ -116,7 +116,7 @@ def map_document(name: str, found: SigmaMap, *, measured: bool) -> MapDocument:
     )
 
 
-def still_document(found: Stillness, name: str, calibration: str, at: str, by: str) -> StillDocument:
+def still_document(found: StillResult, name: str, calibration: str, at: str, by: str) -> StillDocument:
     """A still test as it is told."""
     low, high = found.expected
     return StillDocument(

@@ -16,14 +16,14 @@ from edged.setup.trials.stilltest import LEAST, MOST
 Draft = Annotated[str, Field(pattern=r"^[0-9]{8}-[0-9]{6}-[0-9a-f]{4}$")]
 
 
-class Wanted(Body):
+class TrialSubject(Body):
     """A job by its name, or a teaching draft by its id; neither: what was tried last."""
 
     job: Name | None = None
     teaching: Draft | None = None
 
     @model_validator(mode="after")
-    def _one_at_most(self) -> Wanted:
+    def _one_at_most(self) -> TrialSubject:
         if self.job is not None and self.teaching is not None:
             raise ValueError("expected job or teaching, not both")
         return self
@@ -33,13 +33,13 @@ class Wanted(Body):
         return What(self.job, self.teaching)
 
 
-class Trying(Wanted, Leased):
+class TrialSwitch(TrialSubject, Leased):
     """Whether live pairs are measured by it."""
 
     on: bool
 
 
-class HoldingStill(Wanted, Leased):
+class HoldingStill(TrialSubject, Leased):
     """How many pictures of a part that nobody touches."""
 
     pictures: Annotated[int, Field(ge=LEAST, le=MOST)] = 30
@@ -56,7 +56,7 @@ class TrialRoutes:
         return await self._trials.document()
 
     @route("PUT", "/trials", "Measure each live pair by a job, or none", needs_lease=True)
-    async def _turn(self, call: Call[Trying]) -> TrialDocument:
+    async def _turn(self, call: Call[TrialSwitch]) -> TrialDocument:
         return await known(self._trials.turn(call.body.token, call.body.what(), on=call.body.on))
 
     @route("GET", "/trials/still", "The last still test", role=Role.VIEWER)
@@ -78,5 +78,5 @@ class TrialRoutes:
         return Begun(task=task)
 
     @route("GET", "/trials/map", "The sigma to be expected in the working volume", role=Role.VIEWER)
-    async def _map(self, call: Call[Wanted]) -> MapDocument:
+    async def _map(self, call: Call[TrialSubject]) -> MapDocument:
         return await known(self._trials.map(call.body.what()))

@@ -33,8 +33,8 @@ from edged.setup.trials.documents import (
     still_document,
 )
 from edged.setup.trials.sigmamap import SigmaMap
-from edged.setup.trials.stilltest import Stand, Stillness
-from edged.setup.trials.tried import Tried
+from edged.setup.trials.stilltest import Stand, StillResult
+from edged.setup.trials.tried import TriedPair
 from edged.setup.trials.work import TrialSetup
 from edged.vision.part.expected import Scatters
 from edged.vision.part.job import Job
@@ -67,7 +67,7 @@ class _Trial:
     content: bytes
     calibration: str
     number: int = 0
-    tried: Tried | None = None
+    tried: TriedPair | None = None
     trouble: EdgedError | OSError | None = None
     scatters: Scatters = field(default_factory=dict)
     places: list[FloatArray] = field(default_factory=list)
@@ -101,7 +101,7 @@ class _Trial:
             trouble=trouble_in(self.trouble),
         )
 
-    def note(self, number: int, tried: Tried) -> None:
+    def note(self, number: int, tried: TriedPair) -> None:
         """A pair was measured."""
         self.number, self.tried, self.trouble = number, tried, None
         self.scatters = tried.scatters or self.scatters
@@ -290,7 +290,7 @@ class Trials:
             stands.append(await self._cell.worker.run("stand", self._setup(trial), images))
             if stands[-1] is None:
                 break
-        judged: Stillness = await self._cell.worker.run("still", self._setup(trial), stands)
+        judged: StillResult = await self._cell.worker.run("still", self._setup(trial), stands)
         now = datetime.now(UTC).isoformat(timespec="seconds")
         found = still_document(judged, trial.job.name, trial.calibration, now, author)
         await asyncio.to_thread(self._write, found)

@@ -51,7 +51,7 @@ class Stand:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stillness:
+class StillResult:
     """What came of it. scatter_mm, edges_mm, noise_mm (3,) : X, Y, Z; None where the part vanished.
 
     edges_mm : what is stated; noise_mm : what the noise of the single edges leaves of it, None: not known.
@@ -76,7 +76,7 @@ def noises_of(stands: Sequence[Stand]) -> dict[str, tuple[float, float]]:
     return {name: noise for name, noise in found.items() if noise is not None}
 
 
-def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -> Stillness:
+def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -> StillResult:
     """The verdict over pictures, in the order they were taken; None: the part was not measured in it.
 
     by_noise (3, 3) : what the noise of the edges leaves of the place's covariance; None: not known.
@@ -85,7 +85,7 @@ def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -
     honest = low, high = interval(3 * (count - 1))
     seen = [one for one in stands if one is not None]
     if len(seen) < count or count < LEAST:
-        return Stillness("vanished", count, None, None, None, None, honest)
+        return StillResult("vanished", count, None, None, None, None, honest)
     places = np.array([one.place_mm for one in seen])
     stated = np.mean([one.by_edges for one in seen], axis=0)
     scatter_mm, edges_mm = places.std(axis=0, ddof=1), np.sqrt(np.diag(stated))
@@ -99,12 +99,12 @@ def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -
         noise_mm, explained = np.sqrt(np.diag(by_noise)), by_noise
         honest = low, REWEIGHED * high
     if _has_moved(places, stated, explained):
-        return Stillness("moving", count, scatter_mm, edges_mm, noise_mm, None, honest)
+        return StillResult("moving", count, scatter_mm, edges_mm, noise_mm, None, honest)
     covered, chi2 = (_mean_square(gaps, one) * count / (count - 1) for one in (stated, explained))
     covers = covered <= high
     larger = not covers or chi2 > honest[1]
     verdict: StillVerdict = "larger" if larger else "smaller" if chi2 < low else "honest"
-    return Stillness(verdict, count, scatter_mm, edges_mm, noise_mm, chi2, honest, covers)
+    return StillResult(verdict, count, scatter_mm, edges_mm, noise_mm, chi2, honest, covers)
 
 
 def interval(freedom: int) -> tuple[float, float]:

@@ -26,7 +26,7 @@ from edged.robot.picking import frame_of, picked, within
 from edged.robot.reading import Reading, frame_name, reading_of
 from edged.setup.recordings.recorded import NOT_FOUND
 from edged.setup.recordings.sight import Points, outline_in
-from edged.setup.trials.stilltest import Stand, Stillness, judged, noises_of
+from edged.setup.trials.stilltest import Stand, StillResult, judged, noises_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.expected import Scatters, expected_target, scatters_of
 from edged.vision.part.job import Job
@@ -51,7 +51,7 @@ class PlaceMm(BaseModel):
     c_deg: float
 
 
-class Sigma(BaseModel):
+class SigmaUm(BaseModel):
     """One sigma of X, Y, Z, µm."""
 
     model_config = ConfigDict(frozen=True)
@@ -73,10 +73,10 @@ class Terms(BaseModel):
     """Where the sigma comes from, µm: the squares add up to that of the sigma."""
 
     model_config = ConfigDict(frozen=True)
-    edges: Sigma
-    calibration: Sigma
-    registration: Sigma
-    doubt: Sigma
+    edges: SigmaUm
+    calibration: SigmaUm
+    registration: SigmaUm
+    doubt: SigmaUm
 
 
 class Lines(BaseModel):
@@ -107,7 +107,7 @@ class TriedPart(BaseModel):
     score: float
     frame: str
     pose: PlaceMm
-    sigma_um: Sigma
+    sigma_um: SigmaUm
     sigma_deg: SigmaAngles
     budget_um: Terms | None
     outlines: Lines
@@ -118,7 +118,7 @@ class TriedPart(BaseModel):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tried:
+class TriedPair:
     """What a pair gave. reasons : of all its parts, or why there is none; parts : good ones first.
 
     places_mm (N, 3) : of the good parts, rig frame.  scatters : of the best part's features, empty without.
@@ -131,7 +131,9 @@ class Tried:
     scatters: Scatters
 
 
-def try_pair(rig: PreparedRig, job: Job, pair: FramePair, bounds: Bounds, convention: Convention) -> Tried:
+def try_pair(
+    rig: PreparedRig, job: Job, pair: FramePair, bounds: Bounds, convention: Convention
+) -> TriedPair:
     """Locate the job's part. Raises `ImageError` for pictures that do not fit the rig."""
     inspection = inspect(pair, job, rig)
     outcome = picked(judge(inspection), within(job.picking, bounds), frame_of(rig.rig))
@@ -140,7 +142,7 @@ def try_pair(rig: PreparedRig, job: Job, pair: FramePair, bounds: Bounds, conven
     shown = [(one, measured[id(one.match)]) for one in outcome.targets if _is_finite(one)]
     parts = tuple(_part(rig.rig, job, one, of, convention) for one, of in shown[:MOST_PARTS])
     good = [of.target.position_mm for one, of in shown if not one.reject]
-    return Tried(
+    return TriedPair(
         str(outcome.status),
         _reasons(outcome.status, (one.reject for one in outcome.targets)),
         parts,
@@ -211,10 +213,10 @@ def _place(reading: Reading) -> PlaceMm:
     return PlaceMm(x_mm=x, y_mm=y, z_mm=z, a_deg=a, b_deg=b, c_deg=c)
 
 
-def sigma_of(sigma_mm: FloatArray) -> Sigma:
+def sigma_of(sigma_mm: FloatArray) -> SigmaUm:
     """Of X, Y, Z (3,)."""
     x, y, z = (round(1e3 * float(value), 3) for value in sigma_mm)
-    return Sigma(x=x, y=y, z=z)
+    return SigmaUm(x=x, y=y, z=z)
 
 
 def _angles(target: Target, reading: Reading) -> SigmaAngles:
@@ -244,7 +246,7 @@ def stand_of(measured: MeasuredPart) -> Stand | None:
     return Stand(place, edges, seen, scatters_of(measured.fits), target.rig_from_part)
 
 
-def still_part(rig: PreparedRig, job: Job, stands: Sequence[Stand | None]) -> Stillness:
+def still_part(rig: PreparedRig, job: Job, stands: Sequence[Stand | None]) -> StillResult:
     """The verdict over pictures of a part that lay still."""
     seen = [one for one in stands if one is not None]
     noises, expected = noises_of(seen), None

@@ -17,8 +17,8 @@ from edged.robot.orientations import Convention
 from edged.setup.pairs import Progress
 from edged.setup.trials import tried as trying
 from edged.setup.trials.sigmamap import SigmaMap, sigma_map
-from edged.setup.trials.stilltest import Stand, Stillness
-from edged.setup.trials.tried import Tried
+from edged.setup.trials.stilltest import Stand, StillResult
+from edged.setup.trials.tried import TriedPair
 from edged.vision.part.expected import Scatters
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
@@ -54,7 +54,7 @@ def _pair(images: tuple[Image, Image]) -> FramePair:
     return FramePair(Frame("left", 0, left, 0, 0), Frame("right", 0, right, 0, 0))
 
 
-def try_pair(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -> Tried:
+def try_pair(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -> TriedPair:
     """A live pair."""
     rig = _prepared(setup.rig, setup.path)
     return trying.try_pair(rig, _job(setup.job), _pair(images), setup.bounds, setup.convention)
@@ -71,7 +71,7 @@ def _rank(measured: MeasuredPart) -> tuple[bool, float]:
     return not measured.target.reject, measured.target.match.score
 
 
-def still(_progress: Progress, setup: TrialSetup, stands: Sequence[Stand | None]) -> Stillness:
+def still(_progress: Progress, setup: TrialSetup, stands: Sequence[Stand | None]) -> StillResult:
     """What came of many pictures of a part."""
     return trying.still_part(_prepared(setup.rig, setup.path), _job(setup.job), stands)
 

@@ -28,10 +28,10 @@ from edged.setup.cellfiles import CellFiles, read_cell
 from edged.setup.recordings import comparing
 from edged.setup.recordings.comparing import (
     APART_SIGMAS,
-    Comparison,
+    CycleComparison,
     Found,
-    Place,
-    Tried,
+    GoodPart,
+    TriedCycle,
     compare,
     motion_of,
     try_on,
@@ -68,7 +68,9 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
     return Cell(folder / "recordings", small.config, files)
 
 
-def tried(cell: Cell, candidate: Contents, *, of_rig: bool, active: Contents | None = None) -> Comparison:
+def tried(
+    cell: Cell, candidate: Contents, *, of_rig: bool, active: Contents | None = None
+) -> CycleComparison:
     """As the worker does it."""
     before, after, setups = (
         measured_by(active or cell.files.contents, Path("active")),
@@ -233,18 +235,18 @@ def test_what_cannot_be_tried_says_why(cell: Cell, tmp_path: Path) -> None:
 # --- the pure part ----------------------------------------------------------------------------
 
 
-def place(x: float, y: float = 0.0, z: float = 200.0, sigma: float = 0.01) -> Place:
+def place(x: float, y: float = 0.0, z: float = 200.0, sigma: float = 0.01) -> GoodPart:
     """A part that is not turned."""
-    return Place(np.array([x, y, z]), np.eye(3), np.diag([sigma**2] * 3 + [1e-6] * 3), None)
+    return GoodPart(np.array([x, y, z]), np.eye(3), np.diag([sigma**2] * 3 + [1e-6] * 3), None)
 
 
-def cycle(number: int, before: Sequence[Place], after: Sequence[Place]) -> Tried:
+def cycle(number: int, before: Sequence[GoodPart], after: Sequence[GoodPart]) -> TriedCycle:
     """Good where there is a part."""
 
-    def found(places: Sequence[Place]) -> Found:
+    def found(places: Sequence[GoodPart]) -> Found:
         return Found("OK" if places else "NO_TARGET", () if places else ("NOT_FOUND",), tuple(places))
 
-    return Tried(number, "", "flange", before=found(before), after=found(after))
+    return TriedCycle(number, "", "flange", before=found(before), after=found(after))
 
 
 def test_parts_are_compared_with_themselves() -> None:

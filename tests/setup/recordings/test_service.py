@@ -29,7 +29,7 @@ from edged.setup.cellfiles import CellFiles, read_cell
 from edged.setup.jobs.worker import Worker
 from edged.setup.pairs import silent
 from edged.setup.recordings import work as cyclework
-from edged.setup.recordings.recorded import Damaged, Records, Wanted
+from edged.setup.recordings.recorded import CycleFilter, Damaged, Records
 from edged.setup.recordings.service import FUNCTIONS, Cycles
 from edged.setup.recordings.setups import Setups
 from edged.setup.recordings.sight import NOT_FOUND, OUTSIDE, PartSight, parts_of, taught_part
@@ -112,7 +112,7 @@ def tried(recorded: Recorded, number: int, change: Change | None) -> WhatIf:
 def test_the_list_says_what_became_of_each_cycle(recorded: Recorded) -> None:
     """Newest first, each with its reasons; by status, reason, job and number, a page at a time."""
     records = Records(recorded.folder)
-    page = records.page(Wanted())
+    page = records.page(CycleFilter())
     assert [5, 4, 3, 2, 1, 0] == [line.number for line in page.lines]
     told = [(line.status, line.reasons) for line in page.lines]
     assert ("CAPTURE_FAULT", ("CAPTURE",)) == told[0]
@@ -122,14 +122,14 @@ def test_the_list_says_what_became_of_each_cycle(recorded: Recorded) -> None:
     assert {"OK": 2, "LOW_QUALITY": 1, "NO_TARGET": 2, "CAPTURE_FAULT": 1} == page.counts
 
     def numbers(**wanted: Any) -> list[int]:
-        return [line.number for line in records.page(Wanted(**wanted)).lines]
+        return [line.number for line in records.page(CycleFilter(**wanted)).lines]
 
     assert [1, 0] == numbers(status="OK")
     assert [2] == numbers(reason="SIGMA_LIMIT")
     assert [] == numbers(job="another")
     assert [3, 2] == numbers(before=4, most=2)
-    assert records.page(Wanted(before=4, most=2)).has_more
-    assert not records.page(Wanted(before=2, most=2)).has_more
+    assert records.page(CycleFilter(before=4, most=2)).has_more
+    assert not records.page(CycleFilter(before=2, most=2)).has_more
 
 
 def test_damaged_recordings_are_told_and_take_nothing_with_them(recorded: Recorded, tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_damaged_recordings_are_told_and_take_nothing_with_them(recorded: Record
     os.mkfifo(name(15))
     (folder / "cycles" / "notes.zip").write_text("not ours")
 
-    page = Records(folder).page(Wanted())
+    page = Records(folder).page(CycleFilter())
     assert [5, 4, 3, 2, 1, 0] == [line.number for line in page.lines]
     assert [f"{number:09d}" for number in (15, 14, 13, 12, 11, 10)] == [one.file[:9] for one in page.damaged]
     assert all(one.why for one in page.damaged)
@@ -381,7 +381,7 @@ def test_seven_hundred_cycles_are_read_once(
     folder = tmp_path / "recordings"
     shutil.copytree(recorded.folder, folder)
     records = Records(folder)
-    assert 6 == len(records.page(Wanted()).lines)
+    assert 6 == len(records.page(CycleFilter()).lines)
     opened: list[Path] = []
 
     def load(path: Path) -> Any:
@@ -389,8 +389,8 @@ def test_seven_hundred_cycles_are_read_once(
         raise FileFormatError("opened again")
 
     monkeypatch.setattr(recording, "load_snapshot", load)
-    assert 6 == len(records.page(Wanted()).lines)
+    assert 6 == len(records.page(CycleFilter()).lines)
     recording.entries(folder)[0].path.unlink()
-    assert [5, 4, 3, 2, 1] == [line.number for line in records.page(Wanted()).lines]
+    assert [5, 4, 3, 2, 1] == [line.number for line in records.page(CycleFilter()).lines]
     assert [] == opened
     assert not any(isinstance(records.line(one), Damaged) for one in records.entries())

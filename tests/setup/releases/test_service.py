@@ -22,13 +22,13 @@ from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import replace_folder
 from edged.files.rig import load_rig, rig_text
 from edged.setup.cellfiles import read_any_cell, read_cell
-from edged.setup.recordings.candidates import Candidates
+from edged.setup.recordings.candidates import CandidateContents
+from edged.setup.releases import releasefolder
 from edged.setup.releases import service as activating
-from edged.setup.releases import shelf
 from edged.setup.releases.jobsfolder import jobs_in, of_job, renamed, with_job
 from edged.setup.releases.jobsinuse import Candidate
+from edged.setup.releases.releasefolder import Release, ReleaseFolder
 from edged.setup.releases.service import Activation
-from edged.setup.releases.shelf import Release, Shelf
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +48,13 @@ class RunningCell:
 
     def __init__(self, folder: Path) -> None:
         self.config, self.rig, self.jobs = folder / "cell.toml", folder / "rig.json", folder / "jobs"
-        self.shelf = Shelf(folder / "state" / "releases")
+        self.releases = ReleaseFolder(folder / "state" / "releases")
         self.running = StillCell(self.config)
         self.now = self.running.in_use()
-        self.activation = Activation(self.shelf, self.now)
+        self.activation = Activation(self.releases, self.now)
 
     def files(self) -> dict[str, bytes]:
-        """All of it, the shelf apart."""
+        """All of it, the releases apart."""
         found = files_in(self.config.parent).items()
         return {name: data for name, data in found if not name.startswith("state/")}
 
@@ -100,7 +100,7 @@ def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: Runn
     assert rig == cell.rig.read_bytes()
     assert (2, "Anna", "new board", 1) == (release.number, release.author, release.note, release.parent)
     assert release.fingerprint == cell.now.fingerprint == read_cell(cell.config).fingerprint
-    found = cell.shelf.get(1)
+    found = cell.releases.get(1)
     assert (before, "edged", "as it was found") == (found.fingerprint, found.author, found.note)
     assert 2 == cell.activation.active
     with pytest.raises(UserError, match="runs by this already"):
@@ -116,7 +116,7 @@ def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
 
     assert (1, before, old) == (back.number, cell.now.fingerprint, cell.rig.read_bytes())
     assert 1 == cell.activation.active
-    assert 2 == len(cell.shelf.get(1).activated)
+    assert 2 == len(cell.releases.get(1).activated)
     assert 2 == activate_again(cell, 2).number
     with pytest.raises(KeyError):
         activate_again(cell, 7)
@@ -133,7 +133,7 @@ def test_an_older_release_under_newer_settings_is_one_of_its_own(cell: RunningCe
 
     assert "what release 1 has: that was better" == release.note
     assert "timeout_s = 3.0" in cell.config.read_text()
-    assert cell.shelf.get(1).rig == load_rig(cell.rig).calibration_id
+    assert cell.releases.get(1).rig == load_rig(cell.rig).calibration_id
 
 
 def job_files(cell: RunningCell, name: str, number: int) -> dict[str, bytes]:
@@ -191,7 +191,7 @@ def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
     with pytest.raises(UserError, match="runs on as before: no"):
         activate_job(cell, "ring", 2)
     assert files == cell.files()
-    assert [1] == [one.number for one in cell.shelf.all()]
+    assert [1] == [one.number for one in cell.releases.all()]
 
 
 def test_a_jobs_folder_that_cannot_be_written_is_named_with_its_remedy(
@@ -213,17 +213,17 @@ def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> N
     """Before anything is written; what it says is kept; of the way back the reason is the signature."""
     asked: list[tuple[Mapping[str, bytes], str | None]] = []
 
-    async def gate(contents: Mapping[str, bytes], signed: str | None) -> shelf.Tested:
+    async def gate(contents: Mapping[str, bytes], signed: str | None) -> releasefolder.Tested:
         asked.append((contents, signed))
         if signed is None:
             raise UserError("3 good ones would be bad")
-        return shelf.Tested(regression=None, cycles=9, good_to_bad=3, signed=signed)
+        return releasefolder.Tested(regression=None, cycles=9, good_to_bad=3, signed=signed)
 
     cell.activation._gate = gate  # noqa: SLF001  (as the daemon gives it)
     files = cell.files()
     with pytest.raises(UserError, match="3 good ones"):
         activate_job(cell, "ring", 2)
-    assert (files, []) == (cell.files(), cell.shelf.all())
+    assert (files, []) == (cell.files(), cell.releases.all())
     wanted = with_job(jobs_in(cell.jobs), "ring", job_files(cell, "ring", 2), None)
     release = asyncio.run(cell.activation.activate_jobs(lambda _: wanted, "Anna", "ring", "seen all three"))
     assert (3, "seen all three") == (release.tested.good_to_bad, asked[1][1])
@@ -248,7 +248,7 @@ def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCe
         raise KeyError
 
     cell.activation._gate = gate  # noqa: SLF001  (as the daemon gives it)
-    candidates = Candidates(cell.now, cell.shelf, rig, draft)
+    candidates = CandidateContents(cell.now, cell.releases, rig, draft)
     tried = asyncio.run(candidates.of_teaching("20260101-000000-abcd"))
     asyncio.run(cell.activation.activate_jobs(candidate.put, "Anna", "cover"))
     assert [tried] == told
@@ -264,7 +264,7 @@ def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> Non
         activate(cell, cell.wider(1.001))
 
     assert files == cell.files()
-    assert [1] == [one.number for one in cell.shelf.all()]
+    assert [1] == [one.number for one in cell.releases.all()]
     cell.running.refuses = ""
     assert 2 == activate(cell, cell.wider(1.001)).number
     cell.running.refuses = "no"
@@ -272,7 +272,7 @@ def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> Non
     with pytest.raises(UserError):
         activate_again(cell, 1)
     assert files == cell.files()
-    assert 1 == len(cell.shelf.get(1).activated)
+    assert 1 == len(cell.releases.get(1).activated)
 
 
 def test_a_first_rig_that_is_refused_is_gone_again(cell: RunningCell) -> None:
@@ -285,7 +285,7 @@ def test_a_first_rig_that_is_refused_is_gone_again(cell: RunningCell) -> None:
         activate(cell, rig)
 
     assert not cell.rig.exists()
-    assert [] == cell.shelf.all()
+    assert [] == cell.releases.all()
 
 
 def test_a_place_that_cannot_be_written_is_named_with_its_remedy(
@@ -302,7 +302,7 @@ def test_a_place_that_cannot_be_written_is_named_with_its_remedy(
         activate(cell, cell.wider(1.001))
 
     assert files == cell.files()
-    assert [1] == [one.number for one in cell.shelf.all()]
+    assert [1] == [one.number for one in cell.releases.all()]
 
 
 def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
@@ -311,7 +311,7 @@ def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
     with pytest.raises(FileFormatError, match="the new rig: not a rig file"):
         activate(cell, b"{}")
     assert files == cell.files()
-    assert [] == cell.shelf.all()
+    assert [] == cell.releases.all()
 
 
 def test_the_plant_forbids_it(cell: RunningCell) -> None:
@@ -376,11 +376,11 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
         cut(record.calls[: dice.randint(start, len(record.calls))], dice).write(disk)
         asyncio.run(RunningCell(disk / "cell").activation.finish())
         fingerprint = read_cell(disk / "cell" / "cell.toml").fingerprint
-        shelf = Shelf(disk / "cell" / "state" / "releases")
-        active = {one.fingerprint for one in shelf.all() if one.activated}
+        releases = ReleaseFolder(disk / "cell" / "state" / "releases")
+        active = {one.fingerprint for one in releases.all() if one.activated}
         assert fingerprint == before or (fingerprint == after and {before, after} <= active)
-        assert shelf.underway is None
-        assert all(one.fingerprint == shelf.open(one.number).fingerprint for one in shelf.all())
+        assert releases.underway is None
+        assert all(one.fingerprint == releases.open(one.number).fingerprint for one in releases.all())
         found.add(fingerprint)
         shutil.rmtree(disk)
     assert {before, after} == found
@@ -410,8 +410,8 @@ def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
         read_cell(config)  # also before it is finished
         asyncio.run(RunningCell(disk / "cell").activation.finish())
         fingerprint = read_cell(config).fingerprint
-        shelf = Shelf(disk / "cell" / "state" / "releases")
-        active = {one.fingerprint for one in shelf.all() if one.activated}
+        releases = ReleaseFolder(disk / "cell" / "state" / "releases")
+        active = {one.fingerprint for one in releases.all() if one.activated}
         assert fingerprint == now or (fingerprint == after and {now, after} <= active)
         assert (fingerprint == after) == (config.parent / "jobs" / "ring" / "taught" / "left.png").is_file()
         found.add(fingerprint)
@@ -425,14 +425,14 @@ def test_a_pair_is_kept_once_for_all_releases(cell: RunningCell) -> None:
     activate(cell, cell.wider(1.001))
     pictures = cell.config.parent / "state" / "releases" / "pictures"
     assert [hashlib.sha256(b"pixels").hexdigest()] == [file.stem for file in pictures.iterdir()]
-    assert not any(name.endswith("left.png") for name in cell.shelf.open(3).files)
+    assert not any(name.endswith("left.png") for name in cell.releases.open(3).files)
     activate_again(cell, 1)
     after = activate_again(cell, 3)
     assert b"pixels" == (cell.jobs / "ring" / "taught" / "left.png").read_bytes()
     assert after.fingerprint == cell.now.fingerprint
     next(pictures.iterdir()).write_bytes(b"damaged")
-    assert "ring/taught/left.png" not in cell.shelf.jobs(3)
+    assert "ring/taught/left.png" not in cell.releases.jobs(3)
     for number in (2, 3):
-        cell.shelf.forget(number)
-    cell.shelf.prune()
+        cell.releases.forget(number)
+    cell.releases.prune()
     assert [] == list(pictures.iterdir())

@@ -13,8 +13,8 @@ from edged.domain.picking import Bounds, Box
 from edged.pipeline import PreparedRig, inspect, prepare
 from edged.robot.orientations import Convention
 from edged.setup.trials.sigmamap import ACROSS, DEEP, DOWN, sigma_map
-from edged.setup.trials.stilltest import LEAST, Stand, Stillness, interval, judged
-from edged.setup.trials.tried import MOST_WHISKERS, Tried, stand_of, still_part, try_pair
+from edged.setup.trials.stilltest import LEAST, Stand, StillResult, interval, judged
+from edged.setup.trials.tried import MOST_WHISKERS, TriedPair, stand_of, still_part, try_pair
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 
@@ -29,7 +29,7 @@ def taught() -> tuple[PreparedRig, Job]:
     return rig, teach(flat.left, flat.right, rig.rectification, flat.region, "flange")
 
 
-def tried(left: Image, right: Image, bounds: Bounds | None = None) -> Tried:
+def tried(left: Image, right: Image, bounds: Bounds | None = None) -> TriedPair:
     """A pair of it."""
     rig, job = taught()
     return try_pair(rig, job, cells.frame_pair(left, right), bounds or Bounds(), Convention.FIXED_XYZ)
@@ -78,7 +78,7 @@ def test_a_part_that_moves_or_goes_is_no_verdict() -> None:
     assert ("vanished", None) == (judged(gone).verdict, judged(gone).scatter_mm)
 
 
-def of_pictures(poses: list[FloatArray], each: int) -> Stillness:
+def of_pictures(poses: list[FloatArray], each: int) -> StillResult:
     """The verdict over pictures of the flange, so many at each pose, each with its own noise."""
     rig, job = taught()
     rng, seen = np.random.default_rng(2), []

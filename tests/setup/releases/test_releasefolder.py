@@ -1,4 +1,4 @@
-"""Releases on their shelf: proven archives, what was ever active stays, and damaged ones are none."""
+"""Releases in a folder: proven archives, what was ever active stays, and damaged ones are none."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from helpers.smallcell import SmallCell
 from edged.errors import ConfigError, FileFormatError
 from edged.files.rig import load_rig, rig_text
 from edged.setup.cellfiles import UnfinishedCell, read_any_cell, read_cell
-from edged.setup.releases import shelf as shelves
+from edged.setup.releases import releasefolder
 from edged.setup.releases.archive import Made, RigFiles, make, rig_in
-from edged.setup.releases.shelf import Release, Shelf
+from edged.setup.releases.releasefolder import Release, ReleaseFolder
 
 NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 
@@ -40,24 +40,24 @@ def other_rig(config: Path, identity: str = "cal-other") -> bytes:
     return rig_text(replace(rig, right_from_left=wider, calibration_id=identity))
 
 
-def add(shelf: Shelf, made: Made, note: str = "why") -> Release:
+def add(releases: ReleaseFolder, made: Made, note: str = "why") -> Release:
     """A release of Anna's."""
-    return shelf.add(made, rig="cal-1", author="Anna", note=note, parent=None, now=NOW)
+    return releases.add(made, rig="cal-1", author="Anna", note=note, parent=None, now=NOW)
 
 
 def test_a_release_is_read_as_it_was_kept(config: Path, made: Made, tmp_path: Path) -> None:
     """Number, words, jobs, and the cell itself; its archive is its owner's alone."""
-    shelf = Shelf(tmp_path / "releases")
-    first, second = add(shelf, made), add(shelf, made, "again")
+    releases = ReleaseFolder(tmp_path / "releases")
+    first, second = add(releases, made), add(releases, made, "again")
 
     assert (1, 2) == (first.number, second.number)
-    assert [second, first] == shelf.all()
+    assert [second, first] == releases.all()
     assert ("Anna", "why", ("flange",)) == (first.author, first.note, first.jobs)
-    assert made.backup.fingerprint == shelf.open(1).fingerprint == first.fingerprint
-    assert (config.parent / "rig.json").read_bytes() == rig_in(shelf.open(1)).rig
+    assert made.backup.fingerprint == releases.open(1).fingerprint == first.fingerprint
+    assert (config.parent / "rig.json").read_bytes() == rig_in(releases.open(1)).rig
     assert 0o600 == (tmp_path / "releases" / "0001.tar.gz").stat().st_mode & 0o777
     with pytest.raises(KeyError):
-        shelf.get(3)
+        releases.get(3)
 
 
 def test_a_cell_with_another_rig_is_proven_before_it_is_one(config: Path, tmp_path: Path) -> None:
@@ -90,24 +90,24 @@ def test_a_cell_without_rig_and_jobs_can_have_its_first_rig(config: Path, tmp_pa
 
 def test_what_was_ever_active_stays(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the others the last ones; numbers are not given twice."""
-    monkeypatch.setattr(shelves, "KEPT", 2)
-    shelf = Shelf(tmp_path)
+    monkeypatch.setattr(releasefolder, "KEPT", 2)
+    releases = ReleaseFolder(tmp_path)
     for _ in range(5):
-        add(shelf, made)
-    shelf.note_active(1, NOW)
-    shelf.prune()
-    assert [5, 4, 1] == [one.number for one in shelf.all()]
-    shelf.forget(4)
-    shelf.forget(4)
-    assert [5, 1] == [one.number for one in shelf.all()]
-    assert 6 == add(shelf, made).number
+        add(releases, made)
+    releases.note_active(1, NOW)
+    releases.prune()
+    assert [5, 4, 1] == [one.number for one in releases.all()]
+    releases.forget(4)
+    releases.forget(4)
+    assert [5, 1] == [one.number for one in releases.all()]
+    assert 6 == add(releases, made).number
 
 
 def test_a_damaged_release_is_none(made: Made, tmp_path: Path) -> None:
     """Said by place when it is asked for; left out of the list, and its number stays taken."""
-    shelf = Shelf(tmp_path)
+    releases = ReleaseFolder(tmp_path)
     for _ in range(4):
-        add(shelf, made)
+        add(releases, made)
     about = json.loads((tmp_path / "0001.json").read_text())
     (tmp_path / "0001.json").write_text(json.dumps({**about, "number": 4}))
     (tmp_path / "0002.json").write_text(json.dumps({**about, "number": 2, "fingerprint": 7}))
@@ -115,12 +115,12 @@ def test_a_damaged_release_is_none(made: Made, tmp_path: Path) -> None:
     (tmp_path / "0004.tar.gz").write_bytes(b"no archive")
 
     with pytest.raises(FileFormatError, match=r"0001\.json: number: is 4"):
-        shelf.get(1)
+        releases.get(1)
     with pytest.raises(FileFormatError, match=r"0002\.json: fingerprint: expected a text"):
-        shelf.open(2)
+        releases.open(2)
     with pytest.raises(KeyError):
-        shelf.open(3)
+        releases.open(3)
     with pytest.raises(FileFormatError, match=r"0004\.tar\.gz: not a backup"):
-        shelf.open(4)
-    assert [4] == [one.number for one in shelf.all()]
-    assert 5 == add(shelf, made).number
+        releases.open(4)
+    assert [4] == [one.number for one in releases.all()]
+    assert 5 == add(releases, made).number

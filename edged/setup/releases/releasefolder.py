@@ -72,7 +72,7 @@ class Release(Kept):
     pictures: dict[Text, Digest] = Field(default_factory=dict)
 
 
-class Shelf:
+class ReleaseFolder:
     """Releases in a folder. Whatever writes raises `OSError` where the disc refuses."""
 
     def __init__(self, folder: Path) -> None:
