@@ -7,25 +7,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
 import importlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from ipaddress import ip_address, ip_network
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from edged.adapters.modbus import (
-    LineSettings,
-    ModbusPublisher,
-    ModbusSettings,
-    SerialSettings,
-    TlsSettings,
-    server_context,
-)
+from edged.adapters.modbus import ModbusPublisher, server_context
 from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app.running import Running
+from edged.app.wantedservers import (
+    WantedServer,
+    modbus_settings,
+    opcua_settings,
+    wanted_servers,
+    web_settings,
+    zenoh_settings,
+)
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.config.cell import RecorderSection
@@ -33,12 +32,10 @@ from edged.config.configuration import Config
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection
 from edged.errors import EdgedError, ListenError, TookTooLong
-from edged.files.private import read_shared_key
 from edged.ports import Publisher
-from edged.robot.orientations import Brand, Convention
 
 if TYPE_CHECKING:
-    from edged.adapters.zenoh import ZenohSettings
+    pass
 
 log = logging.getLogger(__name__)
 
@@ -52,73 +49,6 @@ CLOSE_S = 5.0
 RETRY_S = 5.0
 
 
-class WantedServer(NamedTuple):
-    """A server that a configuration asks for. cell : the cell's name where the server says it, else "".
-
-    free_running : the cell measures unasked, where the server says that.
-
-    files : digest of each file that it reads at its start: certificates, authorities, access control.
-    """
-
-    section: ModbusSection | ZenohSection | RecorderSection | WebSection | OpcUaSection
-    cell: str = ""
-    files: tuple[tuple[Path, bytes], ...] = ()
-    free_running: bool = False
-
-    @property
-    def port(self) -> int | None:
-        """The TCP port that it listens on; None where that is not all that it holds, or not known."""
-        section = self.section
-        if isinstance(section, ModbusSection):
-            return section.port if section.serial is None and section.socket is None else None
-        return section.port if isinstance(section, WebSection | OpcUaSection) else None
-
-    @property
-    def place(self) -> str:
-        """Addresses, devices or folder, for messages."""
-        match self.section:
-            case ModbusSection() as modbus:
-                places = [f"{modbus.host}:{modbus.port}"]
-                if modbus.serial is not None:
-                    places.append(modbus.serial.device)
-                if modbus.socket is not None:
-                    places.append(f"{modbus.host}:{modbus.socket.port}")
-                return ", ".join(places)
-            case ZenohSection() as zenoh:
-                return ", ".join([*zenoh.listen, *zenoh.connect]) or "no address"
-            case RecorderSection() as recorder:
-                return str(recorder.folder)
-            case section:
-                return f"{section.host}:{section.port}"
-
-
-def wanted_servers(config: Config) -> dict[str, WantedServer]:
-    """By the name of their section, the PLC's last; two that are equal need no exchange.
-
-    Raises `OSError` for a file that cannot be read.
-    """
-    wanted = dict[str, WantedServer]()
-    files = config.machine_files()
-    if config.recorder is not None:
-        wanted["recorder"] = WantedServer(config.recorder)
-    if config.web is not None:
-        wanted["web"] = WantedServer(config.web, config.cell.name, _digests(files, "web."))
-    if config.zenoh.enabled:
-        from edged.adapters.zenoh import named_files
-
-        own = config.zenoh.config_file
-        named = {} if own is None else {str(file): file for file in (own, *named_files(own))}
-        digests = (*_digests(named), *_digests(files, "zenoh."))
-        wanted["zenoh"] = WantedServer(config.zenoh, config.cell.name, digests)
-    if config.modbus.enabled:
-        wanted["modbus"] = WantedServer(config.modbus, files=_digests(files, "modbus."))
-    if config.opcua is not None:
-        named = {**files, **{f"opcua.trusted {file}": file for file in _certificates(config.opcua.trusted)}}
-        digests, is_free = _digests(named, "opcua."), config.cycle.mode != "command"
-        wanted["opcua"] = WantedServer(config.opcua, config.cell.name, digests, is_free)
-    return wanted
-
-
 def import_servers(config: Config) -> None:
     """Import what a configuration's servers need; a part of it, as reading certificates, is not Python."""
     wanted = {
@@ -129,18 +59,6 @@ def import_servers(config: Config) -> None:
     for name in (name for name, asked in wanted.items() if asked):
         with contextlib.suppress(ImportError):  # where a package is missing, it is told by who needs it
             importlib.import_module(f"edged.adapters.{name}")
-
-
-def _certificates(folder: Path | None) -> list[Path]:
-    return [] if folder is None else sorted(file for file in folder.glob("*") if file.is_file())
-
-
-def _digests(files: Mapping[str, Path], beginning: str = "") -> tuple[tuple[Path, bytes], ...]:
-    return tuple(
-        (file, hashlib.sha256(file.read_bytes()).digest())
-        for place, file in files.items()
-        if place.startswith(beginning)
-    )
 
 
 Build = Callable[[], Publisher]
@@ -335,13 +253,13 @@ class Servers:
         running, section = self._running, wanted.section
         match section:
             case ModbusSection():
-                modbus = _modbus_settings(section)
+                modbus = modbus_settings(section)
                 context = None if modbus.tls is None else server_context(modbus.tls)
                 return partial(ModbusPublisher, modbus, running.cycle, context=context, jobs=running.jobs)
             case ZenohSection():
                 from edged.adapters.zenoh import ZenohPublisher, configured
 
-                zenoh = _zenoh_settings(section, wanted.cell)
+                zenoh = zenoh_settings(section, wanted.cell)
                 return partial(
                     ZenohPublisher,
                     zenoh,
@@ -355,10 +273,9 @@ class Servers:
             case OpcUaSection():
                 return self._opcua_builder(wanted, section)
             case WebSection():
-                from edged.adapters.web import WebPublisher, WebSettings, page_context
+                from edged.adapters.web import WebPublisher, page_context
 
-                hashed = section.password_hash.get_secret_value()
-                web = WebSettings(**{**section.model_dump(), "password_hash": hashed, "state": self._state})
+                web = web_settings(section, self._state)
                 return partial(
                     WebPublisher,
                     wanted.cell,
@@ -374,27 +291,13 @@ class Servers:
 
     def _opcua_builder(self, wanted: WantedServer, section: OpcUaSection) -> Build:
         try:
-            from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings, identity_of
+            from edged.adapters.opcua import OpcUaPublisher, identity_of
         except ImportError as error:
             raise ListenError(
                 f"opcua: needs another package: pip install 'edged[opcua]' ({error})"
             ) from error
-        settings = OpcUaSettings(
-            cell=wanted.cell,
-            host=section.host,
-            port=section.port,
-            certificate=section.certificate,
-            key=section.key,
-            trusted=section.trusted,
-            user=section.user,
-            password_hash=section.password_hash.get_secret_value(),
-            anonymous=section.anonymous,
-            max_clients=section.max_clients,
-            readers=tuple(ip_network(network) for network in section.readers),
-            free_running=wanted.free_running,
-        )
-        identity = identity_of(settings)
-        running = self._running
+        settings = opcua_settings(section, wanted)
+        running, identity = self._running, identity_of(settings)
         return partial(OpcUaPublisher, settings, running.modbus, running.jobs, identity=identity)
 
 
@@ -407,50 +310,3 @@ def _show_bug(trying: asyncio.Task[None]) -> None:
 def _lie_apart(one: WantedServer, other: WantedServer) -> bool:
     """Whether both can run at once."""
     return None not in (one.port, other.port) and one.port != other.port
-
-
-def _modbus_settings(section: ModbusSection) -> ModbusSettings:
-    serial, tls, line = section.serial, section.tls, section.socket
-    return ModbusSettings(
-        host=section.host,
-        port=section.port,
-        unit_id=section.unit_id,
-        word_order=section.word_order,
-        base_address=section.base_address,
-        convention=Convention[section.convention.upper()],
-        validity_s=section.validity_s,
-        heartbeat_s=section.heartbeat_s,
-        owner_s=section.owner_s,
-        idle_s=section.idle_s,
-        max_clients=section.max_clients,
-        reserved={ip_address(host): slots for host, slots in section.reserved.items()},
-        readers=tuple(ip_network(network) for network in section.readers),
-        writers=tuple(ip_network(network) for network in section.writers),
-        serial=None
-        if serial is None
-        else SerialSettings(
-            serial.device,
-            serial.baud,
-            serial.parity,
-            gap_s=None if serial.gap_ms is None else serial.gap_ms * 1e-3,
-        ),
-        tls=None
-        if tls is None
-        else TlsSettings(tls.certificate, tls.key, tls.authority, frozenset(tls.writer_roles)),
-        line=None if line is None else LineSettings(line.port, Brand(line.brand), line.allow_simulated),
-    )
-
-
-def _zenoh_settings(section: ZenohSection, cell: str) -> ZenohSettings:
-    from edged.adapters.zenoh import ZenohSettings
-
-    return ZenohSettings(
-        cell=cell,
-        listen=tuple(section.listen),
-        connect=tuple(section.connect),
-        config_file=section.config_file,
-        encoding=section.encoding,
-        trigger_timeout_s=section.trigger_timeout_s,
-        ros2_domain_id=section.ros2_domain_id,
-        shared_key=None if section.shared_key is None else read_shared_key(section.shared_key),
-    )

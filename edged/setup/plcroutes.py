@@ -119,20 +119,9 @@ class PlcRoutes:
         modbus = self._modbus
         clients = [ClientDocument(kind=kind, file=file) for kind, file in FILES.items()]
         if modbus is None:
-            return PlcDocument(
-                listening=False,
-                host=None,
-                port=None,
-                unit_id=None,
-                word_order=None,
-                base_address=None,
-                convention=None,
-                connected=0,
-                owner=None,
-                refused=[],
-                probes=[],
-                clients=clients,
-            )
+            nothing = dict.fromkeys(PlcDocument.model_fields)
+            told = {"listening": False, "connected": 0, "refused": [], "probes": [], "clients": clients}
+            return PlcDocument(**{**nothing, **told})
         now = modbus.settings
         known = constant_values(now.convention, 0, 0)
         return PlcDocument(

@@ -23,7 +23,8 @@ from helpers.waiting import LIMIT_S, WHOLE_S
 from helpers.zenohcell import ask
 
 from edged.app.running import Running
-from edged.app.servers import Servers, wanted_servers
+from edged.app.servers import Servers
+from edged.app.wantedservers import wanted_servers
 from edged.config.configuration import Config
 from edged.config.reading import load
 from edged.domain.events import Command

@@ -10,12 +10,13 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import Field
 
 from edged.adapters.web.gate import code_of
 from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
 from edged.errors import EdgedError, UserError
+from edged.setup.frozen import Frozen
 from edged.setup.pairs import Progress
 
 log = logging.getLogger(__name__)
@@ -25,20 +26,18 @@ TELL_S = 1.0
 """Also while nothing changes: who waits sees that it goes on."""
 
 
-class TaskProblem(BaseModel):
+class TaskProblem(Frozen):
     """Why it failed. code, params : as those of a refused request."""
 
-    model_config = ConfigDict(frozen=True)
     code: str
     detail: str
-    params: dict[str, str | float] = {}
+    params: dict[str, str | float] = Field({})
 
 
-class TaskDocument(BaseModel):
+class TaskDocument(Frozen):
     """A task. done : 0 to 1, of the stage that `text` names; None where that is not known. state : running,
     done, failed, cancelled."""
 
-    model_config = ConfigDict(frozen=True)
     id: str
     what: str
     done: float | None

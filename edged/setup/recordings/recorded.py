@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
-
 from edged.domain.events import CommandKind
 from edged.domain.measurement import Reject, Status
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.payload import Json
+from edged.setup.frozen import Frozen
 
 MOST = 200
 """Of one answer."""
@@ -25,14 +24,13 @@ NOT_FOUND, CAPTURE = "NOT_FOUND", "CAPTURE"
 REASONS = (*(str(bit.name) for bit in Reject), NOT_FOUND, CAPTURE)
 
 
-class CycleLine(BaseModel):
+class CycleLine(Frozen):
     """A recorded cycle. reasons : of `REASONS`; none of a good one.
 
     number : of the recording; `cycle` counts from each start of the cell. kind : of its command, or "".
     parts : good ones. sigma_um : of the first good part, the largest of X, Y, Z; None: there is none.
     """
 
-    model_config = ConfigDict(frozen=True)
     number: int
     at: str
     status: str
@@ -49,10 +47,9 @@ class CycleLine(BaseModel):
     has_pictures: bool
 
 
-class Damaged(BaseModel):
+class Damaged(Frozen):
     """A recording that cannot be read, and why."""
 
-    model_config = ConfigDict(frozen=True)
     file: str
     why: str
 

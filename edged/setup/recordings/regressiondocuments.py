@@ -7,10 +7,10 @@ from datetime import datetime
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from edged.domain.arrays import FloatArray
 from edged.domain.numerals import known
+from edged.setup.frozen import Frozen
 from edged.setup.recordings.comparing import Compared, CycleComparison, FrameShift, TriedCycle
 
 MOST_LISTED = 200
@@ -18,25 +18,21 @@ MOST_LISTED = 200
 PLACE = "/api/v1/cycles"
 
 
-class _Document(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class TriedCandidate(_Document):
+class TriedCandidate(Frozen):
     """What was tried. id : of the draft, the number of the release, or the job that was changed."""
 
     kind: Literal["teaching", "calibration", "release", "change"]
     id: str
 
 
-class RegressionPictures(_Document):
+class RegressionPictures(Frozen):
     """Where the pictures of a cycle are, as long as its recording is kept."""
 
     left: str
     right: str
 
 
-class ChangedCycle(_Document):
+class ChangedCycle(Frozen):
     """A cycle that comes out otherwise. before, after : status. reasons : why it is, or was, not good.
 
     apart_sigmas : of both; null where a place has no sigma at all, or there is none to compare. apart_um : X,
@@ -56,7 +52,7 @@ class ChangedCycle(_Document):
     pictures: RegressionPictures
 
 
-class SkippedCycle(_Document):
+class SkippedCycle(Frozen):
     """A recording that was not tried: "damaged", "no_pictures", "grab", "no_job"."""
 
     number: int
@@ -64,7 +60,7 @@ class SkippedCycle(_Document):
     detail: str
 
 
-class FrameMotion(_Document):
+class FrameMotion(Frozen):
     """By how much a new rig moves all places: of X, Y, Z at about_mm, and about them. It was taken out."""
 
     shift_um: list[float]
@@ -72,7 +68,7 @@ class FrameMotion(_Document):
     about_mm: list[float]
 
 
-class Counts(_Document):
+class Counts(Frozen):
     """Of cycles. apart, lost : of those that stay good."""
 
     good_stay: int
@@ -84,7 +80,7 @@ class Counts(_Document):
     skipped: int
 
 
-class PlaceSpread(_Document):
+class PlaceSpread(Frozen):
     """Of the places of good cycles, after against before: rms and largest distance, and in both sigmas."""
 
     rms_um: float
@@ -93,7 +89,7 @@ class PlaceSpread(_Document):
     max_sigmas: float | None
 
 
-class RegressionLine(_Document):
+class RegressionLine(Frozen):
     """A regression in short. against : fingerprint of the cell then. cycles : that were tried."""
 
     id: str

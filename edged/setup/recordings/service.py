@@ -13,13 +13,12 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from pydantic import BaseModel, ConfigDict
-
 from edged.domain.arrays import Side
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.files.images import load_image
 from edged.pictures.encoding import jpeg
+from edged.setup.frozen import Frozen
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.recorded import CycleFilter, CycleLine, Damaged, Records
 from edged.setup.recordings.setups import Setups, facts_of_jobs, job_of_cycle
@@ -36,13 +35,12 @@ JPEG_QUALITY = 90
 T = TypeVar("T")
 
 
-class CycleList(BaseModel):
+class CycleList(Frozen):
     """Newest first. recorder : whether the cell records at all. counts : of all recordings, by status.
 
     damaged : those met on the way that cannot be read. has_more : ask again with `before`.
     """
 
-    model_config = ConfigDict(frozen=True)
     recorder: bool
     cycles: list[CycleLine]
     damaged: list[Damaged]
@@ -50,22 +48,20 @@ class CycleList(BaseModel):
     has_more: bool
 
 
-class Pictures(BaseModel):
+class Pictures(Frozen):
     """Where the pictures of a pair are."""
 
-    model_config = ConfigDict(frozen=True)
     left: str
     right: str
 
 
-class PairView(BaseModel):
+class PairView(Frozen):
     """A pair with what was seen in it, all in raw px.
 
     kind : "now"; "taught", as the part lay at teaching; "good", another cycle that was good. number, at : of
     the recording. pictures : null where none are kept.
     """
 
-    model_config = ConfigDict(frozen=True)
     kind: str
     number: int | None
     at: str | None
@@ -75,10 +71,9 @@ class PairView(BaseModel):
     parts: list[PartSight]
 
 
-class JobLimits(BaseModel):
+class JobLimits(Frozen):
     """What the job of a cycle allowed then; `contrast` and `min_score` are of its search."""
 
-    model_config = ConfigDict(frozen=True)
     max_sigma_mm: float
     max_rms_px: float
     min_support: float

@@ -16,6 +16,7 @@ from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.errors import FileFormatError
 from edged.payload import Json
 from edged.pictures.evidence import circle_outline, slot_outline, taught_outlines
+from edged.setup.frozen import Frozen
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import apply, invert
@@ -32,21 +33,19 @@ _Number = float | None
 _Vector = tuple[_Number, _Number, _Number]
 
 
-class OutlinePx(BaseModel):
+class OutlinePx(Frozen):
     """Raw px of both pictures; nothing of one that does not show it."""
 
-    model_config = ConfigDict(frozen=True)
     left: Points
     right: Points
 
 
-class FeatureSight(BaseModel):
+class FeatureSight(Frozen):
     """A feature of a part. taught, now : sizes, mm; now is null for one that was not measured.
 
     off_um, sigma_um : now against taught, of the first size, and how certain that is. why : see the codes.
     """
 
-    model_config = ConfigDict(frozen=True)
     key: str
     kind: str
     taught: dict[str, float]
@@ -70,13 +69,12 @@ class SizeSight(BaseModel):
     ok: bool | None
 
 
-class PartSight(BaseModel):
+class PartSight(Frozen):
     """A part, good or not. place_mm, sigma_um : X, Y, Z in the rig's frame; null for what is not known.
 
     reasons : names of reject bits. at : the match, raw px of the left picture.
     """
 
-    model_config = ConfigDict(frozen=True)
     good: bool
     measured: bool
     score: float | None

@@ -21,6 +21,7 @@ from edged.domain.measurement import Reject, Status
 from edged.errors import UserError
 from edged.files.recording import Recording
 from edged.pipeline import Inspection, PreparedRig, inspect
+from edged.setup.frozen import Frozen
 from edged.setup.pairs import Progress, silent
 from edged.setup.recordings.recorded import reasons_of
 from edged.setup.recordings.regression import shown
@@ -78,10 +79,9 @@ class Change(JobChange):
     light: float | None = Field(None, ge=0.1, le=10)
 
 
-class CycleVerdict(BaseModel):
+class CycleVerdict(Frozen):
     """What comes out. sigma_um : X, Y, Z of the first part that was measured."""
 
-    model_config = ConfigDict(frozen=True)
     status: str
     reasons: list[str]
     sigma_um: list[float | None] | None
@@ -91,7 +91,7 @@ class CycleVerdict(BaseModel):
 Cost = Literal["loosens", "leaves_out", "noise", "light"]
 
 
-class Remedy(BaseModel):
+class Remedy(Frozen):
     """A single change that makes the cycle OK.
 
     code : what is changed: a limit's name, "contrast", "light", or "feature". before, after : its value.
@@ -99,7 +99,6 @@ class Remedy(BaseModel):
     count; "light": nothing but light.
     """
 
-    model_config = ConfigDict(frozen=True)
     code: str
     name: str | None
     before: list[float] | None
@@ -109,10 +108,9 @@ class Remedy(BaseModel):
     sigma_um: list[float | None] | None
 
 
-class WhatIf(BaseModel):
+class WhatIf(Frozen):
     """Both verdicts, and what would have helped; null where that was not asked."""
 
-    model_config = ConfigDict(frozen=True)
     before: CycleVerdict
     after: CycleVerdict | None
     helped: list[Remedy] | None

@@ -9,11 +9,12 @@ from pathlib import PurePath
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, JsonValue
+from pydantic import JsonValue
 
 from edged.domain.arrays import FloatArray
 from edged.errors import UserError
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
+from edged.setup.frozen import Frozen
 from edged.setup.releases.archive import Backup, restored
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply
@@ -29,11 +30,7 @@ Feature = CircleFeature | EdgeFeature | SlotFeature
 Cell = CellFiles | UnfinishedCell
 
 
-class _Document(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class Difference(_Document):
+class Difference(Frozen):
     """Something that is other. code : what it is. name : of the limit, the feature, the size or the setting.
 
     before, after : null: it was, or is, not there.
@@ -45,14 +42,14 @@ class Difference(_Document):
     after: JsonValue = None
 
 
-class ChangedJobDocument(_Document):
+class ChangedJobDocument(Frozen):
     """A job that is in both."""
 
     name: str
     changes: list[Difference]
 
 
-class JobsDifference(_Document):
+class JobsDifference(Frozen):
     """By name."""
 
     added: list[str]
@@ -60,7 +57,7 @@ class JobsDifference(_Document):
     changed: list[ChangedJobDocument]
 
 
-class Moved(_Document):
+class Moved(Frozen):
     """How far places lie from where the former rig saw them, µm: distance, and mean of X, Y, Z."""
 
     rms_um: float
@@ -68,7 +65,7 @@ class Moved(_Document):
     mean_um: list[float]
 
 
-class RigDifference(_Document):
+class RigDifference(Frozen):
     """Calibration ids. moved : null where the cameras' pictures are of other sizes, or there is no job.
 
     robot : where the robot stands to the rig is other.
@@ -80,7 +77,7 @@ class RigDifference(_Document):
     robot: bool
 
 
-class ReleaseDifference(_Document):
+class ReleaseDifference(Frozen):
     """All that is other. rig : null: it is the same file. cameras, settings : by dotted names of options."""
 
     jobs: JobsDifference

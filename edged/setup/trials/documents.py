@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from edged.domain.numerals import known
 from edged.setup.calibration.documents import Trouble
+from edged.setup.frozen import Frozen
 from edged.setup.trials.sigmamap import SigmaMap
 from edged.setup.trials.stilltest import StillResult, StillVerdict
 from edged.setup.trials.tried import SigmaUm, TriedPart, sigma_of
 
 
-class TrialDocument(BaseModel):
+class TrialDocument(Frozen):
     """The trial as it stands. number : of the live pair. status : OK, LOW_QUALITY, NO_TARGET; null: none yet.
 
     words_code : the first of the reasons, or OK. trouble : why the pair could not be measured at all.
@@ -20,7 +21,6 @@ class TrialDocument(BaseModel):
     volume, null while its map is not known.
     """
 
-    model_config = ConfigDict(frozen=True)
     on: bool
     job: str | None
     teaching: str | None
@@ -36,7 +36,7 @@ class TrialDocument(BaseModel):
     trouble: Trouble | None
 
 
-class StillDocument(BaseModel):
+class StillDocument(Frozen):
     """A still test. edges_um : what the edges' share of the sigma states; noise_um : what of it is noise.
 
     chi2 : scatter over the variance that the noise explains, or over the stated one where the noise is not
@@ -44,7 +44,6 @@ class StillDocument(BaseModel):
     covers : what is stated the scatter; null where nothing is judged. moving, vanished : the part did.
     """
 
-    model_config = ConfigDict(frozen=True)
     at: str
     by: str
     name: str
@@ -59,20 +58,18 @@ class StillDocument(BaseModel):
     covers: bool | None = None
 
 
-class Stills(BaseModel):
+class Stills(Frozen):
     """The last still test, if there was one."""
 
-    model_config = ConfigDict(frozen=True)
     last: StillDocument | None
 
 
-class MapPoint(BaseModel):
+class MapPoint(Frozen):
     """A place of the reference point, mm, rig frame. sigma_um : null where it is not in both pictures.
 
     left : raw px of the left picture; null for what its lens does not show.
     """
 
-    model_config = ConfigDict(frozen=True)
     x: float
     y: float
     z: float
@@ -80,13 +77,12 @@ class MapPoint(BaseModel):
     left: list[float] | None
 
 
-class MapDocument(BaseModel):
+class MapDocument(Frozen):
     """The sigma to be expected, of edges and calibration, X, Y, Z of the rig's frame; the part as taught.
 
     points : x runs fastest, then y, then z. measured : by edges as clear as in the last pair, else as usual.
     """
 
-    model_config = ConfigDict(frozen=True)
     name: str
     columns: int
     rows: int

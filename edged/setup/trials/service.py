@@ -125,19 +125,13 @@ class _Trial:
 
 
 NOTHING = TrialDocument(
+    **dict.fromkeys(("job", "teaching", "status", "words_code", "limit_um", "covered_share", "trouble")),
     on=False,
-    job=None,
-    teaching=None,
     name="",
     number=0,
-    status=None,
-    words_code=None,
     reasons=[],
     targets=[],
-    limit_um=None,
     covered=[],
-    covered_share=None,
-    trouble=None,
 )
 
 

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from edged.domain.arrays import SIDES, FloatArray
 from edged.domain.frames import FramePair
@@ -24,6 +23,7 @@ from edged.robot.budget import budget_of
 from edged.robot.orientations import Convention
 from edged.robot.picking import frame_of, picked, within
 from edged.robot.reading import Reading, frame_name, reading_of
+from edged.setup.frozen import Frozen
 from edged.setup.recordings.recorded import NOT_FOUND
 from edged.setup.recordings.sight import Points, outline_in
 from edged.setup.trials.stilltest import Stand, StillResult, judged, noises_of
@@ -39,10 +39,9 @@ UNKNOWN_DEG = 60.0
 """Of an angle about an axis that looks the same from all sides, no less is stated."""
 
 
-class PlaceMm(BaseModel):
+class PlaceMm(Frozen):
     """A pose: mm, and the angles of the cell's convention, degrees."""
 
-    model_config = ConfigDict(frozen=True)
     x_mm: float
     y_mm: float
     z_mm: float
@@ -51,57 +50,51 @@ class PlaceMm(BaseModel):
     c_deg: float
 
 
-class SigmaUm(BaseModel):
+class SigmaUm(Frozen):
     """One sigma of X, Y, Z, µm."""
 
-    model_config = ConfigDict(frozen=True)
     x: float
     y: float
     z: float
 
 
-class SigmaAngles(BaseModel):
+class SigmaAngles(Frozen):
     """One sigma of A, B, C, degrees; null for what is not known: the turn of a round part."""
 
-    model_config = ConfigDict(frozen=True)
     a: float | None
     b: float | None
     c: float | None
 
 
-class Terms(BaseModel):
+class Terms(Frozen):
     """Where the sigma comes from, µm: the squares add up to that of the sigma."""
 
-    model_config = ConfigDict(frozen=True)
     edges: SigmaUm
     calibration: SigmaUm
     registration: SigmaUm
     doubt: SigmaUm
 
 
-class Lines(BaseModel):
+class Lines(Frozen):
     """Outlines in raw px of both pictures."""
 
-    model_config = ConfigDict(frozen=True)
     left: list[Points]
     right: list[Points]
 
 
-class Whiskers(BaseModel):
+class Whiskers(Frozen):
     """Edges beside their outlines: x, y of the outline's point, and from there to the edge; raw px."""
 
-    model_config = ConfigDict(frozen=True)
     left: Points
     right: Points
 
 
-class TriedPart(BaseModel):
+class TriedPart(Frozen):
     """A part. status : OK, or LOW_QUALITY with the reasons. left : its reference, raw px of the left picture.
 
     frame : robot or rig, of the pose. missing : taught features that were not measured, where they should be.
     """
 
-    model_config = ConfigDict(frozen=True)
     status: str
     reasons: list[str]
     score: float
