@@ -51,6 +51,8 @@ def config(folder: Path, sections: str, name: str = "cell1") -> Config:
 
 
 class _Commander:
+    session = None
+
     def submit(self, command: Command) -> None:
         raise NotImplementedError
 
