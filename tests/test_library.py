@@ -14,7 +14,7 @@ import edged
 from edged import errors, library
 from edged.pipeline import locate, prepare
 from edged.vision.part.job import Job
-from edged.vision.teaching.region import Circle
+from edged.vision.teaching.region import CircleRegion
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_what_weakens_a_job_is_a_warning() -> None:
     region = part.region
     middle = region.x + region.width / 2, region.y + region.height / 2
     with pytest.warns(UserWarning, match="The region cuts"):
-        edged.teach(part.left, part.right, part.rig, Circle(*middle, 0.35 * region.width))
+        edged.teach(part.left, part.right, part.rig, CircleRegion(*middle, 0.35 * region.width))
 
 
 def test_mistakes_are_refused_in_a_sentence() -> None:
