@@ -100,7 +100,7 @@ def register_values() -> dict[str, object]:
             for block in (UR, UR_GRASP)
             for register in block.registers
         },
-        "xor_of_4_bits": [one ^ other for one in range(16) for other in range(16)],
+        "xor_of_4_bits": [a ^ b for a in range(16) for b in range(16)],
         "crc_of_4_bits": [_crc_of_4_bits(bits) for bits in range(16)],
         "walk": [(*shift, *turn) for shift, turn in zip(SHIFTS_MM, TURNS_DEG, strict=True)],
         "settle_s": SETTLE_S,

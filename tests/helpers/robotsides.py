@@ -278,7 +278,7 @@ class Doosan:
 
 
 class Shared:
-    """A controller with a program made of the skeleton: numbers by their names, poses of six numbers."""
+    """A controller whose program shares the names of its numbers and routines with others of this class."""
 
     brand: Brand
     excuses: ClassVar[dict[str, Lie]] = {}
@@ -286,11 +286,11 @@ class Shared:
     controller: Any
 
     def named(self, name: str) -> Any:
-        """A variable of the program by the skeleton's name."""
+        """A variable of the program by its shared name."""
         raise NotImplementedError
 
     def run(self, name: str, *arguments: Any) -> None:
-        """A routine by the skeleton's name."""
+        """A routine by its shared name."""
         raise NotImplementedError
 
     def pose(self, name: str) -> tuple[float, ...]:

@@ -328,30 +328,39 @@ class Instance:
 
 
 class Driven:
-    """A block with xExecute and xBusy, called scan by scan in real time, as a PLC's task does."""
+    """A block with xExecute and xBusy, called scan by scan in real time, as a PLC's task does.
+
+    scans_to_acknowledge : after which the cell knows that the result was used.
+    """
 
     block: Instance
     values: dict[str, Any]
+    scans_to_acknowledge = 40
+
+    def scan(self) -> None:
+        """One cycle of the PLC."""
+        self.block.scan()
 
     def until(self, name: str, value: Any = True) -> None:
-        """Scans until an output has a value."""
+        """Scans until a variable has a value."""
         deadline_s = time.monotonic() + LIMIT_S
+        self.scan()
         while self.values[name] != value:
             assert time.monotonic() < deadline_s, f"not in time: {name} = {value}"
-            self.block.scan()
+            self.scan()
 
     def run(self, **inputs: Any) -> None:
         """A rising edge of xExecute, until the block is not busy any more."""
         self.values |= inputs | {"xExecute": True}
-        self.block.scan()
+        self.scan()
         assert self.values["xBusy"]
         self.until("xBusy", False)
 
     def release(self) -> None:
         """The falling edge, until the cell knows."""
         self.values["xExecute"] = False
-        for _ in range(40):
-            self.block.scan()
+        for _ in range(self.scans_to_acknowledge):
+            self.scan()
 
 
 def kind_of(init: Any) -> Kind:

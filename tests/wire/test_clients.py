@@ -11,7 +11,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -386,8 +386,10 @@ def test_the_python_client_never_hides_the_users_exception(client_module: Module
 # --- structured text ---------------------------------------------------------------------------
 
 
-class Plc:
+class Plc(structured_text.Driven):
     """A PLC: reads and writes registers as the source's header says, then runs FB_EDGED, scan by scan."""
+
+    scans_to_acknowledge = 2
 
     def __init__(self, port: int, *, low_word_first: bool = False) -> None:
         self.skipped_ms = 0.0
@@ -419,28 +421,6 @@ class Plc:
         self.block.scan()
         if self.linked:
             assert not self.client.write_registers(100, self.values["awCommand"]).isError()
-
-    def until(self, name: str, value: Any = True) -> None:
-        """Scan until a variable has a value."""
-
-        def reached() -> bool:
-            self.scan()
-            return bool(self.values[name] == value)
-
-        until(reached, f"{name} = {value}")
-
-    def run(self, **inputs: Any) -> None:
-        """A rising edge of xExecute, until the block is not busy any more."""
-        self.values |= inputs | {"xExecute": True}
-        self.scan()
-        assert self.values["xBusy"]
-        self.until("xBusy", False)
-
-    def release(self) -> None:
-        """The falling edge: the result was used."""
-        self.values["xExecute"] = False
-        self.scan()
-        self.scan()
 
 
 @pytest.mark.parametrize("convention", Convention)
@@ -810,10 +790,16 @@ def started(controller: urscript.Controller) -> dict[str, Any]:
     return robot
 
 
+@contextlib.contextmanager
+def robot_beside(cell: LiveCell) -> Iterator[tuple[urscript.Controller, dict[str, Any]]]:
+    """A controller connected to the cell, and its program."""
+    with cell, urscript.Controller(cell.port) as controller:
+        yield controller, started(controller)
+
+
 def test_urscript_locates_a_part() -> None:
     """Its functions, run as Python with the controller's Modbus calls: pose in m and rad, then errors."""
-    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(cell := LiveCell()) as (_, robot):
         for x_mm in (10.0, -1234.567, 30.0):
             cell.targets = (make_target(x_mm=x_mm),)
             pose = robot["edged_locate"](0, 5.0)
@@ -837,8 +823,7 @@ def test_urscript_locates_a_part() -> None:
 
 def test_urscript_gives_part_after_part() -> None:
     """edged_next while edged_remaining says so: the other parts of one picture; then edged_error 9."""
-    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(cell := LiveCell()) as (_, robot):
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
         seen = [(robot["edged_locate"](0, 5.0)[0], robot["edged_remaining"])]
         while robot["edged_remaining"] > 0:
@@ -887,8 +872,7 @@ def test_urscript_says_where_the_tool_takes_the_part() -> None:
         robot["edged_in"][UR.words + 4] ^= 1
         robot["edged_grasp"]()
         assert (False, 106) == (robot["edged_ok"], robot["edged_error"])
-    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(cell := LiveCell()) as (_, robot):
         robot["edged_locate"](0, 5.0)
         robot["edged_grasp"]()
         assert (False, 108) == (robot["edged_ok"], robot["edged_error"])
@@ -898,8 +882,7 @@ def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:
     """edged_error 103, no pose; with edged_allow_simulated the pose of the virtual cell."""
     cell = LiveCell()
     cell.setup = dataclasses.replace(cell.setup, simulated=True)
-    with cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(cell) as (_, robot):
         robot["edged_locate"](0, 5.0)
         assert (False, 103) == (robot["edged_ok"], robot["edged_error"])
         robot["edged_allow_simulated"] = True
@@ -910,8 +893,7 @@ def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:
 
 def test_urscript_sends_no_flange_to_a_cell_whose_angles_mean_something_else() -> None:
     """A registration is not begun: 109; parts are given, in rotation vectors as ever."""
-    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(cell := LiveCell()) as (_, robot):
         robot["get_actual_tcp_pose"] = lambda: (0.0,) * 6
         assert (False, 109) == (robot["edged_hand_eye"](5.0), robot["edged_error"])
         robot["edged_locate"](0, 5.0)
@@ -924,8 +906,7 @@ def test_urscript_says_where_the_flange_is_that_carries_the_cameras() -> None:
     cell = LiveCell(settings)
     flange_from_rig = transform_of(Brand.UR, (0.04, -0.03, 0.1, 0.5, -1.0, 0.2))
     cell.setup = dataclasses.replace(cell.setup, robot_from_rig=None, flange_from_rig=flange_from_rig)
-    with cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(cell) as (controller, robot):
         for locate in (lambda: robot["edged_locate"](0, 5.0), lambda: robot["edged_locate_all_jobs"](5.0)):
             pose = transform_of(Brand.UR, locate())
             assert (True, 0) == (robot["edged_ok"], robot["edged_error"])
@@ -950,8 +931,7 @@ def test_urscript_never_uses_a_sequence_again() -> None:
 
 def test_urscript_runs_its_command_over_a_connection_that_was_made_anew_unnoticed() -> None:
     """The first CMD_SEQ of a connection runs nothing: another one is written, measured once."""
-    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(cell := LiveCell()) as (controller, robot):
         robot["edged_locate"](0, 5.0)
         controller.close()
         controller.connect()
@@ -961,8 +941,7 @@ def test_urscript_runs_its_command_over_a_connection_that_was_made_anew_unnotice
 
 def test_urscript_takes_a_command_back_when_the_link_is_down() -> None:
     """edged_error 104 within a second of the program, and nothing runs when the link returns."""
-    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(cell := LiveCell()) as (controller, robot):
         robot["edged_locate"](0, 5.0)
         controller.linked = False
         robot["edged_locate"](0, 5.0)
@@ -977,8 +956,7 @@ def test_urscript_takes_a_command_back_when_the_link_is_down() -> None:
 
 def test_urscript_refuses_what_is_damaged_or_of_another_job() -> None:
     """A word that does not fit the CRC, and a result of another job than asked for, are no pose."""
-    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(LiveCell()) as (controller, robot):
         controls = controller.builtins()["modbus_get_signal_status"]
         place = {one.name: one.address - UR.address for one in UR.registers}
 
@@ -1006,8 +984,7 @@ def test_urscript_refuses_what_is_damaged_or_of_another_job() -> None:
 
 def test_urscript_gives_way_to_a_cell_that_was_started_anew() -> None:
     """While it waits: edged_error 105, and no pose of another life."""
-    with LiveCell() as cell, urscript.Controller(cell.port) as controller:
-        robot = started(controller)
+    with robot_beside(cell := LiveCell()) as (controller, robot):
         cell.slow_s = 0.1
         controls = controller.builtins()["modbus_get_signal_status"]
         looks = []
