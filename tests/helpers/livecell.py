@@ -108,8 +108,8 @@ class LiveCell:
         """As a reload that changed these fields of the setup; returns when it is in force."""
         self.setup = replace(self.setup, **changes)
         self.call(lambda: self.cycle.exchange(self.setup))
-        in_force = vars(self.cycle)
-        while in_force["_setup"] is not self.setup:
+        cell = vars(self.cycle)["_cell"]
+        while cell.setup is not self.setup:
             time.sleep(0.001)
 
     def _locate(self, _pair: FramePair, lap: Callable[[str], None]) -> Outcome:
