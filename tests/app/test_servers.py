@@ -477,6 +477,7 @@ def held(kind: str, monkeypatch: pytest.MonkeyPatch) -> Hanging:
     return hanging
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_server_that_starts_slowly_is_named_and_started_later(
     kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch

@@ -12,6 +12,7 @@ from edged.files.statefolder import state_folder
 from edged.identity.audit import LINES, AuditEntry, AuditFile
 
 
+@pytest.mark.slow
 def test_the_chain_is_printed_and_verified(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

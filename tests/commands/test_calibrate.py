@@ -184,6 +184,7 @@ def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> 
     refused(folder, tmp_path, expected, board="chessboard:12x4:6")
 
 
+@pytest.mark.slow
 def test_without_a_board_the_pictures_are_asked(folder: Path, tmp_path: Path) -> None:
     """They show which board it is, and never how large: what to measure and to type is said."""
     refused(
@@ -206,6 +207,7 @@ def test_a_length_alone_suffices(pictures: Path, tmp_path: Path, length: str) ->
     assert "chessboard:8x6:6" == json.loads((tmp_path / "rig.json").read_text())["quality"]["board"]
 
 
+@pytest.mark.slow
 def test_pictures_that_disagree_are_listed(folder: Path, tmp_path: Path) -> None:
     """Half of them with another board: each picture is named with what it shows, in folders' order."""
     other = parse_board("chessboard:7x5:6")

@@ -69,6 +69,7 @@ def taught(break_mm: float, grey: float) -> Settled:
     return settled(teach(*see(square(), break_mm, grey, 1), rectification, None, "D3"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("break_mm", "grey", "tilt_deg"), [(0.5, 0.2, 45.0), (0.5, 0.9, 45.0)])
 def test_a_break_that_the_file_does_not_show_is_in_the_sigma(
     break_mm: float, grey: float, tilt_deg: float

@@ -246,6 +246,7 @@ def stl_of(folder: Path, scale: float = 1.0) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
     """Radii and centres of the STEP file within 0.1 µm; what the facets leave open is in the job's sigma."""
     curves = read_model(stl_of(tmp_path), "-z")[1].curves

@@ -71,6 +71,7 @@ def _names(folder: Path) -> set[str]:
     return {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
 
 
+@pytest.mark.slow
 def test_a_death_leaves_the_former_folder_or_the_new_one(tmp_path: Path) -> None:
     """Before whichever step: never none, never a mixture, once new always new, and another try succeeds."""
     seen = _killed_at_every_step(tmp_path, "granted")
@@ -81,6 +82,7 @@ def test_a_death_leaves_the_former_folder_or_the_new_one(tmp_path: Path) -> None
     assert {"new"} == {again for _, again in seen}
 
 
+@pytest.mark.slow
 def test_where_names_cannot_be_exchanged_one_death_leaves_none(tmp_path: Path) -> None:
     """The file systems of some networks refuse it; then the former folder lies beside its name."""
     seen = _killed_at_every_step(tmp_path, "refused")

@@ -34,6 +34,7 @@ def seen(path: Path, unit: str | None = None) -> ModelCurves:
     return faceted_curves(read_stl(path, unit), UP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["D1", "D2", "D3", "D4"])
 def test_triangles_of_a_step_file_say_what_its_faces_say(tmp_path: Path, part: str) -> None:
     """Every circle and every straight edge within a tenth of a micrometre, inner edges not among them."""
@@ -148,6 +149,7 @@ def test_what_is_no_part_is_named(tmp_path: Path, data: bytes | str, said: str) 
         read_stl(saved(tmp_path, data))
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(st.binary(max_size=600), st.integers(0, 9000), st.booleans())
 def test_damaged_bytes_end_in_a_message(

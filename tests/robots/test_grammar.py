@@ -126,6 +126,7 @@ def test_a_controller_takes_every_name_line_and_text_of_a_generated_program(fmt:
             assert file in unchecked
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("language", READERS)
 def test_no_declared_name_is_overlooked(language: str) -> None:
     """Whatever the interpreter meets as declared, the generators' patterns find, too."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from helpers.cells import flange
 from helpers.flangedrawing import flange_drawing
 from helpers.partcell import PartCell
@@ -40,6 +41,7 @@ def sent(path: Path, **how: Any) -> dict[str, Any]:
     return {"name": path.name, "data": b64encode(path.read_bytes()).decode(), **how}
 
 
+@pytest.mark.slow
 def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
     """Byte by byte, also at the distance that the pair tells by itself; its features lie on the part in the
     pictures; a gripping point that was tapped on the part is there, where nobody said a pose.
@@ -87,6 +89,7 @@ def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
     assert made == [(output / name).read_bytes() for name in ("job.toml", "shape.npz")]
 
 
+@pytest.mark.slow
 def test_what_is_no_drawing_of_the_part_is_said(tmp_path: Path) -> None:
     """With its place; what would fill the memory is refused; one of another size is not found in the pair;
     the draft stays as it was, or goes back with one step.

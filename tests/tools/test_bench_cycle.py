@@ -29,6 +29,7 @@ MOST = {
 """Means per cycle over the demo's flange at six poses; 1, 3, 0, 1 and 5 when they were written down."""
 
 
+@pytest.mark.slow
 def test_a_cycle_does_no_more_work_than_it_did() -> None:
     """One candidate is followed down the pyramid, and the joint fit takes its five steps."""
     work = bench_cycle.work_of(bench_cycle.bench(6))

@@ -6,12 +6,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 import bench_guidance
 
 
+@pytest.mark.slow
 def test_guided_views_are_worth_the_double() -> None:
     """Six of them predict no more sigma than twelve of a careful person, and the errors are as stated."""
     guided, careful = bench_guidance.outcomes(6, 12, 0.01, seed=1)

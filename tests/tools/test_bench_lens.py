@@ -6,12 +6,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 import bench_lens
 
 
+@pytest.mark.slow
 def test_a_stated_model_that_is_wrong_is_the_worst_way() -> None:
     """Of an ordinary tangential part: division errs beyond its sigma; what chooses takes Brown-Conrady's."""
     ways = bench_lens.compared_rigs("brown, 4e-4", 6, seed=1)

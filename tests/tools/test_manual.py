@@ -128,6 +128,7 @@ def test_the_search_knows_what_the_pages_say(site: Path) -> None:
     assert "StreamStalled" in index
 
 
+@pytest.mark.slow
 def test_a_warning_ends_the_build(tmp_path: Path) -> None:
     """A link to a page that is not there, or a heading: it fails, and says where."""
     for name in ("docs", "mkdocs.yml", "tools/manual", "tools/manuallinks.py", "edged/__init__.py"):

@@ -34,6 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_every_picture_shows_the_whole_board(folder: Path) -> None:
     """Twenty pairs, 88 corners in each picture."""
     pairs, board = find_pairs(folder / "board"), parse_board("chessboard:11x8:4.0")
@@ -43,6 +44,7 @@ def test_every_picture_shows_the_whole_board(folder: Path) -> None:
     assert {88} == {0 if isinstance(one, NotDetected) else len(one.ids) for one in found}
 
 
+@pytest.mark.slow
 def test_the_touched_points_are_where_the_part_is(folder: Path) -> None:
     """What the robot showed and what edged measures fit to a few hundredths of a millimetre."""
     rig = prepare(demo_rig())

@@ -51,6 +51,7 @@ def test_what_runs_alone_is_there_and_says_why() -> None:
         assert re.search(r"\d s\b", reason), reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ci", "code"), [("true", 1), ("", 0)])
 def test_a_tool_that_is_missing_is_told_and_fails_in_ci(tmp_path: Path, ci: str, code: int) -> None:
     """A developer reads which test was skipped and why; continuous integration is red."""
@@ -62,6 +63,7 @@ def test_a_tool_that_is_missing_is_told_and_fails_in_ci(tmp_path: Path, ci: str,
     assert "test_that_runs" not in run.stdout
 
 
+@pytest.mark.slow
 def test_a_reason_on_the_list_passes_without_a_word(tmp_path: Path) -> None:
     """Nobody can be root everywhere."""
     run = suite(tmp_path, "not root, for network namespaces", "true")

@@ -138,6 +138,7 @@ def words(text: str) -> set[str]:
     return set(re.findall(r"[^\W\d_]{3,}", text))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
 def test_they_can_be_read_and_used_by_everybody() -> None:
     """In both languages every word stands in the texts; nothing is cut off or too small for a finger, and axe

@@ -737,6 +737,7 @@ def test_files_that_do_not_fit_are_named(
         identity_of(wrong)
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken_is_a_listen_error_and_leaves_nothing(open_cell: OpcUaCell) -> None:
     """No thread, no socket."""
     settings = OpcUaSettings("cell1", port=open_cell.publisher.port, anonymous=True)
@@ -832,6 +833,7 @@ def _expired(secure: OpcUaSettings) -> None:
 # --- a daemon --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_registers(tmp_path: Path) -> None:
     """Modbus on another port: other registers, another epoch, and the same OPC UA session shows them."""
     small, port, modbus = SmallCell(tmp_path), free_port(), free_port()

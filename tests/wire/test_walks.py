@@ -135,6 +135,7 @@ def test_a_program_that_sees_no_board_says_so_and_changes_nothing(walked: Walked
     assert before == cell.config.with_name("rig.json").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_program_walks_ten_poses_and_the_rig_is_registered(walked: Walked) -> None:
     """True to what was rendered, at where the cameras look; the robot ends where it began."""
     cell, walk = walked

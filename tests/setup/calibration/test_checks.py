@@ -109,6 +109,7 @@ def _size(length: OfferedLength) -> tuple[str, float | None]:
     return length.name, length.taught_mm and round(length.taught_mm, 1)
 
 
+@pytest.mark.slow
 def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None:
     """Its diameter comes out as drawn; a baseline one percent too long makes it one percent too large."""
     cell = SmallCell(tmp_path / "cell", source="virtual-inprocess")

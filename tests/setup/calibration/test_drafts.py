@@ -215,6 +215,7 @@ def test_a_disc_that_refuses_costs_the_pair_alone(tmp_path: Path) -> None:
     assert draft.state == again(tmp_path, draft).state
 
 
+@pytest.mark.slow
 def test_power_cuts_leave_the_draft_of_before_or_after_a_step(tmp_path: Path) -> None:
     """At any call, in any order that a disc may keep: what is read is one of the states there were."""
     root = tmp_path / "real"

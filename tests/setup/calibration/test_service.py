@@ -102,6 +102,7 @@ def error_in_sigmas(rig: StereoRig) -> float:
     return float(np.sqrt(np.sum(errors_mm**2) / np.sum(variances)))
 
 
+@pytest.mark.slow
 def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) -> None:
     """The board is recognised, pairs come over the socket, and one is taken of each place it is held at."""
 
@@ -144,6 +145,7 @@ async def look(socket: aiohttp.ClientWebSocketResponse) -> None:
             await socket.send_json({"seen": told["number"]})
 
 
+@pytest.mark.slow
 def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
     """Views, what was left out and undone: the next daemon goes on with the same, and suggests the same."""
     cell = BoardCell(tmp_path)
@@ -168,6 +170,7 @@ def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
     asyncio.run(second(asyncio.run(first())))
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """While it solves, keeps a pair or suggests: that has failed and says so, and the draft is as it was."""
 
@@ -203,6 +206,7 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
     run(tmp_path, test)
 
 
+@pytest.mark.slow
 def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path: Path) -> None:
     """Suggestions, a solution, views by themselves: ended. What is begun next is as if it was the first."""
 
@@ -229,6 +233,7 @@ def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path: Path
     run(tmp_path, test)
 
 
+@pytest.mark.slow
 def test_live_pairs_are_looked_at_for_the_draft_that_somebody_goes_on_with(tmp_path: Path) -> None:
     """The one begun last, until somebody goes on with another; the others take no view by themselves."""
 
@@ -267,6 +272,7 @@ WRONG: dict[str, tuple[str, Callable[[int], tuple[Image, Image]]]] = {
 """Mistakes that pictures can tell: what is stated, and what a view shows."""
 
 
+@pytest.mark.slow
 def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
     """Each with a code of its own, for which the page has a sentence with the remedy; nothing is solved."""
 

@@ -111,6 +111,7 @@ def test_poses_that_no_equation_takes_are_told(monkeypatch: pytest.MonkeyPatch) 
     assert ("calibration", "SVD did not converge") == (judged.trouble.code, judged.trouble.text)
 
 
+@pytest.mark.slow
 def test_poses_of_nobody_are_ranked_and_of_a_stranger_told() -> None:
     """Without a brand the way that fits stands first; the numbers of a KUKA are not read as a FANUC's."""
     turns = [(0, 0, 0), (20, 5, 0), (0, 20, 10), (-10, 0, 30), (5, -15, -20)]

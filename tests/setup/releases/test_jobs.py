@@ -52,6 +52,7 @@ def run(cell: PartCell, test: Any) -> None:
     asyncio.run(bounded())
 
 
+@pytest.mark.slow
 def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> None:
     """Each a release, with all that people have written; what cannot be is refused, and nothing changes."""
     cell = cell_with_jobs(tmp_path)

@@ -353,6 +353,7 @@ def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -
     assert before == cell.files()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "cameras", [{}, {"left": CameraChanges(device="other")}], ids=["rig", "rig and cameras"]
 )

@@ -89,6 +89,7 @@ def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
     run(tmp_path, test)
 
 
+@pytest.mark.slow
 def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
     """A region, features left out, another reference, a grip, sizes: undone and done again."""
 
@@ -134,6 +135,7 @@ def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
     run(tmp_path, test)
 
 
+@pytest.mark.slow
 def test_two_people_and_a_kill(tmp_path: Path) -> None:
     """Who comes late is told what is new; a tap finds the part, nothing is found on the table; after a kill
     of the worker and a restart of the daemon the draft is as it was."""
@@ -199,6 +201,7 @@ def test_two_people_and_a_kill(tmp_path: Path) -> None:
     asyncio.run(second())
 
 
+@pytest.mark.slow
 def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) -> None:
     """The first makes the cell complete, byte for byte what the command teaches; edited from the pair that it
     keeps it is the next release; going back restores the fingerprint."""

@@ -67,6 +67,7 @@ def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]
     return cropped
 
 
+@pytest.mark.slow
 def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the part lies, in the robot's frame; when it is laid elsewhere, that is seen, and the trail is
     longer; a draft is tried as a job is. What cannot be tried is said."""
@@ -137,6 +138,7 @@ def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.Monkey
     run(cell, test())
 
 
+@pytest.mark.slow
 def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
     """The same picture each time scatters by nothing; a part that is moved or taken away is no verdict."""
     cell = TaughtCell(tmp_path)

@@ -103,6 +103,7 @@ def test_the_lowest_rows_come_from_the_picture_that_shows_them() -> None:
     assert (8, 6, "5X5_50") == (both.columns, both.rows, both.dictionary)
 
 
+@pytest.mark.slow
 def test_a_real_board_is_recognised_by_most_pictures() -> None:
     """Held in a hand, in front of a room: where one picture sees a row too much or too few, most see 9x6."""
     pictures = sorted(REAL.glob("*.jpg"))
@@ -125,6 +126,7 @@ def test_nothing_is_seen_where_no_board_is() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_no_majority_is_no_answer() -> None:
     """One picture of each of two boards leaves it open."""
     boards = [parse_board(spec) for spec in ("chessboard:8x6:3", "chessboard:7x5:3")]

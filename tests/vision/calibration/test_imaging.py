@@ -81,6 +81,7 @@ def test_the_response_comes_back(gamma: float) -> None:
     assert (abs(found.shift_px) < 0.01) == (gamma == 1.0)
 
 
+@pytest.mark.slow
 def test_ink_that_has_spread_is_no_response() -> None:
     """Its edges are displaced, but their profiles are the same from both ends: it is said, not corrected."""
     found = imaging_of([the_edges(printed_with_spread_ink(number), number) for number in range(3)], SIZE)

@@ -75,6 +75,7 @@ def test_a_simple_lens_is_known_better() -> None:
     assert 0.95 * sigma_mm(brown) > sigma_mm(chosen) > sigma_mm(division)
 
 
+@pytest.mark.slow
 def test_sigma_knows_that_another_model_may_be_true() -> None:
     """Where the views hardly tell a tangential part, the error of the choice is the sigma it states."""
     rig, squares, simpler = brown_rig(1e-4), [], 0

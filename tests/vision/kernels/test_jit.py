@@ -74,6 +74,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     return [json.loads(output.stdout) for output in outputs]
 
 
+@pytest.mark.slow
 def test_a_stored_kernel_is_what_was_compiled(runs: list[dict[str, Any]]) -> None:
     """The first process compiles, the second takes it from the cache, and both allocate and fill an array."""
     assert [0, 1] == [found["hits"] for found in runs]

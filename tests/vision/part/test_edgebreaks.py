@@ -90,6 +90,7 @@ def test_a_highlight_beside_the_rims_is_a_break() -> None:
     assert measured.target.sigma_mm[2] > 0.05
 
 
+@pytest.mark.slow
 def test_a_radius_at_the_other_end_is_a_break() -> None:
     """Taught at the upper ends of a small break and seen at the lower ones, within the tolerance: the sigma
     holds the way between both ends, which lie apart in depth, too."""

@@ -260,6 +260,7 @@ def test_a_corner_of_a_raised_face_is_reported_at_its_height() -> None:
     np.testing.assert_allclose(corner.position_mm, apply(where, np.array([-11.0, -7.0, -STEP_MM])))
 
 
+@pytest.mark.slow
 def test_where_rows_of_single_curves_do_not_meet_the_whole_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     """Walls and what lies over a part displace single curves in one camera: as one whole it is still good."""
     rig = prepare(small_rig())
