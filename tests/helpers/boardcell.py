@@ -61,6 +61,7 @@ class BoardCell:
         self.config.write_text(
             '[cell]\nname = "cell1"\nrig = "rig.json"\njobs = "jobs"\njob = "none"\n'
             '[cycle]\nmode = "command"\n[cameras]\nsource = "virtual-inprocess"\n'
+            "timeout_s = 10.0\nmax_skew_ms = 1000.0\n"  # a machine that does much else
             f"[modbus]\nport = {free_port()}\n[zenoh]\nenabled = false\n"
             f'[web]\nport = {self.port}\npassword_hash = "{HASH}"\ncommissioning = true\n'
         )

@@ -92,7 +92,7 @@ class SmallCell:
             web_port=self.web_port,
         )
         self.config = prepare_cell(folder, self.virtual, options, gige=False)
-        text = self.config.read_text()
+        text = self.config.read_text().replace("max_skew_ms = 25.0", "max_skew_ms = 1000.0")
         if source == "replay":
             text = text.replace('source = "virtual-inprocess"', 'source = "replay"\nfolder = "pairs"')
             (folder / "pairs").mkdir(exist_ok=True)
