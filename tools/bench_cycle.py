@@ -40,8 +40,8 @@ from edged.commands.demo import region_of_part
 from edged.domain.arrays import Image
 from edged.domain.frames import Frame, FramePair
 from edged.pipeline import PreparedRig, inspect, locate, prepare
-from edged.sim.cell import Motion, VirtualCell, demo_part, demo_rig, stereo_views
-from edged.sim.render.scene import Placed
+from edged.sim.cell import PartMotion, VirtualCell, demo_part, demo_rig, stereo_views
+from edged.sim.render.scene import PlacedPart
 from edged.vision.curves.planestate import State
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rectification import StereoImages
@@ -107,9 +107,9 @@ def bench(
     for number in range(count):
         poses = [cell.pose(number + SCENES * further) for further in range(parts)]
         for pose, place in zip(poses, places_mm if parts > 1 else (), strict=False):
-            pose[:3, 3] = np.add(Motion().centre_mm, (*place, 0.0))
+            pose[:3, 3] = np.add(PartMotion().centre_mm, (*place, 0.0))
         scene = cell.scene(poses[0])
-        scene = replace(scene, parts=tuple(Placed(demo_part(), pose) for pose in poses))
+        scene = replace(scene, parts=tuple(PlacedPart(demo_part(), pose) for pose in poses))
         pairs.append(
             tuple(
                 views[side].render(scene, np.random.default_rng((number, k))) for k, side in enumerate(views)

@@ -45,7 +45,16 @@ from edged.domain.measurement import Outcome, Reject, Target
 from edged.errors import EdgedError, TeachError
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.cell import stereo_views
-from edged.sim.render.scene import Box, Light, Part, Placed, Scene, Surface, Table, View
+from edged.sim.render.scene import (
+    Part,
+    PlacedPart,
+    RenderedView,
+    RoundedBox,
+    Scene,
+    SceneLight,
+    Surface,
+    Table,
+)
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix
 from edged.vision.geometry.triangulation import triangulate_raw
@@ -127,20 +136,20 @@ class Row:
 
 
 @cache
-def views() -> dict[str, View]:
+def views() -> dict[str, RenderedView]:
     """The true cameras, once for each process."""
     return stereo_views(small_rig())
 
 
 @cache
-def quick_view() -> View:
+def quick_view() -> RenderedView:
     """The left camera with a quarter of the pixels: enough to tell what is hidden."""
     camera = small_rig().left
     coarse = replace(
         camera, width=camera.width // 2, height=camera.height // 2, fx=camera.fx / 2, fy=camera.fy / 2,
         cx=(camera.cx + 0.5) / 2 - 0.5, cy=(camera.cy + 0.5) / 2 - 0.5,
     )  # fmt: skip
-    return View(coarse, np.eye(4))
+    return RenderedView(coarse, np.eye(4))
 
 
 def jittered(rig: StereoRig, rng: np.random.Generator) -> StereoRig:
@@ -171,8 +180,8 @@ def world(look: str, rng: np.random.Generator, *placed: tuple[Part, FloatArray])
     """Parts over a table, in light that is not quite even."""
     slope = rng.uniform(-0.004, 0.004, 2)
     table = Table(table_of(look, rng), pose((PLACE_MM[0], PLACE_MM[1], PLACE_MM[2] + TABLE_BELOW_MM)))
-    light = Light(1.0, (float(slope[0]), float(slope[1])))
-    return Scene(table, tuple(Placed(part, where) for part, where in placed), light)
+    light = SceneLight(1.0, (float(slope[0]), float(slope[1])))
+    return Scene(table, tuple(PlacedPart(part, where) for part, where in placed), light)
 
 
 def changed(kind: str | None, left: Image, right: Image, seed: tuple[int, ...]) -> tuple[Image, Image]:
@@ -243,12 +252,16 @@ def draw_scene(taught: Taught, rng: np.random.Generator) -> Drawn:
 
     alone = seen(part, ())
     detail = np.abs(alone - seen(plain, ()))
-    black = Scene(Table(Surface(0.0), world(look, rng).table.rig_from_table), (Placed(silhouette, where),))
+    black = Scene(
+        Table(Surface(0.0), world(look, rng).table.rig_from_table), (PlacedPart(silhouette, where),)
+    )
     covered = left.radiance(black).astype(np.float64)
     for _ in range(50):
         front, poses = things_in_front(taught, where, rng, piece + 1000)
         if front:
-            shadow = tuple(Placed(replace(without_holes(one), surface=Surface(0.0)), at) for one, at in front)
+            shadow = tuple(
+                PlacedPart(replace(without_holes(one), surface=Surface(0.0)), at) for one, at in front
+            )
             left_over = left.radiance(replace(black, parts=(*black.parts, *shadow)))
             hidden = 1.0 - float(left_over.sum() / covered.sum())
         else:
@@ -318,7 +331,7 @@ def things_in_front(
     bars: list[tuple[Part, FloatArray]] = []
     for k in range(2 if kind == "bars" else 1):
         surface = Surface(rng.uniform(0.05, 0.9), contrast=rng.choice([0.0, 0.15]), feature_mm=0.6, seed=3)
-        bar = Part("bar", Box(0, 0, 6 * radius, rng.uniform(0.15, 0.7) * radius), surface)
+        bar = Part("bar", RoundedBox(0, 0, 6 * radius, rng.uniform(0.15, 0.7) * radius), surface)
         at = where[:3, 3] + rng.uniform(-1, 1) * radius * away - (0.0, 0.0, 4.0 + k)
         turn = math.degrees(side) + 90 + rng.uniform(-20, 20)
         bars.append((bar, pose((float(at[0]), float(at[1]), float(at[2])), turn)))

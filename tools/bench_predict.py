@@ -26,7 +26,7 @@ from helpers.flatparts import DISC, PLATE
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Target
 from edged.pipeline import PreparedRig, prepare
-from edged.sim.cell import Motion, VirtualCell, demo_part, demo_rig
+from edged.sim.cell import PartMotion, VirtualCell, demo_part, demo_rig
 from edged.sim.render.scene import Part
 from edged.vision.boards.board import Chessboard
 from edged.vision.calibration.calibrate import calibrate_stereo
@@ -45,7 +45,7 @@ VIEWS = 25
 MARK_SIGMA_PX = 0.02  # of a chessboard's corner in a good picture
 NOISE = 1.5  # grey values
 TILT_DEG = 10.0
-MOTION = Motion(shift_mm=(16.0, 12.0), depth_mm=10.0, tilt_rad=np.radians(TILT_DEG))
+MOTION = PartMotion(shift_mm=(16.0, 12.0), depth_mm=10.0, tilt_rad=np.radians(TILT_DEG))
 PARTS = (demo_part(), DISC, PLATE)
 AXES = ("X", "Y", "Z", "A", "B", "C")
 

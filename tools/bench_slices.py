@@ -31,7 +31,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject, Target
 from edged.errors import TeachError
 from edged.pipeline import PreparedRig, locate, prepare
-from edged.sim.render.scene import Disc, Hole, Part, Placed, Polygon, Scene, Surface, Table
+from edged.sim.render.scene import Disc, Hole, Part, PlacedPart, PolygonShape, Scene, Surface, Table
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import about_z, apply, invert, transform
 from edged.vision.part.job import Job
@@ -60,7 +60,7 @@ class Solid:
         wall = replace(WALL, albedo=albedo)
         up = np.eye(4)
         up[2, 3] = -self.height_mm
-        layers: list[Placed] = stacked(self.plate, where, THICK_MM, wall)
+        layers: list[PlacedPart] = stacked(self.plate, where, THICK_MM, wall)
         if bossed:
             layers += stacked(self.boss, where @ up, self.height_mm, wall)
         return Scene(Table(TEXTURED, pose((8.0, 0.0, 205.0 + BELOW_MM))), tuple(layers))
@@ -108,14 +108,14 @@ def random_solid(rng: np.random.Generator) -> Solid:
     """An L, a disc or a notched plate with two to four holes, and a boss whose bore goes through."""
     kind = rng.integers(3)
     w, h = rng.uniform(10, 14), rng.uniform(8, 11)
-    outline: Polygon | Disc
+    outline: PolygonShape | Disc
     if kind == 0:
         step, notch = rng.uniform(-2, 3), rng.uniform(0, 4)
-        outline = Polygon(((-w, -h), (w, -h), (w, step), (notch, step), (notch, h), (-w, h)))
+        outline = PolygonShape(((-w, -h), (w, -h), (w, step), (notch, step), (notch, h), (-w, h)))
     elif kind == 1:
         outline = Disc(0, 0, w)
     else:
-        outline = Polygon(((-w, -h), (0.7 * w, -h), (w, 0), (0.6 * w, h), (-w, 0.8 * h)))
+        outline = PolygonShape(((-w, -h), (0.7 * w, -h), (w, 0), (0.6 * w, h), (-w, 0.8 * h)))
     x, y, radius = rng.uniform(-4, 1), rng.uniform(-3, 1), rng.uniform(3, 4.5)
     bore, height_mm = rng.uniform(1.2, radius - 1.2), rng.uniform(1, 6)
     discs: list[Disc] = []

@@ -26,7 +26,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.cell import demo_part, demo_rig
-from edged.sim.render.scene import Disc, Hole, Part, Polygon, Surface
+from edged.sim.render.scene import Disc, Hole, Part, PolygonShape, Surface
 from edged.vision.geometry.rigid import invert
 from edged.vision.part.job import Job
 from edged.vision.part.tilt import views_of
@@ -35,7 +35,7 @@ from edged.vision.teaching.pair import teach
 
 ANGLE = Part(
     "angle",
-    Polygon(((-12, -10), (12, -10), (12, -3), (-4, -3), (-4, 10), (-12, 10))),
+    PolygonShape(((-12, -10), (12, -10), (12, -3), (-4, -3), (-4, 10), (-12, 10))),
     METAL,
     (Hole("a", Disc(-8, 6, 2.0)), Hole("b", Disc(7, -6.5, 2.0)), Hole("c", Disc(-8, -6, 1.5))),
 )
@@ -78,7 +78,7 @@ def true_place(part: Part, job: Job, part_from_job: FloatArray) -> FloatArray:
     """The drawn circle or corner nearest to the job's reference, (4,) part frame."""
     near = (part_from_job @ np.append(job.place_of(job.reference), 1.0))[:2]
     drawn = [(disc.x_mm, disc.y_mm) for _, disc in part.circles]
-    if not drawn and isinstance(part.outline, Polygon):
+    if not drawn and isinstance(part.outline, PolygonShape):
         drawn = list(part.outline.points_mm)
     return np.array([*min(drawn, key=lambda place: math.dist(place, near)), 0.0, 1.0])
 

@@ -12,7 +12,17 @@ from typing import Literal
 
 import numpy as np
 
-from edged.sim.render.scene import Box, Disc, Hole, Mark, Part, Polygon, Shape, Slot, Surface
+from edged.sim.render.scene import (
+    Disc,
+    Hole,
+    PaintedMark,
+    Part,
+    PolygonShape,
+    RoundedBox,
+    Shape,
+    Slot,
+    Surface,
+)
 
 HOLE = 0.05
 """Share of the table's light that comes back out of a hole: what is seen in it is mostly shadow."""
@@ -64,19 +74,19 @@ class Design:
         holes = [Hole("opening", shape, HOLE) for shape in self.shapes]
         cuts = [Hole("cut", shape, 1.0) for shape in self.cuts]  # nothing of the part: all of the light
         if kind == "mark":
-            marks = (*marks, *(Mark(shape, 0.35 * albedo) for shape in own))
+            marks = (*marks, *(PaintedMark(shape, 0.35 * albedo) for shape in own))
         elif kind == "cut":
             cuts += [Hole("cut", shape, 1.0) for shape in own]
         else:
             holes += [Hole("opening", shape, HOLE) for shape in own]
         return Part(self.name, self.outline, surface, (*holes, *cuts), marks)
 
-    def _grooves(self, albedo: float) -> tuple[Mark, ...]:
+    def _grooves(self, albedo: float) -> tuple[PaintedMark, ...]:
         """Rings of two shades, from the rim inwards."""
         radius = self.inner_radius_mm - 0.6
         count = int((radius - 1.0) / GROOVE_MM)
         return tuple(
-            Mark(Disc(0.0, 0.0, radius - k * GROOVE_MM), albedo * (1 - GROOVE * ((k + 1) % 2)))
+            PaintedMark(Disc(0.0, 0.0, radius - k * GROOVE_MM), albedo * (1 - GROOVE * ((k + 1) % 2)))
             for k in range(count)
         )
 
@@ -86,9 +96,9 @@ class Design:
         match self.outline:
             case Disc():
                 return self.outline.radius_mm
-            case Box():
+            case RoundedBox():
                 return 0.5 * min(self.outline.width_mm, self.outline.height_mm)
-            case Polygon():
+            case PolygonShape():
                 points = np.array(self.outline.points_mm)
                 along = np.roll(points, -1, axis=0) - points
                 share = np.clip(-(points * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
@@ -102,9 +112,9 @@ class Design:
         match self.outline:
             case Disc():
                 return self.outline.radius_mm
-            case Box():
+            case RoundedBox():
                 return 0.5 * math.hypot(self.outline.width_mm, self.outline.height_mm)
-            case Polygon():
+            case PolygonShape():
                 return max(math.hypot(x, y) for x, y in self.outline.points_mm)
             case _:
                 raise ValueError(f"no radius of {self.outline}")
@@ -117,9 +127,9 @@ class Design:
             match shape:
                 case Disc() | Slot():
                     places.append((shape.x_mm, shape.y_mm))
-                case Polygon():
+                case PolygonShape():
                     places += shape.points_mm
-                case Box():
+                case RoundedBox():
                     c, s = math.cos(shape.angle_rad), math.sin(shape.angle_rad)
                     for a, b in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)):
                         x, y = a * shape.width_mm, b * shape.height_mm
@@ -144,15 +154,17 @@ def _gaps(teeth: int, radius_mm: float, depth_mm: float) -> tuple[Shape, ...]:
     turns = np.arange(teeth) * (2 * math.pi / teeth)
     width_mm = math.pi * radius_mm / teeth
     return tuple(
-        Box(radius_mm * math.cos(t), radius_mm * math.sin(t), 2 * depth_mm, width_mm, angle_rad=float(t))
+        RoundedBox(
+            radius_mm * math.cos(t), radius_mm * math.sin(t), 2 * depth_mm, width_mm, angle_rad=float(t)
+        )
         for t in turns
     )
 
 
-def _letter_f(x_mm: float, y_mm: float, height_mm: float) -> Polygon:
+def _letter_f(x_mm: float, y_mm: float, height_mm: float) -> PolygonShape:
     k = height_mm / 5
     points = ((0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (2.4, 2), (2.4, 3), (1, 3), (1, 5), (0, 5))
-    return Polygon(tuple((x_mm + k * (x - 1.5), y_mm + k * (y - 2.5)) for x, y in points))
+    return PolygonShape(tuple((x_mm + k * (x - 1.5), y_mm + k * (y - 2.5)) for x, y in points))
 
 
 _BORE = Disc(0.0, 0.0, 4.0)
@@ -165,29 +177,30 @@ DESIGNS = (
     Design("small hole", Disc(0, 0, 13), 6, (_BORE, *_SIX[1:]), (Disc(9.0, 0, 0.9),), (_SIX[0],)),
     Design("missing hole", Disc(0, 0, 13), 5, (_BORE, *_FIVE[1:]), (), (_FIVE[0],)),
     Design("shifted hole", Disc(0, 0, 13), 4, (_BORE, *_FOUR[1:]), (Disc(7.6, 4.9, 1.5),), (_FOUR[0],)),
-    Design("keyway", Disc(0, 0, 13), 6, (_BORE, *_SIX), (Box(4.2, 0, 2.6, 2.0),)),
-    Design("gear", Disc(0, 0, 13), 16, (Disc(0, 0, 5.0),), (Box(5.4, 0, 3.0, 2.2),), (),
+    Design("keyway", Disc(0, 0, 13), 6, (_BORE, *_SIX), (RoundedBox(4.2, 0, 2.6, 2.0),)),
+    Design("gear", Disc(0, 0, 13), 16, (Disc(0, 0, 5.0),), (RoundedBox(5.4, 0, 3.0, 2.2),), (),
            _gaps(16, 13.0, 1.8)),
-    Design("notched rim", Disc(0, 0, 13), 4, (_BORE, *_FOUR), (Box(13, 0, 3.2, 2.8),), kind="cut"),
-    Design("flattened rim", Disc(0, 0, 13), 6, (_BORE, *_SIX), (Box(16.6, 0, 10, 26),), kind="cut"),
+    Design("notched rim", Disc(0, 0, 13), 4, (_BORE, *_FOUR), (RoundedBox(13, 0, 3.2, 2.8),), kind="cut"),
+    Design("flattened rim", Disc(0, 0, 13), 6, (_BORE, *_SIX), (RoundedBox(16.6, 0, 10, 26),), kind="cut"),
     Design("letter", Disc(0, 0, 13), 4, (_BORE, *_FOUR), (_letter_f(8.6, 0, 4.0),), kind="mark"),
     Design("three slots", Disc(0, 0, 13), 3, (
         _BORE,
         *(Slot(8 * math.cos(t), 8 * math.sin(t), 6.0, 2.0, t + math.pi / 2) for t in (2.0944, 4.1888)),
     ), (Slot(8, 0, 4.4, 2.0, math.pi / 2),), (Slot(8, 0, 6.0, 2.0, math.pi / 2),)),
-    Design("cut corner", Box(0, 0, 18, 18), 4, (_BORE, *_ring(4, 8.4, 1.3, math.pi / 4)),
-           (Box(9, 9, 3.6, 3.6, angle_rad=math.pi / 4),), kind="cut"),
-    Design("long plate", Box(0, 0, 25, 14, 1.0), 2, (Disc(-8.5, 0, 2.0),), (Disc(8.5, 0, 1.5),),
+    Design("cut corner", RoundedBox(0, 0, 18, 18), 4, (_BORE, *_ring(4, 8.4, 1.3, math.pi / 4)),
+           (RoundedBox(9, 9, 3.6, 3.6, angle_rad=math.pi / 4),), kind="cut"),
+    Design("long plate", RoundedBox(0, 0, 25, 14, 1.0), 2, (Disc(-8.5, 0, 2.0),), (Disc(8.5, 0, 1.5),),
            (Disc(8.5, 0, 2.0),)),
-    Design("hexagon", Polygon(_regular(6, 13)), 6, (_BORE,), (Box(4.2, 0, 2.6, 2.0),)),
-    Design("square slots", Box(0, 0, 19, 19, 1.5), 4, (
+    Design("hexagon", PolygonShape(_regular(6, 13)), 6, (_BORE,), (RoundedBox(4.2, 0, 2.6, 2.0),)),
+    Design("square slots", RoundedBox(0, 0, 19, 19, 1.5), 4, (
         Slot(-6, 0, 7, 2, math.pi / 2), Slot(0, 6, 7, 2), Slot(0, -6, 7, 2),
     ), (Slot(6, 0, 4.5, 2, math.pi / 2),), (Slot(6, 0, 7, 2, math.pi / 2),)),
     Design("notched flange", Disc(0, 0, 13), 6, (_BORE, *_SIX), (Disc(7.8, 4.5, 0.7),), (),
-           (Box(13, 0, 2.4, 2.0),)),
+           (RoundedBox(13, 0, 2.4, 2.0),)),
     Design("pinned cover", Disc(0, 0, 13), 5, (*_ring(5, 9.6, 1.2), Disc(0, 0, 2.5)), (Disc(0, 5.6, 0.8),)),
-    Design("keyed plate", Box(0, 0, 19, 19, 2.0), 4, (*_ring(4, 9.0, 1.2, math.pi / 4), Disc(0, 0, 3.5)),
-           (Box(0, 3.8, 1.8, 2.2),)),
+    Design("keyed plate", RoundedBox(0, 0, 19, 19, 2.0), 4,
+           (*_ring(4, 9.0, 1.2, math.pi / 4), Disc(0, 0, 3.5)),
+           (RoundedBox(0, 3.8, 1.8, 2.2),)),
 )  # fmt: skip
 HELD_OUT = ("pinned cover", "keyed plate")
 """Looked at last: nothing was chosen by what became of them."""

@@ -50,7 +50,7 @@ def check(path: Path, *, as_json: bool) -> int:
     print("  jobs         " + ", ".join(f"{job['number']} {job['name']}" for job in jobs))
     when = f"every {config.cycle.period_s:g} s" if config.cycle.mode == "free" else "on command"
     print(f"  cameras      {config.cameras.source}, {when}")
-    bounds = [config.limits.bounds(), *(one for job in cell.jobs for one in job.picking.bounds)]
+    bounds = [config.limits.bounds(), *(bound for job in cell.jobs for bound in job.picking.bounds)]
     if count := sum(len(one.boxes) + len(one.keep_out) for one in bounds):
         where = "rig (not registered to a robot)" if frame.startswith("rig") else "robot"
         print(f"  limits       {count} boxes and keep-out zones, in the frame: {where}")

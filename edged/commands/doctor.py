@@ -8,13 +8,13 @@ from pathlib import Path
 from rich.console import Console
 
 from edged.doctor.examination import examine
-from edged.doctor.findings import Check, Verdict
+from edged.doctor.findings import Check, CheckResult
 
 MARKS = {
-    Verdict.OK: "[green]ok[/]  ",
-    Verdict.WARN: "[yellow]warn[/]",
-    Verdict.BAD: "[red]BAD[/] ",
-    Verdict.SKIP: "[dim]skip[/]",
+    CheckResult.OK: "[green]ok[/]  ",
+    CheckResult.WARN: "[yellow]warn[/]",
+    CheckResult.BAD: "[red]BAD[/] ",
+    CheckResult.SKIP: "[dim]skip[/]",
 }
 
 
@@ -25,11 +25,11 @@ def doctor(config: Path, as_json: bool, console: Console, *, trigger: bool) -> i
         checks.append(check)
         if not as_json:
             show(check, console)
-    bad = sum(check.verdict is Verdict.BAD for check in checks)
+    bad = sum(check.verdict is CheckResult.BAD for check in checks)
     if as_json:
         print(json.dumps({"bad": bad, "checks": [check.to_json() for check in checks]}))
     else:
-        warned = sum(check.verdict is Verdict.WARN for check in checks)
+        warned = sum(check.verdict is CheckResult.WARN for check in checks)
         console.print(f"{len(checks)} checks, {bad} bad, {warned} to look at")
     return 1 if bad else 0
 
@@ -38,6 +38,6 @@ def show(check: Check, console: Console) -> None:
     """A line for what is well, three for what is not; never wrapped, so that commands can be copied."""
     console.print(MARKS[check.verdict], end=" ")
     console.print(f"{check.name}: {check.finding}", markup=False, highlight=False, soft_wrap=True)
-    if check.verdict in (Verdict.WARN, Verdict.BAD):
+    if check.verdict in (CheckResult.WARN, CheckResult.BAD):
         console.print(f"       then: {check.consequence}", markup=False, highlight=False, soft_wrap=True)
         console.print(f"       help: {check.remedy}", markup=False, highlight=False, soft_wrap=True)

@@ -37,7 +37,7 @@ MAX_FAULTS = 5
 """Captures in a row that failed, before grabbing ends; a single lost frame is the network's."""
 
 
-class Head(Protocol):
+class GrabHead(Protocol):
     """What is needed of a stereo head."""
 
     async def open(self) -> None:
@@ -51,7 +51,7 @@ class Head(Protocol):
 
 
 @dataclass(slots=True)
-class Movement:
+class ViewChange:
     """Has the view changed since the last pair, and does it rest?"""
 
     _taken: tuple[FloatArray, FloatArray] | None = None
@@ -124,7 +124,7 @@ class Grab:
     console: Console
     taken: int = 0
     skew_ms: float = 0.0
-    movement: Movement = field(default_factory=Movement)
+    movement: ViewChange = field(default_factory=ViewChange)
 
     @property
     def summary(self) -> str:
@@ -132,7 +132,7 @@ class Grab:
         number = f"{self.taken}" if self.taken == self.count else f"{self.taken} of {self.count}"
         return f"{number} pair(s) in {self.output}, skew up to {self.skew_ms:.2f} ms"
 
-    async def run(self, head: Head, when: Callable[[Head], Awaitable[FramePair | None]]) -> None:
+    async def run(self, head: GrabHead, when: Callable[[GrabHead], Awaitable[FramePair | None]]) -> None:
         """Take pairs until there are enough, or `when` gives none. Raises `CaptureError`."""
         try:
             await head.open()
@@ -144,11 +144,11 @@ class Grab:
         finally:
             await head.close()
 
-    async def at_once(self, head: Head) -> FramePair | None:
+    async def at_once(self, head: GrabHead) -> FramePair | None:
         """The next exposure."""
         return await self._captured(head)
 
-    async def asked(self, head: Head) -> FramePair | None:
+    async def asked(self, head: GrabHead) -> FramePair | None:
         """The next exposure after Enter; None after `q`, or when standard input ends."""
         self._say(f"{self.taken + 1} of {self.count}: place the board, then press Enter (q Enter: end)")
         line = await _line(sys.stdin.fileno())
@@ -156,7 +156,7 @@ class Grab:
             return None
         return await self._captured(head)
 
-    async def resting(self, head: Head) -> FramePair | None:
+    async def resting(self, head: GrabHead) -> FramePair | None:
         """The next exposure whose view has changed and rests; None when nothing does for a long time."""
         if self.taken:
             self._say(f"{self.taken + 1} of {self.count}: waiting until the view has changed and rests")
@@ -171,7 +171,7 @@ class Grab:
         )
         return None
 
-    async def _captured(self, head: Head) -> FramePair:
+    async def _captured(self, head: GrabHead) -> FramePair:
         """A pair, after a few faults at most. Raises the last `CaptureError`."""
         for _ in range(MAX_FAULTS - 1):
             try:

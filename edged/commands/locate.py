@@ -183,8 +183,10 @@ def _measurements(target: Target) -> Table:
     for column in ("", "of", "value", "sigma", "nominal", "tolerance", ""):
         table.add_column(column, justify="right")
     verdicts = {True: "OK", False: "NOT OK", None: ""}
-    for one in target.measurements:
-        wanted = ("" if value is None else f"{value:.4f}" for value in (one.nominal, one.tolerance))
-        numbers = (f"{one.value:.4f} {one.unit}", f"{one.sigma:.4f}", *wanted)
-        table.add_row(one.name, one.kind, *numbers, verdicts[one.ok])
+    for measurement in target.measurements:
+        wanted = (
+            "" if value is None else f"{value:.4f}" for value in (measurement.nominal, measurement.tolerance)
+        )
+        numbers = (f"{measurement.value:.4f} {measurement.unit}", f"{measurement.sigma:.4f}", *wanted)
+        table.add_row(measurement.name, measurement.kind, *numbers, verdicts[measurement.ok])
     return table

@@ -48,11 +48,11 @@ def read(place: str, base_address: int, unit_id: int, console: Console) -> int:
             if any(block in rows for rows in ROWS) and _is_empty(block, values):
                 continue
             table.add_section()
-            for one in block.registers:
-                if not one.name.startswith("RESERVED"):
-                    value = values[one.name]
-                    shown = (text_of(one, value), one.unit, meaning_of(one, value))
-                    table.add_row(str(one.address + base_address), one.name, *shown)
+            for register in block.registers:
+                if not register.name.startswith("RESERVED"):
+                    value = values[register.name]
+                    shown = (text_of(register, value), register.unit, meaning_of(register, value))
+                    table.add_row(str(register.address + base_address), register.name, *shown)
         console.print(table)
     finally:
         client.close()  # type: ignore[no-untyped-call]  # pymodbus says no type
@@ -84,7 +84,7 @@ def _words(
 
 def _is_empty(block: Block, values: Mapping[str, Number]) -> bool:
     """Whether a row of the target table holds no part."""
-    lengths = [values[one.name] for one in block.registers if one.kind is Kind.I32]
+    lengths = [values[register.name] for register in block.registers if register.kind is Kind.I32]
     return all(value == INT32_MIN for value in lengths)
 
 

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from edged.app.discovery import CameraInfo, aravis_missing, control_state, list_cameras
 from edged.config.cameras import CameraSection
 from edged.config.configuration import Config
-from edged.doctor.findings import Check, Verdict
+from edged.doctor.findings import Check, CheckResult
 from edged.doctor.firewall import look_at_firewall
 from edged.doctor.host import Interface, interfaces
-from edged.doctor.network import Place, home, look_at_network
+from edged.doctor.network import CameraPort, home, look_at_network
 from edged.vision.geometry.camera import StereoRig
 
 
@@ -21,7 +21,7 @@ def look_at_cameras(config: Config, rig: StereoRig | None) -> Iterator[Check]:
     if missing := aravis_missing():
         yield Check(
             "Aravis",
-            Verdict.BAD,
+            CheckResult.BAD,
             missing,
             "no camera can be reached",
             "apt install gir1.2-aravis-0.8 python3-gi",
@@ -31,22 +31,22 @@ def look_at_cameras(config: Config, rig: StereoRig | None) -> Iterator[Check]:
     yield from twins(discovered)
     ports = interfaces()
     if ports is None:
-        yield Check("network ports", Verdict.SKIP, "the command `ip` is missing: apt install iproute2")
-    places = list[Place]()
+        yield Check("network ports", CheckResult.SKIP, "the command `ip` is missing: apt install iproute2")
+    places = list[CameraPort]()
     for side, section in (("left", config.cameras.left), ("right", config.cameras.right)):
         info = _one(section.device, discovered)
         if info is None or info.protocol != "GigEVision" or not ports:
             yield camera(side, section, info, discovered, ports or ())
             continue
         where, interface = home(side, info, ports)
-        if interface is None or where.verdict is Verdict.BAD:
+        if interface is None or where.verdict is CheckResult.BAD:
             yield where  # which is why it does not answer
             continue
         yield camera(side, section, info, discovered, ports)
         yield where
-        places.append(Place(side, info, interface))
+        places.append(CameraPort(side, info, interface))
     if rig is None:
-        yield Check("network", Verdict.SKIP, "how large images are is not known before the calibration")
+        yield Check("network", CheckResult.SKIP, "how large images are is not known before the calibration")
     else:
         image_bytes = {"left": rig.left.width * rig.left.height, "right": rig.right.width * rig.right.height}
         yield from look_at_network(places, ports or (), image_bytes, config)
@@ -65,7 +65,7 @@ def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
     for address, who in _shared((info.address, info.serial) for info in found):
         yield Check(
             "camera addresses",
-            Verdict.BAD,
+            CheckResult.BAD,
             f"{address} is the address of {who}",
             "images of one camera arrive as the other's, or not at all",
             "unplug one, then give the other another address: arv-tool-0.8, or the maker's tool",
@@ -73,7 +73,7 @@ def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
     for serial, where in _shared((info.serial, info.address) for info in found if info.serial):
         yield Check(
             "camera serial numbers",
-            Verdict.WARN,
+            CheckResult.WARN,
             f"{serial} answers at {where}",
             "edged cannot tell them apart by serial number",
             "write the IP addresses as `device` (one camera with two ports answers twice: take one of them)",
@@ -105,7 +105,7 @@ def camera(
     if info.control == "controlled":
         return Check(
             name,
-            Verdict.WARN,
+            CheckResult.WARN,
             f"{text}: controlled by another program",
             "edged cannot take it (if the daemon is running now, it is that one)",
             "close the viewer, or the other daemon: systemctl status 'edged*'",
@@ -113,12 +113,12 @@ def camera(
     if info.control not in ("", "free"):
         return Check(
             name,
-            Verdict.BAD,
+            CheckResult.BAD,
             f"{text}: {info.control}",
             "CAPTURE_FAULT in every cycle",
             f"ping {info.address}, and what is said of its network below",
         )
-    return Check(name, Verdict.OK, text)
+    return Check(name, CheckResult.OK, text)
 
 
 def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence[Interface]) -> Check:
@@ -133,11 +133,11 @@ def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence
         if dead:
             remedy = f"no link at {dead}: cable, power, switch; then: edged cameras"
         finding = f"no camera with serial number {device} answers; cameras that do: {others}"
-        return Check(name, Verdict.BAD, finding, consequence, remedy)
+        return Check(name, CheckResult.BAD, finding, consequence, remedy)
     if control_state(device) in ("free", "controlled"):
         return Check(
             name,
-            Verdict.WARN,
+            CheckResult.WARN,
             f"{device} answers when asked, but not to a broadcast",
             "it works by its address, and would not by its serial number",
             "a router lies between, or a firewall drops the answer (see below)",
@@ -151,4 +151,4 @@ def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence
         remedy = f"no link at {near[0].name}: cable, power of camera and switch"
     else:
         remedy = "cable, power, another address by now? edged cameras lists what answers"
-    return Check(name, Verdict.BAD, finding, consequence, remedy)
+    return Check(name, CheckResult.BAD, finding, consequence, remedy)

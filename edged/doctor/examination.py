@@ -7,7 +7,7 @@ from pathlib import Path
 
 from edged.config.reading import load
 from edged.doctor.cameras import look_at_cameras
-from edged.doctor.findings import Check, Verdict
+from edged.doctor.findings import Check, CheckResult
 from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
 from edged.doctor.pictures import take_pictures
 from edged.errors import ConfigError
@@ -34,11 +34,11 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
     else:
         rig = cell.rig
         jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
-        yield Check("configuration", Verdict.OK, jobs)
+        yield Check("configuration", CheckResult.OK, jobs)
     for secret in exposed_secrets(path, config):
         yield Check(
             "secrets",
-            Verdict.WARN,
+            CheckResult.WARN,
             f"{secret.place}: every user of this machine may read {secret.file}",
             "a private key is theirs, a password's hash they can try guesses on",
             secret.remedy,
@@ -54,4 +54,4 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
 
 def _mistakes(path: Path, error: ConfigError) -> Iterator[Check]:
     for problem in error.problems:
-        yield Check("configuration", Verdict.BAD, problem, "the daemon does not start", f"edit {path}")
+        yield Check("configuration", CheckResult.BAD, problem, "the daemon does not start", f"edit {path}")

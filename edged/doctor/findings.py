@@ -6,7 +6,7 @@ import enum
 from dataclasses import asdict, dataclass
 
 
-class Verdict(enum.StrEnum):
+class CheckResult(enum.StrEnum):
     """How a check ended."""
 
     OK = "ok"
@@ -20,7 +20,7 @@ class Check:
     """One finding; consequence and remedy are empty when all is well."""
 
     name: str
-    verdict: Verdict
+    verdict: CheckResult
     finding: str
     consequence: str = ""
     remedy: str = ""

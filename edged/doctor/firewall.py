@@ -13,7 +13,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from edged.doctor.findings import Check, Verdict
+from edged.doctor.findings import Check, CheckResult
 from edged.doctor.host import CAP_NET_RAW, has_capability, read, run
 
 Rules = Sequence[dict[str, Any]]
@@ -26,13 +26,15 @@ def look_at_firewall(cameras: Sequence[tuple[str, str]]) -> Check:
     if rules is None:
         return _old_firewall()
     if accepts_by_default(rules):
-        return Check("firewall", Verdict.OK, "drops nothing by default")
+        return Check("firewall", CheckResult.OK, "drops nothing by default")
     places = accepted_places(rules)
     shut = [(port, address) for port, address in cameras if not _is_accepted(port, address, places)]
     if not cameras:
-        return Check("firewall", Verdict.SKIP, "drops by default; where the cameras would be is not known")
+        return Check(
+            "firewall", CheckResult.SKIP, "drops by default; where the cameras would be is not known"
+        )
     if not shut:
-        return Check("firewall", Verdict.OK, "drops by default, and has rules that let the cameras in")
+        return Check("firewall", CheckResult.OK, "drops by default, and has rules that let the cameras in")
     port, _ = shut[0]
     packet_socket = has_capability(CAP_NET_RAW)
     consequence = "a camera is not found by its serial number"
@@ -41,7 +43,7 @@ def look_at_firewall(cameras: Sequence[tuple[str, str]]) -> Check:
     table = _input_chain(rules)
     return Check(
         "firewall",
-        Verdict.WARN if packet_socket else Verdict.BAD,
+        CheckResult.WARN if packet_socket else CheckResult.BAD,
         f"drops what no rule names, and none names {' or '.join(address for _, address in shut)}",
         consequence,
         f"sudo nft insert rule {table} iifname {port} meta l4proto udp accept"
@@ -126,16 +128,16 @@ def _old_firewall() -> Check:
     """Without nft: at least what the older iptables does by default."""
     tables = read("/proc/net/ip_tables_names")
     if tables is not None and "filter" not in tables.split():
-        return Check("firewall", Verdict.SKIP, "nft is not here; no filter by the older iptables")
+        return Check("firewall", CheckResult.SKIP, "nft is not here; no filter by the older iptables")
     policy = run("iptables", "-S", "INPUT")
     if policy is None:
-        return Check("firewall", Verdict.SKIP, "cannot be read: as root, with nft: nft list ruleset")
+        return Check("firewall", CheckResult.SKIP, "cannot be read: as root, with nft: nft list ruleset")
     if "-P INPUT DROP" in policy:
         return Check(
             "firewall",
-            Verdict.WARN,
+            CheckResult.WARN,
             "iptables drops what no rule names",
             "a camera may not be found, or send no image that arrives",
             "iptables -I INPUT -i PORT -p udp -j ACCEPT   (PORT: where the cameras are)",
         )
-    return Check("firewall", Verdict.OK, "iptables drops nothing by default")
+    return Check("firewall", CheckResult.OK, "iptables drops nothing by default")

@@ -17,7 +17,7 @@ import numba
 
 from edged.config.configuration import Config
 from edged.doctor.encrypted import look_at_certificates, look_at_opcua
-from edged.doctor.findings import Check, Verdict
+from edged.doctor.findings import Check, CheckResult
 from edged.doctor.host import CAP_NET_BIND_SERVICE, has_capability, read, run
 
 TIMEX_LONGS, TIMEX_MAXERROR_US, TIME_ERROR = 26, 3, 5
@@ -44,7 +44,7 @@ class ClockWatch:
         if abs(step_s) > CLOCK_STEP_S:
             yield Check(
                 "clock steps",
-                Verdict.WARN,
+                CheckResult.WARN,
                 f"the clock was set by {step_s:+.3f} s while these checks ran",
                 "exposure times in results jump with it",
                 "one time service only, and one that slews: timedatectl timesync-status; chronyc tracking",
@@ -71,7 +71,7 @@ def _cache() -> Check:
     if str(folder) in ("", "."):
         return Check(
             "kernel cache",
-            Verdict.WARN,
+            CheckResult.WARN,
             "NUMBA_CACHE_DIR is not set: kernels are cached beside the program, where that is allowed",
             "a start may compile for 20 s",
             "export NUMBA_CACHE_DIR=/var/cache/edged/numba",
@@ -79,7 +79,7 @@ def _cache() -> Check:
     if not os.access(folder, os.W_OK):
         return Check(
             "kernel cache",
-            Verdict.BAD,
+            CheckResult.BAD,
             f"{folder} cannot be written",
             "every start compiles for 20 s, or fails",
             f"sudo install -d -o $USER {folder}",
@@ -87,12 +87,12 @@ def _cache() -> Check:
     if not any(folder.rglob("*.nbi")):
         return Check(
             "kernel cache",
-            Verdict.WARN,
+            CheckResult.WARN,
             f"{folder} is empty",
             "the first start compiles for 20 s",
             "edged warm",
         )
-    return Check("kernel cache", Verdict.OK, str(folder))
+    return Check("kernel cache", CheckResult.OK, str(folder))
 
 
 def _clock() -> Check:
@@ -100,31 +100,33 @@ def _clock() -> Check:
     timex = (ctypes.c_long * TIMEX_LONGS)()  # modes = 0: only look
     state = ctypes.CDLL(None).adjtimex(timex)
     if state < 0:
-        return Check("clock", Verdict.SKIP, "the kernel does not tell")
+        return Check("clock", CheckResult.SKIP, "the kernel does not tell")
     if state == TIME_ERROR:
         return Check(
             "clock",
-            Verdict.WARN,
+            CheckResult.WARN,
             "not synchronised by NTP or PTP",
             "exposure times in results cannot be compared with other machines'",
             "sudo timedatectl set-ntp true",
         )
-    return Check("clock", Verdict.OK, f"synchronised, to {timex[TIMEX_MAXERROR_US] * 1e-3:.1f} ms at worst")
+    return Check(
+        "clock", CheckResult.OK, f"synchronised, to {timex[TIMEX_MAXERROR_US] * 1e-3:.1f} ms at worst"
+    )
 
 
 def _governor() -> Check:
     text = read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
     if text is None:
-        return Check("processor speed", Verdict.SKIP, "no CPU frequency governor found")
+        return Check("processor speed", CheckResult.SKIP, "no CPU frequency governor found")
     if text != "performance":
         return Check(
             "processor speed",
-            Verdict.WARN,
+            CheckResult.WARN,
             f"governor {text}",
             "cycles after a pause take up to twice as long",
             "sudo cpupower frequency-set -g performance",
         )
-    return Check("processor speed", Verdict.OK, "governor performance")
+    return Check("processor speed", CheckResult.OK, "governor performance")
 
 
 def _disk(folder: Path, min_free_mib: int) -> Check:
@@ -133,7 +135,7 @@ def _disk(folder: Path, min_free_mib: int) -> Check:
     if not os.access(place, os.W_OK):
         return Check(
             "recordings",
-            Verdict.BAD,
+            CheckResult.BAD,
             f"{place} cannot be written",
             "nothing is recorded",
             f"sudo chown $USER {place}   (for the service: a folder below /var/lib/edged)",
@@ -141,24 +143,28 @@ def _disk(folder: Path, min_free_mib: int) -> Check:
     if free < 1.5 * min_free_mib:
         return Check(
             "recordings",
-            Verdict.BAD if free < min_free_mib else Verdict.WARN,
+            CheckResult.BAD if free < min_free_mib else CheckResult.WARN,
             f"{free:.0f} MiB free, {min_free_mib} are kept free",
             "recording stops when there is no more room",
             f"du -xh --max-depth=2 {place} | sort -h | tail   (free some, or lower recorder.min_free_mib)",
         )
-    return Check("recordings", Verdict.OK, f"{free:.0f} MiB free at {place}")
+    return Check("recordings", CheckResult.OK, f"{free:.0f} MiB free at {place}")
 
 
 def _serial(device: Path) -> Check:
     name = "serial port"
     if not device.exists():
         return Check(
-            name, Verdict.BAD, f"{device} is not there", "no Modbus RTU", "ls /dev/tty*; is it plugged in?"
+            name,
+            CheckResult.BAD,
+            f"{device} is not there",
+            "no Modbus RTU",
+            "ls /dev/tty*; is it plugged in?",
         )
     if not os.access(device, os.R_OK | os.W_OK):
         remedy = "sudo usermod -aG dialout $USER, then log in again"
-        return Check(name, Verdict.BAD, f"no right to use {device}", "no Modbus RTU", remedy)
-    return Check(name, Verdict.OK, str(device))
+        return Check(name, CheckResult.BAD, f"no right to use {device}", "no Modbus RTU", remedy)
+    return Check(name, CheckResult.OK, str(device))
 
 
 # --- ports ---------------------------------------------------------------------------------------
@@ -188,16 +194,22 @@ def _writers(config: Config) -> Check:
     """Who wrote and was refused, as the daemon's log says, and may still not write."""
     name, tried = "Modbus writers", run("journalctl", "--no-pager", "-F", "EDGED_REFUSED_WRITER")
     if tried is None:
-        return Check(name, Verdict.SKIP, "who was refused stands in the journal, which cannot be read here")
-    networks = [ipaddress.ip_network(one) for one in config.modbus.writers]
+        return Check(
+            name, CheckResult.SKIP, "who was refused stands in the journal, which cannot be read here"
+        )
+    networks = [ipaddress.ip_network(writer) for writer in config.modbus.writers]
     refused = [
-        peer for peer in tried.split() if not any(ipaddress.ip_address(peer) in one for one in networks)
+        peer
+        for peer in tried.split()
+        if not any(ipaddress.ip_address(peer) in network for network in networks)
     ]
     if not refused:
-        return Check(name, Verdict.OK, f"nobody else tried than {', '.join(map(str, networks)) or 'nobody'}")
+        return Check(
+            name, CheckResult.OK, f"nobody else tried than {', '.join(map(str, networks)) or 'nobody'}"
+        )
     return Check(
         name,
-        Verdict.WARN,
+        CheckResult.WARN,
         f"{', '.join(sorted(refused))} wrote, and may not",
         "each of its writes ends in exception 1 (illegal function); reading goes on",
         f'if it is your PLC: [modbus] writers = [..., "{min(refused)}"] in cell.toml, then reload',
@@ -209,7 +221,7 @@ def _port(name: str, host: str, port: int) -> Check:
     if port < 1024 and not has_capability(CAP_NET_BIND_SERVICE):
         return Check(
             name,
-            Verdict.WARN,
+            CheckResult.WARN,
             f"{place} needs a right that you do not have here; the service has it",
             "started by hand, the daemon cannot listen",
             "take a port above 1023, or run it as a service",
@@ -222,12 +234,12 @@ def _port(name: str, host: str, port: int) -> Check:
     except OSError as error:
         return Check(
             name,
-            Verdict.BAD,
+            CheckResult.BAD,
             f"{place}: {_why_not(error, host, port)}",
             "the daemon does not start (if it is running now, this is it)",
             f"ss -ltnp 'sport = :{port}'",
         )
-    return Check(name, Verdict.OK, f"{place} is free")
+    return Check(name, CheckResult.OK, f"{place} is free")
 
 
 def _why_not(error: OSError, host: str, port: int) -> str:

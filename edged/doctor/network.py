@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from edged.app.discovery import CameraInfo
 from edged.config.configuration import Config
-from edged.doctor.findings import Check, Verdict
+from edged.doctor.findings import Check, CheckResult
 from edged.doctor.host import CAP_NET_RAW, Interface, has_capability, owners, read, route
 
 JUMBO_MTU = 8000
@@ -19,7 +19,7 @@ STRICT = "1"
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class CameraPort:
     """Where a camera was found: "left" or "right", who it is, and the port of this host in its network."""
 
     side: str
@@ -28,7 +28,10 @@ class Place:
 
 
 def look_at_network(
-    places: Sequence[Place], interfaces: Sequence[Interface], image_bytes: Mapping[str, int], config: Config
+    places: Sequence[CameraPort],
+    interfaces: Sequence[Interface],
+    image_bytes: Mapping[str, int],
+    config: Config,
 ) -> Iterator[Check]:
     """places : of the configured cameras that answered. image_bytes : of one image, by side."""
     yield from overlaps(interfaces)
@@ -51,14 +54,14 @@ def home(side: str, info: CameraInfo, interfaces: Sequence[Interface]) -> tuple[
                 return _taken(name, info, interface), interface
             if address in network.network:
                 text = f"{network} on {interface.name}"
-                return Check(f"{name}'s network", Verdict.OK, text), interface
+                return Check(f"{name}'s network", CheckResult.OK, text), interface
     return _homeless(name, info, interfaces), None
 
 
 def _taken(name: str, info: CameraInfo, interface: Interface) -> Check:
     return Check(
         name,
-        Verdict.BAD,
+        CheckResult.BAD,
         f"{info.address} is also the address of this machine's {interface.name}",
         "what is meant for the camera never leaves this machine",
         f"sudo ip addr del {info.address}/24 dev {interface.name}   (and give it another one)",
@@ -66,7 +69,7 @@ def _taken(name: str, info: CameraInfo, interface: Interface) -> Check:
 
 
 def _homeless(name: str, info: CameraInfo, interfaces: Sequence[Interface]) -> Check:
-    ports = [one.name for one in interfaces if one.ethernet and one.up]
+    ports = [interface.name for interface in interfaces if interface.ethernet and interface.up]
     networks = ", ".join(
         f"{network} on {one.name}" for one in interfaces if one.name in ports for network in one.networks
     )
@@ -75,7 +78,7 @@ def _homeless(name: str, info: CameraInfo, interfaces: Sequence[Interface]) -> C
     ours = ipaddress.ip_interface(f"{address}/24").network[-3]
     return Check(
         name,
-        Verdict.BAD,
+        CheckResult.BAD,
         f"{info.vendor} {info.model} {info.serial} at {info.address}, which is in no network of this machine"
         f" ({networks or 'no port has a link'})",
         "it is seen, but nothing can be sent to it: CAPTURE_FAULT in every cycle",
@@ -86,13 +89,18 @@ def _homeless(name: str, info: CameraInfo, interfaces: Sequence[Interface]) -> C
 
 def overlaps(interfaces: Sequence[Interface]) -> Iterator[Check]:
     """Two ports in one network: the kernel sends everything through one of them."""
-    ports = [(one, network) for one in interfaces if one.name != "lo" for network in one.networks]
+    ports = [
+        (interface, network)
+        for interface in interfaces
+        if interface.name != "lo"
+        for network in interface.networks
+    ]
     for index, (one, network) in enumerate(ports):
         for other, another in ports[index + 1 :]:
             if one.name != other.name and network.network.overlaps(another.network):
                 yield Check(
                     "networks of the ports",
-                    Verdict.BAD,
+                    CheckResult.BAD,
                     f"{one.name} ({network}) and {other.name} ({another}) are in the same network",
                     f"what is meant for cameras at {other.name} may be sent through {one.name}",
                     f"give each port a network of its own: 192.168.10.1/24 {one.name}, "
@@ -100,7 +108,7 @@ def overlaps(interfaces: Sequence[Interface]) -> Iterator[Check]:
                 )
 
 
-def _route(place: Place) -> Iterator[Check]:
+def _route(place: CameraPort) -> Iterator[Check]:
     """Commands must leave through the port where the camera is: answers come in there."""
     name, there = f"{place.side} camera's route", place.interface.name
     way = route(place.info.address)
@@ -109,7 +117,7 @@ def _route(place: Place) -> Iterator[Check]:
     if way != there:
         yield Check(
             name,
-            Verdict.BAD,
+            CheckResult.BAD,
             f"{place.info.address} is in the network of {there}, but is sent to through {way}",
             "no answer arrives",
             f"sudo ip route replace {place.info.address}/32 dev {there}",
@@ -119,29 +127,31 @@ def _route(place: Place) -> Iterator[Check]:
     finding = f"through {there}"
     if strict:
         finding += "; strict reverse path filter, which this route passes"
-    yield Check(name, Verdict.OK, finding)
+    yield Check(name, CheckResult.OK, finding)
 
 
-def _owners(place: Place) -> Iterator[Check]:
+def _owners(place: CameraPort) -> Iterator[Check]:
     """Ask the wire who has the camera's address, and who has ours."""
     if not place.interface.ethernet:
         return
     name, camera = f"{place.side} camera's address", place.info.address
     macs = owners(place.interface.name, camera)
     if macs is None:
-        yield Check(name, Verdict.SKIP, "who else has it can only be asked with CAP_NET_RAW: run it as root")
+        yield Check(
+            name, CheckResult.SKIP, "who else has it can only be asked with CAP_NET_RAW: run it as root"
+        )
         return
     if len(macs) > 1:
         yield Check(
             name,
-            Verdict.BAD,
+            CheckResult.BAD,
             f"{len(macs)} devices say that {camera} is theirs: {', '.join(sorted(macs))}"
             f" (the camera: {place.info.physical_id.lower()})",
             "the camera answers at times, and is lost at times",
             "find the other device by that MAC address, and give one of them another address",
         )
     else:
-        yield Check(name, Verdict.OK, f"nobody else has {camera}")
+        yield Check(name, CheckResult.OK, f"nobody else has {camera}")
 
 
 def _our_owners(interface: Interface) -> Iterator[Check]:
@@ -150,7 +160,7 @@ def _our_owners(interface: Interface) -> Iterator[Check]:
         if macs := owners(interface.name, str(network.ip)):
             yield Check(
                 f"address of {interface.name}",
-                Verdict.BAD,
+                CheckResult.BAD,
                 f"{network.ip} is this machine's, and {', '.join(sorted(macs))} says that it has it too",
                 "images go to that device at times",
                 "find it by that MAC address, and give one of both another address",
@@ -161,21 +171,21 @@ def receive_buffers(image_bytes: int) -> Check:
     """Whether a burst of packets finds room in the kernel."""
     name = "receive buffers"
     if has_capability(CAP_NET_RAW):
-        return Check(name, Verdict.OK, "packet socket (CAP_NET_RAW)")
+        return Check(name, CheckResult.OK, "packet socket (CAP_NET_RAW)")
     text = read("/proc/sys/net/core/rmem_max")
     if text is None or not text.isdigit():
-        return Check(name, Verdict.SKIP, "net.core.rmem_max cannot be read")
+        return Check(name, CheckResult.SKIP, "net.core.rmem_max cannot be read")
     if int(text) < 2 * image_bytes:
         wanted = 4 * image_bytes
         return Check(
             name,
-            Verdict.BAD,
+            CheckResult.BAD,
             f"net.core.rmem_max is {text} bytes, an image has {image_bytes}, and without CAP_NET_RAW"
             " it is all there is (the service has that right)",
             "most images are lost under load",
             f"echo net.core.rmem_max={wanted} | sudo tee /etc/sysctl.d/60-edged.conf; sudo sysctl --system",
         )
-    return Check(name, Verdict.OK, f"net.core.rmem_max {text} bytes")
+    return Check(name, CheckResult.OK, f"net.core.rmem_max {text} bytes")
 
 
 def link(interface: Interface, sides: Sequence[str], image_bytes: int, config: Config) -> Iterator[Check]:
@@ -186,7 +196,7 @@ def link(interface: Interface, sides: Sequence[str], image_bytes: int, config: C
     if packet > interface.mtu:
         yield Check(
             name,
-            Verdict.BAD,
+            CheckResult.BAD,
             f"MTU {interface.mtu}, and packets of {packet} bytes are configured",
             "no image arrives",
             f"sudo ip link set {interface.name} mtu 9000 (if the switch can), or leave packet_size out",
@@ -194,7 +204,7 @@ def link(interface: Interface, sides: Sequence[str], image_bytes: int, config: C
     elif interface.mtu < JUMBO_MTU and interface.name != "lo":
         yield Check(
             name,
-            Verdict.WARN,
+            CheckResult.WARN,
             f"MTU {interface.mtu}",
             "six times as many packets as needed: more load, sooner a loss",
             f"sudo ip link set {interface.name} mtu 9000 (if camera and switch can)",
@@ -210,10 +220,10 @@ def _budget(name: str, rate_mbit: int, sides: Sequence[str], image_bytes: int, c
     limit_s = min(config.cameras.timeout_s, config.cycle.period_s) if free else config.cameras.timeout_s
     finding = f"{rate_mbit} Mbit/s: {' and '.join(sides)} take {takes_s * 1e3:.0f} ms"
     if takes_s < limit_s:
-        return Check(name, Verdict.OK, finding)
+        return Check(name, CheckResult.OK, finding)
     return Check(
         name,
-        Verdict.BAD,
+        CheckResult.BAD,
         f"{finding}, there are {limit_s * 1e3:.0f}",
         "packets are lost, or every exposure is too late",
         "a port for each camera, a faster link (is it a gigabit cable?), or a longer cycle.period_s",

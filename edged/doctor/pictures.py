@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from edged.app.cameras import camera_facts, camera_gammas, head_of
 from edged.config.configuration import Config
-from edged.doctor.findings import Check, Verdict
+from edged.doctor.findings import Check, CheckResult
 from edged.errors import (
     CameraBusy,
     CameraSetupError,
@@ -42,7 +42,7 @@ def take_pictures(config: Config, rig: StereoRig) -> Iterator[Check]:
     """Open the cameras, take a few pairs, and see whether they and the cameras' response fit the rig."""
     source, mode = config.cameras.source, config.cameras.trigger.mode
     if mode == "line" or config.cycle.mode == "external" or config.cameras.trigger.first_line:
-        yield Check("test pictures", Verdict.SKIP, "somebody else triggers the cameras: run it and see")
+        yield Check("test pictures", CheckResult.SKIP, "somebody else triggers the cameras: run it and see")
         return
     try:
         if source.startswith("virtual"):
@@ -51,7 +51,9 @@ def take_pictures(config: Config, rig: StereoRig) -> Iterator[Check]:
         else:
             yield from asyncio.run(_shoot(config, rig, None))
     except EdgedError as error:
-        yield Check("test pictures", Verdict.BAD, str(error), "CAPTURE_FAULT in every cycle", _remedy(error))
+        yield Check(
+            "test pictures", CheckResult.BAD, str(error), "CAPTURE_FAULT in every cycle", _remedy(error)
+        )
 
 
 async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> list[Check]:
@@ -73,7 +75,7 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
                 return [
                     Check(
                         "test pictures",
-                        Verdict.BAD,
+                        CheckResult.BAD,
                         f"{pair.left.image.shape[::-1]} and {pair.right.image.shape[::-1]} pixels",
                         "the rig was calibrated for another size: every cycle fails",
                         "calibrate again, or set Width and Height as they were",
@@ -92,14 +94,14 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
         return [
             Check(
                 "test pictures",
-                Verdict.BAD,
+                CheckResult.BAD,
                 f"{text}; {faults[0]}",
                 "CAPTURE_FAULT in such cycles",
                 _remedy(faults[0]),
             ),
             *_responses(rig, gammas),
         ]
-    return [Check("test pictures", Verdict.OK, text), *_responses(rig, gammas)]
+    return [Check("test pictures", CheckResult.OK, text), *_responses(rig, gammas)]
 
 
 def _responses(rig: StereoRig, gammas: dict[str, float]) -> Iterator[Check]:
@@ -109,7 +111,7 @@ def _responses(rig: StereoRig, gammas: dict[str, float]) -> Iterator[Check]:
         if gamma != 1.0 or calibrated != 1.0:
             yield Check(
                 f"{side} response",
-                Verdict.WARN,
+                CheckResult.WARN,
                 f"the camera's Gamma is {gamma:g}, the calibration measured {calibrated:g}",
                 "a response that the calibration does not know moves every edge: radii by about 10 µm",
                 f"set Gamma = 1.0 under cameras.{side}.features and calibrate again",

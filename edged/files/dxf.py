@@ -71,7 +71,7 @@ UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
 
 @dataclass(frozen=True, slots=True)
-class Chain:
+class JoinedPoints:
     """Points (N, 2) in mm that are connected, and whether the last meets the first."""
 
     points: FloatArray
@@ -97,7 +97,9 @@ def read_dxf(
     return _outlines(chains, str(path))
 
 
-def _read_chains(path: Path, layers: Sequence[str], units: str | None, most_points: int) -> list[Chain]:
+def _read_chains(
+    path: Path, layers: Sequence[str], units: str | None, most_points: int
+) -> list[JoinedPoints]:
     document = readfile(path)
     known = sorted(layer.dxf.name for layer in document.layers)
     if missing := [name for name in layers if name not in known]:
@@ -106,7 +108,7 @@ def _read_chains(path: Path, layers: Sequence[str], units: str | None, most_poin
     scale = _scale(document, path, units)
     _forget_undrawn(document, layers)
     _check_content(_placed_content(document, path), path, most_points)
-    chains: list[Chain] = []
+    chains: list[JoinedPoints] = []
     points = 0
     for entity in _entities(document):
         more = _chains(entity, scale, path, most_points)
@@ -135,7 +137,7 @@ def read_contour(path: Path) -> list[FloatArray]:
             got = ", ".join(line.cells)[:40]
             raise FileFormatError(f"{path}: line {line.number}: expected x,y in mm, got {got!r}") from None
         outlines[-1].append((x, y))
-    chains = [Chain(np.array(points), True) for points in outlines if points]
+    chains = [JoinedPoints(np.array(points), True) for points in outlines if points]
     if sum(len(chain.points) for chain in chains) > MAX_POINTS:
         raise FileFormatError(f"{path}: more than {MAX_POINTS} points: not the contour of one part")
     return _outlines(chains, str(path))
@@ -244,7 +246,7 @@ def _too_many(path: Path, most: int, what: str) -> FileFormatError:
     return FileFormatError(f"{path}: more than {most} {what}: not the drawing of one part", "large")
 
 
-def _chains(entity: DXFGraphic, scale: float, path: Path, most_points: int) -> list[Chain]:
+def _chains(entity: DXFGraphic, scale: float, path: Path, most_points: int) -> list[JoinedPoints]:
     chains = []
     for points in _flattened(entity, FLATTENING_MM / scale, most_points):
         if len(points) < 2:
@@ -322,15 +324,15 @@ def _bulged(
     return ocs.points_to_wcs(Vec3(x, y, height) for x, y in np.concatenate(places))
 
 
-def _chain(points: FloatArray) -> Chain:
+def _chain(points: FloatArray) -> JoinedPoints:
     """Without points that repeat their predecessor."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     kept = points[np.concatenate([[True], steps > 1e-9])]
     closed = len(kept) > 3 and float(np.linalg.norm(kept[0] - kept[-1])) < GAP_MM
-    return Chain(kept[:-1] if closed else kept, closed)
+    return JoinedPoints(kept[:-1] if closed else kept, closed)
 
 
-def _outlines(chains: Sequence[Chain], place: str) -> list[FloatArray]:
+def _outlines(chains: Sequence[JoinedPoints], place: str) -> list[FloatArray]:
     """Join open chains end to end. Raises `FileFormatError` for what stays open, and for nothing at all."""
     outlines = [chain.points for chain in chains if chain.closed and len(chain.points) >= 3]
     outlines += _joined(

@@ -42,12 +42,12 @@ def one_page(
     width, height = size_mm
     # from here on millimetres, y down
     lines = [f"{POINTS_PER_MM:.9f} 0 0 {-POINTS_PER_MM:.9f} 0 {height * POINTS_PER_MM:.6f} cm"]
-    for one in shapes:
-        lines.append(f"{one.grey:g} g")
-        lines += [f"{x:.5f} {y:.5f} {w:.5f} {h:.5f} re" for x, y, w, h in one.rectangles]
-        lines += [_circle(x, y, radius) for x, y, radius in one.circles]
+    for shape in shapes:
+        lines.append(f"{shape.grey:g} g")
+        lines += [f"{x:.5f} {y:.5f} {w:.5f} {h:.5f} re" for x, y, w, h in shape.rectangles]
+        lines += [_circle(x, y, radius) for x, y, radius in shape.circles]
         lines += [
-            f"{a:.5f} {b:.5f} m {c:.5f} {d:.5f} l {e:.5f} {f:.5f} l h" for a, b, c, d, e, f in one.triangles
+            f"{a:.5f} {b:.5f} m {c:.5f} {d:.5f} l {e:.5f} {f:.5f} l h" for a, b, c, d, e, f in shape.triangles
         ]
         lines.append("f")
     lines.append("0 g")

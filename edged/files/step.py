@@ -84,7 +84,7 @@ def read_step(path: Path) -> CadModel:
         raise FileFormatError(f"{path}: damaged: its solid cannot be read ({error})") from error
     if len(model.surfaces) < MIN_READ * faces:
         raise FileFormatError(f"{path}: damaged: {len(model.surfaces)} of its {faces} faces can be read")
-    if not any(isinstance(one, FlatSurface) for one in model.surfaces):
+    if not any(isinstance(surface, FlatSurface) for surface in model.surfaces):
         raise FileFormatError(f"{path}: no plane face: expected a part with a flat face to the cameras")
     return model
 
@@ -94,7 +94,7 @@ def _converted(data: bytes, path: Path) -> bytes:
     if importlib.util.find_spec("cascadio") is None:
         raise FileFormatError(f"{path}: to read STEP files, install cascadio: pip install 'edged[cad]'")
     limits = MAX_MEMORY_BYTES, MAX_SECONDS, TOLERANCE_MM, TOLERANCE_RAD, MAX_MESH_BYTES
-    command = [sys.executable, "-P", "-c", _WORKER, *(str(one) for one in limits)]
+    command = [sys.executable, "-P", "-c", _WORKER, *(str(limit) for limit in limits)]
     try:
         done = subprocess.run(command, input=data, capture_output=True, timeout=2 * MAX_SECONDS, check=False)
     except subprocess.TimeoutExpired:

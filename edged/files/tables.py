@@ -25,7 +25,7 @@ _DECIMAL_COMMA = re.compile(r"[-+−]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class TableLine:
     """Cells of a line, and its number in the file from 1; a blank line has none."""
 
     number: int
@@ -42,9 +42,9 @@ def read_text(path: Path, what: str) -> str:
         raise FileFormatError(f"{path}: not UTF-8 text (save it as UTF-8): {error}") from error
 
 
-def read_table(path: Path, what: str = "a table") -> list[Line]:
+def read_table(path: Path, what: str = "a table") -> list[TableLine]:
     """The lines of a table, blank ones included, without header and comments. Raises `FileFormatError`."""
-    found: list[Line] = []
+    found: list[TableLine] = []
     is_header = True
     for number, line in enumerate(io.StringIO(read_text(path, what), newline=None), 1):
         if number > MAX_LINES:
@@ -58,9 +58,9 @@ def read_table(path: Path, what: str = "a table") -> list[Line]:
             cells = split(content)
             is_header = is_header and not any(_is_number(cell) for cell in cells)
             if not is_header:
-                found.append(Line(number, cells))
+                found.append(TableLine(number, cells))
         elif not line.strip() and found:
-            found.append(Line(number, ()))
+            found.append(TableLine(number, ()))
     if not any(line.cells for line in found):
         raise FileFormatError(f"{path}: empty: no line with numbers in it")
     return found

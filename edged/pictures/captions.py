@@ -135,11 +135,15 @@ def pose_lines(target: Target) -> list[tuple[str, str, str]]:
 def size_lines(measurements: Sequence[Measurement]) -> list[tuple[str, str, bool | None]]:
     """Name, what was measured against what is wanted, and whether it is in its tolerance."""
     lines = []
-    for one in measurements:
-        text = "not seen" if math.isnan(one.value) else f"{one.value:.4f} ± {one.sigma:.4f} {one.unit}"
-        if one.tolerance is not None:
-            text += f", wanted {one.nominal or 0.0:g} ± {one.tolerance:g}"
-        lines.append((one.name, text, one.ok))
+    for measurement in measurements:
+        text = (
+            "not seen"
+            if math.isnan(measurement.value)
+            else f"{measurement.value:.4f} ± {measurement.sigma:.4f} {measurement.unit}"
+        )
+        if measurement.tolerance is not None:
+            text += f", wanted {measurement.nominal or 0.0:g} ± {measurement.tolerance:g}"
+        lines.append((measurement.name, text, measurement.ok))
     return lines
 
 
@@ -167,8 +171,8 @@ def feature_lines(job: Job, measured: MeasuredPart) -> list[FeatureLine]:
 
 def measured_names(target: Target) -> set[str]:
     """Of all features but corners, which follow from edges."""
-    names = [one.name for one in target.circles] + [one.name for one in target.slots]
-    return {*names, *(one.name for one in target.edges)}
+    names = [circle.name for circle in target.circles] + [slot.name for slot in target.slots]
+    return {*names, *(edge.name for edge in target.edges)}
 
 
 def reference_name(target: Target) -> str:

@@ -14,7 +14,7 @@ from edged.domain.arrays import SIDES, FloatArray
 from edged.domain.measurement import Target
 from edged.pictures.captions import measured_names, reference_name
 from edged.pictures.lettering import RIM, Canvas, Colour, width_of, write, write_rimmed
-from edged.pictures.view import Box, View
+from edged.pictures.view import Box, PictureView
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
 
@@ -41,7 +41,7 @@ CHART_LEFT_PX, CHART_TEXT_PX = 110, 22
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Feature:
+class FeatureEvidence:
     """A fitted outline and the edges it was fitted to.
 
     outline_mm (N, 3) : rig frame.  edges_px : (M, 2) raw px of the left and of the right image, NaN where
@@ -95,7 +95,7 @@ def outlines_of(target: Target) -> list[tuple[str, FloatArray, bool]]:
     return outlines
 
 
-def features_of(measured: MeasuredPart) -> list[Feature]:
+def features_of(measured: MeasuredPart) -> list[FeatureEvidence]:
     """All outlines of a part, as they are reported, with the edges that they stand on."""
     seen = {
         fit.name: ((fit.points[0], fit.points[1]), (fit.weights[0], fit.weights[1])) for fit in measured.fits
@@ -103,7 +103,7 @@ def features_of(measured: MeasuredPart) -> list[Feature]:
     reference = reference_name(measured.target)
     nothing = (np.zeros((0, 2)),) * 2, (np.zeros(0),) * 2
     return [
-        Feature(name, outline, closed, name == reference, *seen.get(name, nothing))
+        FeatureEvidence(name, outline, closed, name == reference, *seen.get(name, nothing))
         for name, outline, closed in outlines_of(measured.target)
     ]
 
@@ -123,7 +123,9 @@ def missing_outlines(job: Job, target: Target) -> dict[str, FloatArray]:
 def taught_outlines(job: Job) -> dict[str, FloatArray]:
     """Name and outline (N, 3) of every feature but corners, in the job's own coordinates."""
     axes = np.eye(3)
-    outlines = {one.name: circle_outline(one.centre_mm, one.radius_mm, axes) for one in job.circles}
+    outlines = {
+        circle.name: circle_outline(circle.centre_mm, circle.radius_mm, axes) for circle in job.circles
+    }
     for slot in job.slots:
         along = np.array([math.cos(slot.angle_rad), math.sin(slot.angle_rad), 0.0])
         size = slot.length_mm, slot.width_mm
@@ -156,7 +158,7 @@ def slot_outline(
     return np.asarray(centre + np.outer(sign * u, along) + np.outer(sign * v, np.cross(normal, along)))
 
 
-def residuals(view: View, feature: Feature, side: int) -> Residuals:
+def residuals(view: PictureView, feature: FeatureEvidence, side: int) -> Residuals:
     """How far the edges of one image (side 0: left, 1: right) lie beside the fitted curve."""
     curve = view.raw(feature.outline_mm)
     ahead, behind = np.roll(curve, -1, axis=0), np.roll(curve, 1, axis=0)
@@ -196,7 +198,7 @@ def magnification(found: Sequence[Residuals], scale: float) -> float:
     return float(max(step * decade for step in (1, 2, 5) if step * decade <= most))
 
 
-def draw_feature(view: View, feature: Feature, found: Residuals, factor: float) -> None:
+def draw_feature(view: PictureView, feature: FeatureEvidence, found: Residuals, factor: float) -> None:
     """The fitted curve, magnified residuals across it, and in red, in place, the edges that hardly count."""
     curve = view.place(view.raw(feature.outline_mm))
     _polyline(view.canvas, curve, feature.closed, RIM, 5)
@@ -214,7 +216,7 @@ def draw_feature(view: View, feature: Feature, found: Residuals, factor: float) 
         cv2.circle(view.canvas, _fine(edge), 36, RED, -1, cv2.LINE_AA, FRACTION_BITS)
 
 
-def draw_missing(view: View, outline_mm: FloatArray) -> FloatArray:
+def draw_missing(view: PictureView, outline_mm: FloatArray) -> FloatArray:
     """A dashed line where a taught feature (N, 3) was not measured; returns it in canvas px."""
     outline = view.place(view.raw(outline_mm))
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
@@ -225,7 +227,7 @@ def draw_missing(view: View, outline_mm: FloatArray) -> FloatArray:
     return outline
 
 
-def draw_pose(view: View, target: Target, size_mm: float, colour: Colour) -> None:
+def draw_pose(view: PictureView, target: Target, size_mm: float, colour: Colour) -> None:
     """The reference point, and the part's x and y axis where its rotation is known."""
     corners = np.vstack([np.zeros(3), size_mm * target.rig_from_part[:3, :2].T])
     start, *tips = view.place(view.raw(target.position_mm + corners))
@@ -242,14 +244,16 @@ def draw_pose(view: View, target: Target, size_mm: float, colour: Colour) -> Non
         cv2.drawMarker(view.canvas, _whole(start), line, cv2.MARKER_CROSS, 34 + width, width, cv2.LINE_AA)
 
 
-def keep_free(view: View, line: FloatArray) -> None:
+def keep_free(view: PictureView, line: FloatArray) -> None:
     """No name shall cover a line (N, 2, canvas px)."""
     half = LINE_ROOM_PX // 2
     for x, y in np.rint(_thinned(line, LINE_ROOM_PX)).astype(np.int64).tolist():
         view.taken.append((x - half, y - half, LINE_ROOM_PX, LINE_ROOM_PX))
 
 
-def draw_name(view: View, text: str, outline: FloatArray, colour: Colour, away_from: FloatArray) -> None:
+def draw_name(
+    view: PictureView, text: str, outline: FloatArray, colour: Colour, away_from: FloatArray
+) -> None:
     """A feature's name beside its outline (N, 2, canvas px), where it covers nothing, or else no other name.
 
     away_from (2,) : the middle of the part; places on the far side of it come first.
@@ -266,7 +270,7 @@ def draw_name(view: View, text: str, outline: FloatArray, colour: Colour, away_f
                 return
 
 
-def _boxes_beside(view: View, outline: FloatArray, long: int, away_from: FloatArray) -> list[Box]:
+def _boxes_beside(view: PictureView, outline: FloatArray, long: int, away_from: FloatArray) -> list[Box]:
     """Places for a name of this length inside the canvas, best first: eight directions, three distances."""
     height, width = view.canvas.shape[:2]
     out = outline.mean(axis=0) - away_from
@@ -282,7 +286,7 @@ def _boxes_beside(view: View, outline: FloatArray, long: int, away_from: FloatAr
     return boxes
 
 
-def draw_number(view: View, number: int, outline: FloatArray, colour: Colour) -> None:
+def draw_number(view: PictureView, number: int, outline: FloatArray, colour: Colour) -> None:
     """A part's number in a disc, to the upper left of its outline (N, 2, canvas px)."""
     x, y = (max(18, round(float(value)) - 16) for value in outline.min(axis=0))
     cv2.circle(view.canvas, (x, y), 17, RIM, -1, cv2.LINE_AA)
@@ -292,14 +296,14 @@ def draw_number(view: View, number: int, outline: FloatArray, colour: Colour) ->
     view.names.append((x - 18, y - 18, 36, 36))
 
 
-def draw_missed(view: View, raw_px: FloatArray) -> None:
+def draw_missed(view: PictureView, raw_px: FloatArray) -> None:
     """A cross where something was found and could not be measured."""
     place = _whole(view.place(raw_px))
     for line, width in ((RIM, 7), (RED, 3)):
         cv2.drawMarker(view.canvas, place, line, cv2.MARKER_TILTED_CROSS, 44, width, cv2.LINE_AA)
 
 
-def draw_unrolled(canvas: Canvas, feature: Feature, found: Sequence[Residuals]) -> None:
+def draw_unrolled(canvas: Canvas, feature: FeatureEvidence, found: Sequence[Residuals]) -> None:
     """Residuals of one feature along its outline: the left image's above the right one's, on bare paper."""
     height, width = canvas.shape[:2]
     used = np.concatenate([np.abs(one.across_px[one.used]) for one in found])

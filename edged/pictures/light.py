@@ -37,7 +37,7 @@ class Advice(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Light:
+class LightFigures:
     """Figures of one picture.
 
     clipped_share, dark_share : of its pixels, 0 to 1. noise_grey : standard deviation of one pixel, median
@@ -62,12 +62,12 @@ class Light:
         return Advice.GOOD, 1.0
 
 
-def light_of(image: Image) -> Light:
+def light_of(image: Image) -> LightFigures:
     """The figures of a picture (H, W) uint8."""
     counts = np.bincount(image.ravel(), minlength=256)
     shares = np.cumsum(counts) / image.size
     dark, bright = (float(np.searchsorted(shares, percent / 100)) for percent in (5.0, BRIGHT_PERCENT))
-    return Light(
+    return LightFigures(
         clipped_share=float(counts[WHITE_GREY] / image.size),
         dark_share=float(shares[DARK_GREY]),
         noise_grey=noise_of(image),

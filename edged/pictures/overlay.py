@@ -17,7 +17,7 @@ from edged.pictures.evidence import (
     MAGENTA,
     RED,
     WHITE,
-    Feature,
+    FeatureEvidence,
     Residuals,
     draw_feature,
     draw_missed,
@@ -33,7 +33,7 @@ from edged.pictures.evidence import (
     residuals,
 )
 from edged.pictures.lettering import BOLD, NORMAL, Canvas, Colour, shortened, width_of, write, write_rimmed
-from edged.pictures.view import View, box_around, view_of, zoom_for
+from edged.pictures.view import PictureView, box_around, view_of, zoom_for
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
@@ -105,7 +105,7 @@ def _views(
     rig: StereoRig,
     outlines_mm: Sequence[FloatArray],
     dismissed: Sequence[NotMeasured],
-) -> tuple[View, View]:
+) -> tuple[PictureView, PictureView]:
     """Both pictures, cut to what there is to see where that is small.
 
     Where the right camera would see what only the left one found is not known: then they are whole.
@@ -122,7 +122,7 @@ def _views(
     return left, right
 
 
-def _side_by_side(views: tuple[View, View]) -> Canvas:
+def _side_by_side(views: tuple[PictureView, PictureView]) -> Canvas:
     """Both canvases with the cameras' names."""
     for view, name in zip(views, SIDES, strict=True):
         words = f"{name} image" if view.scale == 1 else f"{name} image, magnified {view.scale:.2g}×"
@@ -134,10 +134,10 @@ def _side_by_side(views: tuple[View, View]) -> Canvas:
 
 
 def _draw_parts(
-    views: tuple[View, View],
+    views: tuple[PictureView, PictureView],
     job: Job,
     parts: Sequence[MeasuredPart],
-    features: Sequence[Sequence[Feature]],
+    features: Sequence[Sequence[FeatureEvidence]],
     found: Sequence[Sequence[Sequence[Residuals]]],
     factor: float,
 ) -> None:
@@ -151,7 +151,7 @@ def _draw_parts(
 
 
 def _draw_names(
-    view: View, job: Job, target: Target, features: Sequence[Feature], number: int | None
+    view: PictureView, job: Job, target: Target, features: Sequence[FeatureEvidence], number: int | None
 ) -> None:
     """Pose, number and names of one part."""
     missing = missing_outlines(job, target)

@@ -28,7 +28,7 @@ Box = tuple[int, int, int, int]
 
 
 @dataclass(slots=True, eq=False)
-class View:
+class PictureView:
     """A camera and its picture, or a box of it.
 
     camera_from_rig (4, 4).  box : raw px, what is shown; scale : canvas px per raw px.
@@ -54,12 +54,16 @@ class View:
         return np.asarray((raw_px - self.box[:2] + 0.5) * self.scale - 0.5)
 
 
-def view_of(image: Image, camera: CameraModel, camera_from_rig: FloatArray, box: Box, width_px: int) -> View:
+def view_of(
+    image: Image, camera: CameraModel, camera_from_rig: FloatArray, box: Box, width_px: int
+) -> PictureView:
     """A box of an image (H, W), width_px wide, with the whole of it small in the corner where that helps."""
     x, y, width, height = box
     scale = width_px / width
     size = width_px, round(height * scale)
-    view = View(_dimmed(image[y : y + height, x : x + width], size), camera, camera_from_rig, box, scale)
+    view = PictureView(
+        _dimmed(image[y : y + height, x : x + width], size), camera, camera_from_rig, box, scale
+    )
     if width < image.shape[1]:
         _draw_inset(view, image)
     return view
@@ -96,7 +100,7 @@ def _dimmed(image: Image, size: tuple[int, int]) -> Canvas:
     return np.asarray(cv2.cvtColor(np.asarray(scaled * DIMMED, np.uint8), cv2.COLOR_GRAY2BGR), np.uint8)
 
 
-def _draw_inset(view: View, image: Image) -> None:
+def _draw_inset(view: PictureView, image: Image) -> None:
     """The whole image in the lower right corner, with a frame round the box."""
     rows, columns = view.canvas.shape[:2]
     width = round(INSET_SHARE * columns)

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from edged.domain.arrays import SIDES, Image
 from edged.report.figures import coverage, lengths, radial, sigma_maps, thumbnail, view_bars
-from edged.report.page import Table, render
+from edged.report.page import HtmlTable, render
 from edged.vision.boards.board import NotDetected, StereoView
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.coverage import coverage_in_words, coverage_of
@@ -99,9 +99,9 @@ def _pictures(
     return shown
 
 
-def _about(calibration: Calibration, quality: Mapping[str, Any], about: Mapping[str, str]) -> Table:
+def _about(calibration: Calibration, quality: Mapping[str, Any], about: Mapping[str, str]) -> HtmlTable:
     rig = calibration.rig
-    return Table(
+    return HtmlTable(
         [
             *about.items(),
             ("board, as stated", str(quality["board"])),
@@ -118,7 +118,7 @@ def _lens(calibration: Calibration) -> str:
     return choice_in_words(calibration.lenses).removeprefix("lens model ")
 
 
-def _fitted(calibration: Calibration) -> Table:
+def _fitted(calibration: Calibration) -> HtmlTable:
     used, offered = len(calibration.views), len(calibration.views) + len(calibration.excluded)
     rows = [
         ("views used", f"{used} of {offered}"),
@@ -128,10 +128,10 @@ def _fitted(calibration: Calibration) -> Table:
         ("baseline", f"{calibration.rig.baseline_mm:.4f} mm"),
         ("marks rejected as outliers", str(calibration.outliers)),
     ]
-    return Table(rows, ("fitted to all views", ""))
+    return HtmlTable(rows, ("fitted to all views", ""))
 
 
-def _independent(held: Sequence[HeldOutView], quality: Mapping[str, Any]) -> Table:
+def _independent(held: Sequence[HeldOutView], quality: Mapping[str, Any]) -> HtmlTable:
     figures = quality["held_out"]
     rows = [("held-out views", "too few views")]
     if figures:
@@ -144,10 +144,10 @@ def _independent(held: Sequence[HeldOutView], quality: Mapping[str, Any]) -> Tab
             ("largest length error", f"{1000 * np.abs(errors).max():.1f} µm"),
             ("off a plane, rms", f"{1000 * figures['flatness_rms_mm']:.1f} µm"),
         ]
-    return Table(rows, ("views not used for their own result", ""))
+    return HtmlTable(rows, ("views not used for their own result", ""))
 
 
-def _volume(calibration: Calibration) -> Table:
+def _volume(calibration: Calibration) -> HtmlTable:
     """What a point is worth, at three depths: noise of the image, and the calibration."""
     rig, rows = calibration.rig, []
     points = volume_points(calibration)
@@ -159,10 +159,10 @@ def _volume(calibration: Calibration) -> Table:
         ours = np.sqrt(np.mean(np.einsum("nii->ni", calibration_covariance(rig, here)), axis=0))
         rows.append((f"Z = {depth:.0f} mm", *(f"{1000 * value:.1f}" for value in (*noise, *ours))))
     head = ("µm, one sigma (rms)", "noise: σX", "σY", "σZ", "calibration: σX", "σY", "σZ")
-    return Table(rows, head)
+    return HtmlTable(rows, head)
 
 
-def _internal(rig: StereoRig, rectification: Rectification) -> tuple[Table, Table]:
+def _internal(rig: StereoRig, rectification: Rectification) -> tuple[HtmlTable, HtmlTable]:
     """The form of the paper's Table 1, in pixels; with sigma. The lens beside it."""
     sigma = _sigmas(rig)
     rows, lenses = [], []
@@ -181,10 +181,10 @@ def _internal(rig: StereoRig, rectification: Rectification) -> tuple[Table, Tabl
     lenses.append(("both, after", "no distortion"))
     head = ("Table 1", "fx px", "fy px", "cx px", "cy px")
     blank = [""] * (len(max(lenses, key=len)) - 1)
-    return Table(rows, head), Table(lenses, ("lens", *blank))
+    return HtmlTable(rows, head), HtmlTable(lenses, ("lens", *blank))
 
 
-def _external(rig: StereoRig, rectification: Rectification) -> Table:
+def _external(rig: StereoRig, rectification: Rectification) -> HtmlTable:
     """The form of the paper's Table 2: the right camera's place and turn against the left, both ways."""
     sigma = _sigmas(rig)
     turn = np.degrees(rotation_vector(rig.right_from_left[:3, :3]))
@@ -203,7 +203,7 @@ def _external(rig: StereoRig, rectification: Rectification) -> Table:
         ("right camera in left frame", *place, *(f"{-value:.4f}" for value in turn)),
     )
     head = ("Table 2: right_from_left", "x mm", "y mm", "z mm", "turn x °", "turn y °", "turn z °")
-    return Table(rows, head)
+    return HtmlTable(rows, head)
 
 
 def _sigmas(rig: StereoRig) -> dict[str, float]:
@@ -213,7 +213,7 @@ def _sigmas(rig: StereoRig) -> dict[str, float]:
     return dict(zip(rig.parameter_names, values.tolist(), strict=True))
 
 
-def _weakest(calibration: Calibration) -> Table:
+def _weakest(calibration: Calibration) -> HtmlTable:
     """Parameters by what their uncertainty would do to a point."""
     rig = calibration.rig
     sigma = _sigmas(rig)
@@ -228,7 +228,7 @@ def _weakest(calibration: Calibration) -> Table:
     effect_um = 1000 * np.sqrt(np.mean(np.sum(shift**2, axis=1), axis=0)) * np.array(list(sigma.values()))
     order = [i for i in np.argsort(-np.nan_to_num(effect_um)) if effect_um[i] > 0][:6]
     rows = [(names[i], _sigma_text(names[i], sigma[names[i]]), f"{effect_um[i]:.1f} µm") for i in order]
-    return Table(rows, ("weakest first", "one sigma", "effect on a point alone"))
+    return HtmlTable(rows, ("weakest first", "one sigma", "effect on a point alone"))
 
 
 def _sigma_text(name: str, sigma: float) -> str:
@@ -240,7 +240,7 @@ def _sigma_text(name: str, sigma: float) -> str:
     return f"{sigma:.3f} px" if kind in ("fx", "fy", "cx", "cy") else f"{sigma:.2g}"
 
 
-def _comparison(calibration: Calibration, plain: PlainCalibration) -> Table:
+def _comparison(calibration: Calibration, plain: PlainCalibration) -> HtmlTable:
     """cv2.stereoCalibrate on the same marks."""
     rows = []
     for name, rig, rms, rows_px in (
@@ -268,10 +268,10 @@ def _comparison(calibration: Calibration, plain: PlainCalibration) -> Table:
         "baseline mm",
         "turn °",
     )
-    return Table(rows, head)
+    return HtmlTable(rows, head)
 
 
-def _views(calibration: Calibration, held: Sequence[HeldOutView], views: Sequence[StereoView]) -> Table:
+def _views(calibration: Calibration, held: Sequence[HeldOutView], views: Sequence[StereoView]) -> HtmlTable:
     fits = {fit.name: fit for fit in calibration.views}
     without = {view.name: view for view in held}
     reasons = dict(calibration.excluded)
@@ -301,4 +301,4 @@ def _views(calibration: Calibration, held: Sequence[HeldOutView], views: Sequenc
         "held-out rows px",
         "size",
     )
-    return Table(rows, head)
+    return HtmlTable(rows, head)

@@ -16,7 +16,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.payload import Json
 from edged.pictures.evidence import taught_outlines
 from edged.report.charts import ACCENT, INK, Chart
-from edged.report.page import Table, render
+from edged.report.page import HtmlTable, render
 from edged.vision.part.job import Job
 from edged.vision.shape.inspection import ModelInspection
 from edged.vision.shape.params import LEARNING
@@ -154,7 +154,7 @@ def _level(job: Job, picture: Image, index: int) -> _Level:
     return _Level(base64.b64encode(png.tobytes()).decode(), caption)
 
 
-def _facts(job: Job, inspection: ModelInspection) -> Table:
+def _facts(job: Job, inspection: ModelInspection) -> HtmlTable:
     angle = (
         "–"
         if not np.isfinite(inspection.sigma_angle_rad)
@@ -169,15 +169,15 @@ def _facts(job: Job, inspection: ModelInspection) -> Table:
         ("sizes looked for", f"{job.search.scale_min:.3f} to {job.search.scale_max:.3f} of the taught one"),
         ("contrast", job.search.polarity),
     ]
-    return Table(rows)
+    return HtmlTable(rows)
 
 
-def _rivals(inspection: ModelInspection) -> Table:
+def _rivals(inspection: ModelInspection) -> HtmlTable:
     """Turns at which the shape is much like itself."""
     rows = [
         (f"{np.degrees(angle):.1f}°", f"{100 * similarity:.1f} %") for angle, similarity in inspection.rivals
     ]
-    return Table(rows, ("turned by", "similarity"))
+    return HtmlTable(rows, ("turned by", "similarity"))
 
 
 def _drawing(job: Job) -> Markup:
@@ -207,7 +207,7 @@ def _drawing(job: Job) -> Markup:
     return chart.figure("features in the part frame; the reference is blue")
 
 
-def _features(job: Job) -> Table:
+def _features(job: Job) -> HtmlTable:
     def place(point: FloatArray) -> str:
         x, y, down = point
         return f"{x:.3f}, {y:.3f}" + (f", {-down:+.3f}" if job.solid else "")
@@ -226,4 +226,4 @@ def _features(job: Job) -> Table:
         (corner.name, "corner", place(job.place_of(corner.name)), " and ".join(corner.edges))
         for corner in job.corners
     ]
-    return Table(rows, ("name", "kind", "place, height mm" if job.solid else "place mm", "size mm"))
+    return HtmlTable(rows, ("name", "kind", "place, height mm" if job.solid else "place mm", "size mm"))

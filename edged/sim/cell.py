@@ -21,21 +21,21 @@ from edged.domain.arrays import SIDES, FloatArray, Image, Side
 from edged.errors import ImageError
 from edged.sim.exposure import ExposureRequest
 from edged.sim.render.scene import (
-    Box,
     Disc,
     Hole,
-    Light,
     Part,
-    Placed,
+    PlacedPart,
     Plate,
+    RenderedView,
+    RoundedBox,
     Scene,
+    SceneLight,
     Sensor,
     Surface,
     Table,
-    View,
     extent_mm,
 )
-from edged.sim.showing import Pose, Showing, Thing, fingers, waving_hand
+from edged.sim.showing import Pose, ShownNow, Thing, fingers, waving_hand
 from edged.vision.geometry.camera import CameraModel, StereoRig
 
 PAIR_WINDOW_NS = 50_000_000
@@ -52,7 +52,7 @@ ATTEMPTS = 300
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class PartMotion:
     """Where the part may lie, each uniformly distributed and independent.
 
     centre_mm : in the rig frame. shift_mm : half width in x and y. depth_mm : half width in z.
@@ -113,19 +113,19 @@ class VirtualCell:
         part: Part,
         *,
         seed: int = 0,
-        motion: Motion | None = None,
+        motion: PartMotion | None = None,
         board: Plate | None = None,
         table: Surface | None = None,
-        light: Light | None = None,
+        light: SceneLight | None = None,
         sensor: Sensor | None = None,
     ) -> None:
         self.rig, self.part, self.board = rig, part, board
         self._seed = seed
-        self._motion = motion or Motion()
+        self._motion = motion or PartMotion()
         self._table = table or Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2)
-        self._light = light or Light()
+        self._light = light or SceneLight()
         self._views = stereo_views(rig, sensor)
-        self._showing = Showing()
+        self._showing = ShownNow()
         self._moments: deque[_Moment] = deque(maxlen=HISTORY)
         self._born = 0
         self._lock = threading.Lock()
@@ -156,7 +156,7 @@ class VirtualCell:
         return np.array(self._motion.centre_mm)
 
     @property
-    def showing(self) -> Showing:
+    def showing(self) -> ShownNow:
         """What is shown."""
         return self._showing
 
@@ -182,9 +182,9 @@ class VirtualCell:
         """Turn a lens's ring: its blur from now on."""
         view = self._views[side]
         sensor = replace(view.sensor, psf_sigma_px=psf_sigma_px)
-        self._views[side] = View(view.camera, view.camera_from_rig, sensor)
+        self._views[side] = RenderedView(view.camera, view.camera_from_rig, sensor)
 
-    def view(self, side: Side) -> View:
+    def view(self, side: Side) -> RenderedView:
         """A camera as it is."""
         return self._views[side]
 
@@ -221,7 +221,7 @@ class VirtualCell:
 
     def scene(self, rig_from_part: FloatArray) -> Scene:
         """The cell with the part at a pose."""
-        return Scene(self._floor(), (Placed(self.part, rig_from_part),), self._light)
+        return Scene(self._floor(), (PlacedPart(self.part, rig_from_part),), self._light)
 
     def _floor(self) -> Table:
         rig_from_table = np.eye(4)
@@ -257,11 +257,11 @@ class VirtualCell:
         if pose is None:
             pose = self.pose(self._born)
         truth = self._truth(self._born, exposed_ns, pose, showing.thing)
-        placed: list[Placed] = []
+        placed: list[PlacedPart] = []
         if showing.thing is Thing.PART:
-            placed.append(Placed(self.part, pose))
+            placed.append(PlacedPart(self.part, pose))
         elif showing.thing is Thing.BOARD and self.board is not None:
-            placed.append(Placed(self.board.part, pose))
+            placed.append(PlacedPart(self.board.part, pose))
             if showing.covered:
                 placed.append(fingers(self.board, pose))
         if showing.waving is not None:
@@ -301,11 +301,11 @@ class VirtualCell:
 # --- views and poses -----------------------------------------------------------------------------
 
 
-def stereo_views(rig: StereoRig, sensor: Sensor | None = None) -> dict[str, View]:
+def stereo_views(rig: StereoRig, sensor: Sensor | None = None) -> dict[str, RenderedView]:
     """The views of both cameras, by name."""
     return {
-        "left": View(rig.left, np.eye(4), sensor),
-        "right": View(rig.right, rig.right_from_left, sensor),
+        "left": RenderedView(rig.left, np.eye(4), sensor),
+        "right": RenderedView(rig.right, rig.right_from_left, sensor),
     }
 
 
@@ -321,7 +321,7 @@ def _pose(origin_mm: FloatArray, tilt_rad: float, azimuth_rad: float, turn_rad: 
     return pose
 
 
-def _is_inside(views: dict[str, View], rig_from_part: FloatArray, radius_mm: float) -> bool:
+def _is_inside(views: dict[str, RenderedView], rig_from_part: FloatArray, radius_mm: float) -> bool:
     """Whether both cameras see a whole disc around the part's origin."""
     angles = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
     rim = np.stack([np.cos(angles), np.sin(angles), np.zeros(48)], axis=-1) * radius_mm
@@ -329,7 +329,7 @@ def _is_inside(views: dict[str, View], rig_from_part: FloatArray, radius_mm: flo
     return all(_sees(view, points) for view in views.values())
 
 
-def _sees(view: View, points_mm: FloatArray) -> bool:
+def _sees(view: RenderedView, points_mm: FloatArray) -> bool:
     try:
         pixels = view.project(points_mm)
     except ValueError:  # so far out that the lens has no image of it
@@ -364,7 +364,7 @@ def calibration_views(
     table_pose[2, 3] += 30.0
     table = Table(Surface(albedo=0.12), table_pose)
     for number, pose in enumerate(calibration_poses(rig, plate, count, seed=seed)):
-        scene = Scene(table, (Placed(plate.part, pose),))
+        scene = Scene(table, (PlacedPart(plate.part, pose),))
         left, right = (
             views[camera].render(scene, np.random.default_rng((seed, 5 + index, number)))
             for index, camera in enumerate(SIDES)
@@ -386,7 +386,7 @@ def calibration_poses(rig: StereoRig, plate: Plate, count: int, *, seed: int = 0
 
 
 def _plate_pose(
-    rng: np.random.Generator, views: dict[str, View], rim_mm: FloatArray, meeting_mm: FloatArray
+    rng: np.random.Generator, views: dict[str, RenderedView], rim_mm: FloatArray, meeting_mm: FloatArray
 ) -> FloatArray:
     reach_mm = 0.12 * meeting_mm[2]
     for attempt in range(ATTEMPTS):
@@ -455,6 +455,6 @@ def demo_part() -> Part:
         for k, angle in enumerate(2.0 * math.pi * np.arange(5) / 5 + 0.35)
     )
     bore = Hole("bore", Disc(0.0, 0.0, 4.0))
-    keyway = Hole("keyway", Box(4.4, 0.0, 3.6, 2.2))
+    keyway = Hole("keyway", RoundedBox(4.4, 0.0, 3.6, 2.2))
     brushed = Surface(albedo=0.62, contrast=0.10, feature_mm=0.35, stretch=6.0, seed=1)
     return Part("flange", Disc(0.0, 0.0, 14.0), brushed, (bore, keyway, *bolts))

@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Side
-from edged.sim.render.scene import Box, Part, Placed, Plate, Surface, View
+from edged.sim.render.scene import Part, PlacedPart, Plate, RenderedView, RoundedBox, Surface
 
 Pose = FloatArray | Callable[[int], FloatArray]
 """(4, 4) rig_from_thing, or what it is at a time (UTC ns)."""
@@ -33,7 +33,7 @@ class Thing(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Showing:
+class ShownNow:
     """What is shown from now on.
 
     pose : None: the part lies elsewhere at every exposure. covered : fingers cover a corner of the board.
@@ -50,24 +50,24 @@ class Showing:
         return self.pose(at_ns) if callable(self.pose) else self.pose
 
 
-def fingers(plate: Plate, rig_from_plate: FloatArray) -> Placed:
+def fingers(plate: Plate, rig_from_plate: FloatArray) -> PlacedPart:
     """A thumb across the first corner of a board, over its first marks."""
     low, high = plate.points_mm.min(axis=0), plate.points_mm.max(axis=0)
     length, width = 0.34 * (high - low)[:2]
     # from outside the board to a third of its width
-    thumb = Box(low[0], low[1], 2.0 * length, width, 0.45 * width)
+    thumb = RoundedBox(low[0], low[1], 2.0 * length, width, 0.45 * width)
     before = np.eye(4)
     before[2, 3] = -GRIP_MM
-    return Placed(Part("thumb", thumb, SKIN), rig_from_plate @ before)
+    return PlacedPart(Part("thumb", thumb, SKIN), rig_from_plate @ before)
 
 
-def waving_hand(view: View, at_ns: int) -> Placed:
+def waving_hand(view: RenderedView, at_ns: int) -> PlacedPart:
     """A hand before one camera, on its way from side to side."""
     camera_from_hand = np.eye(4)
     camera_from_hand[0, 3] = WAVE_MM * math.sin(2.0 * math.pi * WAVE_HZ * (at_ns * 1e-9 % 1e6))
     camera_from_hand[2, 3] = BEFORE_LENS_MM
-    hand = Part("hand", Box(0.0, 0.0, 12.0, 60.0, 5.0), SKIN)
-    return Placed(hand, np.linalg.inv(view.camera_from_rig) @ camera_from_hand)
+    hand = Part("hand", RoundedBox(0.0, 0.0, 12.0, 60.0, 5.0), SKIN)
+    return PlacedPart(hand, np.linalg.inv(view.camera_from_rig) @ camera_from_hand)
 
 
 def centre_of(plate: Plate) -> FloatArray:

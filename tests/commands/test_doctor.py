@@ -30,7 +30,7 @@ from edged.config.reading import load
 from edged.doctor import cameras, firewall, machine, network
 from edged.doctor.encrypted import look_at_certificates, look_at_opcua
 from edged.doctor.examination import examine
-from edged.doctor.findings import Check, Verdict
+from edged.doctor.findings import Check, CheckResult
 from edged.doctor.firewall import Rules
 from edged.doctor.host import Interface
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
@@ -83,7 +83,11 @@ def test_what_is_bad_has_a_consequence_and_a_remedy(folder: Path) -> None:
     path.write_text(
         path.read_text().replace("[zenoh]", '[modbus.serial]\ndevice = "/dev/ttyNONE"\n\n[zenoh]')
     )
-    found = [check for check in examine(path, trigger=False) if check.verdict in (Verdict.BAD, Verdict.WARN)]
+    found = [
+        check
+        for check in examine(path, trigger=False)
+        if check.verdict in (CheckResult.BAD, CheckResult.WARN)
+    ]
 
     assert {"recordings", "serial port"} <= {check.name for check in found}
     assert all(check.consequence and check.remedy for check in found)
@@ -119,7 +123,7 @@ def test_a_port_in_use_is_named(folder: Path) -> None:
         server.listen()
         check = checks(folder / "cell.toml")["Modbus port"]
 
-    assert check.verdict is Verdict.BAD
+    assert check.verdict is CheckResult.BAD
     assert f"127.0.0.1:{port}: in use by " in check.finding
     assert check.remedy == f"ss -ltnp 'sport = :{port}'"
 
@@ -132,7 +136,7 @@ def test_pictures_of_another_size_are_named(folder: Path) -> None:
     path = edit(folder, 'source = "virtual-inprocess"', 'source = "replay"\nfolder = "pairs"')
     check = checks(path, trigger=True)["test pictures"]
 
-    assert check.verdict is Verdict.BAD
+    assert check.verdict is CheckResult.BAD
     assert "(640, 480)" in check.finding
     assert "calibrated for another size" in check.consequence
 
@@ -145,8 +149,8 @@ def test_a_response_that_is_not_linear_is_named(folder: Path) -> None:
     path.write_text(path.read_text() + "\n[cameras.left.features]\nGamma = 0.5\n")
     found = checks(path, trigger=True)
 
-    assert found["test pictures"].verdict is Verdict.OK
-    assert found["left response"].verdict is Verdict.WARN
+    assert found["test pictures"].verdict is CheckResult.OK
+    assert found["left response"].verdict is CheckResult.WARN
     assert "Gamma is 0.5" in found["left response"].finding
     assert "cameras.left.features" in found["left response"].remedy
     assert "right response" not in found
@@ -162,7 +166,7 @@ def test_cameras_that_do_not_answer_are_named(folder: Path) -> None:
 
     for side, device in (("left", "NOT-THERE-1"), ("right", "NOT-THERE-2")):
         check = found[f"{side} camera"]
-        assert check.verdict is Verdict.BAD
+        assert check.verdict is CheckResult.BAD
         assert check.finding.startswith(f"no camera with serial number {device} answers; cameras that do: ")
 
 
@@ -182,14 +186,18 @@ def test_a_camera_that_answers_at_two_addresses_is_found() -> None:
     """By its serial number, which is then no name for it; cameras without one are not confused."""
     found = [info("1", "10.0.0.5"), info("1", "10.0.1.5"), info("", "10.0.0.6"), info("", "10.0.0.7")]
     (check,) = cameras.twins(found)
-    assert (Verdict.WARN, "1 answers at 10.0.0.5, 10.0.1.5") == (check.verdict, check.finding)
+    assert (CheckResult.WARN, "1 answers at 10.0.0.5, 10.0.1.5") == (check.verdict, check.finding)
 
 
 @pytest.mark.parametrize(
     ("control", "verdict"),
-    [("free", Verdict.OK), ("controlled", Verdict.WARN), ("does not answer: network?", Verdict.BAD)],
+    [
+        ("free", CheckResult.OK),
+        ("controlled", CheckResult.WARN),
+        ("does not answer: network?", CheckResult.BAD),
+    ],
 )
-def test_who_controls_a_camera_decides(control: str, verdict: Verdict) -> None:
+def test_who_controls_a_camera_decides(control: str, verdict: CheckResult) -> None:
     """Free, taken by some program, or seen and out of reach."""
     camera = info("1", "10.0.0.5", control)
     section = load_section("1")
@@ -207,13 +215,13 @@ def test_a_camera_outside_of_every_network_is_named() -> None:
     good, interface = network.home("left", info("1", "192.168.10.7"), [port])
     bad, nowhere = network.home("left", info("1", "169.254.3.4"), [port])
 
-    assert (good.verdict, interface) == (Verdict.OK, port)
-    assert (bad.verdict, nowhere) == (Verdict.BAD, None)
+    assert (good.verdict, interface) == (CheckResult.OK, port)
+    assert (bad.verdict, nowhere) == (CheckResult.BAD, None)
     assert "169.254.3.4" in bad.finding
 
 
-@pytest.mark.parametrize(("period_s", "verdict"), [(0.5, Verdict.OK), (0.02, Verdict.BAD)])
-def test_the_link_has_a_budget(folder: Path, period_s: float, verdict: Verdict) -> None:
+@pytest.mark.parametrize(("period_s", "verdict"), [(0.5, CheckResult.OK), (0.02, CheckResult.BAD)])
+def test_the_link_has_a_budget(folder: Path, period_s: float, verdict: CheckResult) -> None:
     """Two 1.2 MB images every 20 ms do not fit a gigabit; small packets are mentioned."""
     config = load(edit(folder, "period_s = 0.25", f"period_s = {period_s}"))
     port = Interface("eth1", (IPv4Interface("192.168.10.1/24"),), 1500, 1000)
@@ -287,36 +295,36 @@ def test_a_port_on_an_address_of_another_machine_is_named(folder: Path) -> None:
     """The usual slip: the address of the PLC instead of this PC's."""
     path = edit(folder, "[modbus]", '[modbus]\nhost = "192.0.2.7"')
     check = checks(path)["Modbus port"]
-    assert check.verdict is Verdict.BAD
+    assert check.verdict is CheckResult.BAD
     assert "192.0.2.7 is no address of this machine" in check.finding
 
 
 @pytest.mark.parametrize(
     "journal, verdict, finding",
     [
-        (None, Verdict.SKIP, "journal"),
-        ("", Verdict.OK, "127.0.0.0/8"),
-        ("127.0.0.5\n", Verdict.OK, "127.0.0.0/8"),
-        ("127.0.0.5\n192.168.10.7\nfe80::1\n", Verdict.WARN, "192.168.10.7, fe80::1"),
+        (None, CheckResult.SKIP, "journal"),
+        ("", CheckResult.OK, "127.0.0.0/8"),
+        ("127.0.0.5\n", CheckResult.OK, "127.0.0.0/8"),
+        ("127.0.0.5\n192.168.10.7\nfe80::1\n", CheckResult.WARN, "192.168.10.7, fe80::1"),
     ],
 )
 def test_who_wrote_and_may_not_is_named(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, journal: str | None, verdict: Verdict, finding: str
+    folder: Path, monkeypatch: pytest.MonkeyPatch, journal: str | None, verdict: CheckResult, finding: str
 ) -> None:
     """As the journal says, unless the configuration lists it by now; without a journal it says so."""
     monkeypatch.setattr(machine, "run", lambda *_: journal)
     (check,) = [one for one in machine.look_at_ports(load(folder / "cell.toml")) if "writers" in one.name]
     assert verdict is check.verdict
     assert finding in check.finding
-    assert ("192.168.10.7" in check.remedy) is (verdict is Verdict.WARN)
+    assert ("192.168.10.7" in check.remedy) is (verdict is CheckResult.WARN)
 
 
 @pytest.mark.parametrize(
     ("days", "verdict", "finding"),
-    [(-2, Verdict.BAD, "from"), (0, Verdict.WARN, "1 days"), (3, Verdict.BAD, "expired")],
+    [(-2, CheckResult.BAD, "from"), (0, CheckResult.WARN, "1 days"), (3, CheckResult.BAD, "expired")],
 )
 def test_a_certificate_that_ends_is_told_before(
-    folder: Path, days: int, verdict: Verdict, finding: str
+    folder: Path, days: int, verdict: CheckResult, finding: str
 ) -> None:
     """By its place and its date: not good yet, a day left, over; what is none is said."""
     make_certificates(folder)
@@ -327,13 +335,14 @@ def test_a_certificate_that_ends_is_told_before(
     assert finding in check.finding
     (folder / "server.pem").write_text("none")
     (check,) = look_at_certificates(config)
-    assert Verdict.BAD is check.verdict
+    assert CheckResult.BAD is check.verdict
 
 
 @pytest.mark.parametrize(
-    ("said", "verdict"), [(b"ACKF\x1c\0\0\0", Verdict.OK), (b"HTTP/1.1", Verdict.BAD), (b"", Verdict.BAD)]
+    ("said", "verdict"),
+    [(b"ACKF\x1c\0\0\0", CheckResult.OK), (b"HTTP/1.1", CheckResult.BAD), (b"", CheckResult.BAD)],
 )
-def test_what_answers_on_the_port_of_opc_ua_is_told(said: bytes, verdict: Verdict) -> None:
+def test_what_answers_on_the_port_of_opc_ua_is_told(said: bytes, verdict: CheckResult) -> None:
     """A server of OPC UA, another one, one that hangs up; where nobody listens there is nothing to tell."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]

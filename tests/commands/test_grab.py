@@ -18,7 +18,7 @@ from rich.console import Console
 
 from edged.commands import grab as module
 from edged.commands.demo import DemoOptions, prepare_cell
-from edged.commands.grab import Grab, Movement, grab
+from edged.commands.grab import Grab, ViewChange, grab
 from edged.domain.arrays import Image
 from edged.domain.frames import Frame, FramePair
 from edged.errors import CaptureError, FrameTimeout, UserError
@@ -92,7 +92,7 @@ def test_a_pair_is_taken_when_the_view_changed_and_rests(tmp_path: Path) -> None
 
 def test_noise_and_flicker_are_no_movement_and_half_a_pixel_is() -> None:
     """A resting board rests under a lamp that flickers by 10 %; one that creeps does not."""
-    resting, creeping = Movement(), Movement()
+    resting, creeping = ViewChange(), ViewChange()
     assert [False, True] == [resting.rests_anew(pair_at(0.0, k, 1 - 0.1 * k)) for k in range(2)]
     assert not any(creeping.rests_anew(pair_at(0.5 * k, k)) for k in range(10))
 

@@ -15,7 +15,7 @@ from helpers.tilted import BELOW_MM, lying, stacked
 
 from edged.domain.arrays import FloatArray, Image
 from edged.pipeline import locate, prepare
-from edged.sim.render.scene import Hole, Part, Placed, Polygon, Scene, Surface, Table
+from edged.sim.render.scene import Hole, Part, PlacedPart, PolygonShape, Scene, Surface, Table
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.teaching.cadsettling import Settled
 from edged.vision.teaching.pair import teach
@@ -33,21 +33,21 @@ def broken(holes: tuple[Hole, ...], by_mm: float) -> tuple[Hole, ...]:
 
 
 def layers(
-    outline: Polygon,
+    outline: PolygonShape,
     where: FloatArray,
     thick_mm: float,
     holes: tuple[Hole, ...],
     break_mm: float,
     grey: float,
-) -> list[Placed]:
+) -> list[PlacedPart]:
     """A plate with broken holes, the breaks of their own albedo."""
     placed = stacked(Part("p", outline, METAL, holes), where, thick_mm, DARK, 12)[:-1]
     for k in range(round(break_mm / SLICE_MM), 0, -1):
         down = np.eye(4)
         down[2, 3] = k * SLICE_MM
         cut = Part("b", outline, Surface(grey, 0.1, 0.5, seed=3), broken(holes, break_mm - k * SLICE_MM))
-        placed.append(Placed(cut, where @ down))
-    return [*placed, Placed(Part("t", outline, METAL, broken(holes, break_mm)), where)]
+        placed.append(PlacedPart(cut, where @ down))
+    return [*placed, PlacedPart(Part("t", outline, METAL, broken(holes, break_mm)), where)]
 
 
 def see(where: FloatArray, break_mm: float, grey: float, seed: int) -> tuple[Image, Image]:

@@ -11,7 +11,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Outcome
 from edged.pipeline import PreparedRig, locate, prepare
-from edged.sim.render.scene import Disc, Hole, Part, Polygon, Scene, Surface, Table
+from edged.sim.render.scene import Disc, Hole, Part, PolygonShape, Scene, Surface, Table
 from edged.vision.geometry.rigid import invert
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
@@ -23,7 +23,7 @@ STEP_MM = 4.0
 REFERENCE_MM = (10.0, -6.0)
 PLATE = Part(
     "plate",
-    Polygon(((-14, -10), (14, -10), (14, 1), (2, 1), (2, 10), (-14, 10))),
+    PolygonShape(((-14, -10), (14, -10), (14, 1), (2, 1), (2, 10), (-14, 10))),
     METAL,
     (
         Hole("a", Disc(*REFERENCE_MM, 2.2)),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
-from edged.sim.render.scene import Disc, Hole, Mark, Part, Polygon, Surface
+from edged.sim.render.scene import Disc, Hole, PaintedMark, Part, PolygonShape, Surface
 from edged.vision.geometry.camera import StereoRig
 from helpers.cells import pictures, scene
 from helpers.flatparts import METAL
@@ -18,10 +18,12 @@ DARK, FACE = 0.1, METAL.albedo
 WALL = Surface(albedo=DARK)
 
 
-def half_disc(x_mm: float, y_mm: float, radius_mm: float, side_rad: float) -> Polygon:
+def half_disc(x_mm: float, y_mm: float, radius_mm: float, side_rad: float) -> PolygonShape:
     """Half of a circle, on the side that lies in this direction."""
     phase = side_rad + np.linspace(-0.5 * math.pi, 0.5 * math.pi, 90)
-    return Polygon(tuple((x_mm + radius_mm * math.cos(a), y_mm + radius_mm * math.sin(a)) for a in phase))
+    return PolygonShape(
+        tuple((x_mm + radius_mm * math.cos(a), y_mm + radius_mm * math.sin(a)) for a in phase)
+    )
 
 
 def parts(break_mm: float, light: FloatArray, side_rad: float) -> tuple[Part, Part]:
@@ -33,13 +35,13 @@ def parts(break_mm: float, light: FloatArray, side_rad: float) -> tuple[Part, Pa
         "body",
         Disc(0, 0, RIM_MM),
         Surface(albedo=float(light[1])),
-        marks=(Mark(half_disc(0, 0, RIM_MM - 0.01, side_rad), float(light[0])),),
+        marks=(PaintedMark(half_disc(0, 0, RIM_MM - 0.01, side_rad), float(light[0])),),
     )
-    rings: list[Mark] = []
+    rings: list[PaintedMark] = []
     for _, x, y, radius in HOLES:
         # of a hole the other side is turned to the light
-        rings.append(Mark(Disc(x, y, radius + break_mm), float(light[0])))
-        rings.append(Mark(half_disc(x, y, radius + break_mm, side_rad), float(light[1])))
+        rings.append(PaintedMark(Disc(x, y, radius + break_mm), float(light[0])))
+        rings.append(PaintedMark(half_disc(x, y, radius + break_mm, side_rad), float(light[1])))
     holes = tuple(Hole(name, Disc(x, y, radius), 0.1) for name, x, y, radius in HOLES)
     return body, Part("face", Disc(0, 0, RIM_MM - break_mm), METAL, holes, tuple(rings))
 

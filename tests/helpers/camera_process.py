@@ -8,10 +8,10 @@ from __future__ import annotations
 import sys
 import threading
 
-from edged.sim.cell import Motion, VirtualCell, demo_part, demo_rig
+from edged.sim.cell import PartMotion, VirtualCell, demo_part, demo_rig
 from edged.sim.gige.camera import GigeCamera
 
-STILL = Motion(shift_mm=(0.0, 0.0), depth_mm=0.0, tilt_rad=0.0, turn_rad=0.0)
+STILL = PartMotion(shift_mm=(0.0, 0.0), depth_mm=0.0, tilt_rad=0.0, turn_rad=0.0)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import Frame, FramePair
 from edged.sim.cell import demo_part, demo_rig, stereo_views
-from edged.sim.render.scene import Part, Placed, Scene, Surface, Table
+from edged.sim.render.scene import Part, PlacedPart, Scene, Surface, Table
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import rotation_matrix
 from edged.vision.teaching.region import Region
@@ -53,7 +53,7 @@ def pose(
 def scene(*placed: tuple[Part, FloatArray], table: Surface = TEXTURED) -> Scene:
     """Parts over a table 6 mm below PLACE_MM."""
     rig_from_table = pose((PLACE_MM[0], PLACE_MM[1], PLACE_MM[2] + 6.0))
-    return Scene(Table(table, rig_from_table), tuple(Placed(part, where) for part, where in placed))
+    return Scene(Table(table, rig_from_table), tuple(PlacedPart(part, where) for part, where in placed))
 
 
 def pictures(rig: StereoRig, world: Scene, seed: int = 0) -> tuple[Image, Image]:

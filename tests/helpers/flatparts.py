@@ -10,7 +10,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Outcome, Target
 from edged.pipeline import PreparedRig, prepare
-from edged.sim.render.scene import Disc, Hole, Part, Polygon, Slot, Surface
+from edged.sim.render.scene import Disc, Hole, Part, PolygonShape, Slot, Surface
 from edged.vision.geometry.rigid import invert
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
@@ -19,7 +19,7 @@ from helpers.cells import pictures, pose, region_around, scene, small_rig
 METAL = Surface(albedo=0.62, contrast=0.12, feature_mm=0.5, seed=1)
 
 
-PLATE = Part("plate", Polygon(((-12, -8), (10, -8), (13, 2), (2, 9), (-12, 6))), METAL)
+PLATE = Part("plate", PolygonShape(((-12, -8), (10, -8), (13, 2), (2, 9), (-12, 6))), METAL)
 
 
 HOLES = (Hole("slot", Slot(4, -4, 9, 4, 0.5)), Hole("bore", Disc(-6, 3, 3)), Hole("pin", Disc(4, 6, 1.5)))

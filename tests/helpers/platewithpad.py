@@ -7,7 +7,7 @@ from pathlib import Path
 from edged.commands.teach import read_model
 from edged.domain.arrays import FloatArray
 from edged.pipeline import prepare
-from edged.sim.render.scene import Disc, Hole, Polygon, Surface
+from edged.sim.render.scene import Disc, Hole, PolygonShape, Surface
 from edged.vision.part.job import Job
 from edged.vision.teaching.cadsettling import Settled, settle
 from helpers.cells import small_rig
@@ -18,8 +18,10 @@ PAD_MM = 2.5
 CORNER = Hole("corner", Disc(-9, -7, 1.9))
 HOLES = (Hole("h0", Disc(10, -7, 2.1)), Hole("h1", Disc(3, -7, 1.4)), Hole("h2", Disc(-9, 8, 2.1)),
          Hole("h3", Disc(-9, 1.8, 1.0)))  # fmt: skip
-OUTLINE = Polygon(((-14.5, -12.5), (14.5, -12.5), (14.5, -1.5), (-3.5, -1.5), (-3.5, 12.5), (-14.5, 12.5)))
-PAD = Polygon(((-13, -11), (-5, -11), (-5, -3), (-13, -3)))
+OUTLINE = PolygonShape(
+    ((-14.5, -12.5), (14.5, -12.5), (14.5, -1.5), (-3.5, -1.5), (-3.5, 12.5), (-14.5, 12.5))
+)
+PAD = PolygonShape(((-13, -11), (-5, -11), (-5, -3), (-13, -3)))
 DARK = Surface(albedo=0.2, contrast=0.1, feature_mm=0.5, seed=3)
 
 

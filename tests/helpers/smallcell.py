@@ -20,7 +20,7 @@ import numpy as np
 
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.arrays import Image
-from edged.sim.cell import SIDES, Motion, VirtualCell, demo_rig
+from edged.sim.cell import SIDES, PartMotion, VirtualCell, demo_rig
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
 from edged.sim.render.scene import Disc, Part, Surface
@@ -32,7 +32,7 @@ from helpers.waiting import LIMIT_S
 SHRINK = 4
 WIDTH, HEIGHT = 1280 // SHRINK, 960 // SHRINK
 TOKEN = Part("token", Disc(0.0, 0.0, 14.0), Surface(albedo=0.62, contrast=0.1, feature_mm=0.35, seed=1))
-STILL_UPRIGHT = Motion(turn_rad=0.1)
+STILL_UPRIGHT = PartMotion(turn_rad=0.1)
 
 
 def tiny_rig() -> StereoRig:

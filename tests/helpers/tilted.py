@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.sim.render.scene import Part, Placed, Scene, Surface, Table
+from edged.sim.render.scene import Part, PlacedPart, Scene, Surface, Table
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import about_z, cross, invert, rotation_matrix, transform, unit
 from helpers.cells import PLACE_MM, TEXTURED, pose
@@ -36,7 +36,7 @@ def lying(
 
 def thin(part: Part, where: FloatArray) -> Scene:
     """The part alone over a table."""
-    return Scene(_table(), (Placed(part, where),))
+    return Scene(_table(), (PlacedPart(part, where),))
 
 
 def thick(part: Part, where: FloatArray, thickness_mm: float, wall: Surface, slices: int = 24) -> Scene:
@@ -46,7 +46,7 @@ def thick(part: Part, where: FloatArray, thickness_mm: float, wall: Surface, sli
 
 def stacked(
     part: Part, where: FloatArray, thickness_mm: float, wall: Surface, slices: int = 24
-) -> list[Placed]:
+) -> list[PlacedPart]:
     """Thin copies of a part down its normal, lowest first: its walls, and then itself."""
     clear = tuple(replace(hole, transmission=1.0) for hole in part.holes)
     below = replace(part, surface=wall, holes=clear)
@@ -54,8 +54,8 @@ def stacked(
     for depth_mm in np.linspace(thickness_mm, 0.0, slices + 1)[:-1]:
         down = np.eye(4)
         down[2, 3] = depth_mm
-        layers.append(Placed(below, where @ down))
-    return [*layers, Placed(replace(part, holes=clear), where)]
+        layers.append(PlacedPart(below, where @ down))
+    return [*layers, PlacedPart(replace(part, holes=clear), where)]
 
 
 def _table() -> Table:

@@ -24,7 +24,7 @@ from edged.robots.walk import SHIFTS_MM, TURNS_DEG
 from edged.sim.cell import VirtualCell, stereo_views
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
-from edged.sim.render.scene import Placed, Scene, Surface, Table, chessboard_plate
+from edged.sim.render.scene import PlacedPart, Scene, Surface, Table, chessboard_plate
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, transform
@@ -94,8 +94,8 @@ class Arm(VirtualWorld):
             table = np.eye(4)
             table[:3, 3] = (*PLACE_MM[:2], 320.0)
             placed = {
-                "board": (Placed(PLATE.part, self.board),),
-                "part": (Placed(TOKEN, self.part),),
+                "board": (PlacedPart(PLATE.part, self.board),),
+                "part": (PlacedPart(TOKEN, self.part),),
             }.get(self.shows, ())
             scene = Scene(Table(Surface(albedo=0.12), table), placed)
             rng = np.random.default_rng((request.frame_id, SIDES.index(side)))

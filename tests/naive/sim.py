@@ -26,13 +26,13 @@ def shape_covers(shape: scene.Shape, u: float, v: float) -> bool:
             b = -math.sin(angle) * (u - x) + math.cos(angle) * (v - y)
             along = min(max(a, -(length - width) / 2), (length - width) / 2)
             return (a - along) ** 2 + b**2 < (width / 2) ** 2
-        case scene.Box(x, y, width, height, corner, angle):
+        case scene.RoundedBox(x, y, width, height, corner, angle):
             a = abs(math.cos(angle) * (u - x) + math.sin(angle) * (v - y))
             b = abs(-math.sin(angle) * (u - x) + math.cos(angle) * (v - y))
             if a > width / 2 - corner and b > height / 2 - corner:
                 return (a - width / 2 + corner) ** 2 + (b - height / 2 + corner) ** 2 < corner**2
             return a < width / 2 and b < height / 2
-        case scene.Polygon(points):
+        case scene.PolygonShape(points):
             crossings = 0
             for (ax, ay), (bx, by) in zip(points, points[1:] + points[:1], strict=True):
                 if (ay > v) != (by > v) and u < ax + (v - ay) / (by - ay) * (bx - ax):
@@ -41,7 +41,7 @@ def shape_covers(shape: scene.Shape, u: float, v: float) -> bool:
         case scene.Checker(x, y, square, columns, rows):
             column, row = math.floor((u - x) / square), math.floor((v - y) / square)
             return 0 <= column < columns and 0 <= row < rows and (column + row) % 2 == 0
-        case scene.DotGrid(x, y, radius, pitch, columns, rows):
+        case scene.DiscGrid(x, y, radius, pitch, columns, rows):
             return any(
                 (u - x - i * pitch) ** 2 + (v - y - j * pitch) ** 2 < radius**2
                 for i in range(columns)

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edged.report.charts import Chart
-from edged.report.page import Table, render
+from edged.report.page import HtmlTable, render
 
 ROOT = Path(__file__).parents[2]
 MODEL = {
@@ -24,13 +24,13 @@ MODEL = {
     "cuts": (),
     "settled": (),
     "levels": (),
-    "facts": Table([("size", "radius 9 px")]),
+    "facts": HtmlTable([("size", "radius 9 px")]),
     "noise": "3",
     "round": True,
-    "rivals": Table([]),
+    "rivals": HtmlTable([]),
     "drawing": "",
     "reference": "c0",
-    "features": Table([("c0", "hole")], ("name", "kind")),
+    "features": HtmlTable([("c0", "hole")], ("name", "kind")),
     "made": "edged",
 }
 
@@ -41,7 +41,7 @@ FORM = {"t": lambda name, **_values: name, "problem": ""}
 def test_a_text_comes_out_as_it_is(text: str) -> None:
     """In titles, notes, cells and charts: markup in a name is a name, never markup."""
     chart = Chart((0.0, 1.0), (0.0, 1.0), text, "y").figure(text)
-    rows = Table([(text, text)])
+    rows = HtmlTable([(text, text)])
     page = HtmlPage(
         render(
             "teaching.html",

@@ -18,7 +18,7 @@ from edged.errors import ImageError
 from edged.sim.cell import (
     PAIR_WINDOW_NS,
     SIDES,
-    Motion,
+    PartMotion,
     VirtualCell,
     calibration_views,
     demo_part,
@@ -28,22 +28,22 @@ from edged.sim.cell import (
 from edged.sim.exposure import ExposureRequest
 from edged.sim.render import lens, raster
 from edged.sim.render.scene import (
-    Box,
     Checker,
     Disc,
-    DotGrid,
+    DiscGrid,
     Hole,
-    Light,
-    Mark,
+    PaintedMark,
     Part,
-    Placed,
-    Polygon,
+    PlacedPart,
+    PolygonShape,
+    RenderedView,
+    RoundedBox,
     Scene,
+    SceneLight,
     Sensor,
     Slot,
     Surface,
     Table,
-    View,
     chessboard_plate,
     dots_plate,
     extent_mm,
@@ -66,7 +66,7 @@ def pose(x: float, y: float, z: float, rotation: tuple[float, float, float] = (0
 
 def on_black(part: Part, rig_from_part: FloatArray) -> Scene:
     """A part before the night."""
-    return Scene(Table(Surface(0.0), pose(0, 0, 300)), (Placed(part, rig_from_part),))
+    return Scene(Table(Surface(0.0), pose(0, 0, 300)), (PlacedPart(part, rig_from_part),))
 
 
 # --- optics ----------------------------------------------------------------------------------------
@@ -86,7 +86,7 @@ def test_lenses_agree_with_the_pipelines(camera: CameraModel) -> None:
 def test_a_lens_that_folds_is_refused() -> None:
     """A lens without a single ray for each pixel cannot be rendered and says so."""
     with pytest.raises(ValueError, match="folds"):
-        View(replace(BROWN, distortion=(-40.0, 0.0, 0.0, 0.0, 0.0)), np.eye(4))
+        RenderedView(replace(BROWN, distortion=(-40.0, 0.0, 0.0, 0.0, 0.0)), np.eye(4))
 
 
 # --- outlines --------------------------------------------------------------------------------------
@@ -106,27 +106,27 @@ def test_half_plane_coverage_is_the_area(distance: float, slope_x: float, slope_
 EVERY_SHAPE = [
     Disc(0.4, -0.3, 2.1),
     Slot(0.3, 0.2, 4.2, 1.7, 0.7),
-    Box(-0.2, 0.1, 4.5, 2.5, 0.6, -0.4),
-    Box(0.2, 0.1, 2.5, 3.5),
-    Polygon(((-2.0, -1.5), (2.2, -1.0), (0.4, 0.1), (1.5, 2.0), (-1.6, 1.2))),
+    RoundedBox(-0.2, 0.1, 4.5, 2.5, 0.6, -0.4),
+    RoundedBox(0.2, 0.1, 2.5, 3.5),
+    PolygonShape(((-2.0, -1.5), (2.2, -1.0), (0.4, 0.1), (1.5, 2.0), (-1.6, 1.2))),
     Checker(-1.5, -1.0, 0.7, 4, 3),
-    DotGrid(-1.2, -0.8, 0.35, 1.1, 3, 2),
+    DiscGrid(-1.2, -0.8, 0.35, 1.1, 3, 2),
 ]
 
 
-def small_view() -> View:
+def small_view() -> RenderedView:
     """A few pixels that look askew at (0, 0, 60) of the rig frame."""
     camera = CameraModel("division", 32, 26, 300.0, 300.0, 15.0, 13.0, (-0.3,))
     camera_from_rig = pose(0, 0, 0, (0.1, 0.4, 0.1))
     camera_from_rig[:3, 3] = (0, 0, 60) - camera_from_rig[:3, :3] @ (0, 0, 60)
-    return View(camera, camera_from_rig, SHARP)
+    return RenderedView(camera, camera_from_rig, SHARP)
 
 
-def supersampled(view: View, scene: Scene, n: int = 8) -> FloatArray:
+def supersampled(view: RenderedView, scene: Scene, n: int = 8) -> FloatArray:
     """(H, W) mean of n x n rays per pixel through the naive renderer; the light must be even."""
     world = Scene(
         Table(scene.table.surface, view.camera_from_rig @ scene.table.rig_from_table),
-        tuple(Placed(placed.part, view.camera_from_rig @ placed.rig_from_part) for placed in scene.parts),
+        tuple(PlacedPart(placed.part, view.camera_from_rig @ placed.rig_from_part) for placed in scene.parts),
         scene.light,
     )
     offsets = (np.arange(n) + 0.5) / n - 0.5
@@ -157,16 +157,16 @@ def test_layers_marks_and_holes_are_painted_in_order() -> None:
     """Later parts hide earlier ones, marks lie on the face, holes show a darkened background."""
     lower = Part(
         "lower",
-        Box(0, 0, 5, 4, 0.5),
+        RoundedBox(0, 0, 5, 4, 0.5),
         Surface(0.5),
         (Hole("h", Disc(-1, 0, 0.8), 0.4),),
-        (Mark(Box(1, 1, 1.5, 1), 0.9),),
+        (PaintedMark(RoundedBox(1, 1, 1.5, 1), 0.9),),
     )
     upper = Part("upper", Disc(0, 0, 1.4), Surface(0.7), (Hole("s", Slot(0, 0, 1.6, 0.7, 0.3), 0.6),))
     scene = Scene(
         Table(Surface(0.2), pose(0, 0, 64)),
-        (Placed(lower, pose(0, 0, 62, (0.05, 0, 0.2))), Placed(upper, pose(-0.8, 0.6, 60))),
-        Light(1.2),
+        (PlacedPart(lower, pose(0, 0, 62, (0.05, 0, 0.2))), PlacedPart(upper, pose(-0.8, 0.6, 60))),
+        SceneLight(1.2),
     )
     view = small_view()
     expected = supersampled(view, scene)
@@ -180,15 +180,15 @@ def test_the_light_may_fall_off() -> None:
     """The irradiance follows the place in the rig frame, on every layer."""
     scene = replace(
         on_black(Part("p", Disc(0, 0, 2), Surface(0.5)), pose(0.3, 0.1, 60, (0.1, 0.2, 0.5))),
-        light=Light(0.8, (0.1, -0.05)),
+        light=SceneLight(0.8, (0.1, -0.05)),
     )
-    view = View(small_view().camera, np.eye(4), SHARP)
+    view = RenderedView(small_view().camera, np.eye(4), SHARP)
     for x, y in ((19, 16), (25, 20), (14, 18)):
         expected = naive.radiance_at(scene, view.camera.normalise(np.array([x, y], float)))
         assert view.radiance(scene)[y, x] == pytest.approx(expected, rel=1e-6)
 
 
-def outline_px(view: View, disc: Disc, rig_from_part: FloatArray) -> FloatArray:
+def outline_px(view: RenderedView, disc: Disc, rig_from_part: FloatArray) -> FloatArray:
     """(N, 2) dense points of the exact image of a circle."""
     angles = np.linspace(0, 2 * np.pi, 100_001)
     rim = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], -1) * disc.radius_mm
@@ -245,9 +245,9 @@ def test_an_edge_is_blurred_before_pixels_sample_it(
 ) -> None:
     """Each pixel at a straight edge, however it lies, holds the blurred edge's mean over its area."""
     camera = CameraModel("division", 48, 40, 900.0, 900.0, 23.3, 19.6, (0.0,))
-    view = View(camera, np.eye(4), Sensor(psf_sigma_px=psf_sigma_px))
+    view = RenderedView(camera, np.eye(4), Sensor(psf_sigma_px=psf_sigma_px))
     ahead = np.array([math.cos(turn_rad), math.sin(turn_rad)])
-    half_plane = Part("edge", Box(-20.0, 0.0, 40.0, 60.0), Surface(1.0))
+    half_plane = Part("edge", RoundedBox(-20.0, 0.0, 40.0, 60.0), Surface(1.0))
     place = pose(0.137, -0.071, 90, (0.0, 0.0, turn_rad))
     image = view.radiance(on_black(half_plane, place))
     nodes, weights = np.polynomial.legendre.leggauss(12)
@@ -264,9 +264,11 @@ def test_an_edge_is_blurred_before_pixels_sample_it(
 
 def test_the_blur_sees_beyond_the_border() -> None:
     """A smaller sensor is a window onto a larger one, up to its last pixel."""
-    large = View(CameraModel("division", 120, 100, 900.0, 900.0, 60.0, 50.0, (-0.2,)), np.eye(4))
-    small = View(CameraModel("division", 60, 50, 900.0, 900.0, 40.0, 30.0, (-0.2,)), np.eye(4))
-    scene = Scene(Table(Surface(0.4, 0.3, 1.0), pose(0, 0, 100)), (Placed(demo_part(), pose(-4, -5, 90)),))
+    large = RenderedView(CameraModel("division", 120, 100, 900.0, 900.0, 60.0, 50.0, (-0.2,)), np.eye(4))
+    small = RenderedView(CameraModel("division", 60, 50, 900.0, 900.0, 40.0, 30.0, (-0.2,)), np.eye(4))
+    scene = Scene(
+        Table(Surface(0.4, 0.3, 1.0), pose(0, 0, 100)), (PlacedPart(demo_part(), pose(-4, -5, 90)),)
+    )
     np.testing.assert_allclose(small.radiance(scene), large.radiance(scene)[20:70, 20:80], rtol=0, atol=1e-6)
 
 
@@ -334,7 +336,7 @@ def test_the_sensor_does_as_its_twin() -> None:
 
 def test_noise_is_shot_noise() -> None:
     """The variance is that of counted electrons plus read noise plus rounding, the mean unmoved."""
-    view = View(CameraModel("division", 200, 150, 900.0, 900.0, 100.0, 75.0, (0.0,)), np.eye(4))
+    view = RenderedView(CameraModel("division", 200, 150, 900.0, 900.0, 100.0, 75.0, (0.0,)), np.eye(4))
     for albedo in (0.1, 0.5, 0.9):
         scene = Scene(Table(Surface(albedo), pose(0, 0, 100)))
         image = view.render(scene, np.random.default_rng(3)).astype(float)
@@ -346,7 +348,7 @@ def test_noise_is_shot_noise() -> None:
 
 def test_exposure_and_gain_scale_the_signal() -> None:
     """Twice the time is twice the signal above black, 6.02 dB as well; too much saturates."""
-    view = View(CameraModel("division", 60, 50, 900.0, 900.0, 30.0, 25.0, (0.0,)), np.eye(4))
+    view = RenderedView(CameraModel("division", 60, 50, 900.0, 900.0, 30.0, 25.0, (0.0,)), np.eye(4))
     scene = Scene(Table(Surface(0.4), pose(0, 0, 100)))
     assert view.render(scene)[25, 30] == 3 + 88
     assert view.render(scene, exposure_us=4000.0)[25, 30] == 3 + 176
@@ -439,7 +441,7 @@ def test_scenes_follow_from_the_seed() -> None:
     poses = [[cell.pose(k) for k in range(40)] for cell in cells]
     np.testing.assert_array_equal(poses[0], poses[1])
     assert not np.allclose(poses[0], poses[2])
-    stack, motion = np.array(poses[0]), Motion()
+    stack, motion = np.array(poses[0]), PartMotion()
     assert (np.abs(stack[:, :3, 3] - motion.centre_mm) <= (*motion.shift_mm, motion.depth_mm)).all()
     assert np.arccos(stack[:, 2, 2]).max() <= motion.tilt_rad
     turns = np.arctan2(stack[:, 1, 0], stack[:, 0, 0])

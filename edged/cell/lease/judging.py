@@ -13,7 +13,7 @@ from typing import Any
 from edged.cell.lease.notices import Notices
 from edged.domain.arrays import SIDES, Image, Side
 from edged.domain.frames import FramePair
-from edged.pictures.light import Advice, Light, light_of
+from edged.pictures.light import Advice, LightFigures, light_of
 from edged.vision.edges.sharpness import Sharpness, cost_of_spread, sharpness
 
 log = logging.getLogger(__name__)
@@ -26,7 +26,7 @@ PERIOD_S = 1.0
 class PictureQuality:
     """Of one picture. exposure_factor : for what `advice` says."""
 
-    light: Light
+    light: LightFigures
     sharpness: Sharpness
     advice: Advice
     exposure_factor: float

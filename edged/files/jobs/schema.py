@@ -81,7 +81,7 @@ class _Limits(_Section):
         return JobLimits(**{**numbers, "depth_mm": (nearest, farthest)})
 
     def bounds(self) -> tuple[Bounds, ...]:
-        boxes, keep_out = (tuple(one.box() for one in zones) for zones in (self.box, self.keep_out))
+        boxes, keep_out = (tuple(zone.box() for zone in zones) for zones in (self.box, self.keep_out))
         return (Bounds(boxes, keep_out),) if boxes or keep_out else ()
 
 

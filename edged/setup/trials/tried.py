@@ -16,8 +16,8 @@ from edged.domain.measurement import Reject, Status, Target
 from edged.domain.numerals import known
 from edged.domain.picking import Bounds
 from edged.payload import reject_names
-from edged.pictures.evidence import Feature, features_of, missing_outlines, residuals
-from edged.pictures.view import View
+from edged.pictures.evidence import FeatureEvidence, features_of, missing_outlines, residuals
+from edged.pictures.view import PictureView
 from edged.pipeline import PreparedRig, inspect, judge
 from edged.robot.budget import budget_of
 from edged.robot.orientations import Convention
@@ -183,10 +183,12 @@ def _part(
     )
 
 
-def _whiskers(rig: StereoRig, features: list[Feature], side: int) -> Points:
+def _whiskers(rig: StereoRig, features: list[FeatureEvidence], side: int) -> Points:
     """Of the edges that count, evenly thinned."""
     camera, from_rig = (rig.left, np.eye(4)) if side == 0 else (rig.right, rig.right_from_left)
-    view = View(np.zeros((0, 0, 3), np.uint8), camera, from_rig, (0, 0, camera.width, camera.height), 1.0)
+    view = PictureView(
+        np.zeros((0, 0, 3), np.uint8), camera, from_rig, (0, 0, camera.width, camera.height), 1.0
+    )
     step = 1 + sum(len(one.weights[side]) for one in features) // MOST_WHISKERS
     whiskers: list[FloatArray] = []
     for one in features:

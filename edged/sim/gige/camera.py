@@ -32,11 +32,11 @@ from edged.sim.gige import genicam as g
 from edged.sim.gige.clock import DeviceClock, utc_minus_monotonic_ns
 from edged.sim.gige.faults import Faults, Quirk
 from edged.sim.gige.gvcp import POLL_S, ControlChannel
-from edged.sim.gige.gvsp import EXTENDED_CHUNK, IMAGE, IMAGE_WITH_CHUNKS, Block, with_chunks
+from edged.sim.gige.gvsp import EXTENDED_CHUNK, IMAGE, IMAGE_WITH_CHUNKS, ImageBlock, with_chunks
 from edged.sim.gige.pixels import encode
-from edged.sim.gige.registers import INVALID_PARAMETER, SUCCESS, Identity, Registers
+from edged.sim.gige.registers import INVALID_PARAMETER, SUCCESS, CameraIdentity, CameraRegisters
 from edged.sim.gige.stream import Pacing, StreamChannel
-from edged.sim.gige.triggers import Triggers
+from edged.sim.gige.triggers import CameraTriggers
 from edged.sim.gige.wiring import Wire
 from edged.vision.kernels.pixelformats import BY_CODE
 
@@ -85,8 +85,10 @@ class GigeCamera:
         self._pacing = pacing or Pacing()
         # two threads take chances: each its own, or no run is like another
         self._chance, self._answer_chance = random.Random(seed), random.Random(seed)
-        self.registers = Registers(Identity(address, serial, model), width, height, frozenset(quirks))
-        self._triggers = Triggers(self.registers, self.clock)
+        self.registers = CameraRegisters(
+            CameraIdentity(address, serial, model), width, height, frozenset(quirks)
+        )
+        self._triggers = CameraTriggers(self.registers, self.clock)
         self._set_hooks(self.registers.hooks)
         self._temperature_c = 41.5
         self._frame_id, self._next_ns = 0, 0
@@ -340,7 +342,7 @@ class GigeCamera:
         self._last_image = image
         return image
 
-    def _block(self, request: ExposureRequest, image: Image) -> Block:
+    def _block(self, request: ExposureRequest, image: Image) -> ImageBlock:
         registers = self.registers
         ticks = self.clock.ticks(request.device_ns)
         pixel_format = registers.word(g.PIXEL_FORMAT)
@@ -354,7 +356,7 @@ class GigeCamera:
             }
             chunks = [(chunk.id, content[chunk.name]) for chunk in registers.chunks]
             data = with_chunks(data, g.IMAGE_CHUNK_ID, chunks)
-        return Block(
+        return ImageBlock(
             block_id=(request.frame_id - 1) % 0xFFFF + 1,  # 16 bits, never 0
             ticks=ticks,
             pixel_format=pixel_format,

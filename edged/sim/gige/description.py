@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.sax.saxutils import quoteattr
 
-from edged.sim.gige.genicam import Feature
+from edged.sim.gige.genicam import GenicamNode
 
 
-def description(table: Sequence[Feature], model: str) -> bytes:
+def description(table: Sequence[GenicamNode], model: str) -> bytes:
     """The XML text."""
     categories: dict[str, list[str]] = {}
     for feature in table:
@@ -38,7 +38,7 @@ def description(table: Sequence[Feature], model: str) -> bytes:
     return "\n".join(parts).encode()
 
 
-def _node(feature: Feature, selected: Sequence[str]) -> str:
+def _node(feature: GenicamNode, selected: Sequence[str]) -> str:
     register = f"<pValue>{feature.name}Reg</pValue>"
     head = f'Name="{feature.name}" NameSpace="Standard"'
     if feature.kind == "command":
@@ -60,7 +60,7 @@ def _node(feature: Feature, selected: Sequence[str]) -> str:
     return f"<Integer {head}>{register}{limits}{unit}</Integer>"
 
 
-def _register(feature: Feature) -> str:
+def _register(feature: GenicamNode) -> str:
     access = "RO" if feature.read_only else ("WO" if feature.kind == "command" else "RW")
     where = f"<Address>0x{feature.address:X}</Address>"
     if feature.selector:
@@ -75,5 +75,5 @@ def _register(feature: Feature) -> str:
     return f'<IntReg Name="{feature.name}Reg">{where}{cache}{sign}</IntReg>'
 
 
-def _chunk_port(feature: Feature) -> str:
+def _chunk_port(feature: GenicamNode) -> str:
     return f'<Port Name="{feature.name}Port"><ChunkID>{feature.chunk:x}</ChunkID></Port>'

@@ -69,7 +69,7 @@ OFF, EXPOSURE_ACTIVE = 0, 1
 
 
 @dataclass(frozen=True, slots=True)
-class Feature:
+class GenicamNode:
     """A GenICam node with a register.
 
     kind : what the register holds. start : after power-on; of a command, what it is written to be done.
@@ -114,7 +114,7 @@ IMAGE_CHUNK_ID = 0x1000
 LARGEST = 2**62
 
 
-def features(width: int, height: int, quirks: frozenset[Quirk] = frozenset()) -> tuple[Feature, ...]:
+def features(width: int, height: int, quirks: frozenset[Quirk] = frozenset()) -> tuple[GenicamNode, ...]:
     """The features of a camera with a sensor of width x height px."""
     table = [*_image(width, height), *_acquisition(), *_device()]
     if Quirk.FEW_NODES not in quirks:
@@ -122,7 +122,7 @@ def features(width: int, height: int, quirks: frozenset[Quirk] = frozenset()) ->
     return tuple(_as_quirky(feature, quirks) for feature in table)
 
 
-def _as_quirky(feature: Feature, quirks: frozenset[Quirk]) -> Feature:
+def _as_quirky(feature: GenicamNode, quirks: frozenset[Quirk]) -> GenicamNode:
     if feature.name == "TriggerSource" and Quirk.FEW_NODES in quirks:
         return replace(feature, choices={"Software": SOFTWARE, "Line1": LINE1})
     if feature.name == "ExposureTime" and Quirk.EXPOSURE_TIME_ABS in quirks:
@@ -130,18 +130,18 @@ def _as_quirky(feature: Feature, quirks: frozenset[Quirk]) -> Feature:
     return feature
 
 
-def _image(width: int, height: int) -> list[Feature]:
+def _image(width: int, height: int) -> list[GenicamNode]:
     image = "ImageFormatControl"
     formats = {name: FORMATS[name].code for name in PIXEL_FORMATS}
     return [
-        Feature("Width", image, WIDTH, "integer", width, 16, width, step=4),
-        Feature("Height", image, HEIGHT, "integer", height, 16, height, step=2),
-        Feature("OffsetX", image, OFFSET_X, "integer", 0, 0, width - 16),
-        Feature("OffsetY", image, OFFSET_Y, "integer", 0, 0, height - 16),
-        Feature("WidthMax", image, WIDTH_MAX, "integer", width, 16, width, read_only=True),
-        Feature("HeightMax", image, HEIGHT_MAX, "integer", height, 16, height, read_only=True),
-        Feature("PixelFormat", image, PIXEL_FORMAT, "enumeration", formats["Mono8"], choices=formats),
-        Feature(
+        GenicamNode("Width", image, WIDTH, "integer", width, 16, width, step=4),
+        GenicamNode("Height", image, HEIGHT, "integer", height, 16, height, step=2),
+        GenicamNode("OffsetX", image, OFFSET_X, "integer", 0, 0, width - 16),
+        GenicamNode("OffsetY", image, OFFSET_Y, "integer", 0, 0, height - 16),
+        GenicamNode("WidthMax", image, WIDTH_MAX, "integer", width, 16, width, read_only=True),
+        GenicamNode("HeightMax", image, HEIGHT_MAX, "integer", height, 16, height, read_only=True),
+        GenicamNode("PixelFormat", image, PIXEL_FORMAT, "enumeration", formats["Mono8"], choices=formats),
+        GenicamNode(
             "PayloadSize",
             "TransportLayerControl",
             PAYLOAD_SIZE,
@@ -154,32 +154,32 @@ def _image(width: int, height: int) -> list[Feature]:
     ]
 
 
-def _acquisition() -> list[Feature]:
+def _acquisition() -> list[GenicamNode]:
     group = "AcquisitionControl"
     return [
-        Feature("AcquisitionMode", group, ACQUISITION_MODE, "enumeration", choices={"Continuous": 0}),
-        Feature("AcquisitionStart", group, ACQUISITION_START, "command", 1),
-        Feature("AcquisitionStop", group, ACQUISITION_STOP, "command", 1),
-        Feature("TriggerSelector", group, TRIGGER_SELECTOR, "enumeration", choices={"FrameStart": 0}),
-        Feature("TriggerMode", group, TRIGGER_MODE, "enumeration", choices={"Off": 0, "On": 1}),
-        Feature("TriggerSource", group, TRIGGER_SOURCE, "enumeration", choices=TRIGGER_SOURCES),
-        Feature("TriggerSoftware", group, TRIGGER_SOFTWARE, "command", 1),
-        Feature("ExposureTime", group, EXPOSURE_TIME, "float", 2000.0, 10.0, 1_000_000.0, "us"),
-        Feature("Gain", "AnalogControl", GAIN, "float", 0.0, 0.0, 24.0, "dB"),
-        Feature("Gamma", "AnalogControl", GAMMA, "float", 1.0, 0.25, 4.0),
+        GenicamNode("AcquisitionMode", group, ACQUISITION_MODE, "enumeration", choices={"Continuous": 0}),
+        GenicamNode("AcquisitionStart", group, ACQUISITION_START, "command", 1),
+        GenicamNode("AcquisitionStop", group, ACQUISITION_STOP, "command", 1),
+        GenicamNode("TriggerSelector", group, TRIGGER_SELECTOR, "enumeration", choices={"FrameStart": 0}),
+        GenicamNode("TriggerMode", group, TRIGGER_MODE, "enumeration", choices={"Off": 0, "On": 1}),
+        GenicamNode("TriggerSource", group, TRIGGER_SOURCE, "enumeration", choices=TRIGGER_SOURCES),
+        GenicamNode("TriggerSoftware", group, TRIGGER_SOFTWARE, "command", 1),
+        GenicamNode("ExposureTime", group, EXPOSURE_TIME, "float", 2000.0, 10.0, 1_000_000.0, "us"),
+        GenicamNode("Gain", "AnalogControl", GAIN, "float", 0.0, 0.0, 24.0, "dB"),
+        GenicamNode("Gamma", "AnalogControl", GAMMA, "float", 1.0, 0.25, 4.0),
     ]
 
 
-def _device() -> list[Feature]:
-    return [Feature("DeviceReset", "DeviceControl", DEVICE_RESET, "command", 1)]
+def _device() -> list[GenicamNode]:
+    return [GenicamNode("DeviceReset", "DeviceControl", DEVICE_RESET, "command", 1)]
 
 
-def _rate() -> list[Feature]:
+def _rate() -> list[GenicamNode]:
     group = "AcquisitionControl"
     return [
-        Feature("AcquisitionFrameRateEnable", group, FRAME_RATE_ENABLE, "boolean", 1),
-        Feature("AcquisitionFrameRate", group, FRAME_RATE, "float", 10.0, 0.1, 100.0, "Hz"),
-        Feature(
+        GenicamNode("AcquisitionFrameRateEnable", group, FRAME_RATE_ENABLE, "boolean", 1),
+        GenicamNode("AcquisitionFrameRate", group, FRAME_RATE, "float", 10.0, 0.1, 100.0, "Hz"),
+        GenicamNode(
             "DeviceTemperature",
             "DeviceControl",
             TEMPERATURE,
@@ -193,50 +193,50 @@ def _rate() -> list[Feature]:
     ]
 
 
-def _trigger_details() -> list[Feature]:
+def _trigger_details() -> list[GenicamNode]:
     group, edges = "AcquisitionControl", {"RisingEdge": RISING, "FallingEdge": FALLING, "AnyEdge": ANY}
     return [
-        Feature("TriggerActivation", group, TRIGGER_ACTIVATION, "enumeration", choices=edges),
-        Feature("TriggerDelay", group, TRIGGER_DELAY, "float", 0.0, 0.0, 1_000_000.0, "us"),
+        GenicamNode("TriggerActivation", group, TRIGGER_ACTIVATION, "enumeration", choices=edges),
+        GenicamNode("TriggerDelay", group, TRIGGER_DELAY, "float", 0.0, 0.0, 1_000_000.0, "us"),
     ]
 
 
-def _lines() -> list[Feature]:
+def _lines() -> list[GenicamNode]:
     group, select = "DigitalIOControl", "LineSelector"
     modes, sources = {"Input": 0, "Output": 1}, {"Off": OFF, "ExposureActive": EXPOSURE_ACTIVE}
     return [
-        Feature("LineSelector", group, LINE_SELECTOR, "enumeration", choices=LINES),
-        Feature("LineMode", group, LINE_MODE, "enumeration", choices=modes, selector=select),
-        Feature("LineInverter", group, LINE_INVERTER, "boolean", selector=select),
-        Feature(
+        GenicamNode("LineSelector", group, LINE_SELECTOR, "enumeration", choices=LINES),
+        GenicamNode("LineMode", group, LINE_MODE, "enumeration", choices=modes, selector=select),
+        GenicamNode("LineInverter", group, LINE_INVERTER, "boolean", selector=select),
+        GenicamNode(
             "LineDebouncerTime", group, LINE_DEBOUNCER, "float", 0.0, 0.0, 20_000.0, "us", selector=select
         ),
-        Feature("LineSource", group, LINE_SOURCE, "enumeration", choices=sources, selector=select),
-        Feature("LineStatus", group, LINE_STATUS, "boolean", read_only=True, selector=select),
-        Feature("LineStatusAll", group, LINE_STATUS_ALL, "integer", 0, 0, 7, read_only=True),
+        GenicamNode("LineSource", group, LINE_SOURCE, "enumeration", choices=sources, selector=select),
+        GenicamNode("LineStatus", group, LINE_STATUS, "boolean", read_only=True, selector=select),
+        GenicamNode("LineStatusAll", group, LINE_STATUS_ALL, "integer", 0, 0, 7, read_only=True),
     ]
 
 
-def _actions() -> list[Feature]:
+def _actions() -> list[GenicamNode]:
     group, largest = "ActionControl", 2**32 - 1
     return [
-        Feature("ActionSelector", group, ACTION_SELECTOR, "integer", 1, 1, 1),
-        Feature("ActionDeviceKey", group, ACTION_DEVICE_KEY, "integer", 0, 0, largest),
-        Feature("ActionGroupKey", group, ACTION_GROUP_KEY, "integer", 0, 0, largest),
-        Feature("ActionGroupMask", group, ACTION_GROUP_MASK, "integer", 0, 0, largest),
+        GenicamNode("ActionSelector", group, ACTION_SELECTOR, "integer", 1, 1, 1),
+        GenicamNode("ActionDeviceKey", group, ACTION_DEVICE_KEY, "integer", 0, 0, largest),
+        GenicamNode("ActionGroupKey", group, ACTION_GROUP_KEY, "integer", 0, 0, largest),
+        GenicamNode("ActionGroupMask", group, ACTION_GROUP_MASK, "integer", 0, 0, largest),
     ]
 
 
-def _time() -> list[Feature]:
+def _time() -> list[GenicamNode]:
     group, ptp = "DeviceControl", "TransportLayerControl"
     return [
-        Feature("TimestampLatch", group, LATCH, "command", 1),
-        Feature("TimestampReset", group, CLOCK_RESET, "command", 1),
+        GenicamNode("TimestampLatch", group, LATCH, "command", 1),
+        GenicamNode("TimestampReset", group, CLOCK_RESET, "command", 1),
         _counter("TimestampLatchValue", group, LATCH_VALUE, "ns"),
-        Feature("PtpEnable", ptp, PTP_ENABLE, "boolean"),
-        Feature("PtpStatus", ptp, PTP_STATUS, "enumeration", choices=PTP_STATES, read_only=True),
-        Feature("PtpDataSetLatch", ptp, PTP_LATCH, "command", 1),
-        Feature(
+        GenicamNode("PtpEnable", ptp, PTP_ENABLE, "boolean"),
+        GenicamNode("PtpStatus", ptp, PTP_STATUS, "enumeration", choices=PTP_STATES, read_only=True),
+        GenicamNode("PtpDataSetLatch", ptp, PTP_LATCH, "command", 1),
+        GenicamNode(
             "PtpOffsetFromMaster",
             ptp,
             PTP_OFFSET,
@@ -251,32 +251,34 @@ def _time() -> list[Feature]:
     ]
 
 
-def _counter(name: str, group: str, address: int, unit: str = "") -> Feature:
+def _counter(name: str, group: str, address: int, unit: str = "") -> GenicamNode:
     """64 bits that only the camera writes."""
-    return Feature(name, group, address, "integer", low=0, high=LARGEST, unit=unit, read_only=True, length=8)
+    return GenicamNode(
+        name, group, address, "integer", low=0, high=LARGEST, unit=unit, read_only=True, length=8
+    )
 
 
-def bootstrap_nodes() -> list[Feature]:
+def bootstrap_nodes() -> list[GenicamNode]:
     """Nodes that show registers of the standard."""
     group = "TransportLayerControl"
     return [
         _counter("GevTimestampTickFrequency", group, TICKS_HIGH, "Hz"),
-        Feature("GevTimestampControlLatch", group, TIMESTAMP_CONTROL, "command", 2),
-        Feature("GevTimestampControlReset", group, TIMESTAMP_CONTROL, "command", 1),
+        GenicamNode("GevTimestampControlLatch", group, TIMESTAMP_CONTROL, "command", 2),
+        GenicamNode("GevTimestampControlReset", group, TIMESTAMP_CONTROL, "command", 1),
         _counter("GevTimestampValue", group, TIMESTAMP_HIGH),
-        Feature("GevSCPD", group, PACKET_DELAY, "integer", 0, 0, 2**31 - 1),
+        GenicamNode("GevSCPD", group, PACKET_DELAY, "integer", 0, 0, 2**31 - 1),
     ]
 
 
-def _chunks() -> list[Feature]:
+def _chunks() -> list[GenicamNode]:
     group = "ChunkDataControl"
     selected = {chunk.name: chunk.index for chunk in CHUNKS}
     return [
-        Feature("ChunkModeActive", group, CHUNK_MODE, "boolean"),
-        Feature("ChunkSelector", group, CHUNK_SELECTOR, "enumeration", choices=selected),
-        Feature("ChunkEnable", group, CHUNK_ENABLE, "boolean", 1, selector="ChunkSelector"),
+        GenicamNode("ChunkModeActive", group, CHUNK_MODE, "boolean"),
+        GenicamNode("ChunkSelector", group, CHUNK_SELECTOR, "enumeration", choices=selected),
+        GenicamNode("ChunkEnable", group, CHUNK_ENABLE, "boolean", 1, selector="ChunkSelector"),
         *(
-            Feature(
+            GenicamNode(
                 f"Chunk{chunk.name}",
                 group,
                 0,

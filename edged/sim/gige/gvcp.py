@@ -1,7 +1,8 @@
 """The control channel of a virtual camera (GVCP; GigE Vision 2.0, chapters 14 to 18).
 
 Discovery, control privilege with heartbeat, registers and memory, requests to send packets again, action
-commands. Not responsible for: what registers hold and what an action does (`Registers`, `Device`).
+commands. Not responsible for: what registers hold (`CameraRegisters`) and what an action does
+(`ControlledDevice`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,13 @@ from typing import Protocol
 from edged.errors import ListenError
 from edged.sim.gige import genicam as g
 from edged.sim.gige.faults import Faults
-from edged.sim.gige.registers import ACCESS_DENIED, INVALID_PARAMETER, NOT_IMPLEMENTED, SUCCESS, Registers
+from edged.sim.gige.registers import (
+    ACCESS_DENIED,
+    INVALID_PARAMETER,
+    NOT_IMPLEMENTED,
+    SUCCESS,
+    CameraRegisters,
+)
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +42,7 @@ SOMEBODY_ELSE: Endpoint = ("0.0.0.0", 0)
 """A host that no datagram comes from."""
 
 
-class Device(Protocol):
+class ControlledDevice(Protocol):
     """What the control channel hands on."""
 
     def resend(self, block_id: int, first: int, last: int) -> None:
@@ -52,7 +59,12 @@ class ControlChannel:
     """Answers commands on port 3956 of one address, and broadcast ones, in a thread of its own."""
 
     def __init__(
-        self, address: str, registers: Registers, device: Device, faults: Faults, chance: random.Random
+        self,
+        address: str,
+        registers: CameraRegisters,
+        device: ControlledDevice,
+        faults: Faults,
+        chance: random.Random,
     ) -> None:
         self._address, self._registers, self._device = address, registers, device
         self._faults, self._chance = faults, chance

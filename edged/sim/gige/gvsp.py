@@ -12,7 +12,7 @@ IMAGE, IMAGE_WITH_CHUNKS, EXTENDED_CHUNK = 0x0001, 0x4001, 0x0005
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class ImageBlock:
     """One image on its way.
 
     ticks : time stamp. pixel_format : PFNC code. data : the image's bytes, and chunk data behind them.
@@ -44,7 +44,7 @@ def with_chunks(image: bytes, image_id: int, chunks: Sequence[tuple[int, bytes]]
     )
 
 
-def packet(block: Block, number: int) -> tuple[bytes, ...]:
+def packet(block: ImageBlock, number: int) -> tuple[bytes, ...]:
     """The parts of the packet with this number, 0 to `block.packets` + 1."""
     if number == 0:
         return (_leader(block),)
@@ -54,11 +54,11 @@ def packet(block: Block, number: int) -> tuple[bytes, ...]:
     return _header(block, PAYLOAD, number), block.data[start : start + block.packet_bytes]
 
 
-def _header(block: Block, kind: int, number: int) -> bytes:
+def _header(block: ImageBlock, kind: int, number: int) -> bytes:
     return struct.pack(">HHI", 0, block.block_id, kind << 24 | number)
 
 
-def _leader(block: Block) -> bytes:
+def _leader(block: ImageBlock) -> bytes:
     """What comes: payload type, time stamp, pixel format and region."""
     image = (block.pixel_format, block.width, block.height, *block.offset, 0, 0)
     time_stamp = (block.ticks >> 32 & 0xFFFFFFFF, block.ticks & 0xFFFFFFFF)
@@ -66,7 +66,7 @@ def _leader(block: Block) -> bytes:
     return _header(block, LEADER, 0) + struct.pack(">HHIIIIIIIHH", 0, kind, *time_stamp, *image)
 
 
-def _trailer(block: Block) -> bytes:
+def _trailer(block: ImageBlock) -> bytes:
     """That was all: the number of lines; of chunk data their size and layout, too."""
     lines = struct.pack(">HHI", 0, block.payload_type, block.height)
     chunks = b"" if block.payload_type == IMAGE else struct.pack(">II", len(block.data), 0)

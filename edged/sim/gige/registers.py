@@ -23,7 +23,7 @@ FIXED_WHILE_ACQUIRING = (*GEOMETRY, g.CHUNK_MODE, g.CHUNK_ENABLE)
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class CameraIdentity:
     """Who the camera says it is."""
 
     address: str
@@ -31,7 +31,7 @@ class Identity:
     model: str
 
 
-class Registers:
+class CameraRegisters:
     """32-bit words by address.
 
     identity : who it is from the next power-on on.
@@ -40,7 +40,7 @@ class Registers:
     acquiring : whether geometry must stay as it is.
     """
 
-    def __init__(self, identity: Identity, width: int, height: int, quirks: frozenset[Quirk]) -> None:
+    def __init__(self, identity: CameraIdentity, width: int, height: int, quirks: frozenset[Quirk]) -> None:
         self.identity, self._quirks = identity, quirks
         locked = (g.EXPOSURE_TIME, g.GAIN) if Quirk.LOCKED_EXPOSURE in quirks else ()
         self._fixed = (*FIXED_WHILE_ACQUIRING, *locked)
@@ -160,7 +160,7 @@ class Registers:
             return self.hooks[address](word)
         return WRITE_PROTECT
 
-    def _write_feature(self, feature: g.Feature, address: int, word: int) -> int:
+    def _write_feature(self, feature: g.GenicamNode, address: int, word: int) -> int:
         if feature.read_only:
             return WRITE_PROTECT
         if feature.kind == "command":
@@ -177,7 +177,7 @@ class Registers:
             return self.hooks[address](word)
         return SUCCESS
 
-    def _allows(self, feature: g.Feature, address: int, word: int) -> bool:
+    def _allows(self, feature: g.GenicamNode, address: int, word: int) -> bool:
         if feature.address == g.LINE_MODE:
             return word in g.LINE_DIRECTIONS[(address - g.LINE_MODE) // 4]
         if feature.kind == "enumeration":
@@ -187,7 +187,7 @@ class Registers:
         value = _float(word) if feature.kind == "float" else word
         return feature.low <= value <= feature.high
 
-    def _by_firmware(self, feature: g.Feature, word: int) -> int:
+    def _by_firmware(self, feature: g.GenicamNode, word: int) -> int:
         """What this firmware makes of a word that is allowed."""
         if feature.address == g.TRIGGER_SOURCE:
             if Quirk.MODE_BEFORE_SOURCE in self._quirks and not self.word(g.TRIGGER_MODE):
@@ -199,7 +199,7 @@ class Registers:
         return word
 
 
-def _count(feature: g.Feature, table: tuple[g.Feature, ...]) -> int:
+def _count(feature: g.GenicamNode, table: tuple[g.GenicamNode, ...]) -> int:
     """Registers that a node shows, one for each choice of its selector."""
     return next((len(other.choices) for other in table if other.name == feature.selector), 1)
 

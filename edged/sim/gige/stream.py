@@ -9,7 +9,7 @@ import time
 from collections import OrderedDict
 
 from edged.sim.gige.faults import Faults
-from edged.sim.gige.gvsp import Block, packet
+from edged.sim.gige.gvsp import ImageBlock, packet
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +48,7 @@ class StreamChannel:
         self._address, self._faults, self._pacing, self._chance = address, faults, pacing, chance
         self._socket: socket.socket | None = None
         self._destination: tuple[str, int] | None = None
-        self._blocks: OrderedDict[int, Block] = OrderedDict()
+        self._blocks: OrderedDict[int, ImageBlock] = OrderedDict()
 
     def open(self) -> int:
         """The port that packets come from. Raises `OSError`."""
@@ -67,7 +67,7 @@ class StreamChannel:
         """Nothing can be asked for again."""
         self._blocks.clear()
 
-    def send(self, block: Block, destination: tuple[str, int], delay_s: float) -> None:
+    def send(self, block: ImageBlock, destination: tuple[str, int], delay_s: float) -> None:
         """Send every packet of a block, `delay_s` apart."""
         self._blocks[block.block_id] = block
         while len(self._blocks) > KEPT_BLOCKS:

@@ -7,20 +7,20 @@ from functools import partial
 
 from edged.sim.gige import genicam as g
 from edged.sim.gige.clock import DeviceClock
-from edged.sim.gige.registers import ACTION_LATE, NO_REFERENCE_TIME, SUCCESS, Registers
+from edged.sim.gige.registers import ACTION_LATE, NO_REFERENCE_TIME, SUCCESS, CameraRegisters
 from edged.sim.gige.wiring import Debouncer, Due, TriggerQueue, Wire
 
 LINE_SOURCES = {"Line1": g.LINE1, "Line3": g.LINE3}
 OUTPUT = 1  # LineMode
 
 
-class Triggers:
+class CameraTriggers:
     """Turns what happens into exposures, as the registers say.
 
     lines : the wires at the camera's pins. queue : exposures to come.
     """
 
-    def __init__(self, registers: Registers, clock: DeviceClock) -> None:
+    def __init__(self, registers: CameraRegisters, clock: DeviceClock) -> None:
         self._registers, self._clock = registers, clock
         self.queue = TriggerQueue()
         self.lines = {name: Wire() for name in g.LINES}

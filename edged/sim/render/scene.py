@@ -38,7 +38,7 @@ class Disc:
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class RoundedBox:
     """A rectangle with rounded corners; its own x axis turned by `angle_rad` from x to y."""
 
     x_mm: float
@@ -61,7 +61,7 @@ class Slot:
 
 
 @dataclass(frozen=True, slots=True)
-class Polygon:
+class PolygonShape:
     """A closed outline of straight edges; no two of them cross."""
 
     points_mm: tuple[tuple[float, float], ...]
@@ -79,7 +79,7 @@ class Checker:
 
 
 @dataclass(frozen=True, slots=True)
-class DotGrid:
+class DiscGrid:
     """Equal discs in rows and columns; (x, y) is the centre of the first."""
 
     x_mm: float
@@ -90,7 +90,7 @@ class DotGrid:
     rows: int
 
 
-Shape = Disc | Box | Slot | Polygon | Checker | DotGrid
+Shape = Disc | RoundedBox | Slot | PolygonShape | Checker | DiscGrid
 
 
 def extent_mm(shape: Shape) -> float:
@@ -98,16 +98,16 @@ def extent_mm(shape: Shape) -> float:
     match shape:
         case Disc():
             return math.hypot(shape.x_mm, shape.y_mm) + shape.radius_mm
-        case Box():
+        case RoundedBox():
             return math.hypot(shape.x_mm, shape.y_mm) + 0.5 * math.hypot(shape.width_mm, shape.height_mm)
         case Slot():
             return math.hypot(shape.x_mm, shape.y_mm) + 0.5 * max(shape.length_mm, shape.width_mm)
-        case Polygon():
+        case PolygonShape():
             return max(math.hypot(x, y) for x, y in shape.points_mm)
         case Checker():
             last = (shape.x_mm + shape.columns * shape.square_mm, shape.y_mm + shape.rows * shape.square_mm)
             margin = 0.0
-        case DotGrid():
+        case DiscGrid():
             width_mm, height_mm = (shape.columns - 1) * shape.pitch_mm, (shape.rows - 1) * shape.pitch_mm
             last = (shape.x_mm + width_mm, shape.y_mm + height_mm)
             margin = shape.radius_mm
@@ -147,7 +147,7 @@ class Hole:
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class PaintedMark:
     """Paint on the face."""
 
     shape: Shape
@@ -162,7 +162,7 @@ class Part:
     outline: Shape
     surface: Surface
     holes: tuple[Hole, ...] = ()
-    marks: tuple[Mark, ...] = ()
+    marks: tuple[PaintedMark, ...] = ()
 
     @property
     def circles(self) -> tuple[tuple[str, Disc], ...]:
@@ -172,7 +172,7 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class PlacedPart:
     """A part where it lies."""
 
     part: Part
@@ -188,7 +188,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Light:
+class SceneLight:
     """Irradiance level (1 + gradient · (X, Y)), X and Y of the rig frame."""
 
     level: float = 1.0
@@ -200,8 +200,8 @@ class Scene:
     """All there is to see; parts from the lowest to the topmost."""
 
     table: Table
-    parts: tuple[Placed, ...] = ()
-    light: Light = field(default_factory=Light)
+    parts: tuple[PlacedPart, ...] = ()
+    light: SceneLight = field(default_factory=SceneLight)
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +223,7 @@ class Sensor:
 # --- pictures ------------------------------------------------------------------------------------
 
 
-class View:
+class RenderedView:
     """One camera at its place; holds the ray of every pixel, so that pictures are quick.
 
     camera_from_rig : (4, 4). Stateless after construction: safe from any thread.
@@ -375,7 +375,7 @@ def _row(
             geometry = [raster.PLANE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         case Disc():
             geometry = [raster.DISC, shape.x_mm, shape.y_mm, shape.radius_mm, 0.0, 0.0, 0.0]
-        case Box():
+        case RoundedBox():
             half = (0.5 * shape.width_mm, 0.5 * shape.height_mm)
             geometry = [raster.BOX, shape.x_mm, shape.y_mm, *half, shape.corner_mm, 0.0]
             angle_rad = shape.angle_rad
@@ -383,13 +383,13 @@ def _row(
             half = (0.5 * shape.length_mm, 0.5 * shape.width_mm)
             geometry = [raster.BOX, shape.x_mm, shape.y_mm, *half, min(half), 0.0]
             angle_rad = shape.angle_rad
-        case Polygon():
+        case PolygonShape():
             geometry = [raster.POLYGON, 0.0, 0.0, len(vertices), len(shape.points_mm), 0.0, 0.0]
             vertices.extend(shape.points_mm)
         case Checker():
             grid = (shape.square_mm, shape.columns, shape.rows)
             geometry = [raster.CHECKER, shape.x_mm, shape.y_mm, *grid, 0.0]
-        case DotGrid():
+        case DiscGrid():
             grid = (shape.pitch_mm, shape.columns, shape.rows)
             geometry = [raster.DOTS, shape.x_mm, shape.y_mm, shape.radius_mm, *grid]
     kind, x_mm, y_mm, *parameters = geometry
@@ -440,9 +440,9 @@ def chessboard_plate(columns: int, rows: int, square_mm: float) -> Plate:
     """A chessboard with columns x rows inner corners; the frame's origin is the first of them."""
     field_mm = ((columns + 1) * square_mm, (rows + 1) * square_mm)
     centre_mm = (0.5 * (columns - 1) * square_mm, 0.5 * (rows - 1) * square_mm)
-    outline = Box(*centre_mm, field_mm[0] + square_mm, field_mm[1] + square_mm)
+    outline = RoundedBox(*centre_mm, field_mm[0] + square_mm, field_mm[1] + square_mm)
     squares = Checker(-square_mm, -square_mm, square_mm, columns + 1, rows + 1)
-    part = Part("chessboard", outline, Surface(PLATE_WHITE), marks=(Mark(squares, PLATE_BLACK),))
+    part = Part("chessboard", outline, Surface(PLATE_WHITE), marks=(PaintedMark(squares, PLATE_BLACK),))
     return Plate(part, _grid_points(columns, rows, square_mm, (0.0, 0.0)))
 
 
@@ -453,16 +453,16 @@ def dots_plate(columns: int, rows: int, pitch_mm: float) -> Plate:
     """
     origin_mm = (-0.5 * (columns - 1) * pitch_mm, -0.5 * (rows - 1) * pitch_mm)
 
-    def rim(margin: float) -> Box:
-        return Box(0.0, 0.0, (columns - 1 + 2 * margin) * pitch_mm, (rows - 1 + 2 * margin) * pitch_mm)
+    def rim(margin: float) -> RoundedBox:
+        return RoundedBox(0.0, 0.0, (columns - 1 + 2 * margin) * pitch_mm, (rows - 1 + 2 * margin) * pitch_mm)
 
     inner = rim(0.7)
     x, y, leg = -0.5 * inner.width_mm, -0.5 * inner.height_mm, 0.5 * pitch_mm
     marks = (
-        Mark(rim(0.95), PLATE_BLACK),
-        Mark(inner, PLATE_WHITE),
-        Mark(Polygon(((x, y), (x + leg, y), (x, y + leg))), PLATE_BLACK),
-        Mark(DotGrid(*origin_mm, 0.25 * pitch_mm, pitch_mm, columns, rows), PLATE_BLACK),
+        PaintedMark(rim(0.95), PLATE_BLACK),
+        PaintedMark(inner, PLATE_WHITE),
+        PaintedMark(PolygonShape(((x, y), (x + leg, y), (x, y + leg))), PLATE_BLACK),
+        PaintedMark(DiscGrid(*origin_mm, 0.25 * pitch_mm, pitch_mm, columns, rows), PLATE_BLACK),
     )
     part = Part("dots", rim(1.1), Surface(PLATE_WHITE), marks=marks)
     return Plate(part, _grid_points(columns, rows, pitch_mm, origin_mm))

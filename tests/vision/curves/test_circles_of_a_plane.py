@@ -12,7 +12,7 @@ from helpers.cells import PLACE_MM, clean_greys, noisy, pictures, pose, scene, s
 
 from edged.domain.arrays import FloatArray, Image
 from edged.sim.cell import demo_rig
-from edged.sim.render.scene import Box, Disc, Hole, Part, Sensor, Surface
+from edged.sim.render.scene import Disc, Hole, Part, RoundedBox, Sensor, Surface
 from edged.vision.curves.outlines import Curve, Face, circle_axes, project_circle
 from edged.vision.curves.planefit import fit_circle, fit_plane
 from edged.vision.edges.subpixel import edge_profiles
@@ -97,7 +97,7 @@ def test_measured_points_lie_on_the_circle(disc: tuple[Image, Image]) -> None:
 def test_half_a_circle_is_measured_with_a_larger_sigma(disc: tuple[Image, Image]) -> None:
     """With half of it covered, the error stays below 4 of its own sigmas, which are larger than before."""
     whole = measured(RIG, disc, ALMOST)
-    cover = Part("cover", Box(14.0, 0.0, 27.0, 40.0), Surface(albedo=0.3, contrast=0.1, seed=3))
+    cover = Part("cover", RoundedBox(14.0, 0.0, 27.0, 40.0), Surface(albedo=0.3, contrast=0.1, seed=3))
     nearer = TILTED.copy()
     nearer[:3, 3] -= 2.0 * nearer[:3, 2]
     covered = pictures(RIG, scene((DISC, TILTED), (cover, nearer)))

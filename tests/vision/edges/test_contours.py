@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as arrays
 from naive import edges as naive
 
 from edged.domain.arrays import FloatArray, Image
-from edged.sim.render.scene import Box, Disc, Hole, Part, Slot, Surface
+from edged.sim.render.scene import Disc, Hole, Part, RoundedBox, Slot, Surface
 from edged.vision.edges.contours import Contour, find_contours, link, misfit_px, pieces, ramer, split
 from edged.vision.teaching.slots import fit_slot, slot_distance
 
@@ -26,7 +26,10 @@ DARK = Surface(albedo=0.1)
 def picture() -> Image:
     """A plate with a slot and a hole, half turned, without texture."""
     part = Part(
-        "plate", Box(0, 0, 24, 16), BARE, (Hole("slot", Slot(3, 2, 9, 4, 0.5)), Hole("d", Disc(-6, -3, 3)))
+        "plate",
+        RoundedBox(0, 0, 24, 16),
+        BARE,
+        (Hole("slot", Slot(3, 2, 9, 4, 0.5)), Hole("d", Disc(-6, -3, 3))),
     )
     left, _ = pictures(small_rig(), scene((part, pose(turn_deg=25.0)), table=DARK))
     return left

@@ -9,7 +9,7 @@ import pytest
 
 from edged.domain.arrays import FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
-from edged.sim.render.scene import Placed, Scene, Sensor, Surface, Table, View
+from edged.sim.render.scene import PlacedPart, RenderedView, Scene, Sensor, Surface, Table
 from edged.sim.stage import stage_board
 from edged.vision.edges.params import SHARPNESS
 from edged.vision.edges.sharpness import cost_of_spread, sharpness
@@ -29,8 +29,8 @@ def at(x: float, y: float, z: float, turn_rad: float = 0.0) -> FloatArray:
 
 
 TABLE = Table(Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2), at(8, 0, 215))
-BOARD = Scene(TABLE, (Placed(stage_board().part, at(-10, -14, 200, 0.3)),))
-PART = Scene(TABLE, (Placed(demo_part(), at(8, 0, 205)),))
+BOARD = Scene(TABLE, (PlacedPart(stage_board().part, at(-10, -14, 200, 0.3)),))
+PART = Scene(TABLE, (PlacedPart(demo_part(), at(8, 0, 205)),))
 
 
 @pytest.mark.slow
@@ -42,7 +42,7 @@ PART = Scene(TABLE, (Placed(demo_part(), at(8, 0, 205)),))
 @pytest.mark.parametrize("scene", [BOARD, PART], ids=["board", "part"])
 def test_the_spread_is_that_of_lens_and_pixel(psf_px: float, off: float, scene: Scene) -> None:
     """Of a board and of a textured part, bright or dark or noisy: to 4 %, to 5 % far beyond focus."""
-    view = View(demo_rig().left, np.eye(4), Sensor(psf_sigma_px=psf_px))
+    view = RenderedView(demo_rig().left, np.eye(4), Sensor(psf_sigma_px=psf_px))
     expected = math.hypot(psf_px, PIXEL_PX)
     for exposure_us, gain_db, noise_grey in ((2000.0, 0.0, 0.9), (700.0, 0.0, 0.6), (700.0, 10.0, 1.8)):
         image = view.render(scene, np.random.default_rng(1), exposure_us, gain_db)
@@ -53,7 +53,7 @@ def test_the_spread_is_that_of_lens_and_pixel(psf_px: float, off: float, scene: 
 
 def test_each_field_has_its_own_spread() -> None:
     """A lens that is sharp on the left and soft on the right; where nothing is, nothing is said."""
-    views = [View(demo_rig().left, np.eye(4), Sensor(psf_sigma_px=psf)) for psf in (0.6, 1.4)]
+    views = [RenderedView(demo_rig().left, np.eye(4), Sensor(psf_sigma_px=psf)) for psf in (0.6, 1.4)]
     sharp, soft = (view.render(BOARD, np.random.default_rng(1)) for view in views)
     image = np.concatenate([sharp[:, :640], soft[:, 640:]], axis=1)
     fields = sharpness(image, 0.9).fields_px

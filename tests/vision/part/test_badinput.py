@@ -14,7 +14,7 @@ from edged.domain.arrays import Image
 from edged.domain.measurement import Outcome, Reject, Status, Target
 from edged.errors import ImageError
 from edged.pipeline import locate
-from edged.sim.render.scene import Box, Disc, Part, Surface
+from edged.sim.render.scene import Disc, Part, RoundedBox, Surface
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 
@@ -62,7 +62,7 @@ def test_a_circle_cut_by_the_border(shift_mm: float, vaguer: float) -> None:
 def test_half_hidden_in_one_camera(hidden: str) -> None:
     """The other camera's whole circle does not make up for it: larger sigma, or too few edges."""
     here = cell("disc")
-    cover = Part("cover", Box(10.0, 0.0, 20.0, 40.0), COVER)
+    cover = Part("cover", RoundedBox(10.0, 0.0, 20.0, 40.0), COVER)
     nearer = pose((PLACE_MM[0], PLACE_MM[1], PLACE_MM[2] - 2.0))
     left, right = here.see(pose())
     covered = pictures(here.rig.rig, scene((here.part, pose()), (cover, nearer)), 7)

@@ -19,7 +19,7 @@ from edged.domain.measurement import Outcome, Reject, Status
 from edged.files.ply import VERTEX, encode_ply
 from edged.pictures.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.pipeline import cloud, inspect, judge, locate
-from edged.sim.render.scene import Box, Disc, Hole, Part, Slot, Surface
+from edged.sim.render.scene import Disc, Hole, Part, RoundedBox, Slot, Surface
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import fit_plane
 from edged.vision.geometry.rectification import StereoImages
@@ -58,7 +58,9 @@ def turned_deg(one: FloatArray, two: FloatArray) -> float:
 def test_curves_of_a_plane_are_recovered_from_a_poor_start() -> None:
     """Circle, slot and an edge, 0.1 mm off: to 8 µm, and within four of their sigmas."""
     rig = small_rig()
-    part = Part("p", Box(0, 0, 24, 16), METAL, (Hole("s", Slot(4, 2, 9, 4, 0.5)), Hole("c", Disc(-6, -3, 3))))
+    part = Part(
+        "p", RoundedBox(0, 0, 24, 16), METAL, (Hole("s", Slot(4, 2, 9, 4, 0.5)), Hole("c", Disc(-6, -3, 3)))
+    )
     where = pose(turn_deg=25.0, tilt_deg=6.0)
     start = [
         Curve("c", "circle", np.array([-6.05, -3.05, 3.05]), 0),
@@ -351,7 +353,7 @@ def test_a_hidden_part_shows_too_few_edges() -> None:
     """
     for name in ("disc", "plate"):
         here = cell(name)
-        cover = Part("cover", Box(16.0, 0.0, 18.0, 40.0), Surface(albedo=0.3, contrast=0.1, seed=3))
+        cover = Part("cover", RoundedBox(16.0, 0.0, 18.0, 40.0), Surface(albedo=0.3, contrast=0.1, seed=3))
         nearer = pose((PLACE_MM[0], PLACE_MM[1], PLACE_MM[2] - 2.0))
         images = pictures(here.rig.rig, scene((here.part, pose()), (cover, nearer)))
         job = limited(min_support=0.9)(replace(here.job, search=replace(here.job.search, min_score=0.65)))

@@ -9,7 +9,7 @@ import pytest
 from helpers.cells import Flange, flange, pictures, pose, region_around, scene
 
 from edged.errors import ImageError, TeachError
-from edged.sim.render.scene import Box, Disc, Hole, Part, Slot, Surface
+from edged.sim.render.scene import Disc, Hole, Part, RoundedBox, Slot, Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
@@ -134,7 +134,7 @@ def test_images_of_which_one_shows_nothing_are_refused(flat: Flange, rectificati
 def test_a_part_without_circles_is_taught_by_its_edges(rectification: Rectification, flat: Flange) -> None:
     """A plate with a window: eight edges and eight corners where the drawing has them, to 15 µm; one is the
     reference and the origin."""
-    plate = Part("plate", Box(0, 0, 22, 16), Surface(0.6), (Hole("window", Box(2, 1, 9, 7)),))
+    plate = Part("plate", RoundedBox(0, 0, 22, 16), Surface(0.6), (Hole("window", RoundedBox(2, 1, 9, 7)),))
     left, right = pictures(flat.rig, scene((plate, pose())))
     job = teach(left, right, rectification, flat.region, "plate")
     assert not job.circles
@@ -163,7 +163,7 @@ def test_slots_notches_and_corners_are_learnt_beside_the_circles(
     """A disc with a slot, a square window and a hole: each is what the drawing says, named and signed."""
     holes = (
         Hole("slot", Slot(4.0, -5.0, 8.0, 3.0, 0.4)),
-        Hole("window", Box(-5.0, 4.0, 6.0, 5.0, 0.0, 0.2)),
+        Hole("window", RoundedBox(-5.0, 4.0, 6.0, 5.0, 0.0, 0.2)),
         Hole("bore", Disc(5.0, 5.0, 3.0)),
     )
     part = Part("disc", Disc(0, 0, 13.0), Surface(0.6, 0.05), holes)
@@ -187,7 +187,7 @@ def test_slots_notches_and_corners_are_learnt_beside_the_circles(
 
 def test_one_circle_is_enough(rectification: Rectification, flat: Flange) -> None:
     """A plate with one bore: the bore is the reference, the plate's outline the shape."""
-    plate = Part("plate", Box(0, 0, 24, 18), Surface(0.6, 0.05), (Hole("bore", Disc(3.0, -2.0, 5.0)),))
+    plate = Part("plate", RoundedBox(0, 0, 24, 18), Surface(0.6, 0.05), (Hole("bore", Disc(3.0, -2.0, 5.0)),))
     left, right = pictures(flat.rig, scene((plate, pose())))
     job = teach(left, right, rectification, flat.region, "plate")
     assert [circle.polarity for circle in job.circles] == [1]
