@@ -23,7 +23,7 @@ PAPERS = {
     "letter": (215.9, 279.4),
 }
 MARGIN_MM = 8.0
-"""What no printer can print on."""
+"""Margin that printers leave blank."""
 BESIDE_MM, BELOW_MM = 9.0, 18.0
 """Room for the rulers, and for the lines of text below."""
 RULER_MM, STEP_MM = 200.0, 10.0
@@ -59,7 +59,7 @@ def _paper(drawn: Artwork, paper: str | None, wanted: NominalBoard) -> tuple[str
             if needed[0] <= size[0] and needed[1] <= size[1]:
                 return name, size
     short, long = PAPERS[names[-1]]
-    room = max(
+    spare = max(
         min(
             (w - needed[0] + _ink(drawn)[0]) / _ink(drawn)[0],
             (h - needed[1] + _ink(drawn)[1]) / _ink(drawn)[1],
@@ -67,7 +67,7 @@ def _paper(drawn: Artwork, paper: str | None, wanted: NominalBoard) -> tuple[str
         for w, h in ((short, long), (long, short))
     )
     advice = (
-        f"; a pitch of {math.floor(100 * room * wanted.pitch_mm) / 100:g} mm would fit" if room > 0 else ""
+        f"; a pitch of {math.floor(100 * spare * wanted.pitch_mm) / 100:g} mm would fit" if spare > 0 else ""
     )
     raise UserError(
         f"{wanted}: needs {needed[0]:.0f} x {needed[1]:.0f} mm with its rulers, {names[-1]} has "
@@ -92,12 +92,12 @@ def _page(drawn: Artwork, size: tuple[float, float], wanted: NominalBoard) -> tu
     x0, y0 = left - drawn.low[0], top - drawn.low[1]
     shapes = [
         Shapes(
-            0.0 if one.black else 1.0,
-            [(x + x0, y + y0, w, h) for x, y, w, h in one.rectangles],
-            [(x + x0, y + y0, r) for x, y, r in one.circles],
-            [(a + x0, b + y0, c + x0, d + y0, e + x0, f + y0) for a, b, c, d, e, f in one.triangles],
+            0.0 if ink.black else 1.0,
+            [(x + x0, y + y0, w, h) for x, y, w, h in ink.rectangles],
+            [(x + x0, y + y0, r) for x, y, r in ink.circles],
+            [(a + x0, b + y0, c + x0, d + y0, e + x0, f + y0) for a, b, c, d, e, f in ink.triangles],
         )
-        for one in drawn.ink
+        for ink in drawn.ink
     ]
     across = min(RULER_MM, max(math.floor((size[0] - 2 * MARGIN_MM) / STEP_MM) * STEP_MM, STEP_MM))
     along = min(RULER_MM, max(math.floor(height / STEP_MM) * STEP_MM, STEP_MM))

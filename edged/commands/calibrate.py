@@ -42,7 +42,7 @@ def calibrate(
     Nothing is written unless all has succeeded; a rig that was there before is kept beside the new
     one under its own calibration id. Raises `UserError` for input that gives no calibration.
     """
-    lens = next((one for one in get_args(LensWish) if one == model), None)
+    lens = next((wish for wish in get_args(LensWish) if wish == model), None)
     if lens is None:
         raise CalibrationError(f"--model {model!r}: expected one of {', '.join(get_args(LensWish))}")
     stated = stated_boards(board)

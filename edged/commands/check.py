@@ -51,7 +51,7 @@ def check(path: Path, *, as_json: bool) -> int:
     when = f"every {config.cycle.period_s:g} s" if config.cycle.mode == "free" else "on command"
     print(f"  cameras      {config.cameras.source}, {when}")
     bounds = [config.limits.bounds(), *(bound for job in cell.jobs for bound in job.picking.bounds)]
-    if count := sum(len(one.boxes) + len(one.keep_out) for one in bounds):
+    if count := sum(len(bound.boxes) + len(bound.keep_out) for bound in bounds):
         where = "rig (not registered to a robot)" if frame.startswith("rig") else "robot"
         print(f"  limits       {count} boxes and keep-out zones, in the frame: {where}")
     for warning in warnings:

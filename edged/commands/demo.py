@@ -97,7 +97,7 @@ def _stage(options: DemoOptions, console: Console, *, gige: bool) -> int:
 
 
 def region_of_part(rig: StereoRig, truth: Truth) -> Region:
-    """Where a person would draw it: around the largest circle, with a margin."""
+    """The square around the largest circle, with a margin."""
     outline = max(truth.circles, key=lambda circle: circle.radius_mm)
     x, y = rig.left.project(outline.centre_mm[None])[0]
     half = 1.12 * outline.radius_mm * rig.left.fx / outline.centre_mm[2]

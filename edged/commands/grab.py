@@ -38,7 +38,7 @@ MAX_FAULTS = 5
 
 
 class GrabHead(Protocol):
-    """What is needed of a stereo head."""
+    """The part of a stereo head that grabbing needs."""
 
     async def open(self) -> None:
         """Connect."""
@@ -79,12 +79,12 @@ def _blocks(image: Image) -> FloatArray:
 
 
 def _differ(
-    one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray], grey: float, share: float
+    before: tuple[FloatArray, FloatArray], now: tuple[FloatArray, FloatArray], grey: float, share: float
 ) -> bool:
     """Whether more than a share of the blocks of either camera differ by more than so many grey values."""
     return any(
         a.shape != b.shape or float(np.mean(np.abs(a - b) > grey)) > share
-        for a, b in zip(one, other, strict=True)
+        for a, b in zip(before, now, strict=True)
     )
 
 
@@ -128,7 +128,7 @@ class Grab:
 
     @property
     def summary(self) -> str:
-        """How many pairs there are now, and where."""
+        """Number of pairs taken, and the latest files."""
         number = f"{self.taken}" if self.taken == self.count else f"{self.taken} of {self.count}"
         return f"{number} pair(s) in {self.output}, skew up to {self.skew_ms:.2f} ms"
 

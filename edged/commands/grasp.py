@@ -28,7 +28,7 @@ from edged.vision.geometry.rigid import invert
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Where the robot stood. pose : of the tool's tip, as the controller shows it, numbers with commas."""
+    """The robot's pose. pose : of the tool's tip, as the controller shows it, numbers with commas."""
 
     pose: str
     brand: str
@@ -53,8 +53,8 @@ def touch(rig: Path, job: Path, left: Path, right: Path, asked: Touch, console: 
     outcome = locate(pair, taught, prepare(loaded))
     good = [target for target in outcome.targets if target.reject is Reject.NONE]
     if len(good) != 1:
-        told = sorted({words for target in outcome.targets for words in reasons(target.reject)})
-        why = f"{len(good)} good parts, expected one" if good else ", ".join(told) or str(outcome.status)
+        why_not = sorted({words for target in outcome.targets for words in reasons(target.reject)})
+        why = f"{len(good)} good parts, expected one" if good else ", ".join(why_not) or str(outcome.status)
         console.print(f"{job}: nothing was written: {why}", markup=False)
         return 1
     part_from_tcp = invert(loaded.robot_from_rig @ good[0].rig_from_part) @ robot_from_tcp

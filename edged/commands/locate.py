@@ -56,7 +56,7 @@ def locate(
     overlay, cloud : pictures (PNG) of the evidence and of the points in space; ply : those points as a file.
     """
     check_outputs({"--overlay": overlay, "--ply": ply, "--cloud": cloud}, {"LEFT": left, "RIGHT": right})
-    known = {one.name.lower(): one for one in Convention}
+    known = {member.name.lower(): member for member in Convention}
     if convention not in known:
         raise UserError(f"--convention {convention!r}: expected one of {', '.join(known)}")
     prepared, taught = prepare(load_rig(rig)), load_job(job)
@@ -73,8 +73,10 @@ def locate(
         last_s = now_s
 
     inspection, frame = inspect(pair, taught, prepared, lap), frame_of(prepared.rig)
-    told = (replace(one, target=allowed(one.target, taught.picking, frame)) for one in inspection.measured)
-    inspection = replace(inspection, measured=tuple(told))
+    parts = [
+        replace(part, target=allowed(part.target, taught.picking, frame)) for part in inspection.measured
+    ]
+    inspection = replace(inspection, measured=tuple(parts))
     outcome = picked(judge(inspection), taught.picking, frame)
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
     if overlay is not None:
@@ -88,7 +90,7 @@ def locate(
             save_ply(ply, points)
         if cloud is not None:
             best = outcome.targets[0].match if outcome.targets else None
-            poses = [one.target.rig_from_part for one in inspection.measured if one.target.match is best]
+            poses = [part.target.rig_from_part for part in parts if part.target.match is best]
             _write_picture(cloud, cloud_picture(points, poses[0] if poses else None))
     if as_json:
         print(
@@ -168,7 +170,7 @@ def _as_read(target: Target, rig: StereoRig, convention: Convention) -> Table:
 
 
 def _taken(grasp: GraspPose, rig: StereoRig) -> str:
-    """Where the tool takes the part, in the frame of the pose above."""
+    """The grasp, in the frame of the pose above."""
     frame_from_rig = np.eye(4) if rig.robot_from_rig is None else rig.robot_from_rig
     tip, start = (
         " ".join(f"{value:.3f}" for value in (frame_from_rig @ pose)[:3, 3])

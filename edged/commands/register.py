@@ -150,8 +150,8 @@ def self_test(
         print(json.dumps({"ranked": rows, "decided": stands_out, "agrees_with_brand": agrees}))
         return 0 if stands_out and agrees else 1
     table = Table("orientation", "lengths", "mount", "rms mm")
-    for one in readings.ranked[:8]:
-        table.add_row(one.orientation, one.length_unit, one.mount, f"{one.rms_mm:.3f}")
+    for ranked in readings.ranked[:8]:
+        table.add_row(ranked.orientation, ranked.length_unit, ranked.mount, f"{ranked.rms_mm:.3f}")
     console.print(table)
     if not stands_out:
         console.print("no reading stands out: take more poses, with rotations about different axes")

@@ -1,4 +1,4 @@
-"""`edged sim`: GigE Vision cameras that are not there, for whoever tests a client of real ones."""
+"""`edged sim`: GigE Vision cameras that are not there, to test a client of real ones with."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def _places(options: SimOptions) -> dict[str, tuple[str, str]]:
 
 
 def _configured(camera: CameraSection, address: str, serial: str) -> tuple[str, str]:
-    """What the configuration expects: by address, or by serial number at the usual address."""
+    """The cameras of the configuration: by address, or by serial number at the usual address."""
     if _is_address(camera.device):
         return camera.device, camera.serial or serial
     return address, camera.device or serial
@@ -189,7 +189,9 @@ def _is_address(text: str) -> bool:
 def _stop_signals() -> Iterator[threading.Event]:
     """Set by SIGINT and SIGTERM, which do nothing else meanwhile."""
     stopped = threading.Event()
-    before = {one: signal.signal(one, lambda *_: stopped.set()) for one in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: signal.signal(number, lambda *_: stopped.set()) for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield stopped
     finally:

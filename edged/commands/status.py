@@ -71,7 +71,7 @@ def _in_words(state: dict[str, Any]) -> str:
 def _text(fact: Any) -> str:
     """In English: a value, a sentence with its code, or several of them."""
     if isinstance(fact, list):
-        return "; ".join(_text(one) for one in fact)
+        return "; ".join(_text(part) for part in fact)
     return str(fact["text"] if isinstance(fact, dict) else fact)
 
 
@@ -90,6 +90,6 @@ def _print(document: dict[str, Any], console: Console) -> None:
         table.add_row(group, ", ".join(f"{name} {_text(value)}" for name, value in facts.items()))
     faults = document.get("faults", [])
     if faults:
-        why = ". ".join(_text(one) for one in faults[0]["why"])
+        why = ". ".join(_text(sentence) for sentence in faults[0]["why"])
         table.add_row("last fault", f"cycle {faults[0]['cycle']}: {why}")
     console.print(table)

@@ -82,7 +82,7 @@ AXES = {
     for sign in ("", "-")
     for axis, name in enumerate("xyz")
 }
-"""What --up may be."""
+"""Values of --up."""
 
 
 def read_model(step: Path, up: str, unit: str | None = None) -> tuple[CadModel, PartModel]:
@@ -146,7 +146,7 @@ class DrawingSource:
 
 
 def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | DrawingSource:
-    """What to teach from. Raises `UserError` for nothing, for both, and for half of it."""
+    """The source to teach from. Raises `UserError` where none, several or half of one is given."""
     given = pair.left, pair.right, pair.region
     from_pair = bool(pair.exclude) or any(value is not None for value in given)
     if (pair.step is None) != (pair.up is None):
@@ -281,7 +281,7 @@ def _unit_named(model: CadModel, step: Path, unit: str | None) -> Iterator[None]
 
 
 def _about_tilt(job: Job, rectification: Rectification) -> list[str]:
-    """What a job that is looked for tilted takes, and what its pictures must show."""
+    """Views and depth that a tilted search takes, and warnings where the part leaves a picture."""
     tilt_rad = job.tilt_rad or 0.0
     views = tilted_views(rectification, job.shape, job.rig_from_part, tilt_rad)
     count = 1 if views is None else len(views.turns)

@@ -39,7 +39,7 @@ def warm(*, only_if_needed: bool) -> int:
 
 
 def _key() -> str:
-    """What the cached kernels depend on: our sources and the compiler's versions."""
+    """Fingerprint of the kernels' sources and the compiler's versions."""
     root = Path(edged.__file__).parent
     sources = sorted(root.rglob("*.py"))
     newest_ns = max(source.stat().st_mtime_ns for source in sources)

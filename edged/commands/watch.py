@@ -37,7 +37,7 @@ REFRESH_S = 0.25
 SILENCE_HINT_S = 3.0
 LOOK_S = 1.0
 TABLE_LINES = 6
-"""Of the screen, beside rows and troubles: the table's head, what is left out, and the cursor's line."""
+"""Lines beside rows and troubles: the table's head, the count of what is left out, the cursor."""
 MOST_DOUBTS = 3
 """On the screen; of many false cells the first tell enough."""
 MAX_TEXT = 200
@@ -54,12 +54,12 @@ WIDE = 100
 """Columns for everything that is known of a cell in one line."""
 MAX_NAME = 24
 STATES = ("FAULT", GONE, "SETUP", "STARTING", "STOPPING", "?", "BUSY", "READY")
-"""As they are counted in the summary: what needs somebody first."""
+"""In the order of the summary: what needs attention first."""
 
 
 @dataclass(slots=True)
 class CellView:
-    """What is known of one cell. misses : results in a row that are not OK, and alike."""
+    """The latest messages of a cell. misses : equal results in a row that are not OK."""
 
     state: str = "?"
     error: str = ""
@@ -169,7 +169,7 @@ def _check(options: WatchOptions) -> None:
 
 
 class Link:
-    """Whether anybody is connected, and since when not. stream : where changes are said; None: nowhere."""
+    """Watches the connection to other sessions. stream : where changes are printed; None: nowhere."""
 
     def __init__(self, places: str, stream: TextIO | None) -> None:
         self._places = places
@@ -301,7 +301,7 @@ def _line(news: News) -> str:
 def fleet_view(
     cells: dict[str, CellView], known: int, problem: str, now_s: float, size: ConsoleDimensions
 ) -> RenderableType:
-    """All of it on one screen: a summary of many cells, those that need somebody, then the others by name.
+    """All of it on one screen: a summary of many cells, those that need attention, then the others by name.
 
     cells : those that are wanted, of `known`.
     """
@@ -314,12 +314,12 @@ def fleet_view(
     left_out = 0
     if crowded:
         parts.append(_summary(cells))
-        room = max(2, size.height - TABLE_LINES - len(parts) - problem.count("\n"))
-        told = min(len(troubles), max(1, room // 3))
-        left_out = max(0, len(rows) - (room - told))
-        rows = rows[: room - told]
+        free_lines = max(2, size.height - TABLE_LINES - len(parts) - problem.count("\n"))
+        shown = min(len(troubles), max(1, free_lines // 3))
+        left_out = max(0, len(rows) - (free_lines - shown))
+        rows = rows[: free_lines - shown]
         troubles = [
-            text if len(text) <= size.width else f"{text[: size.width - 1]}…" for text in troubles[:told]
+            text if len(text) <= size.width else f"{text[: size.width - 1]}…" for text in troubles[:shown]
         ]
     if rows:
         narrow = crowded and size.width < WIDE
@@ -344,7 +344,7 @@ def _summary(cells: Mapping[str, CellView]) -> Text:
 
 
 def _urgency(cell: CellView) -> int:
-    """0 needs somebody now, 3 is well."""
+    """0: needs attention now; 3: well."""
     if cell.error or cell.state in (GONE, "FAULT"):
         return 0
     if cell.setup or _drift(cell.target):
@@ -409,7 +409,7 @@ def _table(rows: Sequence[tuple[str, CellView]], now_s: float, *, one_line: bool
 
 
 def _place(cell: CellView) -> str:
-    """Of the part; where there is none, how many results in a row have been alike."""
+    """The part's position, or the number of equal misses in a row."""
     frame, pose = _pose(cell.target)
     if pose:
         return f"{_triple(pose.get('position_mm'), '{:.3f}')} {frame}"
@@ -431,7 +431,7 @@ def _clean(text: str) -> str:
 
 
 def _drift(document: Document) -> Document:
-    """What a result says of a calibration that does not hold; {} while it does."""
+    """The result's note about a calibration that does not hold; {} while it holds."""
     drift = document.get("drift")
     known = isinstance(drift, dict) and drift.get("verdict") not in (None, "HOLDS")
     return drift if known and isinstance(drift, dict) else {}
@@ -480,7 +480,7 @@ def _number(value: object) -> float | None:
 
 
 def _gap(old: Document, new: Document) -> int:
-    """How many results were lost between two that came from one run of one daemon."""
+    """Number of results lost between two of the same run of the daemon."""
     before, after = old.get("sequence"), new.get("sequence")
     if not isinstance(before, int) or not isinstance(after, int):
         return 0

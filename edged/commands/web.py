@@ -1,4 +1,4 @@
-"""`edged web invite`: a code by which somebody becomes an engineer on the page."""
+"""`edged web invite`: a one-time code that makes its user an engineer on the page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edged.identity.invite import VALID_S, Invite
 
 
 def invite(config: Path) -> int:
-    """Print a code; the running daemon knows it at once. Raises `UserError` where nobody could use it."""
+    """Print a code; it is valid at once. Raises `UserError` where it would be of no use."""
     web = load(config).web
     if web is None or not web.commissioning:
         raise UserError(f"{config}: web.commissioning is off: nobody sets this cell up on the page")

@@ -1,4 +1,4 @@
-"""Who answers, at which address, and who controls it."""
+"""Cameras that answer, their addresses, and which host controls them."""
 
 from __future__ import annotations
 
@@ -52,12 +52,17 @@ def look_at_cameras(config: Config, rig: StereoRig | None) -> Iterator[Check]:
         yield from look_at_network(places, ports or (), image_bytes, config)
     seen = [(place.interface.name, place.info.address) for place in places]
     # behind a firewall a camera may not have been found: then every wire may be its own
-    wires = [(port.name, str(one.network)) for port in ports or () if port.ethernet for one in port.networks]
+    wires = [
+        (port.name, str(interface.network))
+        for port in ports or ()
+        if port.ethernet
+        for interface in port.networks
+    ]
     yield look_at_firewall(seen if len(seen) == 2 else wires)
 
 
 def _one(device: str, found: Sequence[CameraInfo]) -> CameraInfo | None:
-    return next((one for one in found if device in (one.serial, one.address, one.device_id)), None)
+    return next((info for info in found if device in (info.serial, info.address, info.device_id)), None)
 
 
 def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
@@ -123,7 +128,7 @@ def camera(
 
 def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence[Interface]) -> Check:
     """A camera that discovery did not find: by its address it may answer all the same."""
-    others = ", ".join(f"{one.serial} at {one.address}" for one in found) or "none at all"
+    others = ", ".join(f"{info.serial} at {info.address}" for info in found) or "none at all"
     consequence = "CAPTURE_FAULT in every cycle"
     try:
         address = ipaddress.ip_address(device)

@@ -1,4 +1,4 @@
-"""What speaks by certificates: whether the OPC UA server answers, and until when each certificate is good."""
+"""Certificates: whether the OPC UA server answers, and until when each certificate is good."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SOON = timedelta(days=30)
 
 
 def look_at_opcua(host: str, port: int) -> Check | None:
-    """Whether a server of OPC UA answers there; None where nobody listens.
+    """Whether a server of OPC UA answers there; None where nothing listens.
 
     Source: OPC 10000-6, 7.1.2: a server answers Hello with Acknowledge, or with Error.
     """

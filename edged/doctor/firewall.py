@@ -92,7 +92,7 @@ def _input_chains(rules: Rules) -> list[dict[str, Any]]:
 
 
 def _input_chain(rules: Rules) -> str:
-    """Where a rule is to be inserted, as `nft` wants it."""
+    """The position for a new rule, as `nft` takes it."""
     chains = _input_chains(rules)
     shut = next((chain for chain in chains if chain.get("policy") == "drop"), chains[0])
     return f"{shut.get('family')} {shut.get('table')} {shut.get('name')}"
@@ -112,7 +112,7 @@ def _named(value: Any) -> set[str]:
     if isinstance(value, dict):
         return _named(value.get("set"))
     if isinstance(value, list):
-        return {place for one in value for place in _named(one)}
+        return {place for member in value for place in _named(member)}
     return {str(value)}
 
 

@@ -45,9 +45,9 @@ def interfaces() -> list[Interface] | None:
     found = []
     for entry in _json_list(text):
         networks = tuple(
-            ipaddress.IPv4Interface(f"{one['local']}/{one['prefixlen']}")
-            for one in entry.get("addr_info", [])
-            if one.get("family") == "inet"
+            ipaddress.IPv4Interface(f"{address['local']}/{address['prefixlen']}")
+            for address in entry.get("addr_info", [])
+            if address.get("family") == "inet"
         )
         name, flags = str(entry.get("ifname", "")), entry.get("flags", [])
         if networks and "/" not in name:
@@ -66,7 +66,7 @@ def interfaces() -> list[Interface] | None:
 
 
 def route(address: str) -> str | None:
-    """The name of the port by which this host sends to an address; None where that cannot be told."""
+    """The name of the port by which this host sends to an address; None where it is not known."""
     entries = _json_list(run("ip", "-json", "route", "get", address) or "")
     return str(entries[0].get("dev", "")) or None if entries else None
 

@@ -21,7 +21,7 @@ from edged.doctor.findings import Check, CheckResult
 from edged.doctor.host import CAP_NET_BIND_SERVICE, has_capability, read, run
 
 TIMEX_LONGS, TIMEX_MAXERROR_US, TIME_ERROR = 26, 3, 5
-"""`struct timex` in longs, the place of maxerror, the state of a clock that nobody keeps: adjtimex(2)."""
+"""`struct timex` in longs, the place of maxerror, the state of an unsynchronised clock: adjtimex(2)."""
 
 CLOCK_STEP_S = 0.001
 """NTP slews by 0.5 ms a second at most; what moves more between two looks was set."""
@@ -51,7 +51,7 @@ class ClockWatch:
             )
 
     def _ahead(self) -> float:
-        """Of the clock that nobody sets, in seconds."""
+        """Seconds of the monotonic clock."""
         return self._utc_s() - time.monotonic()
 
 
@@ -96,7 +96,7 @@ def _cache() -> Check:
 
 
 def _clock() -> Check:
-    """What the kernel says: whoever keeps the clock (NTP, PTP) tells it how well."""
+    """The kernel's estimate of the clock's error, as NTP or PTP maintain it."""
     timex = (ctypes.c_long * TIMEX_LONGS)()  # modes = 0: only look
     state = ctypes.CDLL(None).adjtimex(timex)
     if state < 0:
@@ -191,7 +191,7 @@ def look_at_ports(config: Config) -> Iterator[Check]:
 
 
 def _writers(config: Config) -> Check:
-    """Who wrote and was refused, as the daemon's log says, and may still not write."""
+    """Addresses whose writes were refused, by the daemon's log, and that still may not write."""
     name, tried = "Modbus writers", run("journalctl", "--no-pager", "-F", "EDGED_REFUSED_WRITER")
     if tried is None:
         return Check(

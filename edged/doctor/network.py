@@ -13,14 +13,14 @@ from edged.doctor.host import CAP_NET_RAW, Interface, has_capability, owners, re
 
 JUMBO_MTU = 8000
 BANDWIDTH_SHARE = 0.9
-"""Of a link's nominal rate: what frames, gaps and headers leave for images."""
+"""Share of a link's nominal rate that frames, gaps and headers leave for images."""
 GVSP_OVERHEAD = 1.05
 STRICT = "1"
 
 
 @dataclass(frozen=True, slots=True)
 class CameraPort:
-    """Where a camera was found: "left" or "right", who it is, and the port of this host in its network."""
+    """A camera that was found: "left" or "right", its identity, and the port of this host in its network."""
 
     side: str
     info: CameraInfo
@@ -71,7 +71,7 @@ def _taken(name: str, info: CameraInfo, interface: Interface) -> Check:
 def _homeless(name: str, info: CameraInfo, interfaces: Sequence[Interface]) -> Check:
     ports = [interface.name for interface in interfaces if interface.ethernet and interface.up]
     networks = ", ".join(
-        f"{network} on {one.name}" for one in interfaces if one.name in ports for network in one.networks
+        f"{network} on {port.name}" for port in interfaces if port.name in ports for network in port.networks
     )
     address = ipaddress.ip_address(info.address)
     # an address that a camera seldom has: makers count up from 1, 10 or 100
@@ -123,7 +123,7 @@ def _route(place: CameraPort) -> Iterator[Check]:
             f"sudo ip route replace {place.info.address}/32 dev {there}",
         )
         return
-    strict = [one for one in ("all", there) if read(f"/proc/sys/net/ipv4/conf/{one}/rp_filter") == STRICT]
+    strict = [name for name in ("all", there) if read(f"/proc/sys/net/ipv4/conf/{name}/rp_filter") == STRICT]
     finding = f"through {there}"
     if strict:
         finding += "; strict reverse path filter, which this route passes"
@@ -168,7 +168,7 @@ def _our_owners(interface: Interface) -> Iterator[Check]:
 
 
 def receive_buffers(image_bytes: int) -> Check:
-    """Whether a burst of packets finds room in the kernel."""
+    """Whether the kernel's buffers hold a burst of packets."""
     name = "receive buffers"
     if has_capability(CAP_NET_RAW):
         return Check(name, CheckResult.OK, "packet socket (CAP_NET_RAW)")

@@ -105,7 +105,7 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
 
 
 def _responses(rig: StereoRig, gammas: dict[str, float]) -> Iterator[Check]:
-    """Of each camera that says that its grey values are not in proportion to the light."""
+    """A warning for each camera whose grey values are not in proportion to the light."""
     for side, gamma in gammas.items():
         calibrated = rig.left.gamma if side == "left" else rig.right.gamma
         if gamma != 1.0 or calibrated != 1.0:
@@ -119,7 +119,7 @@ def _responses(rig: StereoRig, gammas: dict[str, float]) -> Iterator[Check]:
 
 
 def _remedy(error: EdgedError) -> str:
-    """Where to look first."""
+    """The likeliest cause."""
     for kind, remedy in REMEDIES.items():
         if isinstance(error, kind):
             return remedy

@@ -52,7 +52,7 @@ MAX_FIT_POINTS, MAX_ALL_FIT_POINTS = 1000, 20_000
 """Of a spline that is drawn through its points, and of all: its equations are a matrix of their square, 0.1 s
 and 23 MiB for a thousand, 43 s and 3.4 GB for twelve thousand. CAD draws through some dozens."""
 MAX_DEPTH = 8
-"""Of blocks inside blocks."""
+"""Depth of blocks inside blocks."""
 MAX_MEETING = 200
 """Ends within the tolerance of one place: no outline has lines of a ten-thousandth of a millimetre."""
 SHAPES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
@@ -158,7 +158,7 @@ def _scale(document: DxfDocument, path: Path, units: str | None) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Content:
-    """How much is drawn. points : of polylines and splines; fit_points : those that a spline goes through."""
+    """Counts of what is drawn. points : of polylines and splines; fit_points : of splines through them."""
 
     shapes: int = 0
     points: int = 0
@@ -185,7 +185,7 @@ def _forget_undrawn(document: DxfDocument, layers: Sequence[str]) -> None:
 
 
 def _placed_content(document: DxfDocument, path: Path) -> _Content:
-    """What the model space draws with its blocks, each as often as it is placed: counted, not yet drawn."""
+    """Counts of all that the model space would draw, blocks as often as they are placed."""
     known: dict[str, _Content] = {}
 
     def of(entities: Iterable[DXFEntity], depth: int) -> _Content:
@@ -230,7 +230,7 @@ def _check_content(content: _Content, path: Path, most_points: int) -> None:
 
 
 def _entities(document: DxfDocument) -> list[DXFGraphic]:
-    """What is drawn in the model space, with blocks resolved."""
+    """Entities of the model space, with blocks resolved."""
     found: list[DXFGraphic] = []
     waiting = deque(document.modelspace())
     while waiting:
@@ -379,7 +379,7 @@ def _next(chain: Sequence[Edge], used: Set[Edge], ends: Deposit) -> Edge | None:
     linked = ends.edges_linked_to(end)
     if len(linked) > MAX_MEETING:
         return None
-    near = [edge for one in linked if one not in used for edge in (one, one.reversed())]
+    near = [way for edge in linked if edge not in used for way in (edge, edge.reversed())]
     if sum(len(edge.payload) - 1 for edge in chain[:3]) >= 3:  # there and back encloses nothing
         near.append(chain[0])
     return min(
@@ -390,7 +390,7 @@ def _next(chain: Sequence[Edge], used: Set[Edge], ends: Deposit) -> Edge | None:
 
 
 def _why_open(place: str, chain: Sequence[Edge], ends: Deposit) -> FileFormatError:
-    """What is wrong with a chain that nothing closes: an end that is alone, else one where too many meet."""
+    """Why a chain does not close: a loose end, or a point where more than two edges meet."""
     hint = "expected closed outlines (leave out construction lines by choosing layers)"
     last, first = chain[-1].end, chain[0].start
     for end in (last, first):

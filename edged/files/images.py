@@ -13,7 +13,7 @@ from edged.errors import ImageError
 from edged.files.imagesizes import MAX_PIXELS, MAX_UNPACKED_BYTES, claimed_size
 
 MAX_IMAGE_BYTES = MAX_UNPACKED_BYTES + (1 << 20)
-"""Of a file: a picture that is not packed, and what stands before it."""
+"""Bytes of a file: an uncompressed picture and its header."""
 SENSOR_BITS = (8, 10, 12, 14, 16)
 
 

@@ -1,4 +1,4 @@
-"""How large an image file says that its picture is, read from its head: nothing of it is decoded.
+"""The size that an image file states in its head: nothing is decoded.
 
 A kilobyte of PNG may unpack to more than a PC holds: what is read here is what OpenCV makes room for.
 """
@@ -43,7 +43,7 @@ class ClaimedSize:
 
 
 def claimed_size(data: bytes) -> ClaimedSize | None:
-    """What the head of a PNG, JPEG, BMP, TIFF or PGM says; None for other files, and for damaged heads."""
+    """The size stated by the head of a PNG, JPEG, BMP, TIFF or PGM; None for others and damaged heads."""
     try:
         return next((read(data) for begins, read in _READERS if data.startswith(begins)), None)
     except (struct.error, ValueError, LookupError):
@@ -94,7 +94,7 @@ def _pnm(data: bytes) -> ClaimedSize | None:
 
 
 def _tiff(data: bytes) -> ClaimedSize | None:
-    """Of the first picture; a tile may be larger than it, and is unpacked as a whole."""
+    """Size of the first picture; a tile may be larger than it, and is unpacked as a whole."""
     tags: dict[int, int] = {_SAMPLES: 1, _BITS: 1, _TILE_WIDTH: 0, _TILE_LENGTH: 0}
     for tag, value in _tiff_tags(data, TIFF[data[:4]], is_big=b"+" in data[:4]):
         tags[tag] = max(value, tags.get(tag, 0))  # libtiff takes one of two, we need not know which
@@ -107,17 +107,17 @@ def _tiff(data: bytes) -> ClaimedSize | None:
 def _tiff_tags(data: bytes, order: str, *, is_big: bool) -> Iterator[tuple[int, int]]:
     """Numbers of the first directory: each tag, and the largest of its values."""
     (first,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, 8 if is_big else 4)
-    counted, entry, room = ("Q", "HHQ", 8) if is_big else ("H", "HHI", 4)
+    counted, entry, inline_bytes = ("Q", "HHQ", 8) if is_big else ("H", "HHI", 4)
     (count,) = struct.unpack_from(order + counted, data, first)
     start, head = first + struct.calcsize(counted), struct.calcsize(order + entry)
     for number in range(min(count, _MOST_TAGS)):
-        place = start + number * (head + room)
+        place = start + number * (head + inline_bytes)
         tag, kind, values = struct.unpack_from(order + entry, data, place)
         if kind not in _TIFF_TYPES or values == 0:
             continue
         letters = order + _TIFF_TYPES[kind] * min(values, _MOST_VALUES)
         place += head
-        if struct.calcsize(letters) > room:  # they stand elsewhere
+        if struct.calcsize(letters) > inline_bytes:  # they stand elsewhere
             (place,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, place)
             if tag not in (_WIDTH, _LENGTH, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_LENGTH):
                 continue

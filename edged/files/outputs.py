@@ -1,4 +1,4 @@
-"""Where a command is going to write: found out before its work begins, not after it."""
+"""Checks that a command can write its outputs, before its work begins."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def check_outputs(
 
 
 def check_folder(path: Path) -> None:
-    """Refuse a folder that is none, or that cannot be made or written into. Raises `FileFormatError`."""
+    """Refuse a path that is no folder, or that cannot be made or written into. Raises `FileFormatError`."""
     if path.exists():
         if not path.is_dir():
             raise FileFormatError(f"{path}: is a file, expected a folder to write")

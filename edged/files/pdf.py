@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 POINTS_PER_MM = 72 / 25.4
 ARC = 0.5522847498307936
-"""Of the radius: control points of the four Bézier curves that are a circle to 0.03 %."""
+"""Share of the radius: control points of the four Bézier curves that are a circle to 0.03 %."""
 MAX_TEXT = 200
 
 

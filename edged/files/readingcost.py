@@ -1,4 +1,4 @@
-"""What a library may take to read a file from anywhere, where no count beforehand can say what it will."""
+"""Bounds on the time and memory that a library may take to read a file."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ _DAMAGE = (
     NotImplementedError,
     RuntimeError,
 )
-"""What reading a ZIP and its JSON raises for what is neither."""
+"""Errors of reading a ZIP and its JSON."""
 PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 """Lossless at any level; higher ones take three times as long for a tenth less."""
 
@@ -78,7 +78,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What one file holds.
+    """The contents of one file.
 
     snapshot : as published (`payload.snapshot_to_json`).  versions : of what computed it.
     pair : None where there was no exposure (a fault of the cameras).
@@ -90,7 +90,7 @@ class Recording:
 
 
 def versions() -> dict[str, str]:
-    """What a result may depend on besides its input."""
+    """Inputs of a result besides the images."""
     return {
         "edged": __version__,
         "python": platform.python_version(),
@@ -214,13 +214,13 @@ def save(folder: Path, index: int, recorded: datetime, snapshot: Snapshot, pair:
 def entries(folder: Path) -> list[Entry]:
     """The recordings of a folder, oldest first; other files are no recordings."""
     found = (_entry(path) for path in (folder / "cycles").glob("*.zip"))
-    return sorted((one for one in found if one is not None), key=lambda entry: entry.index)
+    return sorted((entry for entry in found if entry is not None), key=lambda entry: entry.index)
 
 
 def find(folder: Path, index: int) -> Entry | None:
     """The recording with a number; None where there is none."""
     found = (_entry(path) for path in (folder / "cycles").glob(f"{index:09d}_*.zip"))
-    return next((one for one in found if one is not None), None)
+    return next((entry for entry in found if entry is not None), None)
 
 
 def _entry(path: Path) -> Entry | None:
@@ -254,7 +254,7 @@ def forget_setups(folder: Path, fingerprints: Iterable[str]) -> None:
 
 
 def setup_folder(folder: Path, fingerprint: str) -> Path:
-    """Where rig and jobs of a fingerprint are kept."""
+    """The folder of rig and jobs of a fingerprint."""
     return folder / "setups" / fingerprint
 
 

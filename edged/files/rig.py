@@ -30,7 +30,7 @@ def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = Non
 
 
 def rig_text(rig: StereoRig, quality: Mapping[str, Any] | None = None) -> bytes:
-    """What `save_rig` writes."""
+    """The text of a rig file."""
     document = {
         "format": RIG_FORMAT,
         "version": RIG_VERSION,
@@ -72,7 +72,7 @@ def keep_old_rig(path: Path) -> Path | None:
 
 
 def read_rig(path: Path) -> bytes:
-    """What is in a rig's file. Raises `FileFormatError`."""
+    """The bytes of a rig file. Raises `FileFormatError`."""
     return read_bytes(path, "a rig", MAX_DOCUMENT_BYTES)
 
 

@@ -15,7 +15,7 @@ class SetupNote:
     path: Path
 
     def is_taken(self) -> bool:
-        """Whether somebody has; True where it cannot be told."""
+        """Whether somebody has; True where that is not known."""
         try:
             return self.path.exists()
         except OSError:

@@ -1,4 +1,4 @@
-"""Where a cell keeps what it writes itself: users, the audit, drafts and releases."""
+"""The folder for what a cell writes itself: users, the audit, drafts and releases."""
 
 from __future__ import annotations
 

@@ -24,9 +24,9 @@ from edged.files.atomic import read_bytes
 from edged.vision.teaching.cadmodel import CadModel, FlatSurface, RoundSurface, Surface
 
 MAX_FACES = 20_000
-"""Of one part; castings with every fillet have a few thousand."""
+"""Faces of one part; castings with every fillet have a few thousand."""
 MIN_READ = 0.9
-"""Of the faces: slivers that a sewn model has between others may be lost, whole faces may not."""
+"""Share of the faces that may be lost: slivers between others, no whole faces."""
 MAX_TRIANGLES = 2_000_000
 MAX_SECONDS = 60
 MAX_MEMORY_BYTES = 4 << 30

@@ -14,7 +14,7 @@ from edged.files.dxf import UNITS
 from edged.vision.teaching.cadmodel import CadModel, open_sides, welded
 
 MAX_FACETS = 500_000
-"""Of one part; a casting meshed to a micrometre has half of them."""
+"""Triangles of one part; a casting meshed to a micrometre has half of them."""
 MAX_SIZE_MM = 1e5
 MAX_OPEN = 0.01
 """Of all sides of triangles, that may have none or several neighbours: more is a surface, or damaged."""

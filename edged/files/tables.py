@@ -17,10 +17,10 @@ from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 
 MAX_TEXT_BYTES = 32 << 20
-"""Of a file: 600,000 lines of three numbers with all their digits."""
+"""Bytes of a file: 600,000 lines of three numbers with all their digits."""
 MAX_LINES = 600_000
 MAX_LINE_LETTERS = 10_000
-"""Of a line, whose cells take sixty bytes each: a pose has seven numbers."""
+"""Cells of a line, of sixty bytes each: a pose has seven numbers."""
 _DECIMAL_COMMA = re.compile(r"[-+−]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 

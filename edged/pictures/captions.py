@@ -1,4 +1,4 @@
-"""What a result says in words and numbers, for pictures of it."""
+"""A result in words and numbers, for its pictures."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ REMEDIES = {
     Reject.LEFT_RIGHT_MISMATCH: "do both cameras see it, sharp, and is the rig theirs?",
     Reject.OUT_OF_VOLUME: "does it lie within depth_min_mm and depth_max_mm of the job?",
 }
-"""What to look at first, of what keeps a match from being measured."""
+"""Remedies for what keeps a match from being measured."""
 
-MAX_TOLD = 3
-"""Reasons in the headline; all are told with their part."""
+MAX_REASONS = 3
+"""Reasons in the headline; all of them stand with their part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +60,12 @@ def reasons(reject: Reject) -> list[str]:
 def why_nothing(dismissed: Sequence[NotMeasured], nearest: NearMiss | None) -> list[str]:
     """Why there is no target, a line for each place that was seen, and what to try."""
     lines = []
-    for one in dismissed:
-        remedies = [words for bit, words in REMEDIES.items() if one.reject & bit]
+    for missed in dismissed:
+        remedies = [words for bit, words in REMEDIES.items() if missed.reject & bit]
         lines.append(
-            f"seen at {one.match.x_px:.0f}, {one.match.y_px:.0f} px (score {one.match.score:.2f}), not "
-            "measured: "
-            f"{', '.join(reasons(one.reject))} ({one.reject.name}). Try: {' '.join(remedies) or 'look at it'}"
+            f"seen at {missed.match.x_px:.0f}, {missed.match.y_px:.0f} px "
+            f"(score {missed.match.score:.2f}), not measured: {', '.join(reasons(missed.reject))} "
+            f"({missed.reject.name}). Try: {' '.join(remedies) or 'look at it'}"
         )
     if not dismissed and nearest is not None:
         match = nearest.match
@@ -89,21 +89,21 @@ def headline(
     nearest: NearMiss | None = None,
 ) -> str:
     """One line about the whole picture: the part, how many, score and place, or why there is none."""
-    targets = [one.target for one in measured]
+    targets = [part.target for part in measured]
     good = [target for target in targets if not target.reject]
     if not targets and not dismissed:
         best = "nothing is like it" if nearest is None else f"the best scores {nearest.match.score:.2f}"
         return f"{job.name}: {best}, {job.search.min_score:.2f} is needed"
     if not targets:
-        told = sorted({word for one in dismissed for word in reasons(one.reject)})
-        return f"{job.name}: {len(dismissed)} seen, none measured: {', '.join(told)}"
+        why = sorted({word for missed in dismissed for word in reasons(missed.reject)})
+        return f"{job.name}: {len(dismissed)} seen, none measured: {', '.join(why)}"
     scores = sorted({f"{target.match.score:.2f}" for target in good or targets})
     score = f"score {scores[0]}" if len(scores) == 1 else f"scores {scores[0]} to {scores[-1]}"
     if not good:
-        told = sorted({word for target in targets for word in reasons(target.reject)})
+        why = sorted({word for target in targets for word in reasons(target.reject)})
         count = "" if len(targets) == 1 else f"{len(targets)} parts, "
-        more = f", and {len(told) - MAX_TOLD} more" if len(told) > MAX_TOLD else ""
-        return f"{job.name}: {count}{score}: {', '.join(told[:MAX_TOLD])}{more}"
+        more = f", and {len(why) - MAX_REASONS} more" if len(why) > MAX_REASONS else ""
+        return f"{job.name}: {count}{score}: {', '.join(why[:MAX_REASONS])}{more}"
     bad = len(targets) - len(good) + len(dismissed)
     more = f"; {bad} more not good" if bad else ""
     if len(good) > 1:
@@ -163,14 +163,12 @@ def feature_lines(job: Job, measured: MeasuredPart) -> list[FeatureLine]:
         rms, seen = ("", "") if fit is None else (f"{fit.rms_px:.2f}", _seen(*fit.support))
         lines.append(FeatureLine(name, size, rms, seen))
     known = measured_names(measured.target)
-    taught = (
-        [one.name for one in job.circles] + [one.name for one in job.slots] + [one.name for one in job.edges]
-    )
+    taught = [feature.name for features in (job.circles, job.slots, job.edges) for feature in features]
     return lines + [FeatureLine(name, "not measured", "", "") for name in taught if name not in known]
 
 
 def measured_names(target: Target) -> set[str]:
-    """Of all features but corners, which follow from edges."""
+    """Names of all features but corners, which follow from edges."""
     names = [circle.name for circle in target.circles] + [slot.name for slot in target.slots]
     return {*names, *(edge.name for edge in target.edges)}
 

@@ -1,4 +1,4 @@
-"""Before which camera somebody waves a hand."""
+"""Detects before which camera a hand is waved."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COLUMNS = 24
 LEAST_GREY, LEAST_SHARE_OF_GREY = 6.0, 0.1
 """A field has changed by more than both, after what all have in common (light that flickers) is taken out."""
 LEAST_SHARE = 0.04
-"""Of the fields: a hand covers more."""
+"""Share of the fields: a hand covers more."""
 CLEARLY = 3.0
 """One picture changed so much more than the next."""
 

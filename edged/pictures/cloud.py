@@ -93,7 +93,7 @@ def _round_length(length: float) -> float:
 
 
 def _counts(cloud: PointCloud) -> tuple[str, str]:
-    """How many points there are, and how many were refused for which reasons."""
+    """Number of points, and of those that were refused by reason."""
     most = sorted(cloud.refused.items(), key=lambda item: (-item[1], item[0]))[:4]
     counts = ", ".join(f"{count} {name.lower()}" for name, count in most)
     faces = int(np.count_nonzero(cloud.kinds == FACE))

@@ -1,4 +1,4 @@
-"""What a measured part stands on, drawn into one camera's picture: fitted curves, edges, residuals, names."""
+"""The evidence of a measured part in one camera's picture: fitted curves, edges, residuals, names."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def features_of(measured: MeasuredPart) -> list[FeatureEvidence]:
 
 
 def missing_outlines(job: Job, target: Target) -> dict[str, FloatArray]:
-    """Where taught features that were not measured should be: name and outline (N, 3), rig frame."""
+    """Expected outlines (N, 3), rig frame, of taught features that were not measured, by name."""
     rotation = target.rig_from_part[:3, :3]
     origin = target.position_mm - rotation @ job.place_of(job.reference)
     known = measured_names(target)
@@ -159,7 +159,7 @@ def slot_outline(
 
 
 def residuals(view: PictureView, feature: FeatureEvidence, side: int) -> Residuals:
-    """How far the edges of one image (side 0: left, 1: right) lie beside the fitted curve."""
+    """Residuals of the edges of one image (side 0: left, 1: right) to the fitted curve."""
     curve = view.raw(feature.outline_mm)
     ahead, behind = np.roll(curve, -1, axis=0), np.roll(curve, 1, axis=0)
     if not feature.closed:
@@ -190,7 +190,7 @@ def _nearest(curve: FloatArray, points: FloatArray) -> npt.NDArray[np.int64]:
 
 def magnification(found: Sequence[Residuals], scale: float) -> float:
     """The factor of 1, 2, 5, 10 ... by which 19 of 20 residuals stay short enough to be drawn."""
-    used = [np.abs(one.across_px[one.used]) for one in found if one.used.any()]
+    used = [np.abs(residual.across_px[residual.used]) for residual in found if residual.used.any()]
     if not used:
         return 1.0
     most = max(LONGEST_WHISKER_PX / scale / max(float(np.quantile(np.concatenate(used), 0.95)), 1e-3), 1.0)
@@ -222,8 +222,8 @@ def draw_missing(view: PictureView, outline_mm: FloatArray) -> FloatArray:
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
     dash = (length // DASH_PX).astype(np.int64)
     for colour, width in ((RIM, 4), (WHITE, 1)):
-        for one in range(0, int(dash[-1]) + 1, 2):
-            _polyline(view.canvas, outline[dash == one], False, colour, width)
+        for drawn in range(0, int(dash[-1]) + 1, 2):
+            _polyline(view.canvas, outline[dash == drawn], False, colour, width)
     return outline
 
 
@@ -306,7 +306,7 @@ def draw_missed(view: PictureView, raw_px: FloatArray) -> None:
 def draw_unrolled(canvas: Canvas, feature: FeatureEvidence, found: Sequence[Residuals]) -> None:
     """Residuals of one feature along its outline: the left image's above the right one's, on bare paper."""
     height, width = canvas.shape[:2]
-    used = np.concatenate([np.abs(one.across_px[one.used]) for one in found])
+    used = np.concatenate([np.abs(residual.across_px[residual.used]) for residual in found])
     if not len(used):
         return
     reach_px = 1.2 * max(float(np.quantile(used, 0.99)), 0.02)
@@ -336,7 +336,7 @@ def _polyline(canvas: Canvas, points: FloatArray, closed: bool, colour: Colour, 
 
 
 def _thinned(line: FloatArray, spacing_px: float) -> FloatArray:
-    """Of the points (N, 2) of a line its ends, and others about this far apart."""
+    """The ends of a line (N, 2), and points about this far apart between them."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     kept = np.diff(length // spacing_px, prepend=-1.0) > 0
     kept[-1] = True

@@ -12,12 +12,12 @@ Colour = tuple[int, int, int]
 
 NORMAL, BOLD = 400, 650
 RIM: Colour = (16, 16, 16)
-_ROOM = 100_000  # px; getTextSize clips at the size it is told
+_LARGEST = 100_000  # px; getTextSize clips at the size it is told
 
 
 def width_of(text: str, size_px: int, weight: int = NORMAL) -> int:
     """Width in px of a line of text."""
-    _, _, width, _ = cv2.getTextSize((_ROOM, _ROOM), text, (0, size_px), _face(), size_px, weight)
+    _, _, width, _ = cv2.getTextSize((_LARGEST, _LARGEST), text, (0, size_px), _face(), size_px, weight)
     return int(width)
 
 
@@ -40,7 +40,7 @@ def write(
 def write_rimmed(
     canvas: Canvas, text: str, place: tuple[int, int], colour: Colour, size_px: int, weight: int = NORMAL
 ) -> None:
-    """The same with a dark rim, to be read on any picture."""
+    """Write with a dark rim, legible on any picture."""
     x, y = place
     for dx, dy in ((-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (1, -1), (-1, 1), (1, 1)):
         write(canvas, text, (x + dx, y + dy), RIM, size_px, weight)

@@ -1,4 +1,4 @@
-"""What the light and the exposure make of a picture: clipped, dark, noisy; and what would be better."""
+"""Exposure of a picture: clipped, dark, noisy, and the exposure time that would be better."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ LOUD_SHARE = 0.02
 """Noise of so much of the contrast costs more than light would."""
 BLOCK_PX = 32
 QUIET_PERCENT = 25.0
-"""Of the blocks of a picture: those without edges or texture."""
+"""Share of the blocks of a picture that have no edges or texture."""
 ROUNDING_GREY = 12.0**-0.5
 
 
 class Advice(StrEnum):
-    """What to do, as a code; the page has the words."""
+    """Advice, as a code; the page has the words."""
 
     GOOD = "good"
     LESS_LIGHT = "less_light"
@@ -51,7 +51,7 @@ class LightFigures:
     bright_grey: float
 
     def advice(self, gain_db: float | None = None) -> tuple[Advice, float]:
-        """What to do, and the factor for the exposure time; 1 where it is good."""
+        """Advice, and the factor for the exposure time; 1 where it is good."""
         if self.clipped_share > MOST_CLIPPED:
             # how bright it is cannot be seen: take a third off, and look again
             return Advice.LESS_LIGHT, 0.7 if self.clipped_share < 0.1 else 0.4

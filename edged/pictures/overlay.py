@@ -39,7 +39,7 @@ from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
 
 WIDTH_PX = 1280
-"""Of either image in the picture, whatever the cameras': text is as large on every picture."""
+"""Width of either image in the picture, so that text has one size on all of them."""
 PAPER: Colour = (34, 30, 28)
 BADGES: dict[Status, tuple[str, Colour]] = {
     Status.OK: ("OK", (60, 150, 40)),
@@ -72,15 +72,16 @@ def draw_pair(
     agree are red and where they are. Features that were not measured are dashed. A single part has its
     reference's residuals as a chart, too.
     """
-    parts = sorted(measured, key=lambda one: (bool(one.target.reject), -one.target.match.score))
+    parts = sorted(measured, key=lambda part: (bool(part.target.reject), -part.target.match.score))
     features = [features_of(part) for part in parts]
     outlines = [feature.outline_mm for some in features for feature in some]
     outlines += [outline for part in parts for outline in missing_outlines(job, part.target).values()]
     views = _views((left, right), rig, outlines, dismissed)
     found = [
-        [[residuals(view, one, side) for one in some] for some in features] for side, view in enumerate(views)
+        [[residuals(view, feature, side) for feature in some] for some in features]
+        for side, view in enumerate(views)
     ]
-    factor = magnification([one for side in found for some in side for one in some], views[0].scale)
+    factor = magnification([residual for side in found for some in side for residual in some], views[0].scale)
     _draw_parts(views, job, parts, features, found, factor)
     for number, missed in enumerate(dismissed, len(parts) + 1):
         place = np.array([missed.match.x_px, missed.match.y_px])
@@ -158,7 +159,7 @@ def _draw_names(
     outlines = [view.place(view.raw(feature.outline_mm)) for feature in features]
     dashed = [draw_missing(view, outline) for outline in missing.values()]
     every = np.concatenate(
-        [target.position_mm[None], *(one.outline_mm for one in features), *missing.values()]
+        [target.position_mm[None], *(feature.outline_mm for feature in features), *missing.values()]
     )
     reach_mm = float(np.linalg.norm(every - target.position_mm, axis=1).max())
     for line in (*outlines, *dashed):
@@ -202,7 +203,7 @@ def _title(text: str, status: Status, factor: float | None, scale: float) -> Can
 
 
 def _legend(factor: float, scale: float) -> Canvas:
-    """What the colours mean, with a bar as long as a stated residual is drawn."""
+    """The legend: colours, and a bar as long as a stated residual is drawn."""
     lengths = [step * decade for decade in (0.001, 0.01, 0.1, 1.0) for step in (1, 2, 5)]
     bar_px = max(length for length in lengths if length * factor * scale <= 40)
     entries = [
@@ -245,12 +246,12 @@ def _in_rows(blocks: Sequence[Canvas]) -> Canvas:
 def _part_block(number: int, job: Job, part: MeasuredPart) -> Canvas:
     """One part: verdict and reasons, its pose, its features, and the sizes that the job asks for."""
     target = part.target
-    told = reasons(target.reject)
+    why = reasons(target.reject)
     head = _paper(LINE_PX + 10, WIDTH_PX)
     x = MARGIN_PX + _put(head, f"{number}", MARGIN_PX, LINE_PX, WHITE, BOLD) + 16
     x += _put(head, f"{target.job}, score {target.match.score:.2f}", x, LINE_PX, WHITE, BOLD) + 20
-    _put(head, "NOK" if told else "OK", x, LINE_PX, RED if told else GREEN, BOLD)
-    rows = [_row((words, MARGIN_PX, RED)) for words in told]
+    _put(head, "NOK" if why else "OK", x, LINE_PX, RED if why else GREEN, BOLD)
+    rows = [_row((words, MARGIN_PX, RED)) for words in why]
     pose = [_row(("in the frame of the rig", MARGIN_PX, GREY), width=COLUMN_PX)]
     for name, value, sigma in pose_lines(target):
         spread = f"± {sigma}" if sigma[0].isdigit() else sigma
@@ -315,11 +316,11 @@ def _row(*entries: tuple[str, int, Colour], width: int = WIDTH_PX) -> Canvas:
     return canvas
 
 
-def _missed_block(number: int, one: NotMeasured) -> Canvas:
-    """What was found and could not be measured."""
+def _missed_block(number: int, missed: NotMeasured) -> Canvas:
+    """A match that could not be measured."""
     canvas = _paper(2 * LINE_PX + 16, WIDTH_PX)
     x = MARGIN_PX + _put(canvas, f"{number}", MARGIN_PX, LINE_PX, WHITE, BOLD) + 16
-    text = f"score {one.match.score:.2f}, not measured: {', '.join(reasons(one.reject))}"
+    text = f"score {missed.match.score:.2f}, not measured: {', '.join(reasons(missed.reject))}"
     _put(canvas, text, x, LINE_PX, RED, BOLD)
     return canvas
 

@@ -14,7 +14,7 @@ from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply
 
 DIMMED = 0.8
-"""Of the picture's brightness, so that colours stand out on a bright part, too."""
+"""Share of the picture's brightness, so that colours stand out on a bright part, too."""
 ROOM = 1.35
 """Size of what is shown, of the parts in it."""
 MAX_ZOOM, MIN_ZOOM = 4.0, 1.25
@@ -50,7 +50,7 @@ class PictureView:
         return np.clip(np.nan_to_num(pixels, nan=OUTSIDE_PX), -OUTSIDE_PX, OUTSIDE_PX)
 
     def place(self, raw_px: FloatArray) -> FloatArray:
-        """Where raw px are on the canvas; an integer is the middle of a pixel in both."""
+        """Canvas px (N, 2) of raw px; an integer is the middle of a pixel in both."""
         return np.asarray((raw_px - self.box[:2] + 0.5) * self.scale - 0.5)
 
 
@@ -70,7 +70,7 @@ def view_of(
 
 
 def zoom_for(sizes: Sequence[tuple[int, int]], extents: Sequence[FloatArray]) -> float:
-    """How much larger the parts can be shown than in the whole pictures; 1 where it is not worth it.
+    """Factor by which parts can be shown larger than in the whole pictures; 1 where it is not worth it.
 
     sizes : (width, height) of each image.  extents : raw px (N, 2) in each that should be seen.
     """

@@ -148,7 +148,7 @@ def _independent(held: Sequence[HeldOutView], quality: Mapping[str, Any]) -> Htm
 
 
 def _volume(calibration: Calibration) -> HtmlTable:
-    """What a point is worth, at three depths: noise of the image, and the calibration."""
+    """Uncertainty of a point at three depths: noise of the image, and the calibration."""
     rig, rows = calibration.rig, []
     points = volume_points(calibration)
     for depth in depths_mm(calibration):

@@ -152,7 +152,7 @@ def symmetric_limit(values: FloatArray) -> float:
 
 
 def colour(share: float) -> str:
-    """Of a value between the smallest (0) and the largest (1) of a map."""
+    """Colour of a value, 0 for the smallest to 1 for the largest of a map."""
     return _RAMP[min(int(share * len(_RAMP)), len(_RAMP) - 1)]
 
 

@@ -48,7 +48,7 @@ def lengths(held: Sequence[HeldOutView]) -> Markup:
 
 
 def coverage(calibration: Calibration, side: Side, camera: CameraModel) -> Markup:
-    """Where the marks lay in an image, each with its residual, and which fields no mark reached."""
+    """The marks in an image with their residuals, and the fields without any."""
     pixels, residuals = _marks(calibration, side)
     rms = calibration.rms_left_px if side == "left" else calibration.rms_right_px
     exaggeration = _VECTOR_SHARE * camera.width / max(rms, 1e-9)

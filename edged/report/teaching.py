@@ -37,7 +37,7 @@ class _Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taught:
-    """What a job was learnt from.
+    """The pictures and region that a job was learnt from.
 
     rectified_left (h, w) uint8 : the picture, real or painted from a drawing.
     region (h, w) uint8 : where in it the part is; None: anywhere.  cuts : what of the part goes on outside.
@@ -74,7 +74,7 @@ def teaching_report(job: Job, taught: Taught, inspection: ModelInspection) -> st
 
 
 def inspection_to_json(job: Job, inspection: ModelInspection) -> Json:
-    """The same for programs."""
+    """The inspection as JSON."""
 
     def known(value: float) -> float | None:
         return float(value) if np.isfinite(value) else None

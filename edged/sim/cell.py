@@ -53,7 +53,7 @@ ATTEMPTS = 300
 
 @dataclass(frozen=True, slots=True)
 class PartMotion:
-    """Where the part may lie, each uniformly distributed and independent.
+    """Range of the part's poses, each coordinate uniformly distributed and independent.
 
     centre_mm : in the rig frame. shift_mm : half width in x and y. depth_mm : half width in z.
     tilt_rad : largest angle between the part's z and the rig's z. turn_rad : half range of the
@@ -79,7 +79,7 @@ class TrueCircle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What was really there.
+    """The true scene of an exposure.
 
     number : counts scenes from 0. exposed_ns : of the first exposure of the pair.
     rig_from_part : (4, 4) of what was shown, the board's too; of nothing, where the part would lie.
@@ -157,7 +157,7 @@ class VirtualCell:
 
     @property
     def showing(self) -> ShownNow:
-        """What is shown."""
+        """The thing shown, and its pose."""
         return self._showing
 
     def show(self, thing: Thing | str, pose: Pose | None = None, *, covered: bool = False) -> None:
@@ -233,7 +233,7 @@ class VirtualCell:
         return Table(self._table, rig_from_table)
 
     def moment(self, camera: str, request: ExposureRequest) -> Truth:
-        """What this exposure sees; a new scene where none is left to share."""
+        """The scene of this exposure; a new one where none is left to share."""
         return self._moment(camera, request).truth
 
     def _moment(self, camera: str, request: ExposureRequest) -> _Moment:
@@ -251,7 +251,7 @@ class VirtualCell:
             return moment
 
     def _next(self, exposed_ns: int) -> _Moment:
-        """What is shown at this time, as the scene of the next number."""
+        """The scene of the next number, at this time."""
         showing = self._showing
         pose = showing.pose_at(exposed_ns)
         if pose is None:
@@ -373,7 +373,7 @@ def calibration_views(
 
 
 def calibration_poses(rig: StereoRig, plate: Plate, count: int, *, seed: int = 0) -> Iterator[FloatArray]:
-    """Where a careful person holds the plate: (4, 4) rig_from_plate. Raises as `calibration_views`."""
+    """Pose of a carefully held plate: (4, 4) rig_from_plate. Raises as `calibration_views`."""
     views, points = stereo_views(rig), plate.points_mm
     centre = np.append(0.5 * (points.min(axis=0) + points.max(axis=0))[:2], 0.0)
     margin_mm = 1.5 * float(np.linalg.norm(points[1] - points[0]))
@@ -405,7 +405,7 @@ def _rectangle(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _meeting_point(rig: StereoRig) -> FloatArray:
-    """Where both optical axes come closest; for nearly parallel ones, 2 baselines ahead."""
+    """The point where both optical axes come closest; for nearly parallel ones, 2 baselines ahead."""
     right_axis = rig.right_from_left[:3, :3].T @ (0.0, 0.0, 1.0)
     right_centre = -rig.right_from_left[:3, :3].T @ rig.right_from_left[:3, 3]
     # left (0, 0, a) and right c + b r: least squares for a, b

@@ -1,4 +1,4 @@
-"""What a virtual camera asks of whoever renders its image."""
+"""The request of a virtual camera for a rendered image."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ TREMOR_HZ = (5.0, 11.0)
 
 @dataclass(frozen=True, slots=True)
 class Skill:
-    """How well a hand does what it is asked.
+    """Errors of a hand: tremor, and misses of the asked pose.
 
     tremor_mm : standard deviation of its place along each axis; tremor_rad : about each axis.
     miss_mm, miss_rad : it ends up to so far away, in a random direction; uniform in the ball.

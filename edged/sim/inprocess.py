@@ -25,7 +25,7 @@ LIMITS = CameraLimits((10.0, 1_000_000.0), (0.0, 24.0))
 
 @dataclass(slots=True)
 class InProcessFaults:
-    """What goes wrong from now on; changed by a test at any time.
+    """Faults from now on; a test may change them at any time.
 
     open_error, trigger_error : raised by every `open` or `trigger` while set.
     fail_next_trigger : raised once.
@@ -146,7 +146,7 @@ class InProcessCamera:
         return self._values
 
     async def limits(self) -> CameraLimits:
-        """What exposure time and gain can be set to."""
+        """Limits of exposure time and gain."""
         return LIMITS
 
     async def restore(self) -> None:

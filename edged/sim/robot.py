@@ -42,11 +42,11 @@ def _rotated(degrees: tuple[float, float, float], shift_mm: tuple[float, float, 
 
 
 FLANGE_FROM_BOARD = _rotated((3.0, 178.0, 40.0), (12.0, -30.0, 85.0))
-"""How it holds the board."""
+"""The board in the robot's hand."""
 FLANGE_FROM_RIG = _rotated((2.0, -4.0, 95.0), (60.0, -20.0, 110.0))
-"""How it carries the cameras."""
+"""The cameras on the flange."""
 ROBOT_FROM_BOARD = _rotated((0.5, 1.0, 20.0), (520.0, -80.0, 15.0))
-"""Where the board lies while it carries the cameras."""
+"""The board's place while the robot carries the cameras."""
 
 
 class VirtualRobot:

@@ -25,7 +25,7 @@ BEFORE_LENS_MM = 55.0
 
 
 class Thing(StrEnum):
-    """What there is to see besides the table."""
+    """The thing on the table."""
 
     PART = "part"
     BOARD = "board"
@@ -34,7 +34,7 @@ class Thing(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownNow:
-    """What is shown from now on.
+    """The thing shown, and its pose.
 
     pose : None: the part lies elsewhere at every exposure. covered : fingers cover a corner of the board.
     waving : a hand moves before this camera.

@@ -1,4 +1,4 @@
-"""A stage: a virtual cell that somebody works in, by hand. The board follows what a screen shows."""
+"""A stage: a virtual cell with a simulated hand. The board follows what a screen shows."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Stage:
 
     @property
     def rings(self) -> Mapping[Side, float]:
-        """How far each lens is turned from sharp."""
+        """Turn of each lens from sharp."""
         return dict(self._rings)
 
     # --- the hand ------------------------------------------------------------------------------

@@ -115,7 +115,7 @@ def check_text(job: Job) -> None:
     try:
         JobFile.model_validate(toml_of(to_toml(job)))
     except ValidationError as error:
-        raise FileFormatError("; ".join(problem_of(one, JobFile) for one in error.errors())) from error
+        raise FileFormatError("; ".join(problem_of(detail, JobFile) for detail in error.errors())) from error
 
 
 def save_job(folder: Path, job: Job) -> None:

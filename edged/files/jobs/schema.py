@@ -1,4 +1,4 @@
-"""What may stand in a job.toml: every key with its range, and what must fit together."""
+"""The keys of job.toml: every key with its range, and what must fit together."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class _Limits(_Section):
 
 
 class _Search(_Section):
-    """How the shape is looked for in the rectified left image."""
+    """The search for the shape in the rectified left image."""
 
     angle_start_deg: float = Field(
         -180.0, ge=-360, le=360, description="rotation against the teaching, from here"
@@ -216,7 +216,7 @@ class _Slot(_Section):
 
 
 class _Corner(_Section):
-    """Where two straight edges meet."""
+    """The point where two straight edges meet."""
 
     name: Name = Field(description="name of the feature")
     edges: Annotated[list[str], Field(min_length=2, max_length=2)] = Field(
@@ -279,7 +279,7 @@ Millimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
 
 
 class _Grasp(_Section):
-    """How a tool takes the part. Its z axis is the direction in which it comes."""
+    """A grasp of the part. Its z axis is the direction in which it comes."""
 
     name: Name = Field(description="for people")
     position_mm: Annotated[list[Millimetres], Field(min_length=3, max_length=3)] = Field(
@@ -397,7 +397,7 @@ class JobFile(_Section):
                 f"reference {self.reference!r} is none of the circles, slots and corners {places}"
             )
         self._check_measurements(dict(kinds))
-        grasps = [one.name for one in self.grasp]
+        grasps = [grasp.name for grasp in self.grasp]
         if len(set(grasps)) != len(grasps):
             raise ValueError(f"two grasps have one name: {grasps}")
         pose = np.array(self.rig_from_part)
@@ -409,7 +409,7 @@ class JobFile(_Section):
         return self
 
     def _check_report(self) -> None:
-        names = [one.name for one in self.point]
+        names = [point.name for point in self.point]
         if len({*names, *get_args(Report)}) != len(names) + len(get_args(Report)):
             raise ValueError(f"two points have one name, or one of {', '.join(get_args(Report))}: {names}")
         if self.report not in (known := [*get_args(Report), *names]):
@@ -427,7 +427,7 @@ class JobFile(_Section):
                 raise ValueError(f"corner {corner.name!r}: its edges {corner.edges} are parallel")
 
     def _check_measurements(self, kinds: dict[str, str]) -> None:
-        names = [one.name for one in self.measurement]
+        names = [measurement.name for measurement in self.measurement]
         if len(set(names)) != len(names):
             raise ValueError(f"two measurements have one name: {names}")
         if self.witness is not None and self.witness not in names:
@@ -448,7 +448,7 @@ class JobFile(_Section):
 
     def job(self, shape: ShapeModel) -> Job:
         """The job that the file describes, with its shape model."""
-        grasps = tuple(one.grasp(np.array(self.rig_from_part)) for one in self.grasp)
+        grasps = tuple(grasp.grasp(np.array(self.rig_from_part)) for grasp in self.grasp)
         return Job(
             name=self.name,
             number=self.number,
@@ -461,13 +461,13 @@ class JobFile(_Section):
             edges=tuple(edge.feature() for edge in self.edge),
             slots=tuple(slot.feature() for slot in self.slot),
             corners=tuple(corner.feature() for corner in self.corner),
-            measurements=tuple(one.spec() for one in self.measurement),
+            measurements=tuple(measurement.spec() for measurement in self.measurement),
             witness=self.witness,
             calibration_id=self.calibration,
             tilt_rad=None if self.search.tilt_deg is None else math.radians(self.search.tilt_deg),
             picking=self.picking.values(self.limits.bounds(), grasps),
             part_from_model=None if self.part_from_model is None else np.array(self.part_from_model),
-            points=tuple(one.value() for one in self.point),
+            points=tuple(point.value() for point in self.point),
             report=self.report,
             sigma_mm=self.sigma_mm,
         )

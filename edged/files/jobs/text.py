@@ -115,13 +115,18 @@ def _points_to_toml(job: Job) -> list[str]:
         return ["", '# [[point]], name = "grip", position_mm = [x, y, z]: of the CAD model, for report above']
     return [
         line
-        for one in job.points
-        for line in ["", "[[point]]", f'name = "{one.name}"', f"position_mm = {_numbers(one.position_mm)}"]
+        for point in job.points
+        for line in [
+            "",
+            "[[point]]",
+            f'name = "{point.name}"',
+            f"position_mm = {_numbers(point.position_mm)}",
+        ]
     ]
 
 
 def _bounds_to_toml(bounds: tuple[Bounds, ...]) -> list[str]:
-    """Where the robot may go for this part; for a job without, how to say it."""
+    """The boxes where the robot may go; for a job without any, an example."""
     if not bounds:
         return [
             "# Where the robot may go for this part, and where not, in its frame (the rig's without one):",

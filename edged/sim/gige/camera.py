@@ -167,12 +167,12 @@ class GigeCamera:
 
     @property
     def controlled(self) -> bool:
-        """Whether somebody controls it."""
+        """Whether a client controls it."""
         return self._control.controller is not None
 
     @property
     def temperature_c(self) -> float:
-        """What its DeviceTemperature says."""
+        """Its DeviceTemperature."""
         return self._temperature_c
 
     @temperature_c.setter
@@ -197,7 +197,7 @@ class GigeCamera:
         self._control.seize()
 
     def release_control(self) -> None:
-        """Whoever controls the camera does no more."""
+        """Take the control from its client."""
         self._control.end_session()
 
     def move_to(self, address: str) -> None:
@@ -270,7 +270,7 @@ class GigeCamera:
         return SUCCESS
 
     def session_ended(self) -> None:
-        """Nobody controls it any more: no images without somebody who wants them."""
+        """Control is lost: stop streaming."""
         self._stop_acquisition()
 
     def resend(self, block_id: int, first: int, last: int) -> None:

@@ -72,7 +72,7 @@ class DeviceClock:
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster than the host's clock it runs; changing it makes no step."""
+        """Rate relative to the host's clock; changing it makes no step."""
         return self._drift_ppm
 
     @drift_ppm.setter
@@ -139,6 +139,6 @@ def utc_minus_monotonic_ns() -> int:
 
 
 def _reading() -> tuple[int, int]:
-    """How long it took, and the difference in the middle of it, ns."""
+    """Duration of one reading, and the difference in its middle, ns."""
     before_ns, utc_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
     return after_ns - before_ns, utc_ns - (before_ns + after_ns) // 2

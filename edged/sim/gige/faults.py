@@ -1,4 +1,4 @@
-"""What goes wrong with a virtual GigE Vision camera, and what its firmware does otherwise than others."""
+"""Faults of a virtual GigE Vision camera, and quirks of its firmware."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import StrEnum
 
 @dataclass(slots=True)
 class Faults:
-    """What goes wrong; may be changed while the camera runs.
+    """Faults; may be changed while the camera runs.
 
     unplugged : the cable is out: nothing is heard or said.
     stalled : triggers are taken, but no image is sent. delay_s : every image comes so much later.

@@ -1,4 +1,4 @@
-"""What the virtual GigE Vision camera can be told: one table for its registers and its GenICam XML.
+"""The features of the virtual GigE Vision camera: one table for its registers and its GenICam XML.
 
 Addresses below 0x10000 are the bootstrap registers of the GigE Vision specification (2.0, chapter 28);
 those from 0x10000 on are this camera's own and known to clients only through the XML.

@@ -43,7 +43,7 @@ SOMEBODY_ELSE: Endpoint = ("0.0.0.0", 0)
 
 
 class ControlledDevice(Protocol):
-    """What the control channel hands on."""
+    """The device behind the control channel."""
 
     def resend(self, block_id: int, first: int, last: int) -> None:
         """Packets of a block are asked for again."""
@@ -110,7 +110,7 @@ class ControlChannel:
 
     @property
     def controller(self) -> Endpoint | None:
-        """Who controls the camera."""
+        """The controlling client."""
         return self._controller
 
     def be_silent(self, seconds: float) -> None:
@@ -118,7 +118,7 @@ class ControlChannel:
         self._silent_until_s = time.monotonic() + seconds
 
     def end_session(self) -> None:
-        """Take the control from whoever has it."""
+        """Take the control from its client."""
         self._controller = None
         self._last_answer = None
         self._registers.put(g.CONTROL_PRIVILEGE, 0)
@@ -136,7 +136,7 @@ class ControlChannel:
     def _serve(self) -> None:
         while self._running.is_set():
             self._watch_heartbeat()
-            opened = [one for one in (*self._broadcasts, self._socket) if one is not None]
+            opened = [port for port in (*self._broadcasts, self._socket) if port is not None]
             ready, _, _ = select.select(opened, (), (), POLL_S)
             for heard in ready:
                 try:

@@ -59,7 +59,7 @@ def _header(block: ImageBlock, kind: int, number: int) -> bytes:
 
 
 def _leader(block: ImageBlock) -> bytes:
-    """What comes: payload type, time stamp, pixel format and region."""
+    """The leader packet: payload type, time stamp, pixel format and region."""
     image = (block.pixel_format, block.width, block.height, *block.offset, 0, 0)
     time_stamp = (block.ticks >> 32 & 0xFFFFFFFF, block.ticks & 0xFFFFFFFF)
     kind = block.payload_type

@@ -24,7 +24,7 @@ FIXED_WHILE_ACQUIRING = (*GEOMETRY, g.CHUNK_MODE, g.CHUNK_ENABLE)
 
 @dataclass(frozen=True, slots=True)
 class CameraIdentity:
-    """Who the camera says it is."""
+    """Address, serial number and model."""
 
     address: str
     serial: str
@@ -127,7 +127,7 @@ class CameraRegisters:
 
     @property
     def chunks(self) -> tuple[g.Chunk, ...]:
-        """What is sent behind each image; empty when chunk mode is off."""
+        """Chunk data behind each image; empty when chunk mode is off."""
         if not self.word(g.CHUNK_MODE):
             return ()
         return tuple(chunk for chunk in g.CHUNKS if self.word(g.CHUNK_ENABLE + 4 * chunk.index))
@@ -188,7 +188,7 @@ class CameraRegisters:
         return feature.low <= value <= feature.high
 
     def _by_firmware(self, feature: g.GenicamNode, word: int) -> int:
-        """What this firmware makes of a word that is allowed."""
+        """The value that this firmware stores for an allowed word."""
         if feature.address == g.TRIGGER_SOURCE:
             if Quirk.MODE_BEFORE_SOURCE in self._quirks and not self.word(g.TRIGGER_MODE):
                 return self.word(g.TRIGGER_SOURCE)

@@ -1,4 +1,4 @@
-"""What makes a virtual camera expose: software, pulses on lines, action commands; and its output lines."""
+"""Triggers of a virtual camera: software, pulses on lines, action commands; and its output lines."""
 
 from __future__ import annotations
 

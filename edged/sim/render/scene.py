@@ -119,7 +119,7 @@ def extent_mm(shape: Shape) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """What a face looks like.
+    """The look of a face.
 
     albedo : radiance under light of level 1. contrast : standard deviation of the texture
     against it. feature_mm : its finest strong wavelength. stretch : how much longer it is along its lay
