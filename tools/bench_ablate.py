@@ -36,8 +36,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from benching import bench_parser, finish
+
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tools")]
 
 FACTORS = (0.5, 2.0)
 WRONG_MM, WRONG_DEG = 0.1, 3.0
@@ -312,8 +313,8 @@ def in_new_process(folder: Path, number: Number, factor: float, patience_s: floa
     return pickle.loads(answer.stdout) if answer.stdout else "breaks"
 
 
-def report(chosen: list[Number], folder: Path, file: Path | None) -> None:
-    """Print a row for each number; the JSON file grows with them."""
+def report(chosen: list[Number], folder: Path) -> None:
+    """Print a row for each number."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -326,32 +327,26 @@ def report(chosen: list[Number], folder: Path, file: Path | None) -> None:
             f"{scenes}: {it.found} of {it.asked} found, {it.false} false, {it.micron:.2f} µm rms", flush=True
         )
     print("\n| number | half | double |\n|---|---|---|", flush=True)
-    rows = []
     for number in chosen:
         way: Callable[..., Result | str] = in_new_process if number.imported else in_child
         patience_s = 30.0 + PATIENCE * usual[number.scenes].seconds + 300.0 * number.imported
         results = [way(folder, number, factor, patience_s) for factor in FACTORS]
         told = [one if isinstance(one, str) else one.against(usual[number.scenes]) for one in results]
         print(f"| {number.stage}.{number.name} | {' | '.join(told)} |", flush=True)
-        rows.append({"stage": number.stage, "name": number.name, "half": told[0], "double": told[1]})
-        if file is not None:
-            file.write_text(
-                json.dumps({"usual": {k: asdict(v) for k, v in usual.items()}, "rows": rows}, indent=1)
-            )
 
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = bench_parser(__doc__)
     parser.add_argument("--only", default="", help="a stage's class, or a field")
     parser.add_argument("--quick", action="store_true", help="not what is compiled in or read at import")
     parser.add_argument("--poses", type=int, default=20, help="of each of three designs")
-    parser.add_argument("--json", type=Path)
     parser.add_argument("--varied", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.varied:
         folder, number, factor = json.loads(options.varied)
-        sys.stdout.buffer.write(pickle.dumps(varied(Path(folder), Number(**number), factor)))
+        result = pickle.dumps(varied(Path(folder), Number(**number), factor))
+        sys.stdout.buffer.write(result)
         return 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -365,7 +360,8 @@ def main() -> int:
         if not chosen:
             parser.error(f"--only {options.only}: no stage and no field has this name")
         draw(folder, options.poses)
-        report(chosen, folder, options.json)
+        report(chosen, folder)
+    finish(options)
     return 0
 
 

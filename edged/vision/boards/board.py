@@ -18,7 +18,7 @@ from edged.errors import CalibrationError
 
 IntArray = npt.NDArray[np.int64]
 
-_MAX_MARKS_PER_SIDE = 100
+_MAX_MARKS_PER_SIDE = 100  # limit of a board's specification
 _GRAMMAR = {
     "chessboard": "chessboard:COLSxROWS:SQUARE_MM (inner corners), e.g. chessboard:11x8:4.0",
     "dots": "dots:COLSxROWS:PITCH_MM[:DIAMETER_MM] (diameter half the pitch if not given), e.g. dots:7x7:5.0",

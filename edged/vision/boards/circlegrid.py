@@ -32,7 +32,7 @@ from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply, rotation_2d
 
 _SHAPE = [0, 1, 6, 7, 8]  # of a fit: the ellipse, as x, y, b11, b12, b22
-_CIRCLE_POINTS = 64
+_CIRCLE_POINTS = 64  # exact: the ellipse of a projected circle through more than five points
 
 
 Plate = DotBoard | CircleGrid

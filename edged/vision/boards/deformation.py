@@ -16,7 +16,7 @@ from edged.domain.arrays import FloatArray
 from edged.vision.boards.board import Board, NominalBoard, ShapedBoard
 from edged.vision.boards.params import DETECTION
 
-_RANK_TOLERANCE = 1e-9
+_RANK_TOLERANCE = 1e-9  # relative: rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)

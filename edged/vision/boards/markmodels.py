@@ -18,9 +18,9 @@ from edged.vision.boards.params import DETECTION
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 
-CORNER, DOT = 0, 1
-_MOST_UNKNOWNS = 10
-_STEPS = 40
+CORNER, DOT = 0, 1  # models, as the kernel knows them
+_MOST_UNKNOWNS = 10  # size of the kernel's arrays
+_STEPS = 40  # of Levenberg-Marquardt, which takes a dozen: bounds a fit that does not settle
 # numba freezes globals when it compiles: kernels read these by name
 _RECENTRED = DETECTION.recentred
 _CENTRED_PX = DETECTION.centred_px

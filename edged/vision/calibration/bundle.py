@@ -19,7 +19,7 @@ from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel
 from edged.vision.geometry.projection import project_with_jacobians
 from edged.vision.geometry.rigid import apply, rotation_matrix, skew, transform
 
-_MAX_STEPS = 60
+_MAX_STEPS = 60  # bounds a fit that does not settle
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,7 +26,7 @@ from edged.vision.geometry.uncertainty import shift_by_parameters
 
 BoolArray = npt.NDArray[np.bool_]
 
-TILT_DEG = 35.0
+TILT_DEG = 35.0  # as people are told to tilt the board
 TILTS = (
     ("square to the left camera", "square", (0.0, 0.0)),
     ("its right side turned towards the cameras", "right-near", (0.0, 1.0)),

@@ -15,7 +15,7 @@ from edged.vision.calibration.calibrate import epipolar_errors_px, marks_in_both
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import transform
 
-_MIN_MARKS = 6
+_MIN_MARKS = 6  # what OpenCV needs for a pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,8 +24,8 @@ from edged.vision.geometry.triangulation import triangulate_raw
 
 Verdict = Literal["OK", "NOT_OK", "UNDECIDED"]
 COVERAGE = 2.0  # sigmas that an uncertainty is stated with (95 %), as ISO 14253-1 decides with
-_STEPS = 10
-_MIN_MARKS = 8
+_STEPS = 10  # of Gauss-Newton, which takes three: bounds a fit that does not settle
+_MIN_MARKS = 8  # twice the unknowns of a pose over the coordinates of a mark, and two more
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ I64 = npt.NDArray[np.int64]
 _APART = FIT.apart
 _CLIP = FIT.clip
 _MIN_SHARE = FIT.min_camera_share
-LEAST_GAIN = 1e-9
+LEAST_GAIN = 1e-9  # px/mm: no division by 0
 PARTS = ("means", "differences", "left alone", "right alone")
 """Of the rows of a curve, as `Pairs.rows` numbers them."""
 

@@ -38,7 +38,7 @@ SIGNIFICANT = FIT.significant
 CERTAIN = FIT.certain
 START_WIDTH = FIT.start_width
 NEIGHBOURS = FIT.contrast_neighbours
-_OUTPUTS = 2
+_OUTPUTS = 2  # arrays of a kernel
 FIRST_ROUNDS = FIT.first_rounds
 NEXT_ROUNDS = FIT.next_rounds
 

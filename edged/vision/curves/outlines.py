@@ -23,7 +23,7 @@ from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
 Kind = Literal["circle", "edge", "slot"]
 PLANE_PARAMETERS = 3
 """Height of the plane over the face, and its slopes along u and v."""
-MIN_RADIUS_MM = 1e-3
+MIN_RADIUS_MM = 1e-3  # keeps a step of the fit from a radius of 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,7 +235,7 @@ def _slot(curve: Curve, share: FloatArray) -> Samples:
 
 F64 = npt.NDArray[np.float64]
 
-_DIVISION, _BROWN = 0, 1
+_DIVISION, _BROWN = 0, 1  # lens models, as the kernel knows them
 _NO_MOTION = np.eye(4)
 
 

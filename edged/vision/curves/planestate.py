@@ -36,7 +36,7 @@ RIGID_PARAMETERS = 4
 """Of a rigid part beyond its plane: shift along u and v, turn, growth."""
 PROBES_MM = FIT.probe_mm * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """A point and two beside it, for the scale of the image there."""
-WAVES = 5
+WAVES = 5  # columns of `fourier_basis`
 START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
 
 

@@ -16,7 +16,7 @@ from edged.vision.edges.params import OUTLINES
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 
 MIN_SCATTER_PX = 1e-6  # of points that lie on the curve to rounding
-SETTLED_PX = 1e-10
+SETTLED_PX = 1e-10  # rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)

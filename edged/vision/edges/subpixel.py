@@ -32,7 +32,7 @@ _HILL_SHARE = EDGE.hill_share
 _TOGETHER = 128  # profiles that are worked on side by side
 _EXTREMUM = 1 << 16  # more than a profile has samples, so that one number holds a count and a place
 _CLIP_REACH_PX = EDGE.clip_reach_px
-_WHITE, _BLACK = 254.5, 0.5
+_WHITE, _BLACK = 254.5, 0.5  # grey values of clipped 8-bit pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,8 +16,8 @@ F64 = npt.NDArray[np.float64]
 
 I32 = npt.NDArray[np.int32]
 
-_BINS = 256
-_FEW = 16
+_BINS = 256  # size of the kernel's array
+_FEW = 16  # sorted by insertion, which is faster then
 _SCOUTS = 64
 """Values of which the range is taken for that of all: what lies outside is in the first bin or the last."""
 

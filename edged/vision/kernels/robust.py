@@ -23,8 +23,8 @@ SIGMA_PER_MEDIAN = 1.4826
 """The sigma of normal errors over the median of their magnitudes."""
 MIN_SIGMA_PX = 0.01
 """No edge is better than this in an 8-bit image: floor of the robust scale."""
-MAX_LAG = 24
-MIN_SAMPLES = 12.0
+MAX_LAG = 24  # samples: size of the kernel's array of correlations
+MIN_SAMPLES = 12.0  # of a median with a sigma of a third of itself
 _AT_ONCE = 192  # samples whose terms stay in the fastest memory
 
 

@@ -15,7 +15,7 @@ I64 = npt.NDArray[np.int64]
 
 MAX_TRIANGLES = 40_000
 """Of a part in a job; with more it is taught without its surface."""
-MAX_SIZE_MM = 1e4
+MAX_SIZE_MM = 1e4  # limit of a job file
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,7 @@ from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.params import MEASURING
 from edged.vision.stereo.matching import NccParams, PairingReason, match_ncc
 
-CONTOUR, FACE = 0, 1
+CONTOUR, FACE = 0, 1  # kinds of points, in files too
 
 
 @dataclass(frozen=True, slots=True, eq=False)

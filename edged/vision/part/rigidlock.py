@@ -33,14 +33,14 @@ from edged.vision.part.params import SOLID
 F64 = npt.NDArray[np.float64]
 B64 = npt.NDArray[np.bool_]
 
-STILL_STEPS = 10
+STILL_STEPS = 10  # the last so many of `SOLID.near_px`
 # numba freezes globals when it compiles: kernels read these by name
 ODD_PX = SOLID.odd_px
 ODD_SHARE = SOLID.odd_share
 LEAST_SIGMA_PX = SOLID.min_sigma_px
 ROUNDS = SOLID.lock_rounds
-TINY_PIVOT = 1e-8
-FEWEST = 24
+TINY_PIVOT = 1e-8  # relative: singular to rounding
+FEWEST = 24  # samples, four for each of six unknowns
 ALL, TURN_HELD = 6, 5
 """Unknowns of a pose: its height and slopes, its shift in the face, and its turn."""
 

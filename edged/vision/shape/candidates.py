@@ -57,7 +57,7 @@ class ShapeViews:
         return np.asarray(np.abs(wrapped(angles_rad - middle)) <= half + 1e-9)
 
 
-MAX_PEAKS = 1024
+MAX_PEAKS = 1024  # rows of a kernel's array
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from edged.domain.arrays import FloatArray
 from edged.errors import TeachError, UserError
 from edged.vision.edges.hysteresis import EdgeThresholds
 
-MAX_LEVELS = 5
+MAX_LEVELS = 5  # length of `LearningParams.max_points`
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from edged.vision.kernels.jit import kernel
 
-ORIENTATIONS = 16
+ORIENTATIONS = 16  # maps; their layout is the kernel's
 PEAK = 7  # response of full agreement
 GROUP = 16  # points whose responses fit into a signed byte together
 SECTORS = 12  # rivals of another 30° sector, as far apart as the hours of a clock face, never hide a pose

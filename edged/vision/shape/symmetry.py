@@ -15,8 +15,6 @@ from edged.vision.shape import refine, scan
 from edged.vision.shape.params import ROTATIONS
 from edged.vision.shape.workspace import Workspace
 
-MIN_TURN_RAD = 0.2
-
 
 class Level(Protocol):
     """The edges of one pyramid level."""
@@ -81,7 +79,7 @@ def find_symmetry(image: Image, origin_px: FloatArray, levels: Sequence[Level], 
             & (scores > np.roll(scores, -1))
             & (scores > 0.8 * ROTATIONS.confusable)
         )
-        peaks &= np.minimum(angles, 2 * np.pi - angles) > MIN_TURN_RAD
+        peaks &= np.minimum(angles, 2 * np.pi - angles) > ROTATIONS.min_turn_rad
         own = _score(
             image,
             levels[0],
@@ -95,7 +93,7 @@ def find_symmetry(image: Image, origin_px: FloatArray, levels: Sequence[Level], 
             similarity = fitted[0] / max(own[0], 1e-9)
             angle = float(np.arctan2(fitted[1][4], fitted[1][2]))
             known = any(angle_between(angle, other[2]) < 0.1 for other in found)
-            if similarity >= ROTATIONS.confusable and abs(angle) > MIN_TURN_RAD and not known:
+            if similarity >= ROTATIONS.confusable and abs(angle) > ROTATIONS.min_turn_rad and not known:
                 found.append([*(fitted[1][:2] - origin_px), angle, min(similarity, 1.0)])
     rotations = _with_inverses(np.array(found, np.float64).reshape(-1, 4))
     return Symmetry(rotations, centre * 2.0**index, is_round)

@@ -20,7 +20,7 @@ from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.stereo.params import PAIRING
 
-RADIUS = 3
+RADIUS = 3  # taps to both sides, of a kernel: 4 sigma
 _OFFSETS = np.arange(-RADIUS, RADIUS + 1)
 TAPS = (
     np.exp(-0.5 * (_OFFSETS / PAIRING.smoothing_px) ** 2)
@@ -44,8 +44,8 @@ TINY_PIVOT = 1e-12  # relative to its diagonal element: below, an unknown is lef
 CONVERGED_PX = PAIRING.converged_px
 POLE = math.sqrt(3.0) - 2.0  # of the cubic spline's recursive filter
 
-SHIFT, SLOPE_X, SLOPE_Y, GAIN, OFFSET = range(5)
-LEFT_PATCH, DIVERGED = -1.0, -2.0
+SHIFT, SLOPE_X, SLOPE_Y, GAIN, OFFSET = range(5)  # unknowns of a fit
+LEFT_PATCH, DIVERGED = -1.0, -2.0  # results of a fit, beside its sigma
 
 F64 = npt.NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from edged.vision.teaching.params import CAD
 
 IntArray = npt.NDArray[np.int64]
 
-PARALLEL = 1e-6
+PARALLEL = 1e-6  # sine: parallel to rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)

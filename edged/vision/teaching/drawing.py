@@ -33,7 +33,7 @@ from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.coverage import coverage
 from edged.vision.teaching.params import CAD
 
-BACKGROUND, PART = 60.0, 190.0
+BACKGROUND, PART = 60.0, 190.0  # grey values of a painted picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,9 +14,9 @@ from edged.vision.teaching.coverage import coverage
 
 MIN_WIDTH_PX = 16
 """A smaller region shows no shape."""
-MAX_CORNERS, MAX_STROKE = 1000, 2000
-MIN_BRUSH_PX, MAX_BRUSH_PX = 2.0, 1000.0
-FARTHEST_PX = 1e6
+MAX_CORNERS, MAX_STROKE = 1000, 2000  # limits of a request
+MIN_BRUSH_PX, MAX_BRUSH_PX = 2.0, 1000.0  # limits of a request
+FARTHEST_PX = 1e6  # limit of a request
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,56 @@
+"""Numbers of the numerical core: tuned ones stand in the Params of their stage, each with its source."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+VISION = Path(__file__).parents[2] / "edged" / "vision"
+SOURCES = sorted(VISION.rglob("*.py"))
+STAGES = sorted(VISION.glob("*/params.py"))
+
+
+def _undocumented(text: str, body: list[ast.stmt]) -> Iterator[str]:
+    """Assignments without a comment on their line or above, and without a docstring below."""
+    lines = text.splitlines()
+    for statement, below in zip(body, [*body[1:], None], strict=True):
+        if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:
+            continue
+        beside = "#" in lines[(statement.end_lineno or 1) - 1]
+        above = lines[statement.lineno - 2].lstrip().startswith("#")
+        told = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+        if not (beside or above or told):
+            yield ast.unparse(statement)
+
+
+def _is_number(text: str) -> bool:
+    value = text.rpartition(" = ")[2]
+    return re.fullmatch(r"\(?-?\d[\d.e_-]*(, -?\d[\d.e_-]*)*\)?", value) is not None
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda path: str(path.relative_to(VISION)))
+def test_a_number_of_a_module_says_why_it_is_none_of_its_stage(source: Path) -> None:
+    """Sizes of a kernel's arrays, limits of requests and bounds against rounding stay where they are used."""
+    text = source.read_text()
+
+    assert [] == [line for line in _undocumented(text, ast.parse(text).body) if _is_number(line)]
+
+
+@pytest.mark.parametrize("source", STAGES, ids=lambda path: path.parent.name)
+def test_every_field_of_a_stage_has_its_source(source: Path) -> None:
+    """On its line or below it."""
+    text = source.read_text()
+    stages = [
+        node
+        for node in ast.parse(text).body
+        if isinstance(node, ast.ClassDef)
+        and node.name.endswith("Params")
+        and "bench ablate" in (ast.get_docstring(node) or "")
+    ]
+
+    assert stages
+    assert [] == [line for stage in stages for line in _undocumented(text, stage.body[1:])]
