@@ -54,7 +54,7 @@ def detect_dots(image: Image, board: Plate) -> Detection | NotDetected:
                 continue
             ordered = _orient(picture, grid, blobs[:, :2], board) if isinstance(board, DotBoard) else grid
             if isinstance(ordered, NotDetected):
-                reasons.insert(0, ordered.reason)  # so near: this is what the user wants to know
+                reasons.insert(0, ordered.reason)  # a near miss: the user's likely problem
                 continue
             return _measure_first(image, board, blobs[ordered])
     return NotDetected(reasons[0])

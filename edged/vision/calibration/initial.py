@@ -149,7 +149,7 @@ def _distance(a: FloatArray, b: FloatArray) -> float:
 def check_sides(right_from_left: FloatArray, left_from_board: Sequence[FloatArray], scatter: float) -> None:
     """Raise `CalibrationError` where the right camera stands on the left, or where the left one does.
 
-    scatter : of the views, as `agree` says; where they do not agree, nobody knows where it stands.
+    scatter : of the views, as `agree` says; where they disagree, it is unknown.
     """
     centre = invert(right_from_left)[:3, 3]
     distance = float(np.median([pose[2, 3] for pose in left_from_board]))

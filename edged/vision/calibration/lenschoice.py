@@ -211,8 +211,8 @@ def averaged(rig: StereoRig, choice: Choice, points_mm: FloatArray) -> StereoRig
     for weight, result in choice.others:
         other = rig_of(result)
         moved = as_parameters @ (triangulate_raw(other, *pixels) - points_mm).ravel()
-        told = as_parameters @ shift_by_parameters(other, points_mm).reshape(shift.shape[0], -1)
-        covariance = covariance + weight * (np.outer(moved, moved) + told @ result.covariance @ told.T)
+        carried = as_parameters @ shift_by_parameters(other, points_mm).reshape(shift.shape[0], -1)
+        covariance = covariance + weight * (np.outer(moved, moved) + carried @ result.covariance @ carried.T)
     return replace(rig, covariance=covariance)
 
 

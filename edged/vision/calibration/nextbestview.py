@@ -97,14 +97,14 @@ def plan_views(calibration: Calibration, count: int = 3, goal_mm: float | None =
     if design is None:
         return None
     before = design.rms_mm(design.information)
-    gains = [1 - design.rms_mm(design.information + told) / before for told in design.told]
+    gains = [1 - design.rms_mm(design.information + added) / before for added in design.added]
     order = sorted(range(len(gains)), key=lambda index: -gains[index])[:count]
     suggestions = tuple(
         Suggestion(one.where, gains[index], one.code, design.board, one.left_from_board)
         for index in order
         for one in (design.candidates[index],)
     )
-    sigmas = [design.sigma_mm(design.information + design.told[index]) for index in order]
+    sigmas = [design.sigma_mm(design.information + design.added[index]) for index in order]
     return Plan(
         design.sigma_mm(design.information),
         suggestions,
@@ -133,7 +133,7 @@ class _Design:
     information: FloatArray
     shift: FloatArray
     candidates: Sequence[ViewCandidate]
-    told: Sequence[FloatArray]
+    added: Sequence[FloatArray]
 
     def sigma_mm(self, information: FloatArray) -> FloatArray:
         """Of X, Y, Z (3,), rms over the points."""
@@ -151,9 +151,9 @@ class _Design:
         for count in range(GUIDANCE.max_views + 1):
             if self.sigma_mm(information).max() <= goal_mm:
                 return count
-            if not self.told:
+            if not self.added:
                 break
-            information = min((information + told for told in self.told), key=self.rms_mm)
+            information = min((information + added for added in self.added), key=self.rms_mm)
         return None
 
 
@@ -168,13 +168,13 @@ def _design(calibration: Calibration) -> _Design | None:
     information = _inverse(inverse @ rig.covariance @ inverse.T)
     boards = [fit.view.board for fit in calibration.views]
     board = max(set(boards), key=boards.count)
-    fitting, told = list[ViewCandidate](), list[FloatArray]()
+    fitting, added = list[ViewCandidate](), list[FloatArray]()
     for candidate in candidates(calibration, board):
         seen = [_observed(calibration, board, candidate.left_from_board, side) for side in SIDES]
         state = BundleState(rig.left, rig.right, rig.right_from_left, candidate.left_from_board[None])
         fitting.append(candidate)
-        told.append(rig_information(state, seen[0], seen[1], *freedoms)[0])
-    return _Design(board, information, shift_by_parameters(rig, points) @ selection, fitting, told)
+        added.append(rig_information(state, seen[0], seen[1], *freedoms)[0])
+    return _Design(board, information, shift_by_parameters(rig, points) @ selection, fitting, added)
 
 
 def candidates(calibration: Calibration, board: Board) -> Iterator[ViewCandidate]:

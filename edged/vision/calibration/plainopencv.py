@@ -30,7 +30,7 @@ class PlainCalibration:
 def plain_opencv(
     views: Sequence[StereoView], left_size: tuple[int, int], right_size: tuple[int, int]
 ) -> PlainCalibration | None:
-    """Calibrate with cv2.calibrateCamera and cv2.stereoCalibrate; None if it refuses, or its rig is none."""
+    """Calibrate with cv2.calibrateCamera and cv2.stereoCalibrate; None without a valid rig."""
     boards, left, right = [], [], []
     for view in views:
         ids, in_left, in_right = marks_in_both(view)

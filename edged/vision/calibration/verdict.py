@@ -1,4 +1,4 @@
-"""Is a calibration good enough? One word, why, and what to add: for whoever has just taken the pictures."""
+"""Whether a calibration is good enough: a verdict, its reasons, and which pictures to add."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ class JointSolution(NamedTuple):
 
 
 class _Memory(NamedTuple):
-    """What the rounds work on. T terms: the C of a curve's design, then the A waves.
+    """Working arrays of the rounds. T terms: the C of a curve's design, then the A waves.
 
     together (Q,) : samples of a part that share their terms; bins (Q + 1,) : where the shared terms of each
     part begin in terms, of each part (T, B), so that sums run along its samples.
@@ -191,7 +191,7 @@ def _terms_of(memory: F64, bins: I64, part: int) -> F64:
 
 @kernel("void(f8[:, ::1], f8[:, ::1], i8, f8[:, ::1])")
 def _shared_terms(design: F64, waves: F64, together: int, terms: F64) -> None:
-    """Fill terms (T, B): design, then waves, each the mean of so many samples; the last bin may be short."""
+    """Fill terms (T, B): design, then waves, each the mean over a bin; the last bin may be short."""
     count, wide, many = len(design), design.shape[1], waves.shape[1]
     for b in range(terms.shape[1]):
         first, last = b * together, min((b + 1) * together, count)
@@ -340,7 +340,7 @@ def _weigh(residuals: F64, base: F64, round_: int, weights: F64) -> float:
 
 @kernel("void(f8[::1], f8[::1], f8[::1])")
 def _share_weights(base: F64, first: F64, second: F64) -> None:
-    """Of paired parts: a row that is doubted in one is doubted in both, by the product."""
+    """Give both rows of a pair the product of their weights."""
     for n in range(len(base)):
         if base[n] > 0.0:
             first[n] = second[n] = first[n] * second[n] / base[n]
@@ -422,7 +422,7 @@ def _step(memory: _Memory, priors: int, solution: JointSolution) -> float:
 
 @kernel()
 def _reweigh(samples: Samples, memory: _Memory, round_: int, solution: JointSolution) -> None:
-    """What the step leaves of the samples, and by it their weights, scales and correlations."""
+    """Residuals after the step, and from them weights, scales and correlations."""
     starts, parts = samples.starts, samples.parts
     step = np.empty(memory.own_right.shape[1])
     for k in range(len(samples.kinds)):

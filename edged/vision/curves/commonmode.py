@@ -33,7 +33,7 @@ _CLIP = FIT.clip
 _MIN_SHARE = FIT.min_camera_share
 LEAST_GAIN = 1e-9  # px/mm: no division by 0
 PARTS = ("means", "differences", "left alone", "right alone")
-"""Of the rows of a curve, as `Pairs.rows` numbers them."""
+"""Parts of a curve's rows, as `Pairs.rows` numbers them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ one image than in the other is a tilted one. So where something says that a rim 
 anywhere between both ends, over whole arcs, in both cameras alike and in each by itself, and the lower end
 lies lower. That is added to the covariance; the fit stays what it was.
 
-What says so: that somebody knows (`Curve.break_mm`), a highlight that runs beside the edge, or shifts that
+Evidence for it is a stated width (`Curve.break_mm`), a highlight that runs beside the edge, or shifts that
 cameras and curves contradict each other in and that no sharp edge shows (see `systematic`). A part is
 deburred alike all around: what one of its curves shows holds for all.
 """
@@ -34,10 +34,10 @@ WAVE_SHARE = EVEN / math.sqrt(2.0 * sum(sigma**2 for sigma in FIT.wave_sigmas))
 """Sigma of each wave, over the width, of which all together are that: as much of what both images have alike
 as of what each has against the other, so that each camera sees its own ends."""
 SEEN_SHARE = WAVE_SHARE * math.sqrt(0.5 * (1.0 + BREAKS.against**2))
-"""What the fit would estimate of them: its waves against each other count half in either image."""
+"""Sigma that the fit would estimate of them: waves against each other count half in either image."""
 WAVES = len(FIT.wave_sigmas)
 HALF = math.sqrt(0.5)
-"""Of a shift each curve has half of the variance by itself, and half in common with those of its kind."""
+"""Half of a shift's variance is the curve's own, half is common to its kind."""
 
 
 def break_widths_mm(state: State, problem: FitProblem) -> FloatArray:

@@ -1,4 +1,4 @@
-"""By how much the edges of a curve scatter from picture to picture of a part that lies still.
+"""Scatter of a curve's edges between pictures of a part at rest.
 
 What displaces an edge alike in every picture, texture beside it, a wall, the light, is no part of it: only
 noise is.
@@ -15,7 +15,7 @@ from edged.domain.arrays import FloatArray
 from edged.vision.curves.params import FIT
 
 Sighting = tuple[FloatArray, FloatArray]
-"""Of a curve in one pair: points (2, N, 2) of its edges in both pictures, raw px, and weights (2, N)."""
+"""One curve in one pair: points (2, N, 2) of its edges in both pictures, raw px, and weights (2, N)."""
 
 
 def edge_noise(sightings: Sequence[Sighting]) -> tuple[float, float] | None:
@@ -36,7 +36,7 @@ def edge_noise(sightings: Sequence[Sighting]) -> tuple[float, float] | None:
 
 
 def _of_side(points: FloatArray, weights: FloatArray) -> float | None:
-    """Of points (T, N, 2) and weights (T, N) of one picture's side."""
+    """The noise of one side, from points (T, N, 2) and weights (T, N) of T pictures."""
     points = points.astype(np.float64)
     middle = points.mean(axis=0)
     normals = _normals(middle)

@@ -1,4 +1,4 @@
-"""What a fit of curves would be worth, before there are pictures of them.
+"""Predicted covariance of a fit of curves.
 
 The covariance of a fit depends on where the curves lie in both images and on how well their edges can be
 seen, not on where the edges are found. So the normal equations of `planefit` are formed for any place, with
@@ -37,7 +37,7 @@ class ExpectedLight:
 
 
 def scatter_in(light: ExpectedLight, shift_px: float) -> Scatter:
-    """What an edge is worth at best: one px of arc tells its place to noise² 2 sqrt(pi) blur / contrast².
+    """Best precision of an edge: one px of arc has a variance of noise² 2 sqrt(pi) blur / contrast².
 
     shift_px : one sigma of its systematic shifts.  That is the Cramér-Rao bound of a step under a Gaussian
     blur and white noise; rounding to grey values is noise, too.
@@ -99,7 +99,7 @@ def foresee_plane(
 
 
 def _by_noise(step: FitStep, noises: Sequence[tuple[float, float]], unknowns: int) -> Known:
-    """What noise leaves: each sample of each picture is a cause by itself."""
+    """Covariance from noise, independent in each sample of each picture."""
     problem = step.problem
     counts, total = np.diff(problem.starts), int(problem.starts[-1])
     arcs = np.maximum(arcs_px(problem.sides, problem.starts), FORESIGHT.min_arc_px)

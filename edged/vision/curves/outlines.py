@@ -90,7 +90,7 @@ class Curve:
 
     @property
     def closed(self) -> bool:
-        """Whether it ends where it begins."""
+        """Whether the curve is closed."""
         return self.kind != "edge"
 
     @property
@@ -146,7 +146,7 @@ class Curve:
         return CurveOutline(np.column_stack([points, np.full(len(share), self.height_mm)]), normals, speed)
 
     def spread(self, count: int, margin_mm: float = 0.0) -> CurveOutline:
-        """`outline` at so many places, evenly spread."""
+        """`outline` at a number of evenly spread places."""
         if self.kind != "circle":
             return self.outline((np.arange(count) + 0.5) / count, margin_mm)
         x, y, radius = self.parameters

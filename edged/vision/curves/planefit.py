@@ -61,7 +61,7 @@ class Scatter:
 
 
 UNKNOWN = Scatter(np.zeros(len(PARTS)), 0.5, np.zeros(FAMILIES.max() + 1), (False, False), (False, False))
-"""Of curves that were only laid where they are."""
+"""For curves that were laid but not measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,13 +89,13 @@ class CurveFit:
 
     @property
     def least_support(self) -> float:
-        """Of the camera that sees less of it."""
+        """Support in the camera that sees less of the curve."""
         return float(self.support.min())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidMotion:
-    """What a rigid fit says of the part as a whole.
+    """The part as a whole in a rigid fit.
 
     covariance, edge_covariance (7, 7) : of its plane (height, slopes), its shift along u and v (mm), its turn
     about the normal (rad) and its growth (share).  growth : by which share it is larger than taught.
@@ -128,7 +128,7 @@ class PlaneFit:
     rigid: RigidMotion | None = None
 
     def by_edges(self) -> PlaneFit:
-        """The same with the covariance that the edges alone give: against what the same rig measured."""
+        """The fit with the edges' covariance alone, to compare with measurements of the same rig."""
         rigid = self.rigid and replace(self.rigid, covariance=self.rigid.edge_covariance)
         return replace(self, covariance=self.edge_covariance, rigid=rigid)
 
@@ -138,7 +138,7 @@ class PlaneFit:
         return np.concatenate([np.zeros(PLANE_PARAMETERS), *(fit.curve.parameters for fit in self.fits)])
 
     def place(self, name: str) -> slice | None:
-        """Where a curve's parameters are in `parameters` and `covariance`."""
+        """The slice of a curve's parameters in `parameters` and `covariance`."""
         first = PLANE_PARAMETERS
         for fit in self.fits:
             last = first + len(fit.curve.parameters)
@@ -237,7 +237,7 @@ def _fitted(start: State) -> PlaneFit | None:
 
 
 def result_of(state: State, step: FitStep, known: Known | None = None) -> PlaneFit | None:
-    """What was measured; None for nothing.  known : in place of what the step itself says it is worth."""
+    """The measured fit, or None.  known : covariance to use instead of the step's own."""
     kept = step.supported(state.params.min_support)
     if not kept:
         return None
@@ -438,7 +438,7 @@ def derived(
 def differentiated(
     fit: PlaneFit, function: Callable[[FloatArray], FloatArray], of: Sequence[str] | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """The same values, and their derivative (M, P) by the parameters."""
+    """Values (M,) and their derivative (M, P) by the parameters."""
     parameters = fit.parameters
     step = 1e-5  # mm and rad; curves are smooth over far more
     asked = np.ones(len(parameters), bool)

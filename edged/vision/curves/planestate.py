@@ -42,7 +42,7 @@ START_WIDTHS_PX = WIDTHS_PX[START_WIDTH : START_WIDTH + 1]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveEdges:
-    """What the curves show in both images.
+    """Edges found along the curves in both images.
 
     offset_px (2, N), NaN where there is no edge; base (2, N) prior weights, 0 for curves of which one image
     shows too little; bias_px (2, K) : sigma to expect of systematic shifts.  clipped (2, N) bool : beside a
@@ -102,7 +102,7 @@ class FitStep:
         return np.add.reduceat(agree, self.starts[:-1], axis=1, dtype=np.float64) / np.diff(self.starts)
 
     def supported(self, share: float) -> list[int]:
-        """The curves that were seen, by so much of both images."""
+        """The curves of which both images show at least this share."""
         seen = np.add.reduceat(self.weights, self.starts[:-1], axis=1).sum(axis=0) >= MIN_SAMPLES
         return np.flatnonzero(seen & (self.support().min(axis=0) >= share)).tolist()
 
@@ -168,7 +168,7 @@ class State:
 
     @property
     def unknowns(self) -> int:
-        """Of the whole problem."""
+        """Number of unknowns of the whole problem."""
         return self.shared + sum(curve.free for curve in self.curves)
 
     def columns(self, seen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
@@ -323,7 +323,7 @@ class State:
 
         No place in space explains such a shift: it is what a knocked camera, or a calibration that is a
         little wrong, does to all curves alike. Without it every curve would seem displaced by itself. Half of
-        it is each camera's: nobody knows which one has moved.
+        it is each camera's: which one has moved is unknown.
         """
         rig, space = self.rig, self.face.to_rig(outline.points)
         right_centre = -rig.right_from_left[:3, :3].T @ rig.right_from_left[:3, 3]

@@ -109,7 +109,7 @@ def shift_of(
     covariance: F64,
     found: F64,
 ) -> None:
-    """What a curve's own displacement came out as, added to found (F, 3).
+    """Add a curve's estimated displacement to found (F, 3).
 
     A wave is known by the share g by which the samples narrow its variance; its estimate is g times what the
     samples say. Of a displacement of variance v and noise alone the square is g² v and g (1 - g) bias² in the

@@ -318,7 +318,7 @@ class StereoImages:
     """Raw images (H, W) and rectified ones (h, w), uint8, with the rectification between them.
 
     Their grey values are in proportion to the light: the response of the cameras is taken out. An image is
-    rectified when somebody asks for it: to find a part takes the left one, to measure it takes none.
+    rectified on demand: finding a part needs the left one, measuring it needs neither.
     """
 
     rectification: Rectification

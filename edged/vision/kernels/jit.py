@@ -80,7 +80,7 @@ def kernel(
 
 
 class _Deferred:
-    """A kernel that nobody has needed yet: its machine code is loaded, or compiled, with its first call."""
+    """A kernel whose machine code is loaded, or compiled, with its first call."""
 
     def __init__(self, dispatcher: Any, signatures: tuple[str, ...], tuples: Tuples) -> None:
         self._dispatcher, self._signatures, self._tuples = dispatcher, signatures, tuples

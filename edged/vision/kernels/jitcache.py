@@ -67,7 +67,7 @@ def frozen_numbers(function: FunctionType) -> str:
 
 
 class StoredLibrary(JITCodeLibrary):  # type: ignore[misc]  # as above
-    """Compiled code; what comes from the cache keeps its bitcode as it is until somebody links it."""
+    """Compiled code; what comes from the cache keeps its bitcode unparsed until a kernel links it."""
 
     _bitcode: bytes | None = None
 

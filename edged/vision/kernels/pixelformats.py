@@ -39,7 +39,7 @@ class PixelFormat:
         return self.name.startswith("Bayer")
 
     def size(self, pixels: int) -> int:
-        """Bytes of an image of so many pixels."""
+        """Bytes of an image with a number of pixels."""
         match self.layout:
             case "bytes":
                 return pixels

@@ -1,4 +1,4 @@
-"""What a part whose CAD model is known hides of itself, and what runs beside its curves.
+"""Self-occlusion of a part with a CAD model, and edges close beside its curves.
 
 From aside a boss covers holes, and a wall its foot: what a camera cannot see is neither looked for nor
 missed. And an edge of the model that runs beside a curve, nearer than a picture keeps two edges apart,
@@ -34,7 +34,7 @@ focused lens, seen through a narrow operator."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySight:
-    """What one camera sees of curves of a part at a pose.
+    """Visibility, in one camera, of a part's curves at a pose.
 
     hidden (N,) : samples that the part covers.  merged (N,) : samples beside which another edge runs so near
     that both are seen as one, somewhere between them.
@@ -55,7 +55,7 @@ def hidden_samples(
 def sight_of(
     body: PartBody, rig: StereoRig, side: str, pose: FloatArray, outline: CurveOutline, seen: ProjectedOutline
 ) -> BodySight:
-    """What a camera sees of samples of curves in the part frame, and where they are in its image.
+    """Visibility of curve samples (part frame) in a camera, and their places in its image.
 
     pose (4, 4) : rig_from_part.
     """

@@ -1,4 +1,4 @@
-"""From a found shape to a part in space: circles, pose, covariance, and what speaks against it."""
+"""From a found shape to a part in space: circles, pose, covariance and reject reasons."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart |
 
 
 def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[list[FoundCircle], Target]:
-    """Where the circles of a fit put the part: those beside the reference that agree, and the target.
+    """The circles of a fit besides the reference that agree with it, and the target.
 
     start (3, 3) : rig_from_part's rotation, but for its turn about the normal.  Raises ValueError for a fit
     without the reference circle.
@@ -93,7 +93,7 @@ def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[li
 
 
 def _growth(images: StereoImages, job: Job, fit: PlaneFit) -> tuple[float, float]:
-    """By which share the circles exceed the taught ones, and its sigma, that of the distance included."""
+    """Relative excess of the circles over the taught ones, and its sigma, the depth's included."""
     same_rig = job.calibration_id == images.rig.calibration_id
     found = circles_in_rig(fit.by_edges() if same_rig else fit)
     growth, sigma = scale_deviation(job, tuple(one.circle for one in found))
@@ -139,7 +139,7 @@ def _plausible(found: FoundCircle, start: _Start) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start:
-    """Where the reference circle may be: centre and normal (3,), rig frame; and how far to look around."""
+    """A start for the reference circle: centre and normal (3,), rig frame; and the search range."""
 
     centre_mm: FloatArray
     normal: FloatArray
@@ -251,7 +251,7 @@ def _together(
 
 
 def _other_end_mm(images: StereoImages, job: Job, fit: PlaneFit) -> float:
-    """By how much radii differ from the taught ones where they are no sharp edges'; else 0.
+    """Difference of the radii from the taught ones where edges are broken; 0 for sharp edges.
 
     No light displaces a sharp edge so far: it is seen at another end of its break than it was taught at. What
     all sizes have alike is the distance's doubt, not theirs; beyond the tolerance of the job it is no edge of

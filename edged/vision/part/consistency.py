@@ -5,7 +5,7 @@ That is rows that do not meet, and sizes that are all wrong alike.
 A camera that was knocked, or a right image that is older than the left one while the part moved on, still
 shows one part in both images; only its distance is wrong, and nothing in the residuals tells. Two things do:
 
-* Rows. A camera that has moved across the rows has moved along them, too, nobody knows by how much, and along
+* Rows. A camera that has moved across the rows has moved along them, too, by an unknown amount, and along
   the rows a shift is a distance.
 * Sizes. A part that is found at a wrong distance is too large, or too small, in all of its features by one
   factor: radii and places differ as they would seen from elsewhere. A part out of tolerance
@@ -37,7 +37,7 @@ Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
 
 
 def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
-    """By which share all circles are larger, and farther apart, than taught, and its sigma; NaN for too few.
+    """Excess of sizes and distances of circles over the taught ones, relative, and its sigma; NaN for too few.
 
     The median by weight: one worn hole, or one that was drilled elsewhere, is the part's own. Its sigma comes
     from the scatter, and from the stated sigmas as if all erred alike, as they do in one light.
@@ -112,7 +112,7 @@ def undoubted(target: Target, baseline_mm: float) -> Target:
 
 
 def _widened(target: Target, square: float, baseline_mm: float) -> Target:
-    """With a variance of the distance, in squared shares of it, added to every covariance.
+    """The target with a relative variance of the distance added to every covariance.
 
     What moves one image by s moves the mean of both by s / 2: the place across the ray is in doubt, too, by
     the share of half a baseline.
@@ -196,7 +196,7 @@ def judged(job: Job, rectification: Rectification, target: Target, evidence: Evi
 
 
 def size_reasons(measurements: tuple[Measurement, ...]) -> Reject:
-    """What the sizes speak against a part: out of tolerance, or not to be seen."""
+    """Reject reasons from the sizes: out of tolerance, or not visible."""
     reject = Reject.NONE
     for one in measurements:
         if one.ok is False:
@@ -208,7 +208,7 @@ def vaguest_mm(job: Job, target: Target) -> float:
     """The largest sigma of a coordinate, and of how high each end of the part's face lies.
 
     A normal that stands on a small hole is a vague one, and at the far end of the part so is the height. The
-    turn about the normal is left out: of a round part nobody needs to know it.
+    turn about the normal is left out: a round part has none.
     """
     normal, reference = target.rig_from_part[:3, 2], job.place_of(job.reference)
     arms = (_ends_mm(job) - reference) @ target.rig_from_part[:3, :3].T

@@ -87,7 +87,7 @@ def stands_off(
     others: Sequence[FoundCircle],
     rotation: FloatArray,
 ) -> bool:
-    """Whether more of the job's circles lie off the plane of the reference circle than in it.
+    """Whether most of the job's circles lie off the plane of the reference circle.
 
     main, others : what was found in one plane.  rotation (3, 3) : of the part.
     """
@@ -106,7 +106,7 @@ def _is_off(
     circle: CircleFeature,
     rotation: FloatArray,
 ) -> bool:
-    """Whether both images show the circle whole, in its size, over or under its place."""
+    """Whether both images show the whole circle in its size above or below its place."""
     normal = main.circle.normal
     place = main.circle.centre_mm + rotation @ (circle.centre_mm - job.reference_circle.centre_mm)
     fit = fit_circle(

@@ -1,4 +1,4 @@
-"""What a measurement of a part would be worth wherever it lies: before anybody lays it there.
+"""Predicted precision of a part's measurement at any pose.
 
 The same terms as those of a measured target, from the same equations, but for the pictures: the edges are
 where the pose puts them, and as clear as they were where the job was measured last.
@@ -28,12 +28,12 @@ from edged.vision.part.solid import curves_of, target_of, taught_sigma_mm
 
 GOOD_LIGHT = ExpectedLight(contrast=80.0, noise=2.0, blur_px=0.8)
 USUAL = scatter_in(GOOD_LIGHT, MEASURING.usual_shift_px)
-"""Of a job that nobody has measured yet."""
+"""For a job without measurements."""
 
 Scatters = Mapping[str, Scatter]
-"""By the name of the feature."""
+"""By feature name."""
 Noises = Mapping[str, tuple[float, float]]
-"""The same, as `edge_noise` has them."""
+"""By feature name, as `edge_noise` returns them."""
 
 
 def scatters_of(fits: Sequence[CurveFit]) -> Scatters:

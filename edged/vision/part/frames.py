@@ -119,9 +119,9 @@ def lifted(face: Face, parameters: FloatArray, point: FloatArray) -> FloatArray:
 
 
 Size = Callable[[FloatArray], float]
-"""Of the parameters of a `PlaneFit`."""
+"""A size as a function of the parameters of a `PlaneFit`."""
 APART = ("height", "flatness")
-"""What is measured by itself, not from the curves together."""
+"""Kinds that are measured separately, not from the curves together."""
 Place = Callable[[FloatArray], FloatArray]
 
 
@@ -173,7 +173,7 @@ def _size(job: Job, spec: MeasurementSpec, fit: PlaneFit) -> Size | None:
 
 
 def place(job: Job, fit: PlaneFit, name: str) -> Place | None:
-    """Where a feature lies in the face, (2,), by the fit's parameters; None if it is missing."""
+    """A feature's place in the face, (2,), as a function of the fit's parameters; None if it is missing."""
     corner = next((corner for corner in job.corners if corner.name == name), None)
     if corner is None:
         where = fit.place(name)

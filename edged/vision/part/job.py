@@ -1,4 +1,4 @@
-"""What is to be found and measured: the taught job as values."""
+"""The taught job: the part to find and what to measure on it."""
 
 from __future__ import annotations
 
@@ -91,11 +91,11 @@ class ModelPoint:
 
 
 Report = Literal["reference", "model"]
-"""What a job publishes the pose of, beside the names of its points."""
+"""Frames whose pose a job may publish, beside its named points."""
 
 
 MAX_TILT_DEG = 45.0
-"""To the bisector of both cameras; with 24° between them, one camera may then see a face at 57°."""
+"""From the bisector of both cameras; with 24° between them, one camera may then see a face at 57°."""
 
 MeasurementKind = Literal["radius", "distance", "angle", "width", "length", "height", "flatness"]
 MEASURES: dict[MeasurementKind, tuple[tuple[str, ...], ...]] = {
@@ -107,7 +107,7 @@ MEASURES: dict[MeasurementKind, tuple[tuple[str, ...], ...]] = {
     "height": (("circle",), ("circle",)),
     "flatness": (),
 }
-"""What each measurement is taken of."""
+"""Kinds of features that each kind of measurement takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ class MeasurementSpec:
 
 @dataclass(frozen=True, slots=True)
 class JobLimits:
-    """What makes a result good.
+    """Limits that a result has to meet.
 
     depth_mm : (nearest, farthest) of the reference point, rig z.
     min_support : share of the reference circle's edge that each camera must see.
@@ -152,7 +152,7 @@ LIGHT_PX = MEASURING.displaced_px / 3
 
 
 def usual_tolerance_mm(size_mm: float, pixel_mm: float, sigma_mm: float = 0.0) -> float:
-    """By how much an edge may lie off its taught place before it is another part's, or another edge.
+    """Distance of an edge from its taught place beyond which it is another edge.
 
     Half of what the whole size may differ by, but no less than pictures can tell. size_mm : of the part, or
     diameter.  pixel_mm : of a pixel at its depth.  sigma_mm : of the taught place.
@@ -169,14 +169,14 @@ class Job:
     whose place is the reported position.  rig_from_part (4, 4) : pose at teaching.
     witness : name of the measurement whose size is known and does not change, for the drift of the rig.
     calibration_id : of the rig that measured the taught sizes: they share its errors; None where they come
-    from a drawing, or nobody knows.
+    from a drawing, or unknown.
     tilt_rad : how far it may lie tilted, to the bisector of both cameras; None: the taught look alone is
     searched for.
     picking : which of several parts a robot gets first.
     part_from_model (4, 4) : the frame of the CAD model that it was taught with; None: without one.
     points : of that frame.  report : whose pose is published: "reference", "model" or the name of a point.
     body : its surface, where its CAD model is known; None: what it hides of itself is not known.
-    sigma_mm : of all features together, of a job from a model alone: nobody has seen the part's edge breaks.
+    sigma_mm : of all features together, of a job from a model alone: the part's edge breaks are unknown.
     """
 
     name: str
@@ -216,7 +216,7 @@ class Job:
 
     @property
     def solid(self) -> bool:
-        """Whether its features lie on several heights, so that it is measured as one rigid whole."""
+        """Whether its features have several heights, so that it is measured as one rigid whole."""
         heights = [float(circle.centre_mm[2]) for circle in self.circles]
         heights += [float(edge.start_mm[2]) for edge in self.edges]
         heights += [float(slot.centre_mm[2]) for slot in self.slots]

@@ -30,7 +30,7 @@ def leaning(
 ) -> list[FloatArray]:
     """The likeliest poses (4, 4) about several starts, those that most of the curves agree with first.
 
-    tilt_rad : from the line amid both cameras, farther the part does not lean.
+    tilt_rad : largest lean from the bisector of both cameras.
     """
     middle = np.append(np.mean([curve.parameters[:2] for curve in curves], axis=0), 0.0)
     poses = [one for pose in starts for one in _about(images, pose, middle, tilt_rad + SOLID.lean_margin_rad)]

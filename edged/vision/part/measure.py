@@ -58,7 +58,7 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredP
 
 
 def _is_beyond_doubt(job: Job, whole: MeasuredPart) -> bool:
-    """Whether nothing speaks against a part that was measured as a whole, its rows as little as asked for.
+    """Whether nothing contradicts a part that was measured as a whole, its rows included.
 
     Broken rims do that glint, most of which are seen with the other sign than taught: all may lie on other
     ends alike.
@@ -73,7 +73,7 @@ def _is_beyond_doubt(job: Job, whole: MeasuredPart) -> bool:
 
 
 def _in_model(job: Job, result: MeasuredPart | Reject) -> MeasuredPart | Reject:
-    """The same, as the job wants it published."""
+    """The measured part as the job publishes it."""
     return result if isinstance(result, Reject) else replace(result, target=published(job, result.target))
 
 
@@ -85,12 +85,12 @@ def published(job: Job, target: Target) -> Target:
     placed = target.rig_from_part @ from_reference @ job.part_from_model
     target = replace(target, rig_from_model=placed)
     if job.sigma_mm:
-        target = _as_vague_as_taught(job, target)
+        target = _with_teaching_uncertainty(job, target)
     return _with_reported(job, target, target.rig_from_part @ from_reference)
 
 
 def _with_reported(job: Job, target: Target, rig_from_own: FloatArray) -> Target:
-    """With the pose that the job wants published; rejected where that is too vague, as far out as it may be.
+    """The target with the pose that the job publishes; rejected where that is too uncertain.
 
     rig_from_own (4, 4) : of the frame that the job's features are in.
     """
@@ -106,7 +106,7 @@ def _with_reported(job: Job, target: Target, rig_from_own: FloatArray) -> Target
     return replace(target, reported=ReportedPose(pose, covariance, by_edges), reject=reject)
 
 
-def _as_vague_as_taught(job: Job, target: Target) -> Target:
+def _with_teaching_uncertainty(job: Job, target: Target) -> Target:
     """The target of a job whose features are themselves known no better than by a sigma.
 
     An edge break draws opposite edges towards each other, and may lower all of them alike.
@@ -178,7 +178,7 @@ def _completed(images: StereoImages, job: Job, measured: MeasuredPart) -> Measur
 
 
 def needs_all(job: Job, target: Target) -> bool:
-    """Whether the circles that were found do not say everything, and all features are measured together."""
+    """Whether all features are measured together because the found circles do not suffice."""
     return (not _is_turn_known(job, target) and bool(job.edges or job.slots)) or _sizes_need_all(job)
 
 
@@ -214,7 +214,7 @@ def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
 
 
 def _sizes_need_all(job: Job) -> bool:
-    """Whether something is asked for that the circles by themselves do not give."""
+    """Whether the job asks for something that circles alone do not give."""
     kinds = {spec.kind for spec in job.measurements}
     return bool(kinds - {"radius", *APART}) or job.kind_of(job.reference) != "circle"
 
@@ -303,7 +303,7 @@ def with_free_axis(job: Job, target: Target) -> Target:
 
 
 def _is_round(job: Job) -> bool:
-    """Whether the part looks the same from all sides of its axis."""
+    """Whether the part is rotationally symmetric."""
     if not job.circles:
         return False
     centre = job.reference_circle.centre_mm
@@ -337,7 +337,7 @@ def _from_edges(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPa
 def _from_start(
     images: StereoImages, job: Job, match: ShapeMatch, curves: list[Curve], pose: FloatArray
 ) -> MeasuredPart | Reject:
-    """The same, where the part lies about at this rig_from_part (4, 4)."""
+    """Measure from an approximate rig_from_part (4, 4)."""
     face = Face(pose[:3, 3], pose[:3, :3].T)
     fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.far)
     motion = None if fit is None else find_motion(job, fit)
@@ -365,7 +365,7 @@ def _from_start(
 def _growth(
     images: StereoImages, job: Job, fit: PlaneFit, motion: RigidMotion, match: Match
 ) -> tuple[float, float]:
-    """By which share the features lie farther apart than taught, and its sigma, the distance's included."""
+    """Relative growth of the features' distances since teaching, and its sigma, the depth's included."""
     if job.calibration_id == images.rig.calibration_id:
         fit = fit.by_edges()
     growth, sigma = scale_of_features(job, fit)

@@ -1,4 +1,4 @@
-"""What a measurement gives: results, and the evidence they stand on."""
+"""Results of a measurement, and the evidence for them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class MeasuredPart:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What a target stands on; NaN where nothing tells.
+    """Evidence for a target; NaN where it is undetermined.
 
     support : share of the edges that the camera which sees less shows.  rms_px : of those edges.
     row_shift_px, row_sigma_px : right against left.

@@ -18,7 +18,7 @@ from edged.vision.part.params import MEASURING
 
 
 class Observation(NamedTuple):
-    """Of one curve: measured minus taught, its derivative by (shift, turn, growth), its inverse covariance.
+    """One curve: measured minus taught, its derivative by (shift, turn, growth), its inverse covariance.
 
     by_fit (M, P) : how it moves with the parameters of the fit.  taught (M, M) : of the taught place.
     """
@@ -100,7 +100,7 @@ def find_motion(job: Job, fit: PlaneFit) -> RigidMotion | None:
 
 
 def scale_of_features(job: Job, fit: PlaneFit) -> tuple[float, float]:
-    """By which share the features lie farther apart than taught, and its sigma; NaN: they do not tell."""
+    """Relative growth of the features' distances since teaching, and its sigma; NaN if undetermined."""
     observations = _observations(job, fit)
     if sum(len(one.gap) for one in observations) < 4 + MEASURING.min_spare:
         return math.nan, math.nan

@@ -1,4 +1,4 @@
-"""Where a taught part should be seen, by its match: in the left image, and in the right one.
+"""Predicted positions of a taught part, from its match, in the left and in the right image.
 
 The right camera is a second witness of how a part is turned. The search decides in the left image. A bar that
 lies over the part may have its edge just where another rotation has one, and seen from one side nothing tells
@@ -50,7 +50,7 @@ def poses_of_match(
     for vectors in zip(turns[:count], places[:count], strict=True):
         turn, place = (np.asarray(vector, dtype=np.float64).ravel() for vector in vectors)
         pose = transform(rotation_matrix(turn), place)
-        if np.isfinite(pose).all() and pose[2, 3] > 0 and pose[2, 2] > 0:  # a face turned away is none
+        if np.isfinite(pose).all() and pose[2, 3] > 0 and pose[2, 2] > 0:  # not a face turned away
             poses.append(pose)
     return poses
 
@@ -71,7 +71,7 @@ def match_in_raw(rectification: Rectification, match: ShapeMatch) -> Match:
 
 
 def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: Target) -> bool:
-    """Whether the right image speaks for another rotation than that of a match that was measured."""
+    """Whether the right image supports another rotation than the measured match has."""
     model = job.shape
     all_turns = turns(model)
     if model.round or not len(all_turns.motions):
@@ -105,7 +105,7 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
 def _look(
     images: StereoImages, job: Job, face: Plane, pose: FloatArray, points: npt.NDArray[np.int64]
 ) -> RotationSight | None:
-    """What the raw right image shows of points of the model on the face; None where it does not see them."""
+    """Evidence of the model's points in the raw right image; None where they are out of view."""
     level = job.shape.levels[0]
     places, normals = level.points[points], level.normals[points]
     along = np.column_stack([-normals[:, 1], normals[:, 0]])

@@ -59,12 +59,12 @@ class Lock:
 
     @property
     def share(self) -> float:
-        """Of the camera that agrees less."""
+        """Agreement of the camera that agrees less."""
         return float(self.agreeing.min())
 
     @property
     def mean(self) -> float:
-        """Of both cameras."""
+        """Mean agreement of both cameras."""
         return float(self.agreeing.mean())
 
 

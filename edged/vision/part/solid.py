@@ -156,7 +156,7 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
 
 
 def _leaning(images: StereoImages, job: Job, match: ShapeMatch, tilt_rad: float) -> Lock | None:
-    """The lock that most of the part agrees with, from poses that lean otherwise than the match says."""
+    """The lock that most of the part agrees with, from poses with other leans than the match has."""
     curves, main = curves_of(job), _main_face(job)
     by_rows = start_pose(images, job, match, main)
     starts = _by_match(images, job, match, main)[:1] + ([] if by_rows is None else [by_rows])
@@ -201,13 +201,13 @@ def _best_of(
 
 
 def _is_roundish(job: Job) -> bool:
-    """Whether its outline tells little of its turn: then every turn is a rival."""
+    """Whether its outline hardly determines its turn: then every turn is a rival."""
     around = 2 * math.pi * max((circle.radius_mm for circle in job.circles), default=0.0)
     return sum(edge.length_mm for edge in job.edges) < around
 
 
 def _tells_turn(job: Job, found: Lock) -> bool:
-    """Whether the curves beside the reference agree: those about it, a rim, a bore, do so at any turn.
+    """Whether the eccentric curves agree: concentric ones, a rim or a bore, do so at any turn.
 
     Where one feature lies at the place of another one like it, `_rival_motions` has that turn.
     """
@@ -264,7 +264,7 @@ def _turn_between(one: Lock, two: Lock) -> float:
 
 
 def _is_turned(images: StereoImages, job: Job, match: ShapeMatch, found: Lock) -> bool:
-    """Whether a lock is turned about the normal against a match that has a rotation."""
+    """Whether a lock contradicts the rotation of a match that has one."""
     if match.symmetric:
         return False
     turns = []
@@ -312,14 +312,14 @@ class _Whole:
     rigid_mm: float
 
     def alone(self, images: StereoImages) -> PlaneFit | None:
-        """The curves that can be measured by themselves, each free; None where there is none."""
+        """Free fits of the curves that can be measured separately; None without any."""
         curves = [curve for curve in self.curves if curve.name in self.clear]
         if not curves:
             return None
         return fit_plane(images.rig, images.raw, self.fit.face, curves, SOLID.alone_fit)
 
     def with_breaks(self, images: StereoImages) -> tuple[_Whole, PlaneFit | None]:
-        """The same and the curves by themselves, both with the widest edge break that either shows."""
+        """This fit and the separate curves, both with the widest edge break that either shows."""
         alone = self.alone(images)
         widths = [{one.scatter.break_mm for one in fit.fits} for fit in (self.fit, alone) if fit is not None]
         if len(set.union(*widths)) == 1:
@@ -341,7 +341,7 @@ def fitted(images: StereoImages, job: Job, pose: FloatArray) -> _Whole | None:
 
 
 def taught_sigma_mm(rig: StereoRig, pose: FloatArray) -> float:
-    """What a feature's taught place and size are worth where the part lies, rig_from_part (4, 4)."""
+    """Sigma of a feature's taught place and size at a pose, rig_from_part (4, 4)."""
     return SOLID.rigid_px * float(pose[2, 3]) / rig.left.fx
 
 

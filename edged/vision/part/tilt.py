@@ -19,7 +19,7 @@ from edged.vision.shape.model import ShapeModel
 
 
 def bisector(rectification: Rectification, place_mm: FloatArray) -> FloatArray:
-    """Unit vector (3,), rig frame, from a place (3,) to amid both cameras, halving the angle between them."""
+    """Unit vector (3,), rig frame: at a place (3,), the bisector of the directions to both cameras."""
     right_mm = invert(rectification.rig.right_from_left)[:3, 3]
     return unit(unit(-place_mm) + unit(right_mm - place_mm))
 
@@ -89,7 +89,7 @@ def _half_turns(leans: FloatArray, tilt_rad: float, apart: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """What a part takes up at its taught place when it is tilted as far as it may be, to any side.
+    """The space that a part takes up at its taught place when tilted as far as allowed, to any side.
 
     depth_mm : from its nearest to its farthest point.  outside : the cameras whose image it then leaves.
     """
@@ -99,7 +99,7 @@ class Reach:
 
 
 def reach_of(job: Job, rectification: Rectification, tilt_rad: float) -> Reach:
-    """Where the part goes, turned and tilted about its middle: that of its disc."""
+    """The reach of a part that is turned and tilted about the centre of its disc."""
     place, axes = _face(rectification, job.shape, job.rig_from_part)
     back = np.linalg.inv(_seen(rectification, place, axes))
     points = np.column_stack([job.shape.levels[0].points, np.ones(len(job.shape.levels[0].points))]) @ back.T
@@ -168,7 +168,7 @@ def _polar_grid(reach_rad: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _without_turn(view: FloatArray) -> FloatArray:
-    """The homography (3, 3) after the turn in the picture that leaves its linear part none of its own."""
+    """The homography (3, 3) after the turn in the picture that removes the rotation of its linear part."""
     (a, b), (c, d) = view[:2, :2]
     turned = view.copy()
     turned[:2] = rotation_2d(-math.atan2(c - b, a + d)) @ view[:2]

@@ -1,4 +1,4 @@
-"""Which points of a body its own surface hides from a camera: a z-buffer over its triangles.
+"""Points of a body that its own surface hides from a camera: a z-buffer over its triangles.
 
 The buffer looks along the line from the camera to the body's middle, with a pinhole of its own: lens
 distortion moves what hides and what is hidden alike.
@@ -83,7 +83,7 @@ def fill_depths(vertices: F64, triangles: I64, buffer: F64) -> None:
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8, i8, b1[::1])")
 def find_hidden(buffer: F64, points: F64, behind: float, around: int, hidden: B64) -> None:
-    """Fill hidden (N,): points (N, 3) that lie by more than so much behind a pixel so near to them."""
+    """Fill hidden (N,): points (N, 3) that lie deeper than a margin behind a nearby pixel."""
     height, width = buffer.shape
     for n in range(len(points)):
         hidden[n] = False

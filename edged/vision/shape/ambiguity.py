@@ -50,7 +50,7 @@ class RivalTurns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RotationSight:
-    """What the image shows where a pose expects edges.
+    """Evidence in the image where a pose expects edges.
 
     placed (N, 4) : x, y, nx, ny of the model's points.  slope (N,) : at the edge there, grey values per px,
     signed, 0 without one.  beside (N, 3) : grey values before, at and behind the place of the edge, NaN
@@ -67,7 +67,7 @@ class RotationSight:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What counts as an edge of the part, and as a surface without one, in the light of one image.
+    """Thresholds for an edge of the part, and for bare surface, in the light of one image.
 
     strong : slope, grey values per px.  face, around : grey value, and by how much it may vary, of the part's
     face and of what lies around it; NaN where they are not even.
@@ -93,7 +93,7 @@ class Surroundings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odds:
-    """What the face of a part shows by chance; and the shares (T, K) of what K `turns` have of their own."""
+    """Chance edges on the face of a part; and the shares (T, K) of what K `turns` have of their own."""
 
     chance: Chance
     own: FloatArray
@@ -116,7 +116,7 @@ def look(
 
 
 def _scale(pose: FloatArray) -> float:
-    """Of the image's px to the model's."""
+    """Scale from the image's px to the model's."""
     return float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
 
 
@@ -191,7 +191,7 @@ def _even(greys: FloatArray, step: float) -> tuple[float, float]:
 def odds_on_face(
     image: Image, model: ShapeModel, pose: FloatArray, sign: int, min_contrast: float, slopes: FloatArray
 ) -> Odds:
-    """What the face of the part at a pose shows by chance of the edges that tell its rotations apart.
+    """Chance edges on the face, at a pose, among those that distinguish its rotations.
 
     slopes (N,) : at the edges where the pose expects them, 0 where there is none.
     """
@@ -308,7 +308,7 @@ def decides(
     min_contrast: float,
     odds: Odds,
 ) -> bool | None:
-    """Whether an image speaks for the first of two poses of a model; None where they hardly differ.
+    """Whether an image favours the first of two poses of a model; None where they hardly differ.
 
     signs : as in `edges_along_normals`, one for each.  odds : of the part that both are of.
     """

@@ -52,7 +52,7 @@ class ShapeViews:
         return np.concatenate([self.linear[view].ravel(), self.tilt[view] * 2.0**level])
 
     def meets(self, view: int, angles_rad: FloatArray) -> npt.NDArray[np.bool_]:
-        """Which rotations (N,) a view can be met in."""
+        """Whether a view can occur at rotations (N,)."""
         middle, half = self.turns[view]
         return np.asarray(np.abs(wrapped(angles_rad - middle)) <= half + 1e-9)
 
@@ -81,7 +81,7 @@ class Hypothesis:
 
     @cached_property
     def origin(self) -> tuple[float, float]:
-        """Where the model's origin is, px of the level."""
+        """Position of the model's origin, px of the level."""
         return float(self.pose[0]), float(self.pose[1])
 
     @cached_property
@@ -91,7 +91,7 @@ class Hypothesis:
         return math.atan2(c - b, a + d)
 
     def at(self, pose: FloatArray) -> Hypothesis:
-        """The same at another pose."""
+        """This hypothesis at another pose."""
         return replace(self, pose=pose)
 
 
@@ -174,7 +174,7 @@ class _Look:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plan:
-    """What a scan needs and no image changes.
+    """The part of a scan that does not depend on the image.
 
     looks : one of each view, all of as many points; poses (P, 3), steps (3,): see `pose_grid`; views (P,) :
     that of each pose; sectors (P,), those of each of the `groups` of views on their own; offsets (P, N) of

@@ -48,7 +48,7 @@ class Elsewhere:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chance:
-    """What points of a model showed elsewhere on its face.
+    """Edges that the model's points show elsewhere on its face.
 
     known (U,) : which points of the model.  looked (U,), met (T, U) : at how many places the bare face was
     seen there, and at how many of them an edge.  thresholds (T,) : slopes from which an edge may count,
@@ -81,7 +81,7 @@ class Chance:
         return np.asarray(np.where(looked > 0, (met + 0.5) / (looked + 1.0), ROTATIONS.unknown))
 
     def evidence(self, sets: Flags, slopes: FloatArray, strong: float, shares: FloatArray) -> FloatArray:
-        """How unlikely it is, in nats (K,), that chance shows so many edges of each of K sets of points.
+        """How unlikely it is, in nats (K,), of as many chance edges in each of K sets of points.
 
         sets (K, N) : points of the model, with their `shares`.  slopes (N,) or (K, N) : strength of the edge
         that each shows.  strong : slope from which one counts at least.
@@ -98,7 +98,7 @@ class Chance:
         return np.asarray(nats.max(axis=0) - math.log(len(levels)))
 
     def _independent(self, count: Array) -> FloatArray:
-        """How many independent points tell as much as so many on a few curves."""
+        """The number of independent points equivalent to points on a few curves."""
         shared = (self.repeated - 1.0) / max(self.many - 1.0, 1.0)
         return np.asarray(
             count / (1.0 + (np.minimum(count, ROTATIONS.curve_points) - 1.0) * min(shared, 1.0))
@@ -120,13 +120,13 @@ def clumping(
     met = (slope >= often).astype(np.float32) @ members  # False for NaN
     used = looked > 1
     places = np.count_nonzero(used, axis=0)
-    told = (places > ROTATIONS.few_places) & (met.sum(axis=0) > 0)
-    if not told.any():
+    judged = (places > ROTATIONS.few_places) & (met.sum(axis=0) > 0)
+    if not judged.any():
         return 1.0, 1.0
-    looked, met, used = looked[:, told], met[:, told], used[:, told]
+    looked, met, used = looked[:, judged], met[:, judged], used[:, judged]
     share = met.sum(axis=0) / np.maximum(looked.sum(axis=0), 1.0)
     scatter = (met - looked * share) ** 2 / np.maximum(looked * share * (1.0 - share), 1e-9)
-    freedom = (places[told] - 1).sum()
+    freedom = (places[judged] - 1).sum()
     return max(float(scatter[used].sum()) / float(freedom), 1.0), float(looked[used].mean())
 
 
@@ -167,7 +167,7 @@ def look_elsewhere(
 
 
 def _exceeded(slope: FloatArray) -> FloatArray:
-    """What the shares OFTEN and RARE of slopes (C,) exceed; 0 without any."""
+    """Slopes that the shares `often` and `rare` of slopes (C,) exceed; 0 without any."""
     wanted = np.array((ROTATIONS.often, *ROTATIONS.rare))
     if not len(slope):
         return np.zeros(len(wanted))
@@ -186,7 +186,7 @@ def _chosen(all_places: Elsewhere, points: Flags) -> npt.NDArray[np.int64]:
 
 @lru_cache(maxsize=16)
 def elsewhere(model: ShapeModel) -> Elsewhere:
-    """Where the points of a model may be turned to."""
+    """Places on the face to which the points of a model may be turned."""
     level, centre = model.levels[0], model.centre_px
     points, normals = level.points, level.normals
     low = np.floor(points.min(axis=0)) - 2.0

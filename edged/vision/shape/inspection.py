@@ -1,4 +1,4 @@
-"""What a taught shape promises: how distinct its rotation is, its contrast, how precise it can be."""
+"""Assessment of a taught shape: distinctness of its rotation, contrast, attainable precision."""
 
 from __future__ import annotations
 

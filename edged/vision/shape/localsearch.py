@@ -76,7 +76,7 @@ def _around(points: FloatArray, pose: FloatArray, stretched: bool) -> FloatArray
 
 
 def _around_view(points: FloatArray, pose: FloatArray, view: FloatArray) -> FloatArray:
-    """The same of a shape as a view shows it."""
+    """Poses around one of a shape in a tilted view."""
     looks, tilt = view[:4].reshape(2, 2), view[4:]
     seen = points @ looks.T / (1 + points @ tilt)[:, None]
     similarity = np.zeros(8)

@@ -16,7 +16,7 @@ MAX_LEVELS = 5  # length of `LearningParams.max_points`
 
 @dataclass(frozen=True, slots=True)
 class ModelParams:
-    """What of a region becomes the model.
+    """Which edges of a region become the model.
 
     edges : which edges belong to it.
     levels : 1 to 5, of the pyramid; fewer where the shape does not survive so far up. None means "auto".
@@ -41,7 +41,7 @@ EACH_EDGE_ITSELF: tuple[Polarity, ...] = ("local", "ignore")
 
 @dataclass(frozen=True, slots=True)
 class SearchParams:
-    """What to look for. Names as in the field; wrong values raise `UserError` that names them.
+    """Parameters of a search. Names as in the field; wrong values raise `UserError` that names them.
 
     angle_start_rad, angle_extent_rad : range of the rotation against the teaching.
     scale_min, scale_max : range of the size.
@@ -226,7 +226,7 @@ CLIMB = ClimbParams()
 
 @dataclass(frozen=True, slots=True)
 class RotationParams:
-    """Which rotation of a nearly symmetric shape the image shows, and what chance makes look like one.
+    """The decision between rotations of a nearly symmetric shape, against chance.
 
     Where a line names no source, `tools/bench ablate --only RotationParams` shows what the number earns.
     """
@@ -282,7 +282,7 @@ ROTATIONS = RotationParams()
 
 @dataclass(frozen=True, slots=True)
 class LearningParams:
-    """What becomes of a region as a model, and what its teacher is told of it.
+    """How a region becomes a model, and how the model is assessed.
 
     Where a line names no source, `tools/bench ablate --only LearningParams` shows what the number earns.
     """
@@ -301,7 +301,7 @@ class LearningParams:
     noise: float = 3.0  # grey values, 1 sigma: an ordinary industrial camera at usual gain
     weak_reserve: float = 3.0  # times the least contrast, below which edges count as weak
     few_points: int = 120  # of the finest level
-    confusable: float = 0.9  # self-similarity from which a teacher is told of another rotation
+    confusable: float = 0.9  # self-similarity from which another rotation is reported
     lopsided: float = 3.0  # precision along one axis over the other
 
 

@@ -36,7 +36,7 @@ def start_pose(x_px: float, y_px: float, angle_rad: float, scale_x: float, scale
 
 
 def one_level_finer(pose: FloatArray) -> FloatArray:
-    """The same pose in pixels of half the size; centres of pixels are integers."""
+    """The pose in pixels of half the size; centres of pixels are integers."""
     finer = pose.copy()
     finer[:2] = (pose[:2] + 0.5) * 2 - 0.5
     finer[6:] = pose[6:] / 2

@@ -238,7 +238,7 @@ class _Search:
         return self.params.scale_y_min is not None
 
     def _freedom(self) -> int:
-        """What the refinement adapts: also what the search only sampled, or a pose is half a step off."""
+        """Degrees of freedom of the refinement: also those that the search sampled."""
         asked = FREEDOM[self.params.sub_pixel]
         if asked and self._stretches():
             return max(asked, refine.STRETCH)
@@ -250,7 +250,7 @@ class _Search:
         return float(self.model.radius_px / 2.0**level)
 
     def _plausible(self, pose: FloatArray, slack: float) -> bool:
-        """Whether size, stretch, angle and place are what was asked for, with the slack of a refinement."""
+        """Whether size, stretch, angle and place are within the asked ranges, with a refinement's slack."""
         a, b, c, d = pose[2:6].tolist()
         p, determinant = self.params, a * d - b * c
         if not (determinant > 0 and np.isfinite(pose).all()):
@@ -282,12 +282,12 @@ class _Search:
         return (h.pose[:2] + 0.5) * shrink - 0.5 + h.pose[2:6].reshape(2, 2) @ centre
 
     def _same_place(self, h: Hypothesis, level: int, other: Hypothesis) -> bool:
-        """Whether a hypothesis on a level and a finished one are of one part, whichever way it is turned."""
+        """Whether a hypothesis on a level and a finished one belong to one part, at any rotation."""
         apart = float(np.linalg.norm(self._middle(h, level) - self._middle(other, 0)))
         return apart < CLIMB.same_place * reach_px(self.model)
 
     def _settles(self, better: Hypothesis, candidate: Hypothesis, top: int) -> bool:
-        """Whether a finished hypothesis leaves nothing to be found at its place by a candidate."""
+        """Whether a finished hypothesis makes a candidate at its place superfluous."""
         if better.ambiguous or better.score < self.params.min_score:
             return False
         clear = better.score >= CLIMB.clear_score or candidate.score < better.scanned - CLIMB.scan_error
@@ -315,7 +315,7 @@ class _Search:
         return False
 
     def _covered(self, h: Hypothesis, better: Hypothesis, distance: float) -> bool:
-        """Whether h is a symmetric variant of a better one: those are tried anyway."""
+        """Whether h is a symmetric variant of a better one, which is tried anyway."""
         if h.sign != better.sign or distance > CLIMB.same_place * self.model.radius_px:
             return False
         turn = h.angle - better.angle
@@ -345,7 +345,7 @@ class _Search:
         return [self._canonical(h) for h in kept]
 
     def _is_another(self, one: Hypothesis, other: Hypothesis) -> bool:
-        """Whether two poses at one place are two rotations of the shape that can be told apart at all."""
+        """Whether two poses at one place are distinguishable rotations of the shape."""
         turn = one.angle - other.angle
         same = self.model.round or any(angle_between(turn, float(row[2])) < 0.1 for row in self._equal())
         return angle_between(one.angle, other.angle) > 0.1 and not same
@@ -355,7 +355,7 @@ class _Search:
         return [row for row in self.model.symmetries if row[3] >= self.model.same_score]
 
     def _with_odds(self, hypothesis: Hypothesis, found: list[Hypothesis]) -> Hypothesis:
-        """With what the face shows by chance: as one as good at its place knows it, or measured."""
+        """The hypothesis with its odds of chance: from an equally good one at its place, or measured."""
         if self.model.round or hypothesis.slopes is None or hypothesis.score < self.params.min_score:
             return hypothesis
         for known in found:
@@ -403,7 +403,7 @@ class _Search:
         return replace(best, ambiguous=True)
 
     def _beats(self, one: Hypothesis, other: Hypothesis) -> bool:
-        """Whether the image says that of two rotations at one place the first is right."""
+        """Whether the image favours the first of two rotations at one place."""
         if abs(one.score - other.score) > CLIMB.rival_margin[1]:
             return one.score > other.score
         image = self.work.images[0]
@@ -434,7 +434,7 @@ class _Search:
         return None if coarse is None else self._finest(coarse, climbed=True)
 
     def _canonical(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Of all angles at which the shape looks the same, the one nearest to the taught."""
+        """The angle nearest to the taught one among those at which the shape looks the same."""
         if self.model.round:
             back = rivals.about(self.model.centre_px, -hypothesis.angle)
             return hypothesis.at(rivals.turned(hypothesis.pose, back))

@@ -60,7 +60,7 @@ class Workspace:
     def mask(self, valid: Image | None, level: int) -> Image:
         """A mask (H, W) uint8 on a level, shrunk so that its border is no edge; (1, 1) for none.
 
-        Of a read-only mask, which nobody can change, the last one is kept.
+        The last read-only mask is kept, as it cannot change.
         """
         if valid is None:
             return _ALL_VALID
@@ -95,7 +95,7 @@ class WorkspacePool:
 
     @contextmanager
     def lend(self) -> Iterator[Workspace]:
-        """A work space that nobody else uses until the block ends."""
+        """A work space for exclusive use until the block ends."""
         try:
             work = self._free.pop()  # one step under the GIL: two threads never get the same
         except IndexError:

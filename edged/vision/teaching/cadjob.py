@@ -1,7 +1,7 @@
 """A job from a CAD model alone: the part as drawn, lying square to the left camera at a nominal distance.
 
 The face that shows most edges is painted as the left camera would see it, and the shape is learnt from that
-picture; the features of all faces come from the model, with their heights. Nobody has seen which of the two
+picture; the features of all faces come from the model, with their heights. It is unknown which of the two
 edges of an edge break the cameras will see, so such a job states its own sigma.
 """
 
@@ -130,7 +130,7 @@ def _curves(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -> l
 def _features(
     curves: ModelCurves, level: FloatArray, scale: float
 ) -> tuple[list[CircleFeature], list[EdgeFeature]]:
-    """What is large enough to be measured at a scale, px per mm; of an edge break the upper edge."""
+    """Curves large enough to be measured at a scale, px per mm; of an edge break, the upper one."""
     rounds = [
         CircleFeature("", apply(level, one.centre_mm), one.radius_mm, 1 if one.hole else -1, double=True)
         for one in curves.circles
@@ -174,7 +174,7 @@ def _shown(
 
 
 def _breaks_into(one: CircleFeature, upper: CircleFeature) -> bool:
-    """Whether it is the lower edge of an edge break."""
+    """Whether a circle is the lower edge of an edge break."""
     aside = float(np.linalg.norm((one.centre_mm - upper.centre_mm)[:2]))
     wider = (upper.radius_mm - one.radius_mm) * one.polarity
     down = float(one.centre_mm[2] - upper.centre_mm[2])
@@ -186,7 +186,7 @@ def _breaks_into(one: CircleFeature, upper: CircleFeature) -> bool:
 
 
 def _falls_from(one: EdgeFeature, upper: EdgeFeature) -> bool:
-    """The same of a straight edge."""
+    """Whether a straight edge is the lower one of an edge break."""
     along = (one.end_mm - one.start_mm) / one.length_mm
     gap = 0.5 * (one.start_mm + one.end_mm - upper.start_mm - upper.end_mm)
     parallel = np.linalg.norm(np.cross(along, upper.end_mm - upper.start_mm)) < 1e-3 * upper.length_mm
@@ -227,7 +227,7 @@ def _in_order(
 
 
 def _corners(edges: Sequence[EdgeFeature]) -> list[CornerFeature]:
-    """Where edges of one face end in one place."""
+    """Corners: places where edges of one face end together."""
     found: list[CornerFeature] = []
     for one, two in itertools.combinations(edges, 2):
         gaps = [np.linalg.norm(a - b) for a in (one.start_mm, one.end_mm) for b in (two.start_mm, two.end_mm)]

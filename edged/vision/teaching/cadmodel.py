@@ -62,7 +62,7 @@ class CadModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelCircle:
-    """Where a face meets a round wall.
+    """A circle in which a face meets a round wall.
 
     centre_mm (3,) : model frame.  hole : material is outside of it.  span : share of the whole circle.
     sigma_mm : of the radius, where the model has chords in its place.
@@ -86,7 +86,7 @@ class ModelEdge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelCurves:
-    """What a model shows to cameras that look against up (3,): sharp outer edges level to it."""
+    """A model's sharp, level outer edges, seen against up (3,)."""
 
     up: FloatArray
     circles: tuple[ModelCircle, ...]
@@ -138,7 +138,7 @@ def triangle_normals(model: CadModel) -> tuple[FloatArray, FloatArray]:
 
 
 def _welding(points_mm: FloatArray) -> tuple[IntArray, IntArray]:
-    """Of points (N, 3): one of each place, and the number of its place (N,)."""
+    """Distinct points among (N, 3), and the index of each point's distinct one (N,)."""
     keys = np.rint(points_mm / CAD.weld_mm).astype(np.int64)
     _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return first, number.reshape(-1)
@@ -283,7 +283,7 @@ def _circle(
 
 
 def _meeting_height(wall: RoundSurface, other: Surface, up: FloatArray) -> float | None:
-    """Where along up (3,) a wall and a plane, or another wall about its axis, meet."""
+    """Height along up (3,) at which a wall meets a plane, or another wall about its axis."""
     if isinstance(other, FlatSurface):
         return float(other.origin_mm @ up) if _parallel(other.normal, up) else None
     gap = other.origin_mm - wall.origin_mm

@@ -49,7 +49,7 @@ class DrawnOutline:
 
 
 def px_per_mm(rectification: Rectification, depth_mm: float) -> float:
-    """Of a face at this distance, nearly. Raises `TeachError` for what is no distance."""
+    """Approximate scale of a face at this distance. Raises `TeachError` for an invalid distance."""
     if not np.isfinite(depth_mm) or depth_mm <= 0:
         raise TeachError(f"depth {depth_mm:g} mm: expected the distance from the left camera to the face")
     return rectification.focal_px / depth_mm

@@ -117,7 +117,7 @@ def _followed(sides: IntArray, rows: IntArray) -> Iterator[tuple[IntArray, bool]
 
 
 def _from_a_corner(sides: IntArray, chain: IntArray, points: FloatArray) -> IntArray:
-    """A chain that comes round, begun where it turns most: not amid a straight edge."""
+    """A closed chain that starts where it turns most, not within a straight edge."""
     steps = np.diff(points[_corners_along(sides, chain), :2], axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
     turn = np.angle(np.exp(1j * (heading - np.roll(heading, 1))))

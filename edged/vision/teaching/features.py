@@ -46,7 +46,7 @@ class FoundFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeachingView:
-    """What is taught from: a stereo pair, and the region (h, w) in the rectified left image."""
+    """A teaching pair, and the region (h, w) in its rectified left image."""
 
     images: StereoImages
     mask: Image
@@ -68,7 +68,7 @@ def find_features(
 
 
 def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatArray | None:
-    """rig_from_part (4, 4) of a face that shows no circle, its origin amid its edges; None if there is none.
+    """rig_from_part (4, 4) of a face without circles, its origin at the centre of its edges, or None.
 
     depth_mm : range of the rectified depth.  x is the rig's x axis projected into the face.
     """
@@ -248,7 +248,7 @@ def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
 
 
 def _order(size: Callable[[Curve], float]) -> Callable[[Curve], tuple[float, float, float]]:
-    """By falling size; equal ones in reading order, so that names are repeatable."""
+    """Features by decreasing size; equal ones in reading order, so that names are repeatable."""
     return lambda curve: (
         -round(size(curve), 1),
         round(float(curve.parameters[1]), 1),

@@ -1,8 +1,8 @@
-"""Where in a picture a part may be, before anything is known of it: what has a strong outline all round.
+"""Proposals of where a part is in a picture: anything with a strong closed outline.
 
 Level sets of three pictures are looked at: of the grey values, for parts that are brighter or darker than
 the table; of how far they are from the table's, for parts that are both; and of the slope, closed, for parts
-whose faces are as bright as the table. Which outline is the part's is told by its weakest stretch: those of a
+whose faces are as bright as the table. The part's outline is recognised by its weakest stretch: those of a
 table's texture have gaps.
 """
 
@@ -30,7 +30,7 @@ class _Outline:
     strength: float
 
     def is_beside(self, other: _Outline) -> bool:
-        """Whether both are of one edge, one being inside the other."""
+        """Whether both outlines follow one edge, one inside the other."""
         radii = [np.sqrt(one.area / np.pi) for one in (self, other)]
         return bool(abs(radii[0] - radii[1]) <= max(TEACHING.same_px, TEACHING.same_share * max(radii)))
 

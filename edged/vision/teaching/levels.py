@@ -121,7 +121,7 @@ def circle_on(
 
 
 def _anew(images: StereoImages, one: FoundCircle, normal: FloatArray) -> FoundCircle | None:
-    """The same circle, with a better normal."""
+    """The circle measured again with a better normal."""
     circle = one.circle
     fit = fit_circle(
         images.rig,
@@ -137,7 +137,7 @@ def _anew(images: StereoImages, one: FoundCircle, normal: FloatArray) -> FoundCi
 
 
 def _without_breaks(found: Sequence[FoundCircle], normal: FloatArray) -> list[FoundCircle]:
-    """Of the two edges of a chamfer, and of what was found twice, the one nearer to the cameras."""
+    """The circles without duplicates and lower chamfer edges: the one nearer to the cameras stays."""
     kept: list[FoundCircle] = []
     for one in sorted(found, key=lambda one: -float(normal @ one.circle.centre_mm)):
         if not any(_same(one, other, normal) for other in kept):
@@ -205,7 +205,7 @@ def _tilted(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolidFeatures:
-    """What a part of several heights consists of.
+    """The faces and features of a part with several heights.
 
     rig_from_part (4, 4) : its origin in the centre of the reference circle, z = 0 the face that is searched
     for.  circles : reference first, then that face's, then by falling radius.  found : edges, slots and

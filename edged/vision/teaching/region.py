@@ -130,7 +130,7 @@ Area = Region | CircleRegion | PolygonRegion | Stroke | Painted
 
 
 def painted_region(region: Area, exclude: Sequence[Area], width: int, height: int) -> Image:
-    """Mask (height, width) uint8 of the raw left image: 255 in the region and in none of what is left out.
+    """Mask (height, width) uint8 of the raw left image: 255 in the region but outside its exclusions.
 
     Raises `TeachError` for a region that is impossible, outside of the image, or left without content.
     """

@@ -71,13 +71,13 @@ def _search(former: Job, taught: Job, said: list[str]) -> SearchParams:
 def _measurements(
     former: Job, taught: Job, said: list[str]
 ) -> tuple[tuple[MeasurementSpec, ...], str | None]:
-    """Those of the former job, with the taught size where nobody had stated another."""
+    """Measurements of the former job, with the taught size unless another was stated."""
     by_teaching = {one.name: one for one in known_radius(former.circles, former.reference)[0]}
     fresh = {one.name: one for one in taught.measurements}
     kept: list[MeasurementSpec] = []
     for one in former.measurements:
         if one == by_teaching.get(one.name):
-            continue  # nobody touched it: the taught job has its own
+            continue  # unedited: the taught job has its own
         if any(former.kind_of(name) != taught.kind_of(name) for name in one.of):
             said.append(f"measurement {one.name} is dropped: {', '.join(one.of)} is not there any more")
             continue
@@ -90,7 +90,7 @@ def _measurements(
 
 
 def _differ(before: object, after: object) -> bool:
-    """Whether a value was edited: not what teaching gives, within what one teaching differs from another."""
+    """Whether a value was edited: it differs by more than two teachings do."""
     if isinstance(before, float) and isinstance(after, float):
         return abs(before - after) > TEACHING.same_tolerance * abs(after)
     return before != after
