@@ -199,6 +199,19 @@ def _next(thin: Image, used: Image, y: int, x: int) -> int:
     return -1
 
 
+@kernel("i8(u1[:, ::1], u1[:, ::1], i8, i8[:, ::1], i8)")
+def _follow(thin: Image, used: Image, place: int, pixels: I64, filled: int) -> int:
+    """Append the chain from a flat index, -1: none, to pixels (N, 2); returns how many are filled then."""
+    width = thin.shape[1]
+    while place >= 0:
+        v, u = place // width, place % width
+        used[v, u] = 1
+        pixels[filled, 0], pixels[filled, 1] = v, u
+        filled += 1
+        place = _next(thin, used, v, u)
+    return filled
+
+
 @kernel("i8(u1[:, ::1], i8, i8)")
 def _neighbours(thin: Image, y: int, x: int) -> int:
     height, width = thin.shape
@@ -223,13 +236,7 @@ def _link(thin: Image) -> tuple[I64, I64, Image]:
                 if not thin[y, x] or used[y, x] or (not loops and _neighbours(thin, y, x) > 1):
                     continue
                 first = filled
-                place = y * width + x
-                while place >= 0:
-                    v, u = place // width, place % width
-                    used[v, u] = 1
-                    pixels[filled, 0], pixels[filled, 1] = v, u
-                    filled += 1
-                    place = _next(thin, used, v, u)
+                filled = _follow(thin, used, y * width + x, pixels, filled)
                 last = filled - 1
                 near = max(abs(pixels[last, 0] - y), abs(pixels[last, 1] - x)) <= 1
                 closed[chains] = loops and near and filled - first > 7
@@ -241,12 +248,7 @@ def _link(thin: Image) -> tuple[I64, I64, Image]:
                             swap = pixels[first + i, j]
                             pixels[first + i, j] = pixels[last - i, j]
                             pixels[last - i, j] = swap
-                while place >= 0:
-                    v, u = place // width, place % width
-                    used[v, u] = 1
-                    pixels[filled, 0], pixels[filled, 1] = v, u
-                    filled += 1
-                    place = _next(thin, used, v, u)
+                filled = _follow(thin, used, place, pixels, filled)
                 chains += 1
                 starts[chains] = filled
     return pixels[:filled].copy(), starts[: chains + 1].copy(), closed[:chains].copy()

@@ -37,7 +37,7 @@ Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
 
 
 def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
-    """Excess of sizes and distances of circles over the taught ones, relative, and its sigma; NaN for too few.
+    """Relative excess of circles' sizes and distances over the taught ones, its sigma; NaN for too few.
 
     The median by weight: one worn hole, or one that was drilled elsewhere, is the part's own. Its sigma comes
     from the scatter, and from the stated sigmas as if all erred alike, as they do in one light.
