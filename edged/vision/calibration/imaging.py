@@ -19,6 +19,7 @@ import numpy.typing as npt
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.vision.boards.board import Board, Charuco, Chessboard, Detection
 from edged.vision.boards.deformation import nominal
+from edged.vision.boards.params import DETECTION
 from edged.vision.calibration.params import IMAGING
 from edged.vision.geometry.camera import StereoRig, calibration_identity
 from edged.vision.geometry.rectification import linear_grey
@@ -129,11 +130,11 @@ def imaging_of(pictures: Sequence[BoardEdges], size: tuple[int, int]) -> Imaging
         *(np.concatenate([getattr(one, name) for one in pictures]) for name in BoardEdges.__slots__)
     )
     step = edges.bright - edges.dark
-    clipped = edges.bright >= IMAGING.white
+    clipped = edges.bright >= DETECTION.white
     saturated = (
         float(np.mean(clipped[step > IMAGING.min_step])) if (step > IMAGING.min_step).any() else math.nan
     )
-    good = edges.some(~clipped & (edges.dark > IMAGING.black) & (step > IMAGING.min_step))
+    good = edges.some(~clipped & (edges.dark > DETECTION.black) & (step > IMAGING.min_step))
     if len(good.view) < IMAGING.min_edges:
         return replace(UNKNOWN, saturated=saturated)
     gamma, shift, sigma = _response(good)

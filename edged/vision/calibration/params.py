@@ -90,8 +90,6 @@ class ImagingParams:
     reach_px: int = 5  # of the profiles to both sides, and half their width along the edge
     flat_px: float = 3.2  # from here to the reach the profile of a usable lens is level
     min_step: float = 30.0  # grey values of an edge
-    black: float = 2.0  # at and below it a pixel is clipped
-    white: float = 250.0  # at and above it a pixel is clipped
     bin_px: float = 0.1
     """Of the profile: a tenth of a pixel resolves the sharpest lens (0.29 px, the pixel itself)."""
     sectors: int = 4

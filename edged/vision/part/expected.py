@@ -15,6 +15,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, Reject, Target
 from edged.vision.curves.foresight import ExpectedLight, foresee_plane, scatter_in
 from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.params import FIT
 from edged.vision.curves.planefit import CurveFit, PlaneFit, Scatter
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, transform
@@ -22,12 +23,11 @@ from edged.vision.part.circles import placed
 from edged.vision.part.consistency import vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.part.measure import all_curves, completed, needs_all, published, target_from, with_free_axis
-from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve, edge_curve, find_motion, slot_curve
 from edged.vision.part.solid import curves_of, target_of, taught_sigma_mm
 
 GOOD_LIGHT = ExpectedLight(contrast=80.0, noise=2.0, blur_px=0.8)
-USUAL = scatter_in(GOOD_LIGHT, MEASURING.usual_shift_px)
+USUAL = scatter_in(GOOD_LIGHT, FIT.doubt_px)
 """For a job without measurements."""
 
 Scatters = Mapping[str, Scatter]

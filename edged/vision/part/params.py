@@ -99,8 +99,6 @@ class MeasuringParams:
     rival_share: float = 0.6
     """Of the circle, both images in the mean: looking along a chamfer both edges are one."""
     min_rival_share: float = 0.35  # in each: a wall or its shadow is seen on one side only
-    usual_shift_px: float = 0.03
-    """Of the edges of machined parts in even light: what a fit starts from, too (`systematic`)."""
     flatness_reach_mm: float = 1.0
     """Points farther from the plane are another surface: a recess, the table through a hole."""
     flatness_grid_px: int = 12  # of the points

@@ -54,12 +54,8 @@ def _lies_on(curve: ModelCircle | ModelEdge, points: FloatArray, sides: IntArray
         off = np.linalg.norm(np.cross(points - curve.start_mm, along), axis=1)
         place = (points - curve.start_mm) @ along
         end = float(np.linalg.norm(curve.end_mm - curve.start_mm))
-        near = (
-            (off < CAD.body_on_curve_mm)
-            & (place > -CAD.body_on_curve_mm)
-            & (place < end + CAD.body_on_curve_mm)
-        )
+        near = (off < CAD.on_curve_mm) & (place > -CAD.on_curve_mm) & (place < end + CAD.on_curve_mm)
     else:
         away = np.linalg.norm(points - curve.centre_mm, axis=1)
-        near = np.abs(away - curve.radius_mm) < CAD.body_on_curve_mm
+        near = np.abs(away - curve.radius_mm) < CAD.on_curve_mm
     return np.asarray(near[sides].all(axis=1))

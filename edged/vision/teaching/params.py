@@ -100,7 +100,6 @@ class CadParams:
     """
 
     body_sharp_rad: float = math.radians(20.0)  # between two triangles: less is within a rounding
-    body_on_curve_mm: float = 0.02  # from a triangle's corner to a curve that it lies on
     sigma_mm: float = 0.1
     """Of what a model alone says of a real part's edges: edge breaks are 0.1-0.5 mm (ISO 13715)."""
     max_sigma_mm: float = 0.3  # a job's limit; twice the above, across the face, is in every result
