@@ -24,8 +24,8 @@ from edged.vision.part.job import (
     CornerFeature,
     EdgeFeature,
     Job,
-    JobLimits,
     MeasurementSpec,
+    ResultLimits,
     SlotFeature,
 )
 from edged.vision.shape.model import ShapeLevel, ShapeModel
@@ -49,7 +49,10 @@ EVERY_OPTION = SearchParams(
 
 
 def make_job(
-    name: str = "flange", number: int = 3, limits: JobLimits | None = None, search: SearchParams | None = None
+    name: str = "flange",
+    number: int = 3,
+    limits: ResultLimits | None = None,
+    search: SearchParams | None = None,
 ) -> Job:
     """A job with awkward numbers, that no image was needed for."""
     rng = np.random.default_rng(0)
@@ -71,7 +74,7 @@ def make_job(
         ),
         "c0",
         rig_from_part,
-        limits or JobLimits((180.5, 230.0), radius_tolerance_mm=0.05),
+        limits or ResultLimits((180.5, 230.0), radius_tolerance_mm=0.05),
         search or SearchParams(scale_min=1 / 1.12, scale_max=1 / 0.88, polarity="same"),
     )
 
@@ -120,9 +123,9 @@ def edit(folder: Path, pattern: str, replacement: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("limits", "search"), [(None, None), (JobLimits((150.0, 151.0), form_tolerance_mm=0.1), EVERY_OPTION)]
+    ("limits", "search"), [(None, None), (ResultLimits((150.0, 151.0), form_tolerance_mm=0.1), EVERY_OPTION)]
 )
-def test_a_job_comes_back(tmp_path: Path, limits: JobLimits | None, search: SearchParams | None) -> None:
+def test_a_job_comes_back(tmp_path: Path, limits: ResultLimits | None, search: SearchParams | None) -> None:
     """Saved and loaded, every number is the same; saved again, so is every byte of job.toml."""
     job = make_job(limits=limits, search=search)
     save_job(tmp_path / "jobs" / "one", job)

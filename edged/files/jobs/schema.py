@@ -20,11 +20,11 @@ from edged.vision.part.job import (
     CornerFeature,
     EdgeFeature,
     Job,
-    JobLimits,
     MeasurementKind,
     MeasurementSpec,
     ModelPoint,
     Report,
+    ResultLimits,
     SlotFeature,
     crossing,
 )
@@ -75,10 +75,10 @@ class _Limits(_Section):
             raise ValueError(f"depth_mm must be [nearest, farthest], both positive, got {self.depth_mm}")
         return self
 
-    def values(self) -> JobLimits:
+    def values(self) -> ResultLimits:
         nearest, farthest = self.depth_mm
         numbers = self.model_dump(exclude={"box", "keep_out"})
-        return JobLimits(**{**numbers, "depth_mm": (nearest, farthest)})
+        return ResultLimits(**{**numbers, "depth_mm": (nearest, farthest)})
 
     def bounds(self) -> tuple[Bounds, ...]:
         boxes, keep_out = (tuple(zone.box() for zone in zones) for zones in (self.box, self.keep_out))

@@ -125,7 +125,7 @@ class MeasurementSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class JobLimits:
+class ResultLimits:
     """Limits that a result has to meet.
 
     depth_mm : (nearest, farthest) of the reference point, rig z.
@@ -185,7 +185,7 @@ class Job:
     circles: tuple[CircleFeature, ...]
     reference: str
     rig_from_part: FloatArray
-    limits: JobLimits
+    limits: ResultLimits
     search: SearchParams = field(default_factory=SearchParams)
     edges: tuple[EdgeFeature, ...] = ()
     slots: tuple[SlotFeature, ...] = ()
@@ -254,7 +254,7 @@ def usual_limits(
     circles: Sequence[CircleFeature],
     reference: str,
     sigma_mm: float = 0.0,
-) -> JobLimits:
+) -> ResultLimits:
     """The limits of a job that was taught at this depth, where a pixel has this size.
 
     reference : as in the job.  sigma_mm : of the taught radius.
@@ -262,7 +262,7 @@ def usual_limits(
     first = next((circle for circle in circles if circle.name == reference), circles[0] if circles else None)
     size_mm = 2 * (shape.radius_px * pixel_mm if first is None else first.radius_mm)
     tolerance_mm = usual_tolerance_mm(size_mm, pixel_mm, sigma_mm)
-    return JobLimits(
+    return ResultLimits(
         (depth_mm * (1 - MEASURING.depth_share), depth_mm * (1 + MEASURING.depth_share)),
         radius_tolerance_mm=tolerance_mm if circles else None,
         form_tolerance_mm=None if circles else tolerance_mm,

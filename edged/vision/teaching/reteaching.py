@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import fields, replace
 
-from edged.vision.part.job import Job, JobLimits, MeasurementSpec, known_radius
+from edged.vision.part.job import Job, MeasurementSpec, ResultLimits, known_radius
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.params import TEACHING
@@ -42,14 +42,14 @@ def _names(job: Job) -> set[str]:
     return {*(c.name for c in job.circles), *(s.name for s in job.slots), *(e.name for e in job.edges)}
 
 
-def _limits(former: Job, taught: Job, said: list[str]) -> JobLimits:
+def _limits(former: Job, taught: Job, said: list[str]) -> ResultLimits:
     was, now = former.limits, taught.limits
     depth_mm = float(former.rig_from_part[2, 3])
     usual = depth_mm * (1 - MEASURING.depth_share), depth_mm * (1 + MEASURING.depth_share)
     if not all(abs(a - b) < 1e-6 * depth_mm for a, b in zip(was.depth_mm, usual, strict=True)):
         now = replace(now, depth_mm=was.depth_mm)
         said.append(_kept("limits.depth_mm", was.depth_mm, taught.limits.depth_mm))
-    for name in (one.name for one in fields(JobLimits) if one.name != "depth_mm"):
+    for name in (one.name for one in fields(ResultLimits) if one.name != "depth_mm"):
         before, after = getattr(was, name), getattr(now, name)
         by_teaching = name == "max_sigma_mm" and former.sigma_mm != taught.sigma_mm
         if _differ(before, after) and not by_teaching:
