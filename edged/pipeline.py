@@ -56,7 +56,7 @@ def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], Non
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Inspection:
+class PairInspection:
     """All that was seen: parts that were measured, what could not be, else who knows what came nearest."""
 
     measured: tuple[MeasuredPart, ...]
@@ -64,7 +64,9 @@ class Inspection:
     nearest: Nearest | None = None
 
 
-def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap) -> Inspection:
+def inspect(
+    pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap
+) -> PairInspection:
     """`locate` with the evidence: every part that was found, with the edges it stands on."""
     images = _rectified(pair, rig)
     rectified = images.rectified_left
@@ -80,7 +82,7 @@ def inspect(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], No
             dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))
     lap("measure")
     nearest = None if matches else Nearest(lambda: _nearest(pair, job, rig))
-    return Inspection(tuple(measured), tuple(dismissed), nearest)
+    return PairInspection(tuple(measured), tuple(dismissed), nearest)
 
 
 def _found(rectified: Image, job: Job, params: SearchParams, rig: PreparedRig) -> list[ShapeMatch]:
@@ -99,7 +101,7 @@ def _nearest(pair: FramePair, job: Job, rig: PreparedRig) -> NearMiss | None:
     return NearMiss(match_in_raw(rig.rectification, found[0]), job.search.min_score)
 
 
-def judge(inspection: Inspection) -> Outcome:
+def judge(inspection: PairInspection) -> Outcome:
     """OK when at least one part is good; the good ones come first, each group by score."""
     if not inspection.measured:
         return Outcome(Status.NO_TARGET, dismissed=inspection.dismissed, nearest=inspection.nearest)
@@ -110,7 +112,7 @@ def judge(inspection: Inspection) -> Outcome:
     return Outcome(Status.OK if good else Status.LOW_QUALITY, tuple(targets), inspection.dismissed)
 
 
-def cloud(pair: FramePair, job: Job, rig: PreparedRig, inspection: Inspection) -> PointCloud:
+def cloud(pair: FramePair, job: Job, rig: PreparedRig, inspection: PairInspection) -> PointCloud:
     """Points in space of every part that was measured (paper, Fig. 9)."""
     return point_cloud(_rectified(pair, rig), job, inspection.measured)
 

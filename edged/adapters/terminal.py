@@ -78,7 +78,7 @@ class DemoSummary:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class TruthComparison:
     """One measurement against the truth."""
 
     measured_mm: FloatArray
@@ -93,7 +93,7 @@ class Comparison:
         return self.measured_mm - self.true_mm
 
     @staticmethod
-    def of(snapshot: Snapshot, truth: FloatArray | None) -> Comparison | None:
+    def of(snapshot: Snapshot, truth: FloatArray | None) -> TruthComparison | None:
         """Compare the best target; None where there is nothing to compare."""
         if truth is None or snapshot.status is not Status.OK or not snapshot.targets:
             return None
@@ -105,7 +105,7 @@ class Comparison:
             chi2 = float(error_mm @ np.linalg.solve(target.covariance[:3, :3], error_mm))
         except np.linalg.LinAlgError:
             chi2 = float("nan")
-        return Comparison(target.position_mm, truth[:3, 3], target.sigma_mm, angle_rad, chi2)
+        return TruthComparison(target.position_mm, truth[:3, 3], target.sigma_mm, angle_rad, chi2)
 
 
 @dataclass(slots=True)
@@ -124,7 +124,7 @@ class Tally:
     first_s: float = 0.0
     last_s: float = 0.0
 
-    def add(self, snapshot: Snapshot, comparison: Comparison | None, now_s: float) -> None:
+    def add(self, snapshot: Snapshot, comparison: TruthComparison | None, now_s: float) -> None:
         """Take a cycle into account."""
         self.first_s = self.first_s if self.cycles else now_s
         self.last_s = now_s
@@ -164,7 +164,7 @@ class _Scene:
     """What the table shows: replaced as a whole, so that the drawing thread never sees half of it."""
 
     snapshot: Snapshot
-    comparison: Comparison | None
+    comparison: TruthComparison | None
     summary: DemoSummary
 
 
@@ -215,7 +215,7 @@ class DemoView:
         """Take note of a cycle."""
         if not isinstance(event, Snapshot) or (self._cycles and self._tally.cycles >= self._cycles):
             return
-        comparison = Comparison.of(event, self._truth(event))
+        comparison = TruthComparison.of(event, self._truth(event))
         self._tally.add(event, comparison, self._monotonic_s())
         self._scene = _Scene(event, comparison, self._tally.summary())
         if self._lines is not None:

@@ -10,9 +10,9 @@ from edged.adapters.aravis import (
     Action,
     AravisCamera,
     AravisSettings,
+    CameraHealth,
     FreeRun,
-    Health,
-    Line,
+    LineTrigger,
     Output,
     Software,
     Trigger,
@@ -86,14 +86,14 @@ def head_of(
         max_arrival_skew_s=cameras.max_arrival_skew_ms * 1e-3,
         follower=triggering.follower,
         free_running=isinstance(triggering.triggers[0], FreeRun),
-        by_others=all(isinstance(trigger, Line) for trigger in triggering.triggers),
+        by_others=all(isinstance(trigger, LineTrigger) for trigger in triggering.triggers),
         detect_frozen=cameras.source != "replay",
     )
 
 
 def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: bool) -> Triggering:
     """How both cameras are triggered, from the configuration. devices : as the cameras are addressed."""
-    line = Line(section.line, section.edge, section.delay_us, section.debounce_us)
+    line = LineTrigger(section.line, section.edge, section.delay_us, section.debounce_us)
     match section.mode:
         case "free-run":
             free = FreeRun(section.rate_hz)
@@ -101,7 +101,7 @@ def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: 
         case "line":
             return Triggering((line, line))
         case "chain":
-            first = Line(section.first_line) if section.first_line else Software()
+            first = LineTrigger(section.first_line) if section.first_line else Software()
             shown = (Output(section.output),)
             if section.first == "left":
                 return Triggering((first, line), (shown, ()), "right")
@@ -203,7 +203,7 @@ def camera_figures(head: StereoHead) -> dict[str, tuple[str, float]]:
     return figures
 
 
-def _healths(head: StereoHead) -> list[tuple[str, Health]]:
+def _healths(head: StereoHead) -> list[tuple[str, CameraHealth]]:
     cameras = [camera for camera in head.cameras if isinstance(camera, AravisCamera)]
     return [(camera.name, health) for camera in cameras if (health := camera.health) is not None]
 

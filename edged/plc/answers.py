@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 
 
-class Answer(enum.Enum):
+class AckState(enum.Enum):
     """How the last command ended."""
 
     NONE = "none"
@@ -13,7 +13,7 @@ class Answer(enum.Enum):
     NACK = "nack"
 
 
-class Reason(enum.IntEnum):
+class NackReason(enum.IntEnum):
     """Why a command ended in NACK; the value of a register."""
 
     NONE = 0
@@ -54,7 +54,7 @@ class Reason(enum.IntEnum):
     """What it would have been measured by was exchanged while it waited; nothing was measured, ask again."""
 
 
-class Verdict(enum.Enum):
+class ResultVerdict(enum.Enum):
     """What a finished command says about the part."""
 
     GOOD = "good"  # found, within limits, can be expressed in the registers

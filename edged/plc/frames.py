@@ -14,7 +14,7 @@ import zlib
 from dataclasses import dataclass
 
 from edged.domain.events import CommandKind
-from edged.plc.lines import POSE_NAMES, Answer, LineStatus, NoRequest
+from edged.plc.lines import POSE_NAMES, BadRequest, LineAnswer, LineStatus
 from edged.robot.orientations import Brand
 
 MAGIC = b"\xed\x46"
@@ -82,7 +82,7 @@ class FrameRequest:
 
 
 def read_request(frame: bytes, configured: Brand) -> FrameRequest:
-    """Raises `NoRequest`. configured : the brand of a request that names none.
+    """Raises `BadRequest`. configured : the brand of a request that names none.
 
     >>> read_request(FrameRequest(7, "LOCATE", 2).frame(), Brand.KUKA).job
     2
@@ -90,18 +90,18 @@ def read_request(frame: bytes, configured: Brand) -> FrameRequest:
     try:
         flags, sequence, named, number, job, *flange = _opened(frame, REQUEST)
     except ValueError as error:
-        raise NoRequest(str(error), configured) from error
+        raise BadRequest(str(error), configured) from error
     command = next((name for name, code in COMMANDS.items() if code == number), None)
     if command is None or flags & ~(FLANGE | ALL_JOBS):
-        raise NoRequest(f"no such command or flag: {number}, {flags}", configured)
+        raise BadRequest(f"no such command or flag: {number}, {flags}", configured)
     brand = next((brand for brand, code in BRANDS.items() if code == named), None)
     if brand is None and named != AS_CONFIGURED:
-        raise NoRequest(f"no such brand: {named}", configured, LineStatus.NO_SUCH_BRAND, sequence)
+        raise BadRequest(f"no such brand: {named}", configured, LineStatus.NO_SUCH_BRAND, sequence)
     size = len(POSE_NAMES[brand or configured]) if flags & FLANGE else 0
     return FrameRequest(sequence, command, job, tuple(flange[:size]), bool(flags & ALL_JOBS), brand)
 
 
-def answer_frame(answer: Answer, brand: Brand) -> bytes:
+def answer_frame(answer: LineAnswer, brand: Brand) -> bytes:
     """As it is sent."""
     pose = answer.pose + (0.0,) * (POSE_SIZE - len(answer.pose))
     head = (MAGIC, VERSION, BRANDS[brand], ANSWER.size, answer.sequence, int(answer.status))
@@ -109,7 +109,7 @@ def answer_frame(answer: Answer, brand: Brand) -> bytes:
     return _sealed(ANSWER.pack(*head, answer.remaining, *numbers, 0))
 
 
-def read_answer(frame: bytes, brand: Brand, sequence: int) -> Answer:
+def read_answer(frame: bytes, brand: Brand, sequence: int) -> LineAnswer:
     """The answer to the request of that sequence. Raises ValueError for anything else.
 
     One of sequence 0 says that the request was none.
@@ -122,7 +122,7 @@ def read_answer(frame: bytes, brand: Brand, sequence: int) -> Answer:
     if not all(map(math.isfinite, numbers)):
         raise ValueError("a number of the answer is none")
     x, y, z, age_s = numbers[POSE_SIZE:]
-    return Answer(answered, status, remaining, tuple(numbers[: len(POSE_NAMES[brand])]), (x, y, z), age_s)
+    return LineAnswer(answered, status, remaining, tuple(numbers[: len(POSE_NAMES[brand])]), (x, y, z), age_s)
 
 
 def _sealed(frame: bytes) -> bytes:

@@ -33,7 +33,7 @@ The rules:
 - While the cell is set up (`Suspended` to `Resumed`) nothing is open, shown or valid: what was open ends in
   NACK, SETUP, and so does each command that is written. Where a robot's program registers the rig, that is so
   but for the commands of the registration, which run and never show a result.
-- At most `Limits.queue` commands are open; one more is refused and sets OVERRUN.
+- At most `HandshakeLimits.queue` commands are open; one more is refused and sets OVERRUN.
 - One client writes at a time. It keeps that right while it writes, or while commands are open.
 
 Sequences are 16 bit and wrap, and a client may use one again. A *ticket* is the sequence unwrapped:
@@ -46,7 +46,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-from edged.plc.answers import Answer, Reason, Verdict
+from edged.plc.answers import AckState, NackReason, ResultVerdict
 from edged.plc.handshakeevents import (
     AckWritten,
     Answered,
@@ -57,8 +57,8 @@ from edged.plc.handshakeevents import (
     Effect,
     Event,
     Exchanged,
+    ExecutionFailed,
     Exposed,
-    Failed,
     Finished,
     HeartbeatWritten,
     OtherJob,
@@ -76,7 +76,7 @@ SEQUENCE_MASK = 0xFFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class HandshakeLimits:
     """Times and sizes of the handshake.
 
     validity_s : a result older than this, counted from its exposure, is not valid.
@@ -92,7 +92,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Open:
+class OpenCommand:
     """A command that was accepted and has not ended."""
 
     ticket: int
@@ -100,14 +100,14 @@ class Open:
 
 
 @dataclass(frozen=True, slots=True)
-class Result(Generic[Payload]):
+class ShownResult(Generic[Payload]):
     """What is on display. exposed_s : time of the exposure on the clock of `now_s`.
 
     withdrawn : it was acknowledged, has grown too old, or its client was lost.
     """
 
     sequence: int
-    verdict: Verdict
+    verdict: ResultVerdict
     exposed_s: float
     payload: Payload
     withdrawn: bool = False
@@ -117,7 +117,7 @@ class Result(Generic[Payload]):
 class PartList(Generic[Payload]):
     """What NEXT_PART can still give: the further parts of the newest measurement, in their order.
 
-    client : who asked for it. job : the number of the job that was measured. exposed_s : as of a `Result`.
+    client : who asked for it. job : number of the measured job. exposed_s : as in `ShownResult`.
     """
 
     client: int
@@ -136,18 +136,18 @@ class Handshake(Generic[Payload]):
     basis : the number of what results stand on now.
     """
 
-    limits: Limits
+    limits: HandshakeLimits
     ticket: int = 0
     synchronised: int | None = None
     command_sequence: int = 0
     acknowledged: int = 0
-    open: tuple[Open, ...] = ()
+    open: tuple[OpenCommand, ...] = ()
     done_sequence: int = 0
-    answer: Answer = Answer.NONE
-    reason: Reason = Reason.NONE
+    answer: AckState = AckState.NONE
+    reason: NackReason = NackReason.NONE
     exposure_done: bool = False
     overrun: bool = False
-    result: Result[Payload] | None = None
+    result: ShownResult[Payload] | None = None
     parts: PartList[Payload] | None = None
     heartbeat: int = 0
     heartbeat_due_s: float | None = None
@@ -164,7 +164,7 @@ class Handshake(Generic[Payload]):
 
 def is_valid(state: Handshake[Payload], now_s: float) -> bool:
     """Whether the coordinates on display may be used now."""
-    return state.result is not None and state.result.verdict is Verdict.GOOD and is_fresh(state, now_s)
+    return state.result is not None and state.result.verdict is ResultVerdict.GOOD and is_fresh(state, now_s)
 
 
 def is_fresh(state: Handshake[Payload], now_s: float) -> bool:
@@ -181,9 +181,9 @@ def is_fresh(state: Handshake[Payload], now_s: float) -> bool:
 
 def is_as_published(state: Handshake[Payload], now_s: float) -> bool:
     """Whether the result on display still says what it said when it appeared."""
-    if state.result is None or state.result.verdict is Verdict.EXCHANGED:
+    if state.result is None or state.result.verdict is ResultVerdict.EXCHANGED:
         return False
-    return state.result.verdict is not Verdict.GOOD or is_valid(state, now_s)
+    return state.result.verdict is not ResultVerdict.GOOD or is_valid(state, now_s)
 
 
 def _is_young(state: Handshake[Payload], exposed_s: float, now_s: float) -> bool:
@@ -234,9 +234,9 @@ def _take(
         case Finished():
             return _finish(state, event)
         case Declined(ticket, reason):
-            return _end(state, ticket, Answer.NACK, reason)
-        case Failed(ticket):
-            return _end(state, ticket, Answer.NACK, Reason.FAILED)
+            return _end(state, ticket, AckState.NACK, reason)
+        case ExecutionFailed(ticket):
+            return _end(state, ticket, AckState.NACK, NackReason.FAILED)
         case AckWritten(sequence):
             return replace(state, acknowledged=sequence), ()
         case HeartbeatWritten(value):
@@ -273,7 +273,7 @@ def _exchange(state: Handshake[Payload], basis: int) -> tuple[Handshake[Payload]
         return state, ()
     effects: tuple[Effect, ...] = ()
     for command in state.open if not state.registers else ():
-        state, ended = _end(state, command.ticket, Answer.NACK, Reason.RELOADED)
+        state, ended = _end(state, command.ticket, AckState.NACK, NackReason.RELOADED)
         effects += ended
     return replace(_without_result(state), basis=basis), effects
 
@@ -283,8 +283,8 @@ def _without_result(state: Handshake[Payload]) -> Handshake[Payload]:
     if state.registers:
         return state  # nothing is shown, and EXPOSURE_DONE is of a command of the registration, which goes on
     result = state.result
-    if result is not None and result.verdict is not Verdict.EXCHANGED:
-        result = replace(result, verdict=Verdict.EXCHANGED)
+    if result is not None and result.verdict is not ResultVerdict.EXCHANGED:
+        result = replace(result, verdict=ResultVerdict.EXCHANGED)
     return replace(state, result=result, parts=None, exposure_done=False)
 
 
@@ -293,7 +293,7 @@ def _suspend(state: Handshake[Payload], registers: bool) -> tuple[Handshake[Payl
         return state, ()  # a command of the registration goes on
     effects: tuple[Effect, ...] = ()
     for command in state.open:
-        state, ended = _end(state, command.ticket, Answer.NACK, Reason.SETUP)
+        state, ended = _end(state, command.ticket, AckState.NACK, NackReason.SETUP)
         effects += ended
     state = replace(state, suspended=True, registers=registers, result=None, parts=None)
     return replace(state, exposure_done=False), effects
@@ -303,7 +303,7 @@ def _expire(state: Handshake[Payload], now_s: float) -> tuple[Handshake[Payload]
     effects: tuple[Effect, ...] = ()
     for command in state.open:
         if now_s >= command.deadline_s:
-            state, ended = _end(state, command.ticket, Answer.NACK, Reason.TIMEOUT)
+            state, ended = _end(state, command.ticket, AckState.NACK, NackReason.TIMEOUT)
             effects += ended
     if state.heartbeat_due_s is not None and now_s >= state.heartbeat_due_s:
         # whoever takes over must not find a result that was meant for somebody else
@@ -317,7 +317,7 @@ def _expire(state: Handshake[Payload], now_s: float) -> tuple[Handshake[Payload]
     return state, effects
 
 
-def _is_used_up(state: Handshake[Payload], result: Result[Payload], now_s: float) -> bool:
+def _is_used_up(state: Handshake[Payload], result: ShownResult[Payload], now_s: float) -> bool:
     is_old = now_s - result.exposed_s > state.limits.validity_s
     return is_old or state.client_lost or state.acknowledged == result.sequence
 
@@ -340,26 +340,26 @@ def _command(
     # ACK_SEQ may still hold an older acknowledgement of the same number when a sequence is used again
     state = replace(state, ticket=ticket, acknowledged=0, client_lost=False)
     if state.suspended and not (state.registers and event.registers):
-        return _refuse(state, Reason.SETUP)
+        return _refuse(state, NackReason.SETUP)
     if is_baseline:
-        return _refuse(state, Reason.BASELINE)
+        return _refuse(state, NackReason.BASELINE)
     if not event.known:
-        return _refuse(state, Reason.UNKNOWN_COMMAND)
+        return _refuse(state, NackReason.UNKNOWN_COMMAND)
     if event.next_of is not None:
         return _next_part(state, parts, event)
     if len(state.open) >= state.limits.queue:
-        return _refuse(replace(state, overrun=True), Reason.QUEUE_FULL)
+        return _refuse(replace(state, overrun=True), NackReason.QUEUE_FULL)
     deadline_s = float("inf") if event.timeout_s is None else now_s + event.timeout_s
     # the answer of the command before must not be read as the answer of this one
-    state = replace(state, answer=Answer.NONE, reason=Reason.NONE, done_sequence=0, overrun=False)
-    return replace(state, open=(*state.open, Open(ticket, deadline_s))), (Submit(ticket),)
+    state = replace(state, answer=AckState.NONE, reason=NackReason.NONE, done_sequence=0, overrun=False)
+    return replace(state, open=(*state.open, OpenCommand(ticket, deadline_s))), (Submit(ticket),)
 
 
-def _refuse(state: Handshake[Payload], reason: Reason) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+def _refuse(state: Handshake[Payload], reason: NackReason) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
     """Answer the newest command without ever having opened it."""
     sequence = state.ticket & SEQUENCE_MASK
-    state = replace(state, done_sequence=sequence, answer=Answer.NACK, reason=reason)
-    return state, (Answered(state.ticket, Answer.NACK, reason),)
+    state = replace(state, done_sequence=sequence, answer=AckState.NACK, reason=reason)
+    return state, (Answered(state.ticket, AckState.NACK, reason),)
 
 
 def _next_part(
@@ -367,8 +367,8 @@ def _next_part(
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
     """Show the next part of the list, which was there until this command; it is never open."""
     if parts is None or parts.client != event.client or event.next_of not in (0, parts.job):
-        return _refuse(state, Reason.NO_LIST)
-    shown = Result(event.sequence, Verdict.GOOD, parts.exposed_s, parts.rest[0])
+        return _refuse(state, NackReason.NO_LIST)
+    shown = ShownResult(event.sequence, ResultVerdict.GOOD, parts.exposed_s, parts.rest[0])
     state = replace(
         state,
         result=shown,
@@ -376,14 +376,14 @@ def _next_part(
         exposure_done=True,
         overrun=False,
         done_sequence=event.sequence,
-        answer=Answer.ACK,
-        reason=Reason.NONE,
+        answer=AckState.ACK,
+        reason=NackReason.NONE,
     )
-    return state, (Answered(state.ticket, Answer.ACK, Reason.NONE),)
+    return state, (Answered(state.ticket, AckState.ACK, NackReason.NONE),)
 
 
 def _end(
-    state: Handshake[Payload], ticket: int, answer: Answer, reason: Reason
+    state: Handshake[Payload], ticket: int, answer: AckState, reason: NackReason
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
     """End an open command; one that is not open (any more) changes nothing."""
     still_open = tuple(command for command in state.open if command.ticket != ticket)
@@ -404,23 +404,25 @@ def _finish(
     if event.basis != state.basis:
         if event.ticket is None:
             return state, ()
-        return _end(state, event.ticket, Answer.NACK, Reason.RELOADED)
+        return _end(state, event.ticket, AckState.NACK, NackReason.RELOADED)
     if event.ticket is None:
         if state.command_sequence == 0 and event.payload is not None and not state.suspended:
-            shown = Result(free_sequence(event.cycle), event.verdict, event.exposed_s, event.payload)
+            shown = ShownResult(free_sequence(event.cycle), event.verdict, event.exposed_s, event.payload)
             return replace(state, result=shown), ()
         return state, ()
-    is_fault = event.verdict is Verdict.FAULT
-    answer, reason = (Answer.NACK, Reason.CAPTURE_FAULT) if is_fault else (Answer.ACK, Reason.NONE)
+    is_fault = event.verdict is ResultVerdict.FAULT
+    answer, reason = (
+        (AckState.NACK, NackReason.CAPTURE_FAULT) if is_fault else (AckState.ACK, NackReason.NONE)
+    )
     state, effects = _end(state, event.ticket, answer, reason)
     is_newest = event.ticket == state.ticket and state.command_sequence != 0 and not state.suspended
     if effects and is_newest and event.payload is not None:
         sequence = event.ticket & SEQUENCE_MASK
-        shown = Result(sequence, event.verdict, event.exposed_s, event.payload)
+        shown = ShownResult(sequence, event.verdict, event.exposed_s, event.payload)
         # a result without a fault proves an exposure, whatever became of the message that said so
         state = replace(state, result=shown, exposure_done=state.exposure_done or not is_fault)
         # who wrote the newest command and is gone by now has nobody to go on for it
-        if event.verdict is Verdict.GOOD and event.rest and state.synchronised is not None:
+        if event.verdict is ResultVerdict.GOOD and event.rest and state.synchronised is not None:
             parts = PartList(state.synchronised, event.job, event.exposed_s, event.rest)
             state = replace(state, parts=parts)
     return state, effects

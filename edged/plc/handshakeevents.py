@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from edged.plc.answers import Answer, Reason, Verdict
+from edged.plc.answers import AckState, NackReason, ResultVerdict
 
 Payload = TypeVar("Payload")
 
@@ -50,11 +50,11 @@ class Declined:
     """The cycle did not take the command that was submitted."""
 
     ticket: int
-    reason: Reason = Reason.REFUSED
+    reason: NackReason = NackReason.REFUSED
 
 
 @dataclass(frozen=True, slots=True)
-class Failed:
+class ExecutionFailed:
     """An accepted command could not be carried out."""
 
     ticket: int
@@ -83,7 +83,7 @@ class Finished(Generic[Payload]):
 
     ticket: int | None
     cycle: int
-    verdict: Verdict
+    verdict: ResultVerdict
     exposed_s: float
     payload: Payload | None
     rest: tuple[Payload, ...] = ()
@@ -153,7 +153,7 @@ Event = (
     | AckWritten
     | HeartbeatWritten
     | Declined
-    | Failed
+    | ExecutionFailed
     | CycleBegun
     | Exposed
     | Finished[Payload]
@@ -183,8 +183,8 @@ class Answered:
     """A command has ended. ticket : unique, its low 16 bits are the CMD_SEQ."""
 
     ticket: int
-    answer: Answer
-    reason: Reason
+    answer: AckState
+    reason: NackReason
 
 
 Effect = Submit | Answered

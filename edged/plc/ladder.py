@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from edged.domain.events import CommandKind
 from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
-from edged.plc.answers import Answer
-from edged.plc.registers import UINT16_MAX, Measured
+from edged.plc.answers import AckState
+from edged.plc.registers import UINT16_MAX, RegisterResult
 
 KEPT = 50
 MOST_RUNGS = 16
@@ -83,9 +83,9 @@ class Ladder:
 
     def took(
         self,
-        event: ev.Event[Measured],
-        before: hs.Handshake[Measured],
-        after: hs.Handshake[Measured],
+        event: ev.Event[RegisterResult],
+        before: hs.Handshake[RegisterResult],
+        after: hs.Handshake[RegisterResult],
         effects: tuple[ev.Effect, ...],
         now_s: float,
     ) -> None:
@@ -116,7 +116,7 @@ class Ladder:
             self._show(after, now_s)  # NEXT_PART
         for effect in effects:
             if isinstance(effect, ev.Answered):
-                reason = "" if effect.answer is Answer.ACK else effect.reason.name
+                reason = "" if effect.answer is AckState.ACK else effect.reason.name
                 self._add(effect.ticket, now_s, "nack" if reason else "ack", reason)
 
     def _begin(self, client: int, ticket: int, now_s: float) -> None:
@@ -136,7 +136,7 @@ class Ladder:
             return
         self._keep(client, ticket & hs.SEQUENCE_MASK, 0, 0).rungs.append(Rung(0.0, "barred"))
 
-    def _show(self, state: hs.Handshake[Measured], now_s: float) -> None:
+    def _show(self, state: hs.Handshake[RegisterResult], now_s: float) -> None:
         assert state.result is not None
         result = state.result
         if result.sequence == state.ticket & hs.SEQUENCE_MASK and state.command_sequence:

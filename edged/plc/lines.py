@@ -77,7 +77,7 @@ class LineStatus(enum.IntEnum):
     """The request names a brand that this cell does not know."""
 
 
-class NoRequest(ValueError):
+class BadRequest(ValueError):
     """What came is none.
 
     brand : whose convention that is answered in. sequence : the request's, 0 where it is not known.
@@ -93,7 +93,7 @@ class NoRequest(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class LineAnswer:
     """What is sent back; the pose is 0, sigmas and age are -1 where there are none.
 
     remaining : targets that NEXT can still give. pose : as the brand writes it. sigma : of X, Y, Z in its

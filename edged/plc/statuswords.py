@@ -5,7 +5,7 @@ from __future__ import annotations
 from edged.domain.cell import Calibrated, CellPhase, CellState, SetupSource
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
-from edged.plc.answers import Answer, Verdict
+from edged.plc.answers import AckState, ResultVerdict
 
 STATES = {
     CellPhase.STARTING: 0,
@@ -18,7 +18,12 @@ STATES = {
 
 
 def status_values(
-    state: hs.Handshake[reg.Measured], cell: CellState | None, now_s: float, *, valid: bool, simulated: bool
+    state: hs.Handshake[reg.RegisterResult],
+    cell: CellState | None,
+    now_s: float,
+    *,
+    valid: bool,
+    simulated: bool,
 ) -> dict[str, reg.Number]:
     """Values of the block status by name, but what only the server knows: CLIENTS, START_EPOCH, CONVENTION.
 
@@ -44,7 +49,7 @@ def status_values(
     }
 
 
-def _age_ms(state: hs.Handshake[reg.Measured], now_s: float) -> int:
+def _age_ms(state: hs.Handshake[reg.RegisterResult], now_s: float) -> int:
     if state.result is None:
         return reg.UINT32_MAX
     return min(max(round((now_s - state.result.exposed_s) * 1000), 0), reg.UINT32_MAX - 1)
@@ -56,7 +61,7 @@ def _error(cell: CellState | None) -> int:
     return (cell.error_code or 1) & reg.UINT16_MAX
 
 
-def _warnings(state: hs.Handshake[reg.Measured]) -> reg.Warn:
+def _warnings(state: hs.Handshake[reg.RegisterResult]) -> reg.Warn:
     lost = reg.Warn.CLIENT_LOST if state.client_lost else reg.Warn(0)
     unknown = reg.Warn.UNSYNCHRONISED if state.synchronised is None else reg.Warn(0)
     set_up = reg.Warn.SETUP if state.suspended else reg.Warn(0)
@@ -64,18 +69,22 @@ def _warnings(state: hs.Handshake[reg.Measured]) -> reg.Warn:
 
 
 def _status_bits(
-    state: hs.Handshake[reg.Measured], cell: CellState | None, now_s: float, valid: bool, simulated: bool
+    state: hs.Handshake[reg.RegisterResult],
+    cell: CellState | None,
+    now_s: float,
+    valid: bool,
+    simulated: bool,
 ) -> int:
     verdict = state.result.verdict if state.result is not None else None
-    passed = verdict is Verdict.PASSED and hs.is_fresh(state, now_s)
+    passed = verdict is ResultVerdict.PASSED and hs.is_fresh(state, now_s)
     raised = [
-        (reg.StatusBit.ACK, state.answer is Answer.ACK),
-        (reg.StatusBit.NACK, state.answer is Answer.NACK),
+        (reg.StatusBit.ACK, state.answer is AckState.ACK),
+        (reg.StatusBit.NACK, state.answer is AckState.NACK),
         (reg.StatusBit.BUSY, bool(state.open) or (cell is not None and cell.state is CellPhase.BUSY)),
         (reg.StatusBit.EXPOSURE_DONE, state.exposure_done),
         (reg.StatusBit.RESULT_VALID, valid),
         (reg.StatusBit.OK, valid or passed),
-        (reg.StatusBit.NOK, verdict in (Verdict.BAD, Verdict.FAULT)),
+        (reg.StatusBit.NOK, verdict in (ResultVerdict.BAD, ResultVerdict.FAULT)),
         (reg.StatusBit.OVERRUN, state.overrun),
         (reg.StatusBit.SIMULATED, simulated),
     ]

@@ -97,7 +97,7 @@ def hand_eye(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turns:
+class FlangeTurns:
     """How the flange turned, from the first pose. largest_rad : of all. spread : of the axes, second singular
     value over the first; 0: all turns are about one. axis (3,) : the one about which it turned most, unit, in
     the frame of the first pose.
@@ -113,15 +113,15 @@ class Turns:
         return self.largest_rad >= MIN_TURN_RAD and self.spread >= MIN_AXES_SPREAD
 
 
-def turns_of(poses: Sequence[FloatArray]) -> Turns:
+def turns_of(poses: Sequence[FloatArray]) -> FlangeTurns:
     """Of poses (4, 4), two at least."""
     vectors = np.array([rotation_vector(poses[0][:3, :3].T @ pose[:3, :3]) for pose in poses[1:]])
     angles = np.linalg.norm(vectors, axis=1)
     turned = vectors[angles > 0.3 * MIN_TURN_RAD]
     if not len(turned):
-        return Turns(float(angles.max()), 0.0, np.array([0.0, 0.0, 1.0]))
+        return FlangeTurns(float(angles.max()), 0.0, np.array([0.0, 0.0, 1.0]))
     _, spread, axes = np.linalg.svd(turned)
-    return Turns(float(angles.max()), float(spread[1] / spread[0]) if len(spread) > 1 else 0.0, axes[0])
+    return FlangeTurns(float(angles.max()), float(spread[1] / spread[0]) if len(spread) > 1 else 0.0, axes[0])
 
 
 def _check_motion(A: FloatArray) -> None:

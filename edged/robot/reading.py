@@ -13,7 +13,7 @@ from edged.robot.orientations import ANGLES_DEG, Convention, sigma_angles_deg
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class PartReading:
     """position_mm (3,), angles_deg A, B, C (3,), and one sigma of each."""
 
     position_mm: FloatArray
@@ -29,7 +29,7 @@ def frame_name(robot_from_rig: FloatArray | None) -> str:
 
 def reading_of(
     target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None, convention: Convention
-) -> Reading:
+) -> PartReading:
     """A target in the frame of `frame_name`.
 
     registration (6, 6) : as for `robot_covariance`. The pose and its covariance must be finite.
@@ -39,7 +39,7 @@ def reading_of(
         pose = robot_from_rig @ pose
         covariance = robot_covariance(target, robot_from_rig, registration)
     turned = pose[:3, :3]
-    return Reading(
+    return PartReading(
         position_mm=pose[:3, 3],
         sigma_mm=np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)),
         angles_deg=np.array(ANGLES_DEG[convention](turned)),

@@ -28,7 +28,7 @@ from pymodbus.exceptions import ModbusException
 
 # <map>
 from edged.domain.events import CommandKind
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.plc.registers import ADDRESS, MAGIC, MAP_VERSION, Flag, Option, ResultCode, StatusBit
 from edged.plc.registers import BLOCKS as _BLOCKS
 
@@ -39,7 +39,7 @@ BLOCKS = {
 HIGH_FIRST = {block.name for block in _BLOCKS if block.high_first}
 COMMANDS = {code.name: code.value for code in CommandKind}
 RESULTS = {code.name: code.value for code in ResultCode}
-NACK_REASONS = {code.name: code.value for code in Reason}
+NACK_REASONS = {code.name: code.value for code in NackReason}
 STATUS_BITS = {str(code.name): code.value for code in StatusBit}
 OPTIONS = {str(code.name): code.value for code in Option}
 FLAGS = {str(code.name): code.value for code in Flag}

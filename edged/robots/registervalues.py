@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from edged import __version__
 from edged.domain.events import CommandKind
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.plc.registers import (
     ADDRESS,
     BLOCKS,
@@ -67,7 +67,7 @@ def register_values() -> dict[str, object]:
     used = {"STATUS": STATUS, "RESULT": RESULT, "GRASP": GRASP, "COMMAND": COMMAND, "UR": UR}
     numbers = {
         "command": _numbers(CommandKind),
-        "reason": _numbers(reason for reason in Reason if reason),
+        "reason": _numbers(reason for reason in NackReason if reason),
         "flag": _numbers(Flag),
         "bit": _numbers(StatusBit),
         "option": _numbers(Option),
@@ -85,7 +85,7 @@ def register_values() -> dict[str, object]:
         "python_tables": {
             "COMMANDS": numbers["command"],
             "RESULTS": _numbers(ResultCode),
-            "NACK_REASONS": _numbers(Reason),
+            "NACK_REASONS": _numbers(NackReason),
             "STATUS_BITS": numbers["bit"],
             "FLAGS": numbers["flag"],
             "OPTIONS": numbers["option"],

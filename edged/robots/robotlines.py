@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import textwrap
 
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.plc.lines import LineStatus, answer_fields
 from edged.robot.orientations import Brand
 
@@ -54,7 +54,7 @@ def line_values(brand: Brand, first: int) -> dict[str, object]:
     statuses : every error number and its meaning, as lines for a comment.
     """
     fields = answer_fields(brand)
-    reasons = {int(reason): reason.name.lower().replace("_", " ") for reason in Reason if reason}
+    reasons = {int(reason): reason.name.lower().replace("_", " ") for reason in NackReason if reason}
     meanings = ", ".join(f"{number:d} {meaning}" for number, meaning in (reasons | MEANINGS).items())
     return {
         "brand": brand,

@@ -17,8 +17,8 @@ from edged.adapters.aravis.clock import (
     SLOT_NS,
     SLOTS,
     ClockMap,
+    ClockReading,
     Mapped,
-    Reading,
     host_ns,
     to_utc,
 )
@@ -36,9 +36,11 @@ class Crystal:
         exact = host_ns + round(host_ns * self.drift) + self.offset_ns
         return exact // self.step_ns * self.step_ns
 
-    def read(self, sent_ns: int, round_trip_ns: int, share: float = 0.5) -> Reading:
+    def read(self, sent_ns: int, round_trip_ns: int, share: float = 0.5) -> ClockReading:
         """One reading, latched after that share of the round trip."""
-        return Reading(sent_ns, sent_ns + round_trip_ns, self.shows(sent_ns + round(round_trip_ns * share)))
+        return ClockReading(
+            sent_ns, sent_ns + round_trip_ns, self.shows(sent_ns + round(round_trip_ns * share))
+        )
 
 
 READINGS = st.lists(
@@ -89,7 +91,9 @@ def test_a_rate_that_wanders_stays_within_the_bound(
     for second, share in enumerate(shares):
         sent_ns = second * SECOND_NS
         round_trip_ns = 50_000 + round(random.exponential(200_000))
-        clocks.add(Reading(sent_ns, sent_ns + round_trip_ns, shows(sent_ns + round(round_trip_ns * share))))
+        clocks.add(
+            ClockReading(sent_ns, sent_ns + round_trip_ns, shows(sent_ns + round(round_trip_ns * share)))
+        )
     exposed_ns = len(shares) * SECOND_NS
 
     mapped = clocks.at(shows(exposed_ns))

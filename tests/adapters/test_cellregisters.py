@@ -28,7 +28,7 @@ from edged.domain.picking import GraspPose
 from edged.domain.registration import Method, Registration
 from edged.errors import BeingSetUp
 from edged.plc import registers as reg
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 
 
 class Queue:
@@ -147,7 +147,7 @@ def test_a_command_that_the_cell_refuses_for_setup_says_so() -> None:
 
     cell = registers(Busy())
     cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 1])
-    assert (1, Reason.SETUP) == tuple(status(cell)[name] for name in ("DONE_SEQ", "NACK_REASON"))
+    assert (1, NackReason.SETUP) == tuple(status(cell)[name] for name in ("DONE_SEQ", "NACK_REASON"))
 
 
 def test_a_stop_in_setup_makes_nothing_ready() -> None:
@@ -159,7 +159,7 @@ def test_a_stop_in_setup_makes_nothing_ready() -> None:
     cell.take(replace(setup, state=CellPhase.STOPPING, setup=SetupSource.NONE))
     cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 1])
     assert [] == queue.commands
-    assert (4, Reason.SETUP) == tuple(status(cell)[name] for name in ("STATE", "NACK_REASON"))
+    assert (4, NackReason.SETUP) == tuple(status(cell)[name] for name in ("STATE", "NACK_REASON"))
 
 
 # --- what a result stands on ----------------------------------------------------------------------
@@ -242,13 +242,13 @@ def test_a_command_in_flight_over_a_reload_ends_in_a_reason_of_its_own() -> None
     cell = registers(queue)
     cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 7])
     cell.take(Basis(1, "cal2", "beef"))
-    assert (7, 0, Reason.RELOADED) == tuple(
+    assert (7, 0, NackReason.RELOADED) == tuple(
         status(cell)[name] for name in ("DONE_SEQ", "OPEN_COMMANDS", "NACK_REASON")
     )
     cell.take(CommandFailed(queue.commands[0], "the configuration was reloaded while it waited"))
     cell.take(make_snapshot(1, command=queue.commands[0]))
     assert (0, reg.INT32_MIN) == shown(cell)
-    assert Reason.RELOADED == status(cell)["NACK_REASON"]
+    assert NackReason.RELOADED == status(cell)["NACK_REASON"]
 
 
 def test_the_robot_that_registers_the_rig_keeps_its_epoch() -> None:

@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from edged.adapters.zenoh.triggerquery import MAX_TIMEOUT_S, parse_trigger
-from edged.adapters.zenoh.triggers import Triggers
+from edged.adapters.zenoh.triggers import PendingTriggers
 from edged.config.reading import load
 from edged.domain.events import CommandKind
 from edged.errors import CommandRefused, ConfigError
@@ -16,7 +16,7 @@ from edged.errors import CommandRefused, ConfigError
 
 def test_each_trigger_is_answered_once_by_its_own_command() -> None:
     """A second answer finds nobody, nor does the command of somebody else."""
-    triggers: Triggers[str] = Triggers()
+    triggers: PendingTriggers[str] = PendingTriggers()
     first = triggers.add("first", CommandKind.LOCATE, 0, None)
     second = triggers.add("second", CommandKind.LOCATE, 0, None)
     assert ["second", "first", None] == [triggers.take(command) for command in (second, first, first)]
@@ -25,9 +25,9 @@ def test_each_trigger_is_answered_once_by_its_own_command() -> None:
 
 def test_a_command_of_the_publisher_before_a_reload_answers_nobody() -> None:
     """Both count from 1: an exposure from before the reload is not the answer of the trigger after it."""
-    before: Triggers[str] = Triggers()
+    before: PendingTriggers[str] = PendingTriggers()
     old = before.add("old", CommandKind.LOCATE, 0, None)
-    after: Triggers[str] = Triggers()
+    after: PendingTriggers[str] = PendingTriggers()
     new = after.add("new", CommandKind.LOCATE, 0, None)
     assert old == new
     assert None is after.take(old)

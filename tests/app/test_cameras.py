@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edged.adapters.aravis import Action, AravisCamera, AravisSettings, FreeRun, Line, Output, Software
+from edged.adapters.aravis import Action, AravisCamera, AravisSettings, FreeRun, LineTrigger, Output, Software
 from edged.app.cameras import Triggering, camera_facts, triggering_of
 from edged.cell.stereohead import StereoHead
 from edged.config.cameras import TriggerSection
@@ -25,7 +25,7 @@ def test_software_is_the_default() -> None:
 
 def test_both_cameras_wait_for_the_same_line() -> None:
     """Line, edge, delay and debounce reach both."""
-    line = Line("Line3", "falling", 120.0, 20.0)
+    line = LineTrigger("Line3", "falling", 120.0, 20.0)
 
     assert Triggering((line, line)) == of(
         mode="line", line="Line3", edge="falling", delay_us=120, debounce_us=20
@@ -46,8 +46,8 @@ def test_in_a_chain_the_second_follows_the_firsts_exposure(
     chain = of(mode="chain", first=first, first_line=first_line, output="Line4", line="Line1")
     place = ("left", "right").index(first)
 
-    assert (Line(first_line) if first_line else Software()) == chain.triggers[place]
-    assert Line("Line1") == chain.triggers[1 - place]
+    assert (LineTrigger(first_line) if first_line else Software()) == chain.triggers[place]
+    assert LineTrigger("Line1") == chain.triggers[1 - place]
     assert (Output("Line4", "ExposureActive"),) == chain.outputs[place]
     assert () == chain.outputs[1 - place]
     assert follower == chain.follower

@@ -44,7 +44,7 @@ from edged.adapters.modbus.lines import Robot
 from edged.adapters.modbus.pdu import RequestRefused, respond
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings
 from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings
-from edged.adapters.zenoh.triggers import Triggers
+from edged.adapters.zenoh.triggers import PendingTriggers
 from edged.cell.cycle import Cycle
 from edged.cell.loaded import LoadedJob, Setup
 from edged.domain.events import (
@@ -64,7 +64,7 @@ from edged.plc import answers
 from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
-from edged.plc.lines import Answer
+from edged.plc.lines import LineAnswer
 from edged.robot.orientations import Brand
 from edged.robots.formats import render
 from helpers import structured_text
@@ -77,10 +77,10 @@ GOOD, BAD = make_target(), make_target(reject=Reject.TOLERANCE)
 PICKING = Picking(grasps=(Grasp("face", np.eye(4), np.eye(4), 50.0, 50.0),))
 """The tool's tip stands in the part's origin."""
 NEVER_OPEN = (
-    answers.Reason.QUEUE_FULL,
-    answers.Reason.UNKNOWN_COMMAND,
-    answers.Reason.BASELINE,
-    answers.Reason.NO_LIST,
+    answers.NackReason.QUEUE_FULL,
+    answers.NackReason.UNKNOWN_COMMAND,
+    answers.NackReason.BASELINE,
+    answers.NackReason.NO_LIST,
 )
 WORK_S, REST_S = 200.0, 100.0
 """For so long somebody works on the configuration and reloads it more than anything else happens."""
@@ -172,7 +172,7 @@ class WatchedRegisters(CellRegisters):
             return effects
         for effect in effects:
             is_next = isinstance(event, ev.SequenceWritten) and event.next_of is not None
-            if isinstance(effect, ev.Submit) or (is_next and effect.answer is answers.Answer.ACK):
+            if isinstance(effect, ev.Submit) or (is_next and effect.answer is answers.AckState.ACK):
                 sequence = effect.ticket & hs.SEQUENCE_MASK
                 self._exposed_for_s = self._exposed_for_s if is_next else now_s
                 self.written[sequence] = self._exposed_for_s
@@ -207,12 +207,12 @@ class Book:
                 self.open[key] = now_s
                 continue
             self.counts[f"{effect.answer.name} {effect.reason.name}"] += 1
-            if is_next and effect.answer is answers.Answer.ACK:
+            if is_next and effect.answer is answers.AckState.ACK:
                 self.counts["parts given by NEXT_PART"] += 1
             refused = effect.reason in NEVER_OPEN or is_next
             self.expect(key not in self.ended, f"a second answer for {effect}")
             # SETUP ends what is open, and refuses what is not
-            known = (key in self.open) != refused or effect.reason is answers.Reason.SETUP
+            known = (key in self.open) != refused or effect.reason is answers.NackReason.SETUP
             self.expect(known, f"an answer without a command: {effect}")
             self.open.pop(key, None)
             self.ended.add(key)
@@ -304,7 +304,7 @@ class Trigger:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._triggers: Triggers[tuple[float, int]] = Triggers()
+        self._triggers: PendingTriggers[tuple[float, int]] = PendingTriggers()
 
     @property
     def waiting(self) -> int:
@@ -566,7 +566,7 @@ class Link:
         view = ClientView(line.server, line.number)
         self._robot = Robot(view, world.settings, LineSettings(0, Brand.KUKA), may_write=True)
 
-    async def ask(self, request: str) -> Answer:
+    async def ask(self, request: str) -> LineAnswer:
         """The answer. Raises `LinkDown` when the server is another one before it comes."""
         asked = asyncio.ensure_future(self._robot.answer(request.encode() + b"\n"))
         while not asked.done():
@@ -734,7 +734,7 @@ class Soak:
                 self.world.cell.write(line.number, reg.ADDRESS["COMMAND"], memory)
                 if looks % 5 == 0:
                     status = line.read(reg.STATUS)
-                    if memory[2] in line.intent and status["NACK_REASON"] == answers.Reason.BASELINE:
+                    if memory[2] in line.intent and status["NACK_REASON"] == answers.NackReason.BASELINE:
                         line.intent, memory[2] = {memory[2] % 65535 + 1}, memory[2] % 65535 + 1
                     if asked_s > 0 and status["START_EPOCH"] == epoch and status["DONE_SEQ"] == memory[2]:
                         result = line.read(reg.RESULT)
@@ -792,7 +792,7 @@ class Soak:
             finally:
                 link.line.gone()
 
-    async def _said(self, link: Link, sequence: int, request: str) -> Answer:
+    async def _said(self, link: Link, sequence: int, request: str) -> LineAnswer:
         """The answer; where it is asked for twice, both are of one command."""
         link.line.intent = Any16() if request == "NEXT" else {sequence}
         answer = await link.ask(f"{sequence},{request}")
@@ -818,7 +818,7 @@ class Soak:
             await asyncio.sleep(self.dice.uniform(0.0, 0.5))
         return sequence
 
-    def _place_picked(self, number: int, answer: Answer, job: int, asked_s: float) -> None:
+    def _place_picked(self, number: int, answer: LineAnswer, job: int, asked_s: float) -> None:
         """As `_pick`, of an answer in mm."""
         x_mm, y_mm, z_mm = answer.pose[:3]
         result = {"X": round(x_mm * 1000), "Z": round(z_mm * 1000), "Y": round(y_mm * 1000)}

@@ -28,7 +28,7 @@ from edged.pictures.evidence import (
 from edged.pictures.lettering import shortened, width_of
 from edged.pictures.overlay import BADGES, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
 from edged.pictures.view import box_around, view_of, zoom_for
-from edged.pipeline import Inspection, PreparedRig, inspect, judge, prepare
+from edged.pipeline import PairInspection, PreparedRig, inspect, judge, prepare
 from edged.sim.cell import demo_part
 from edged.vision.part.job import Job, MeasurementSpec
 from edged.vision.teaching.pair import teach
@@ -45,14 +45,14 @@ def taught() -> tuple[PreparedRig, Job]:
 
 
 @functools.cache
-def seen() -> tuple[Image, Image, Inspection]:
+def seen() -> tuple[Image, Image, PairInspection]:
     """The flange lying elsewhere, and what was measured of it."""
     rig, job = taught()
     left, right = pictures(rig.rig, scene((demo_part(), ELSEWHERE)), seed=3)
     return left, right, inspect(frame_pair(left, right), job, rig)
 
 
-def drawn(job: Job, inspection: Inspection) -> Image:
+def drawn(job: Job, inspection: PairInspection) -> Image:
     """The picture of a result."""
     rig, _ = taught()
     left, right, _ = seen()
@@ -65,7 +65,7 @@ def count(picture: Image, colour: tuple[int, ...]) -> int:
     return int((picture == np.array(colour, np.uint8)).all(axis=2).sum())
 
 
-def with_reject(inspection: Inspection, reject: Reject) -> Inspection:
+def with_reject(inspection: PairInspection, reject: Reject) -> PairInspection:
     """The same parts, refused for a reason."""
     measured = tuple(replace(one, target=replace(one.target, reject=reject)) for one in inspection.measured)
     return replace(inspection, measured=measured)
@@ -102,7 +102,7 @@ def test_a_rejected_result_is_red_and_says_why() -> None:
 def test_a_picture_without_a_part_says_what_was_looked_for() -> None:
     """No legend, no numbers: the title and the bare images."""
     _, job = taught()
-    picture = drawn(job, Inspection((), ()))
+    picture = drawn(job, PairInspection((), ()))
     assert picture.shape == (TITLE_HEIGHT_PX + 960, 2 * WIDTH_PX, 3)
     assert count(picture, MAGENTA) == 0
     assert headline(job, (), ()) == "flange: nothing is like it, 0.60 is needed"
@@ -115,7 +115,7 @@ def test_many_parts_are_counted_not_written_about_without_end() -> None:
     """Seven parts make a picture no taller than three rows of numbers."""
     _, job = taught()
     (one,) = seen()[2].measured
-    few, many = (drawn(job, Inspection((one,) * number, ())) for number in (6, 7))
+    few, many = (drawn(job, PairInspection((one,) * number, ())) for number in (6, 7))
     assert few.shape[0] < many.shape[0] < few.shape[0] + 60
 
 

@@ -23,7 +23,7 @@ from edged.plc.frames import (
     read_answer,
     read_request,
 )
-from edged.plc.lines import POSE_NAMES, Answer, LineStatus
+from edged.plc.lines import POSE_NAMES, LineAnswer, LineStatus
 from edged.robot.orientations import Brand
 
 FLOAT = st.floats(width=32, allow_nan=False, allow_infinity=False)
@@ -59,7 +59,7 @@ def test_an_answer_is_read_as_it_was_written(
         size = len(POSE_NAMES[brand])
         numbers = tuple(data.draw(st.lists(FLOAT, min_size=size + 4, max_size=size + 4)))
         x, y, z, age_s = numbers[size:]
-        answer = Answer(sequence, status, remaining, numbers[:size], (x, y, z), age_s)
+        answer = LineAnswer(sequence, status, remaining, numbers[:size], (x, y, z), age_s)
         frame = answer_frame(answer, brand)
         assert 60 == len(frame)
         assert answer == read_answer(frame, brand, sequence)
@@ -73,7 +73,7 @@ def test_an_answer_is_read_as_it_was_written(
 
 def test_a_frame_that_is_changed_anywhere_is_none() -> None:
     """Each bit of it, each byte less or more, each shift by the frame before."""
-    request, answer = FrameRequest(7, "LOCATE", 2).frame(), answer_frame(Answer(7, 0, 1), Brand.KUKA)
+    request, answer = FrameRequest(7, "LOCATE", 2).frame(), answer_frame(LineAnswer(7, 0, 1), Brand.KUKA)
     for frame in (request, answer):
         wrong = [frame[:size] for size in range(len(frame))] + [frame + b"\0"]
         wrong += [(frame + frame)[shift : shift + len(frame)] for shift in range(1, len(frame))]
@@ -106,17 +106,17 @@ def test_whatever_comes_is_a_request_or_none(body: bytes, is_headed: bool) -> No
 def test_an_answer_with_a_number_that_is_none_is_none() -> None:
     """Infinite or not a number, though the frame is whole."""
     for number in (float("inf"), float("nan")):
-        frame = answer_frame(Answer(7, 0, 0, (number,) * 6), Brand.KUKA)
+        frame = answer_frame(LineAnswer(7, 0, 0, (number,) * 6), Brand.KUKA)
         with pytest.raises(ValueError, match="none"):
             read_answer(frame, Brand.KUKA, 7)
 
 
 def test_a_refusal_of_what_was_no_request_is_heard() -> None:
     """Sequence 0 and its status; never with status 0, which would be a pose."""
-    refused = Answer(0, LineStatus.NOT_UNDERSTOOD)
+    refused = LineAnswer(0, LineStatus.NOT_UNDERSTOOD)
     assert LineStatus.NOT_UNDERSTOOD == read_answer(answer_frame(refused, Brand.UR), Brand.UR, 7).status
     with pytest.raises(ValueError, match="an answer to 0"):
-        read_answer(answer_frame(Answer(0, LineStatus.OK), Brand.UR), Brand.UR, 7)
+        read_answer(answer_frame(LineAnswer(0, LineStatus.OK), Brand.UR), Brand.UR, 7)
 
 
 def test_the_page_says_where_everything_stands() -> None:

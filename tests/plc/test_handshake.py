@@ -11,10 +11,10 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
-from edged.plc.answers import Answer, Reason, Verdict
-from edged.plc.handshake import Handshake, Limits, is_valid, may_write, step
+from edged.plc.answers import AckState, NackReason, ResultVerdict
+from edged.plc.handshake import Handshake, HandshakeLimits, is_valid, may_write, step
 
-LIMITS = Limits(validity_s=2.0, heartbeat_s=1.0, owner_s=5.0, queue=8)
+LIMITS = HandshakeLimits(validity_s=2.0, heartbeat_s=1.0, owner_s=5.0, queue=8)
 
 
 class Run:
@@ -34,15 +34,15 @@ class Run:
         self, ticket: int | None, cycle: int = 1, payload: str = "part", *rest: str, job: int = 0
     ) -> None:
         basis = self.state.basis
-        self.tell(ev.Finished(ticket, cycle, Verdict.GOOD, self.now_s, payload, rest, job, basis))
+        self.tell(ev.Finished(ticket, cycle, ResultVerdict.GOOD, self.now_s, payload, rest, job, basis))
 
     def next_part(self, sequence: int, client: int = 0, job: int = 0, once: bool = False) -> str:
         """What NEXT_PART shows; "" for a NACK with the reason of its own. It always ends at once."""
         (answered,) = self.tell(ev.SequenceWritten(sequence, client=client, once=once, next_of=job))
         assert isinstance(answered, ev.Answered) and answered.ticket & 0xFFFF == sequence
         assert () == self.state.open
-        if answered.answer is Answer.NACK:
-            assert (Reason.NO_LIST, None) == (answered.reason, self.state.result)
+        if answered.answer is AckState.NACK:
+            assert (NackReason.NO_LIST, None) == (answered.reason, self.state.result)
             return ""
         assert self.valid and self.state.exposure_done
         assert (sequence, sequence) == (self.state.result.sequence, self.state.done_sequence)
@@ -63,7 +63,7 @@ def test_a_command_is_answered_and_its_result_is_valid_until_acknowledged() -> N
     assert not run.valid
     run.good(7)
     assert run.valid
-    assert (7, 7, Answer.ACK) == (run.state.result.sequence, run.state.done_sequence, run.state.answer)
+    assert (7, 7, AckState.ACK) == (run.state.result.sequence, run.state.done_sequence, run.state.answer)
     run.tell(ev.AckWritten(6))
     assert run.valid
     run.tell(ev.AckWritten(7))
@@ -80,8 +80,12 @@ def test_the_same_sequence_again_does_not_run_again() -> None:
 def test_the_first_number_after_the_start_runs_nothing() -> None:
     """A PLC that goes on writing what it wrote to the daemon before this one: NACK 8, the next one runs."""
     run = Run(synchronised=None)
-    assert (ev.Answered(7, Answer.NACK, Reason.BASELINE),) == run.tell(ev.SequenceWritten(7))
-    assert (7, 7, Reason.BASELINE) == (run.state.command_sequence, run.state.done_sequence, run.state.reason)
+    assert (ev.Answered(7, AckState.NACK, NackReason.BASELINE),) == run.tell(ev.SequenceWritten(7))
+    assert (7, 7, NackReason.BASELINE) == (
+        run.state.command_sequence,
+        run.state.done_sequence,
+        run.state.reason,
+    )
     assert () == run.tell(ev.SequenceWritten(7))
     assert (ev.Submit(8),) == run.tell(ev.SequenceWritten(8))
 
@@ -113,11 +117,11 @@ def test_a_new_connection_and_another_client_begin_with_a_number_that_runs_nothi
     run.good(2)
     for event in (ev.SequenceWritten(9, client=4), ev.SequenceWritten(2)):
         (answered,) = run.tell(event)
-        assert isinstance(answered, ev.Answered) and answered.reason is Reason.BASELINE
+        assert isinstance(answered, ev.Answered) and answered.reason is NackReason.BASELINE
         assert not run.valid
     run.tell(ev.Released(0, gone=True))
     (answered,) = run.tell(ev.SequenceWritten(3))
-    assert isinstance(answered, ev.Answered) and answered.reason is Reason.BASELINE
+    assert isinstance(answered, ev.Answered) and answered.reason is NackReason.BASELINE
 
 
 def test_a_command_that_had_to_wait_for_its_turn_runs_nothing() -> None:
@@ -128,7 +132,7 @@ def test_a_command_that_had_to_wait_for_its_turn_runs_nothing() -> None:
     run.good(1)
     run.tell(ev.Barred(0))
     (answered,) = run.tell(ev.SequenceWritten(2))
-    assert isinstance(answered, ev.Answered) and answered.reason is Reason.BASELINE
+    assert isinstance(answered, ev.Answered) and answered.reason is NackReason.BASELINE
 
 
 def test_a_connection_never_gets_the_answer_of_another_under_its_own_number() -> None:
@@ -143,7 +147,7 @@ def test_a_connection_never_gets_the_answer_of_another_under_its_own_number() ->
         run.tell(ev.SequenceWritten(7, client=1))
         run.good(7)
         assert run.state.result is None
-        assert (7, Answer.NACK, Reason.BASELINE) == (
+        assert (7, AckState.NACK, NackReason.BASELINE) == (
             run.state.done_sequence,
             run.state.answer,
             run.state.reason,
@@ -159,7 +163,7 @@ def test_a_late_result_of_an_older_command_with_the_same_number_is_not_shown() -
     run.tell(ev.SequenceWritten(5))
     run.good(5, payload="old")
     assert run.state.result is None
-    assert Answer.NONE is run.state.answer
+    assert AckState.NONE is run.state.answer
     run.good(5 + 65536, payload="new")
     assert "new" == run.state.result.payload
     assert run.valid
@@ -181,7 +185,7 @@ def test_a_ninth_open_command_is_refused_with_overrun_and_the_next_accepted_one_
     run = Run()
     for sequence in range(1, 9):
         run.tell(ev.SequenceWritten(sequence))
-    assert (ev.Answered(9, Answer.NACK, Reason.QUEUE_FULL),) == run.tell(ev.SequenceWritten(9))
+    assert (ev.Answered(9, AckState.NACK, NackReason.QUEUE_FULL),) == run.tell(ev.SequenceWritten(9))
     assert run.state.overrun
     for ticket in range(1, 9):
         run.good(ticket)
@@ -200,12 +204,12 @@ def test_the_newest_answer_is_not_written_over_by_an_older_command() -> None:
     run.now_s += 0.2
     run.tell(ev.Tick())
     run.good(1)
-    assert (2, Answer.NACK, Reason.TIMEOUT) == (
+    assert (2, AckState.NACK, NackReason.TIMEOUT) == (
         run.state.done_sequence,
         run.state.answer,
         run.state.reason,
     )
-    assert {1: Answer.ACK, 2: Answer.NACK} == {
+    assert {1: AckState.ACK, 2: AckState.NACK} == {
         effect.ticket: effect.answer for effect in run.effects if isinstance(effect, ev.Answered)
     }
 
@@ -216,10 +220,10 @@ def test_an_unknown_or_declined_command_is_a_nack_with_its_reason() -> None:
     run.good(None, cycle=3)
     assert run.valid
     run.tell(ev.SequenceWritten(1, known=False))
-    assert (Answer.NACK, Reason.UNKNOWN_COMMAND) == (run.state.answer, run.state.reason)
+    assert (AckState.NACK, NackReason.UNKNOWN_COMMAND) == (run.state.answer, run.state.reason)
     assert not run.valid
     run.tell(ev.SequenceWritten(2))
-    assert (ev.Answered(2, Answer.NACK, Reason.REFUSED),) == run.tell(ev.Declined(2))
+    assert (ev.Answered(2, AckState.NACK, NackReason.REFUSED),) == run.tell(ev.Declined(2))
     assert () == run.tell(ev.Declined(2))
 
 
@@ -227,8 +231,8 @@ def test_a_camera_fault_is_a_nack_and_never_valid() -> None:
     """The command could not be carried out; the fault itself may be displayed."""
     run = Run()
     run.tell(ev.SequenceWritten(4))
-    run.tell(ev.Finished(4, 1, Verdict.FAULT, run.now_s, "fault"))
-    assert (Answer.NACK, Reason.CAPTURE_FAULT) == (run.state.answer, run.state.reason)
+    run.tell(ev.Finished(4, 1, ResultVerdict.FAULT, run.now_s, "fault"))
+    assert (AckState.NACK, NackReason.CAPTURE_FAULT) == (run.state.answer, run.state.reason)
     assert "fault" == run.state.result.payload
     assert not run.valid
 
@@ -236,11 +240,11 @@ def test_a_camera_fault_is_a_nack_and_never_valid() -> None:
 def test_age_counts_from_the_exposure() -> None:
     """A result that took 1.5 s to compute is valid for another 0.5 s; one from the future never."""
     run = Run()
-    run.tell(ev.Finished(None, 1, Verdict.GOOD, run.now_s - 1.5, "slow"))
+    run.tell(ev.Finished(None, 1, ResultVerdict.GOOD, run.now_s - 1.5, "slow"))
     assert run.valid
     run.now_s += 0.51
     assert not run.valid
-    run.tell(ev.Finished(None, 2, Verdict.GOOD, run.now_s + 0.1, "future"))
+    run.tell(ev.Finished(None, 2, ResultVerdict.GOOD, run.now_s + 0.1, "future"))
     assert not run.valid
 
 
@@ -364,7 +368,7 @@ def test_whatever_else_happens_ends_the_list(what: str) -> None:
     run.tell(OTHERS[what])
     assert 0 == hs.remaining(run.state)
     run.tell(ev.Resumed())
-    run.tell(ev.Finished(2, 2, Verdict.BAD, run.now_s, "bad"))
+    run.tell(ev.Finished(2, 2, ResultVerdict.BAD, run.now_s, "bad"))
     assert "" == run.next_part(3, once=True)
 
 
@@ -386,11 +390,11 @@ def test_a_list_belongs_to_who_asked_for_it_and_to_its_job() -> None:
 
 def test_only_a_good_result_of_the_newest_command_leaves_a_list() -> None:
     """Not a checked part, not a rejected one, not a free-running cycle, not one that came too late."""
-    for verdict in Verdict:
+    for verdict in ResultVerdict:
         run = Run()
         run.tell(ev.SequenceWritten(1))
         run.tell(ev.Finished(1, 1, verdict, run.now_s, "a", ("b",)))
-        assert ("b" if verdict is Verdict.GOOD else "") == run.next_part(2)
+        assert ("b" if verdict is ResultVerdict.GOOD else "") == run.next_part(2)
     run = Run()
     run.good(None, 1, "a", "b")
     assert "" == run.next_part(1)
@@ -406,7 +410,7 @@ def test_a_next_part_that_overtakes_its_measurement_gets_none() -> None:
     run = Run()
     run.tell(ev.SequenceWritten(1))
     (answered,) = run.tell(ev.SequenceWritten(2, next_of=0))
-    assert ev.Answered(2, Answer.NACK, Reason.NO_LIST) == answered
+    assert ev.Answered(2, AckState.NACK, NackReason.NO_LIST) == answered
     run.good(1, 1, "a", "b")
     assert (0, None) == (hs.remaining(run.state), run.state.result)
     assert "" == run.next_part(3)
@@ -422,8 +426,12 @@ def test_setup_ends_what_is_open_and_takes_the_result_down() -> None:
     run.tell(ev.SequenceWritten(3))
     run.tell(ev.Exposed(3))
     ended = run.tell(ev.Suspended())
-    assert {2: Reason.SETUP, 3: Reason.SETUP} == {effect.ticket: effect.reason for effect in ended}
-    assert (3, Answer.NACK, Reason.SETUP) == (run.state.done_sequence, run.state.answer, run.state.reason)
+    assert {2: NackReason.SETUP, 3: NackReason.SETUP} == {effect.ticket: effect.reason for effect in ended}
+    assert (3, AckState.NACK, NackReason.SETUP) == (
+        run.state.done_sequence,
+        run.state.answer,
+        run.state.reason,
+    )
     run.good(3)
     assert (None, (), False) == (run.state.result, run.state.open, run.state.exposure_done)
 
@@ -435,7 +443,7 @@ def test_in_setup_each_command_ends_so_and_free_cycles_are_not_shown() -> None:
     assert () == run.tell(ev.Suspended()), "it is set up already"
     for sequence, known in ((7, True), (8, False), (9, True)):
         (answered,) = run.tell(ev.SequenceWritten(sequence, known))
-        assert ev.Answered(sequence, Answer.NACK, Reason.SETUP) == answered
+        assert ev.Answered(sequence, AckState.NACK, NackReason.SETUP) == answered
         assert sequence == run.state.done_sequence
     assert () == run.tell(ev.SequenceWritten(0))
     run.good(None)
@@ -463,21 +471,21 @@ def test_a_robots_registration_runs_in_setup_and_nothing_else_does() -> None:
     """Its commands are carried out and show nothing, even by mistake; a person ends what is open."""
     run = Run()
     assert (ev.Submit(1),) == run.tell(ev.SequenceWritten(1, registers=True))
-    run.tell(ev.Finished(1, 0, Verdict.DONE, run.now_s, None))
-    assert (1, Answer.ACK) == (run.state.done_sequence, run.state.answer)
+    run.tell(ev.Finished(1, 0, ResultVerdict.DONE, run.now_s, None))
+    assert (1, AckState.ACK) == (run.state.done_sequence, run.state.answer)
     run.tell(ev.Suspended(registers=True))
     (refused,) = run.tell(ev.SequenceWritten(2))
-    assert ev.Answered(2, Answer.NACK, Reason.SETUP) == refused
+    assert ev.Answered(2, AckState.NACK, NackReason.SETUP) == refused
     assert (ev.Submit(3),) == run.tell(ev.SequenceWritten(3, registers=True))
     assert () == run.tell(ev.Suspended(registers=True)), "the same state, told again"
     run.tell(ev.Exposed(3))
     assert run.state.exposure_done
     run.good(3)
-    assert (3, Answer.ACK, None) == (run.state.done_sequence, run.state.answer, run.state.result)
+    assert (3, AckState.ACK, None) == (run.state.done_sequence, run.state.answer, run.state.result)
     run.tell(ev.SequenceWritten(4, registers=True))
-    assert (ev.Answered(4, Answer.NACK, Reason.SETUP),) == run.tell(ev.Suspended())
+    assert (ev.Answered(4, AckState.NACK, NackReason.SETUP),) == run.tell(ev.Suspended())
     (refused,) = run.tell(ev.SequenceWritten(5, registers=True))
-    assert ev.Answered(5, Answer.NACK, Reason.SETUP) == refused
+    assert ev.Answered(5, AckState.NACK, NackReason.SETUP) == refused
     run.tell(ev.Resumed())
     assert (ev.Submit(6),) == run.tell(ev.SequenceWritten(6, registers=True))
 
@@ -492,8 +500,8 @@ def test_a_result_is_none_any_more_when_what_it_stands_on_is_exchanged() -> None
     assert () == run.tell(ev.Exchanged(1))
     assert not run.valid
     assert not run.state.exposure_done
-    assert (7, Verdict.EXCHANGED) == (run.state.result.sequence, run.state.result.verdict)
-    assert (7, Answer.ACK) == (run.state.done_sequence, run.state.answer)
+    assert (7, ResultVerdict.EXCHANGED) == (run.state.result.sequence, run.state.result.verdict)
+    assert (7, AckState.ACK) == (run.state.done_sequence, run.state.answer)
     assert (ev.Submit(8),) == run.tell(ev.SequenceWritten(8))
     run.good(8)
     assert run.valid
@@ -516,8 +524,8 @@ def test_a_command_that_waits_while_its_basis_is_exchanged_ends_so() -> None:
     run.tell(ev.SequenceWritten(7))
     run.tell(ev.SequenceWritten(8))
     ended = run.tell(ev.Exchanged(1))
-    assert [(7, Reason.RELOADED), (8, Reason.RELOADED)] == [(one.ticket, one.reason) for one in ended]
-    assert (8, Answer.NACK, Reason.RELOADED) == (
+    assert [(7, NackReason.RELOADED), (8, NackReason.RELOADED)] == [(one.ticket, one.reason) for one in ended]
+    assert (8, AckState.NACK, NackReason.RELOADED) == (
         run.state.done_sequence,
         run.state.answer,
         run.state.reason,
@@ -530,11 +538,11 @@ def test_what_was_measured_by_another_basis_is_never_shown() -> None:
     """However late it comes: of a command it ends in NACK, RELOADED, of a free-running cell it is nothing."""
     run = Run()
     run.tell(ev.Exchanged(1))
-    run.tell(ev.Finished(None, 1, Verdict.GOOD, run.now_s, "old", basis=0))
+    run.tell(ev.Finished(None, 1, ResultVerdict.GOOD, run.now_s, "old", basis=0))
     assert run.state.result is None
     run.tell(ev.SequenceWritten(7))
-    (ended,) = run.tell(ev.Finished(7, 1, Verdict.GOOD, run.now_s, "old", basis=0))
-    assert (Answer.NACK, Reason.RELOADED, None) == (ended.answer, ended.reason, run.state.result)
+    (ended,) = run.tell(ev.Finished(7, 1, ResultVerdict.GOOD, run.now_s, "old", basis=0))
+    assert (AckState.NACK, NackReason.RELOADED, None) == (ended.answer, ended.reason, run.state.result)
 
 
 def test_a_registration_ends_by_an_exchange_of_its_own() -> None:
@@ -543,8 +551,8 @@ def test_a_registration_ends_by_an_exchange_of_its_own() -> None:
     run.tell(ev.Suspended(registers=True))
     run.tell(ev.SequenceWritten(7, registers=True))
     assert () == run.tell(ev.Exchanged(1))
-    run.tell(ev.Finished(7, 0, Verdict.DONE, run.now_s, None, basis=1))
-    assert (7, Answer.ACK) == (run.state.done_sequence, run.state.answer)
+    run.tell(ev.Finished(7, 0, ResultVerdict.DONE, run.now_s, None, basis=1))
+    assert (7, AckState.ACK) == (run.state.done_sequence, run.state.answer)
 
 
 @pytest.mark.parametrize("fell", ["acknowledged", "too old"])
@@ -628,7 +636,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         may_run = changed and sequence != 0 and known and not begins and not refused
         assert len(submitted) <= int(may_run)
         if changed and sequence != 0 and refused:
-            assert effects[-1:] == (ev.Answered(self.run.state.ticket, Answer.NACK, Reason.SETUP),)
+            assert effects[-1:] == (ev.Answered(self.run.state.ticket, AckState.NACK, NackReason.SETUP),)
         self.accepted += submitted
         self.in_cell += submitted
         self.registering += submitted if registers else []
@@ -650,14 +658,14 @@ class AnyClientAnyCell(RuleBasedStateMachine):
             if isinstance(effect, ev.Answered) and effect.ticket == self.run.state.ticket
         )
         if asked and due and client == self.list_client and next_of in (0, self.list_job):
-            assert (Answer.ACK, sequence) == (answered.answer, self.run.state.result.sequence)
+            assert (AckState.ACK, sequence) == (answered.answer, self.run.state.result.sequence)
             self.shown = self.list.pop(0)
             assert self.shown == self.run.state.result.payload
             assert self.shown not in self.given, "a part was given twice"
             self.given.add(self.shown)
             return
-        assert Answer.NACK is answered.answer
-        assert not asked or Reason.NO_LIST is answered.reason
+        assert AckState.NACK is answered.answer
+        assert not asked or NackReason.NO_LIST is answered.reason
         self.list = []
 
     def due(self) -> bool:
@@ -672,7 +680,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
             self.basis += 1
         effects = self.run.tell(ev.Exchanged(self.basis))
         ended = {effect.ticket: effect.reason for effect in effects if isinstance(effect, ev.Answered)}
-        assert set(ended.values()) <= {Reason.RELOADED, Reason.TIMEOUT}
+        assert set(ended.values()) <= {NackReason.RELOADED, NackReason.TIMEOUT}
         if is_another:
             assert self.is_registering or still_open == set(ended)
             assert not self.run.valid
@@ -691,13 +699,13 @@ class AnyClientAnyCell(RuleBasedStateMachine):
             self.run.tell(ev.Declined(self.in_cell.pop()))
 
     @rule(
-        verdict=st.sampled_from([*Verdict, Verdict.GOOD, Verdict.GOOD]),
+        verdict=st.sampled_from([*ResultVerdict, ResultVerdict.GOOD, ResultVerdict.GOOD]),
         age_s=st.sampled_from([0.0, 0.0, 1.0, 3.0]),
         position=st.integers(0, 7),
         parts=st.integers(1, 4),
         before=st.sampled_from([0, 0, 1]),
     )
-    def finish(self, verdict: Verdict, age_s: float, position: int, parts: int, before: int) -> None:
+    def finish(self, verdict: ResultVerdict, age_s: float, position: int, parts: int, before: int) -> None:
         if self.in_cell:
             ticket = self.in_cell.pop(position % len(self.in_cell))
             now_s = self.run.now_s
@@ -706,23 +714,23 @@ class AnyClientAnyCell(RuleBasedStateMachine):
             self.bases |= dict.fromkeys((payload, *rest), basis)
             self.run.tell(ev.Finished(ticket, 1, verdict, now_s - age_s, payload, rest, 7, basis))
             ended = any(
-                isinstance(e, ev.Answered) and e == ev.Answered(ticket, Answer.ACK, Reason.NONE)
+                isinstance(e, ev.Answered) and e == ev.Answered(ticket, AckState.ACK, NackReason.NONE)
                 for e in self.run.effects
             )
-            if ended and verdict is Verdict.GOOD and ticket == self.written_at and self.last_writer:
+            if ended and verdict is ResultVerdict.GOOD and ticket == self.written_at and self.last_writer:
                 self.list, self.list_client, self.list_job = [*rest], self.last_writer, 7
                 self.list_until_s = now_s - age_s + LIMITS.validity_s
-            if verdict is not Verdict.GOOD or age_s > LIMITS.validity_s:
+            if verdict is not ResultVerdict.GOOD or age_s > LIMITS.validity_s:
                 assert not (self.run.valid and f"command {ticket}" == self.run.state.result.payload)
 
     @rule()
     def fail(self) -> None:
         if self.in_cell:
-            self.run.tell(ev.Failed(self.in_cell.pop(0)))
+            self.run.tell(ev.ExecutionFailed(self.in_cell.pop(0)))
 
     @rule(good=st.booleans(), before=st.sampled_from([0, 0, 1]))
     def free_cycle_ends(self, good: bool, before: int) -> None:
-        verdict = Verdict.GOOD if good else Verdict.BAD
+        verdict = ResultVerdict.GOOD if good else ResultVerdict.BAD
         payload, basis = f"cycle {self.free_cycle + 1}", self.basis - before
         self.bases[payload] = basis
         self.run.tell(ev.Finished(None, self.free_cycle + 1, verdict, self.run.now_s, payload, basis=basis))
@@ -734,8 +742,10 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         stray = self.run.state.ticket - ticket_back
         if stray not in self.in_cell:
             before = len(self.run.effects)
-            self.run.tell(ev.Finished(stray, 1, Verdict.GOOD, self.run.now_s, "stray", basis=self.basis))
-            assert all(effect.reason is Reason.TIMEOUT for effect in self.run.effects[before:])
+            self.run.tell(
+                ev.Finished(stray, 1, ResultVerdict.GOOD, self.run.now_s, "stray", basis=self.basis)
+            )
+            assert all(effect.reason is NackReason.TIMEOUT for effect in self.run.effects[before:])
 
     @rule(seconds=st.sampled_from([0.0, 0.1, 0.6, 1.1, 2.5, 10.0]))
     def wait(self, seconds: float) -> None:
@@ -761,10 +771,10 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         effects = self.run.tell(ev.Suspended(registers))
         ended = {e.ticket: e.reason for e in effects if isinstance(e, ev.Answered)}
         if again:
-            assert set(ended.values()) <= {Reason.TIMEOUT}
+            assert set(ended.values()) <= {NackReason.TIMEOUT}
             return
         assert still_open == set(ended)
-        assert set(ended.values()) <= {Reason.SETUP, Reason.TIMEOUT}
+        assert set(ended.values()) <= {NackReason.SETUP, NackReason.TIMEOUT}
         assert self.run.state.result is None
         assert not self.run.state.exposure_done
         self.is_set_up, self.is_registering, self.list = True, registers, []
@@ -830,7 +840,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         if self.run.valid:
             assert name not in self.fallen
             assert hs.is_as_published(self.run.state, self.run.now_s)
-        elif result.verdict in (Verdict.GOOD, Verdict.EXCHANGED):
+        elif result.verdict in (ResultVerdict.GOOD, ResultVerdict.EXCHANGED):
             self.fallen.add(name)
             assert not hs.is_as_published(self.run.state, self.run.now_s)
 

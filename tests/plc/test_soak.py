@@ -10,7 +10,7 @@ import pytest
 from helpers.soak import Soak
 
 from edged.adapters.modbus.cell import NOBODYS, CellRegisters
-from edged.adapters.zenoh.triggers import Triggers
+from edged.adapters.zenoh.triggers import PendingTriggers
 from edged.cell.cycle import Cycle
 from edged.cell.loaded import LoadedJob
 from edged.domain.events import PLC_SOURCE
@@ -52,9 +52,9 @@ def test_ten_minutes_of_handshakes_without_a_violation(seed: int) -> None:
 @pytest.mark.slow
 def test_a_cell_that_forgets_the_age_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """The observer is not blind: a handshake whose results never grow old is found out."""
-    real = hs.Limits
+    real = hs.HandshakeLimits
 
-    def ageless(validity_s: float, *others: Any, **named: Any) -> hs.Limits:
+    def ageless(validity_s: float, *others: Any, **named: Any) -> hs.HandshakeLimits:
         return real(9e9, *others, **named)
 
     monkeypatch.setattr("edged.adapters.modbus.settings.Limits", ageless)
@@ -204,7 +204,7 @@ def by_number(self: CellRegisters, command: Any) -> int | None:
     return command.sequence if command.source == PLC_SOURCE else NOBODYS
 
 
-def take_by_number(self: Triggers[Any], command: Any) -> Any:
+def take_by_number(self: PendingTriggers[Any], command: Any) -> Any:
     """Who waits for a command of this number."""
     if command is None or command.source != "zenoh":
         return None
@@ -219,7 +219,7 @@ def take_by_number(self: Triggers[Any], command: Any) -> Any:
     ("owner", "name", "defect", "violation"),
     [
         (CellRegisters, "_ticket", by_number, "too old|for job|coordinates for command"),
-        (Triggers, "take", take_by_number, "an exposure answers a trigger"),
+        (PendingTriggers, "take", take_by_number, "an exposure answers a trigger"),
     ],
     ids=["modbus", "zenoh"],
 )

@@ -27,7 +27,7 @@ from edged.errors import CommandRefused, FileFormatError
 from edged.files.rig import load_rig, save_rig
 from edged.payload import command_to_json
 from edged.plc import registers as reg
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.robot.covariance import moved_frame
 from edged.robot.orientations import ANGLES_DEG, Convention, rotation_of
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
@@ -128,7 +128,7 @@ def test_a_command_without_the_flange_is_refused_and_an_old_pose_is_not_used() -
 
         plc.cell.write(1, reg.ADDRESS["CMD_SEQ"], [2])
         status = plc.status()
-        assert (status["DONE_SEQ"], status["NACK_REASON"]) == (2, Reason.REFUSED)
+        assert (status["DONE_SEQ"], status["NACK_REASON"]) == (2, NackReason.REFUSED)
         assert not int(status["STATUS_BITS"]) & reg.StatusBit.RESULT_VALID
         with pytest.raises(CommandRefused, match="pose of the flange"):
             cycle.submit(Command(CommandKind.LOCATE, "test", 1))

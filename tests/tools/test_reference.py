@@ -25,7 +25,7 @@ from edged.domain.measurement import Reject, Status
 from edged.files.jobs.schema import JobFile
 from edged.files.rig import save_rig
 from edged.pictures.captions import REASONS
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.plc.registers import BLOCKS, ROWS, Flag, Option, ResultCode, StatusBit, Warn
 from edged.robot.orientations import Convention
 from edged.sim.cell import demo_rig
@@ -36,7 +36,7 @@ from referencepages.markdown import ROOT, member_docs
 from referencepages.pages import PAGES, current, main
 
 CODES: tuple[type[enum.Enum], ...] = (
-    *(Status, Reject, CommandKind, Calibrated, Reason, Convention),
+    *(Status, Reject, CommandKind, Calibrated, NackReason, Convention),
     *(ResultCode, StatusBit, Flag, Option, Warn),
 )
 
@@ -140,7 +140,7 @@ def test_every_register_bit_and_code_is_there() -> None:
     for block in BLOCKS:
         for register in block.registers if not any(block in rows[1:] for rows in ROWS) else ():
             assert f"| {register.address} | {register.name} | {register.kind.name} |" in text
-    for codes in (CommandKind, ResultCode, Reason, Convention):
+    for codes in (CommandKind, ResultCode, NackReason, Convention):
         for one, meaning in member_docs(codes).items():
             assert f"| {codes[one].value} | `{one}` | {meaning} |" in text
     for bits in (StatusBit, Flag, Option, Warn, Reject):

@@ -16,7 +16,7 @@ from edged.domain.cell import CellPhase
 from edged.domain.measurement import Reject, Status
 from edged.errors import CaptureError
 from edged.pictures.captions import REASONS, REMEDIES
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.plc.registers import BLOCKS, ResultCode
 from edged.robot.orientations import Convention
 
@@ -155,7 +155,7 @@ def test_the_run_page_has_a_text_for_each_fact() -> None:
 
 def test_the_plcs_page_has_words_for_each_reason_and_each_result() -> None:
     """And for no others."""
-    for family, codes in (("plc-nack-", Reason), ("plc-result-", ResultCode)):
+    for family, codes in (("plc-nack-", NackReason), ("plc-result-", ResultCode)):
         said = {name for name in ENGLISH["plc"] if name.startswith(family)}
         assert {family + code.name.lower().replace("_", "-") for code in codes} == said
 

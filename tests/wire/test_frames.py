@@ -18,7 +18,7 @@ from helpers.waiting import LIMIT_S
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.plc.frames import ANSWER, FrameRequest, read_answer
-from edged.plc.lines import Answer, LineStatus
+from edged.plc.lines import LineAnswer, LineStatus
 from edged.robot.orientations import Brand, pose_of, transform_of
 
 KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
@@ -32,14 +32,14 @@ class Robot:
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=15)
         self.file = self.socket.makefile("rb")
 
-    def ask(self, request: FrameRequest, piece: int = 64) -> Answer:
+    def ask(self, request: FrameRequest, piece: int = 64) -> LineAnswer:
         """Sent in pieces of so many bytes."""
         frame = request.frame()
         for at in range(0, len(frame), piece):
             self.socket.sendall(frame[at : at + piece])
         return self.hear(request.sequence)
 
-    def hear(self, sequence: int) -> Answer:
+    def hear(self, sequence: int) -> LineAnswer:
         """The next answer."""
         return read_answer(self.file.read(ANSWER.size), self.brand, sequence)
 

@@ -32,7 +32,7 @@ from edged.adapters.opcua.model import read_model
 from edged.domain.measurement import Reject
 from edged.errors import ListenError
 from edged.plc import registers as reg
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 
 VISION, CELL = 2, 3
 SYSTEM = "ns=3;s=VisionSystem"
@@ -478,7 +478,7 @@ def test_a_recipe_is_prepared_by_the_handshakes_job_change(cell: OpcUaCell, secu
             )
             assert ("job2", False, 0) == (first[0].Id, *first[1:])
             assert [True, 0] == second
-            assert [False, -int(Reason.REFUSED)] == unknown[1:]
+            assert [False, -int(NackReason.REFUSED)] == unknown[1:]
             assert 2 == await register(client, "status", "ACTIVE_JOB")
             assert await client.get_node(f"{RECIPES}.Recipes.job2.IsPrepared").read_value()
 
@@ -516,9 +516,9 @@ def test_a_job_that_does_not_exist_runs_nothing(cell: OpcUaCell, secure: OpcUaSe
 
     async def run() -> None:
         async with connected(cell, secure) as client:
-            assert ("", -int(Reason.REFUSED)) == await start(client, "job9")
-            assert -int(Reason.REFUSED) == (await command(client, 1, 9))[1]
-            assert -int(Reason.UNKNOWN_COMMAND) == (await command(client, 77))[1]
+            assert ("", -int(NackReason.REFUSED)) == await start(client, "job9")
+            assert -int(NackReason.REFUSED) == (await command(client, 1, 9))[1]
+            assert -int(NackReason.UNKNOWN_COMMAND) == (await command(client, 77))[1]
         assert 0 == cell.head.captures
 
     asyncio.run(run())

@@ -13,7 +13,7 @@ from pymodbus.client import ModbusTcpClient
 from edged.domain.events import CommandKind
 from edged.domain.registration import Method
 from edged.plc import registers as reg
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.robot.orientations import ANGLES_DEG, Brand, Convention
 from edged.robots.cell_client import CommandRefused, EdgedCell
 from edged.vision.geometry.rigid import apply, transform
@@ -34,12 +34,12 @@ def test_ten_poses_register_the_rig_and_the_robot_measures_at_once(cell: WalkedC
     before = cell.rig
     with cell.robot() as robot:
         assert 0 == robot.ask("HAND_EYE_START")[0]
-        assert Reason.SETUP == robot.ask("LOCATE,0")[0]
+        assert NackReason.SETUP == robot.ask("LOCATE,0")[0]
         for number, pose in enumerate(cell.arm.walk(), 1):
             assert 0 == robot.add(pose)
             assert np.array_equal(before.robot_from_rig, cell.rig.robot_from_rig)
             status = robot.ask("VERIFY,0")[0]
-            assert (Reason.SETUP, number) == (status, number)
+            assert (NackReason.SETUP, number) == (status, number)
         status, samples, rms, held_out, limit, used, worst, _, *sigma = robot.ask("REGISTER_SOLVE")
         assert (0, 10, 10, 0, 0.1) == (status, samples, used, worst, limit)
         assert 0 < rms <= held_out < GOOD_MM
@@ -59,23 +59,23 @@ def test_what_adds_nothing_says_so(cell: WalkedCell) -> None:
     with cell.robot() as robot:
         for request in ("REGISTER_ADD,0", "REGISTER_SOLVE"):
             pose = walk[0] if "ADD" in request else None
-            assert Reason.NO_REGISTRATION == robot.ask(request, pose)[0]
+            assert NackReason.NO_REGISTRATION == robot.ask(request, pose)[0]
         assert 0 == robot.ask("HAND_EYE_START")[0]
-        assert Reason.REFUSED == robot.ask("REGISTER_ADD,0")[0], "without a pose"
+        assert NackReason.REFUSED == robot.ask("REGISTER_ADD,0")[0], "without a pose"
         assert 0 == robot.add(walk[0])
-        assert [Reason.SAME_PLACE] * 9 == [robot.add(walk[0]) for _ in range(9)]
+        assert [NackReason.SAME_PLACE] * 9 == [robot.add(walk[0]) for _ in range(9)]
         cell.arm.shows = "nothing"
-        assert Reason.NOT_SEEN == robot.add(walk[1])
+        assert NackReason.NOT_SEEN == robot.add(walk[1])
         cell.arm.shows = "board"
         for pose in walk[1:4]:
             robot.add(pose)
         status, samples, *_ = robot.ask("REGISTER_SOLVE")
-        assert (Reason.TOO_FEW, 4) == (status, samples)
+        assert (NackReason.TOO_FEW, 4) == (status, samples)
         assert 0 == robot.ask("HAND_EYE_START")[0]
         about_one_axis = [(0, 0, turn) for turn in (0, 8, 16, 24, -8, -16, -24)]
         for pose in cell.arm.walk(about_one_axis):
             assert 0 == robot.add(pose)
-        assert Reason.TURN_MORE == robot.ask("REGISTER_SOLVE")[0]
+        assert NackReason.TURN_MORE == robot.ask("REGISTER_SOLVE")[0]
 
 
 def test_a_pose_that_was_said_wrongly_is_named(cell: WalkedCell) -> None:
@@ -89,7 +89,7 @@ def test_a_pose_that_was_said_wrongly_is_named(cell: WalkedCell) -> None:
             said[0, 3] += 5.0 if number % 2 else 0.0
             assert 0 == robot.ask("REGISTER_ADD,0", said)[0]
         status, _, _, held_out, limit, *_ = robot.ask("REGISTER_SOLVE")
-        assert Reason.NOT_GOOD == status
+        assert NackReason.NOT_GOOD == status
         assert held_out > limit
         assert np.array_equal(saved, cell.rig.robot_from_rig), "nothing is saved"
         robot.ask("HAND_EYE_START")
@@ -109,7 +109,7 @@ def test_another_makers_convention_is_found_out(cell: WalkedCell, caplog: pytest
         robot.ask("HAND_EYE_START")
         for pose in cell.arm.walk():
             assert 0 == robot.add(pose, Brand.KUKA)
-        assert Reason.OTHER_READING == robot.ask("REGISTER_SOLVE")[0]
+        assert NackReason.OTHER_READING == robot.ask("REGISTER_SOLVE")[0]
     assert "A B C about z, new y, new x (KUKA, ABB OrientZYX) in degrees, lengths in mm" in caplog.text
 
 
@@ -117,7 +117,7 @@ def test_touched_points_register_it_and_mirrored_ones_do_not(cell: WalkedCell) -
     """The tip's place at each of five parts; one axis with the wrong sign is refused."""
     places = TAUGHT_MM + np.array([[-10, -5, -5], [10, -5, 5], [8, 5, -6], [-8, 5, 6], [0.0, 0, 0]])
     cell.arm.shows = "part"
-    for mirror, expected in ((-1.0, Reason.NOT_GOOD), (1.0, 0)):
+    for mirror, expected in ((-1.0, NackReason.NOT_GOOD), (1.0, 0)):
         with cell.robot() as robot:
             assert 0 == robot.ask("TOUCH_START")[0]
             for place in places:
@@ -125,10 +125,10 @@ def test_touched_points_register_it_and_mirrored_ones_do_not(cell: WalkedCell) -
                 tip = transform(np.eye(3), apply(ROBOT_FROM_RIG, place) * [1.0, mirror, 1.0])
                 assert 0 == robot.ask("REGISTER_ADD,0", tip)[0]
             tip[:3, 3] += 0.5
-            assert Reason.SAME_PLACE == robot.ask("REGISTER_ADD,0", tip)[0]
+            assert NackReason.SAME_PLACE == robot.ask("REGISTER_ADD,0", tip)[0]
             cell.arm.shows = "nothing"
             tip[:3, 3] += 20.0
-            assert Reason.NOT_SEEN == robot.ask("REGISTER_ADD,0", tip)[0]
+            assert NackReason.NOT_SEEN == robot.ask("REGISTER_ADD,0", tip)[0]
             cell.arm.shows = "part"
             assert expected == robot.ask("REGISTER_SOLVE")[0]
     cell.arm.shows = "board"
@@ -171,7 +171,7 @@ def test_over_modbus_it_is_the_same(cell: WalkedCell) -> None:
         assert 0 == command(CommandKind.REGISTER_ADD, cell.arm.walk()[0])[0]
         assert cell.reload()
         reason, state = command(CommandKind.REGISTER_ADD, cell.arm.walk()[1])
-        assert (Reason.NO_REGISTRATION, 0) == (reason, state["H_SAMPLES"])
+        assert (NackReason.NO_REGISTRATION, 0) == (reason, state["H_SAMPLES"])
         assert 0 == command(CommandKind.HAND_EYE_START)[0]
         for number, pose in enumerate(cell.arm.walk(), 1):
             reason, state = command(CommandKind.REGISTER_ADD, pose)
@@ -208,7 +208,7 @@ def test_a_rig_that_was_changed_on_the_disc_is_not_written_over(cell: WalkedCell
         for pose in cell.arm.walk():
             robot.add(pose)
         file.write_text(text + " ")
-        assert Reason.FAILED == robot.ask("REGISTER_SOLVE")[0]
+        assert NackReason.FAILED == robot.ask("REGISTER_SOLVE")[0]
         assert text + " " == file.read_text()
         file.write_text(text)
         assert 0 == robot.ask("REGISTER_SOLVE")[0], "the poses are still there"
@@ -218,7 +218,7 @@ def test_cameras_on_the_flange(tmp_path: Path) -> None:
     """flange_from_rig from ten poses over a board that lies still; TOUCH_START is refused there."""
     registration = 'board = "chessboard:9x6:4.0"\nmount = "flange"\nlimit_mm = 0.1'
     with WalkedCell(tmp_path, Arm(carries_rig=True), "ur", registration) as cell, cell.robot() as robot:
-        assert Reason.REFUSED == robot.ask("TOUCH_START")[0]
+        assert NackReason.REFUSED == robot.ask("TOUCH_START")[0]
         assert 0 == robot.ask("HAND_EYE_START")[0]
         for pose in cell.arm.walk():
             assert 0 == robot.add(pose)
@@ -233,8 +233,8 @@ def test_without_leave_no_program_registers_anything(tmp_path: Path) -> None:
     """No [registration], or one without a board: refused, and the cell goes on measuring."""
     with WalkedCell(tmp_path, Arm(), registration="") as cell, cell.robot() as robot:
         for request in ("HAND_EYE_START", "TOUCH_START"):
-            assert Reason.REFUSED == robot.ask(request)[0]
+            assert NackReason.REFUSED == robot.ask(request)[0]
         assert 102 == robot.ask("LOCATE,0")[0]
         cell.write(cell.config.read_text() + "\n[registration]\n")
         assert cell.reload()
-        assert Reason.REFUSED == robot.ask("HAND_EYE_START")[0]
+        assert NackReason.REFUSED == robot.ask("HAND_EYE_START")[0]

@@ -31,7 +31,7 @@ from edged.files.statefolder import state_folder
 from edged.identity.passwords import hash_password
 from edged.identity.users import User, UserFile
 from edged.plc import registers as reg
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.plc.registers import StatusBit, Warn
 
 PASSWORD = "correct horse"
@@ -128,7 +128,7 @@ def test_in_setup_nothing_is_ready_valid_or_carried_out(cell: LiveCell) -> None:
             while not stop.is_set():
                 before = in_setup(plc.read(reg.STATUS))
                 status = plc.command(CommandKind.LOCATE)
-                if status["NACK_REASON"] == Reason.SETUP:
+                if status["NACK_REASON"] == NackReason.SETUP:
                     counts["refused"] += 1
                 elif status["NACK_REASON"] == 0:
                     counts["carried out"] += 1
@@ -256,14 +256,14 @@ def test_a_cell_without_a_calibration_runs_in_setup_until_it_has_one(tmp_path: P
                 assert 0 == status["ACTIVE_JOB"]
                 for kind in CommandKind:
                     status = plc.command(kind)
-                    assert (Reason.SETUP, 0) == (status["NACK_REASON"], status["STATUS_BITS"] & LEAVE)
+                    assert (NackReason.SETUP, 0) == (status["NACK_REASON"], status["STATUS_BITS"] & LEAVE)
                 assert (503, "setup: no calibration yet") == _ready(small.web_port)
                 if not last:
                     continue
                 (kept / "rig.json").rename(small.folder / "rig.json")
                 daemon.process.send_signal(signal.SIGHUP)
                 plc.until(lambda status: status["SETUP_SOURCE"] == SetupSource.NO_JOB)
-                assert Reason.SETUP == plc.command(CommandKind.LOCATE)["NACK_REASON"]
+                assert NackReason.SETUP == plc.command(CommandKind.LOCATE)["NACK_REASON"]
                 (kept / "jobs").rename(small.folder / "jobs")
                 daemon.process.send_signal(signal.SIGHUP)
                 plc.until(lambda status: bool(status["STATUS_BITS"] & StatusBit.READY))
@@ -313,7 +313,7 @@ def test_a_killed_daemon_does_not_make_a_cell_ready_that_somebody_has(tmp_path: 
             with Plc(small.modbus_port) as plc:
                 status = plc.until(lambda status: status["STATE"] != 0)
                 assert SetupSource.PERSON == status["SETUP_SOURCE"]
-                assert Reason.SETUP == plc.command(CommandKind.LOCATE)["NACK_REASON"]
+                assert NackReason.SETUP == plc.command(CommandKind.LOCATE)["NACK_REASON"]
             assert (503, "setup, and nobody looks after it") == _ready(small.web_port)
         browser = Browser(small.web_port)
         with Plc(small.modbus_port) as plc:

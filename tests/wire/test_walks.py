@@ -20,7 +20,7 @@ from helpers.walkedcell import (
     WalkedCell,
 )
 
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.robots.formats import render, written
 from edged.vision.geometry.rigid import transform
@@ -131,7 +131,7 @@ def test_a_program_that_sees_no_board_says_so_and_changes_nothing(walked: Walked
     cell, walk = walked
     before = cell.config.with_name("rig.json").read_bytes()
     cell.arm.shows = "nothing"
-    assert Reason.TOO_FEW == walk(arm_of(cell.arm))
+    assert NackReason.TOO_FEW == walk(arm_of(cell.arm))
     assert before == cell.config.with_name("rig.json").read_bytes()
 
 

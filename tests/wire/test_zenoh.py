@@ -35,7 +35,7 @@ from edged.adapters.zenoh import (
 )
 from edged.adapters.zenoh.routers import PATIENCE, Routers
 from edged.adapters.zenoh.triggerquery import parse_trigger
-from edged.adapters.zenoh.worker import Worker
+from edged.adapters.zenoh.worker import JobThread
 from edged.domain.events import (
     Basis,
     Command,
@@ -485,7 +485,7 @@ def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
 
 def test_a_full_outbox_loses_its_oldest_job():
     """What is queued behind a stalled send is replaced by newer jobs, counted, and done in order."""
-    worker, gate, done = Worker("test", 3), threading.Event(), []
+    worker, gate, done = JobThread("test", 3), threading.Event(), []
     started = threading.Event()
 
     def stall() -> None:
@@ -505,7 +505,7 @@ def test_a_full_outbox_loses_its_oldest_job():
 
 def test_a_job_that_fails_does_not_end_the_worker(caplog):
     """A message that cannot be shaped is logged with its trace and counted; the next one is sent."""
-    worker, done = Worker("test", 3), []
+    worker, done = JobThread("test", 3), []
     worker.post(lambda: 1 / 0)
     worker.post(lambda: done.append(True))
     worker.start()

@@ -9,7 +9,7 @@ from edged.domain.events import CommandKind
 from edged.domain.measurement import Reject
 from edged.domain.registration import Method
 from edged.pictures.captions import REASONS
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.plc.registers import Flag, Option, ResultCode, StatusBit, Warn
 from edged.robot.orientations import Convention
 from edged.robots.formats import render
@@ -18,7 +18,7 @@ from referencepages.markdown import code, member_docs, table
 CODES: dict[str, type[enum.IntEnum]] = {
     "COMMAND": CommandKind,
     "RESULT": ResultCode,
-    "NACK_REASON": Reason,
+    "NACK_REASON": NackReason,
     "POSE_CONVENTION": Convention,
     "SETUP_SOURCE": SetupSource,
     "H_METHOD": Method,

@@ -16,18 +16,18 @@ Needs `gir1.2-aravis-0.8` and PyGObject when a camera is used; importing this pa
 
 from edged.adapters.aravis.camera import AravisCamera
 from edged.adapters.aravis.library import CameraInfo, aravis_missing, control_state, list_cameras
-from edged.adapters.aravis.session import Health
+from edged.adapters.aravis.session import CameraHealth
 from edged.adapters.aravis.settings import AravisSettings
-from edged.adapters.aravis.trigger import Action, FreeRun, Line, Output, Software, Trigger
+from edged.adapters.aravis.trigger import Action, FreeRun, LineTrigger, Output, Software, Trigger
 
 __all__ = [
     "Action",
     "AravisCamera",
     "AravisSettings",
+    "CameraHealth",
     "CameraInfo",
     "FreeRun",
-    "Health",
-    "Line",
+    "LineTrigger",
     "Output",
     "Software",
     "Trigger",

@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 from edged.adapters.aravis.clock import Mapped, to_utc
 from edged.adapters.aravis.exposure import StreamLocks
 from edged.adapters.aravis.features import Value
-from edged.adapters.aravis.session import Health, Session
+from edged.adapters.aravis.session import CameraHealth, CameraSession
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.stream import Arrival
 from edged.adapters.aravis.trigger import FreeRun
@@ -75,7 +75,7 @@ class _Connection:
     """
 
     def __init__(self, name: str, predecessor: threading.Thread | None) -> None:
-        self.session: Session | None = None
+        self.session: CameraSession | None = None
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._closed: Callable[[], None] = lambda: None
         self.thread = threading.Thread(target=self._run, args=(predecessor,), name=name, daemon=True)
@@ -144,7 +144,7 @@ class AravisCamera:
         return self._name
 
     @property
-    def health(self) -> Health | None:
+    def health(self) -> CameraHealth | None:
         """How the camera is; None while it is not open."""
         session = self._connection.session if self._connection is not None else None
         return session.health() if session is not None else None
@@ -178,7 +178,7 @@ class AravisCamera:
         deliver, lost = _on_loop(arrived), _on_loop(news.set)
 
         def connect() -> None:
-            connection.session = Session(self._name, settings, deliver, lost, self._last_frame_id)
+            connection.session = CameraSession(self._name, settings, deliver, lost, self._last_frame_id)
 
         await self._call(connection, connect, None)
         if self._draft == CameraValues():
@@ -301,7 +301,7 @@ class AravisCamera:
 
     # --- inside ------------------------------------------------------------------------------
 
-    def _opened(self) -> tuple[_Connection, Session]:
+    def _opened(self) -> tuple[_Connection, CameraSession]:
         connection = self._connection
         session = connection.session if connection is not None else None
         if connection is None or session is None:
@@ -309,7 +309,7 @@ class AravisCamera:
         self._raise_if_lost(session)
         return connection, session
 
-    def _raise_if_lost(self, session: Session) -> None:
+    def _raise_if_lost(self, session: CameraSession) -> None:
         if session.lost.is_set():
             raise CameraUnreachable(self._name, "the connection was lost")
 
@@ -322,7 +322,7 @@ class AravisCamera:
         except TimeoutError:
             raise CameraUnreachable(self._name, f"no answer within {limit_s:g} s") from None
 
-    async def _next_arrival(self, session: Session) -> Arrival:
+    async def _next_arrival(self, session: CameraSession) -> Arrival:
         """The next buffer of the last trigger; raises `CameraUnreachable` as soon as the camera is lost."""
         while True:
             while self._arrivals:
@@ -334,7 +334,7 @@ class AravisCamera:
             self._news.clear()
             await self._news.wait()
 
-    def _is_stale(self, session: Session, arrival: Arrival) -> bool:
+    def _is_stale(self, session: CameraSession, arrival: Arrival) -> bool:
         """Whether a buffer was exposed before the last trigger command was sent.
 
         A camera that runs freely stamps what no command began, and gives another one soon: with it, what may
@@ -349,7 +349,7 @@ class AravisCamera:
         doubt_ns = -mapped.bound_ns if free else mapped.bound_ns + STAMP_NS
         return mapped.at_ns + doubt_ns < self._sent_ns
 
-    def _exposed(self, session: Session, arrival: Arrival) -> tuple[Mapped, TimeBase]:
+    def _exposed(self, session: CameraSession, arrival: Arrival) -> tuple[Mapped, TimeBase]:
         """Host time of the exposure, the bound of its error, and where it comes from."""
         earliest_ns = self._sent_ns if session.fires else arrival.arrived_ns - DELIVERY_NS
         session.note_exposure(earliest_ns, arrival)

@@ -53,7 +53,7 @@ def host_ns() -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ClockReading:
     """The camera's clock showed device_ns at some moment between two host times."""
 
     before_ns: int
@@ -84,10 +84,10 @@ class ClockMap:
 
     def __init__(self) -> None:
         self.jumps = 0
-        self.readings: tuple[Reading, ...] = ()
+        self.readings: tuple[ClockReading, ...] = ()
         self._step_ns = 0
 
-    def add(self, reading: Reading) -> None:
+    def add(self, reading: ClockReading) -> None:
         """Take note of one more reading; they come in the order of host time."""
         expected = self.at(reading.device_ns)
         self._step_ns = math.gcd(self._step_ns, reading.device_ns)
@@ -124,7 +124,7 @@ class ClockMap:
         return min(self._step_ns or COARSEST_STEP_NS, COARSEST_STEP_NS)  # all readings 0: it tells nothing
 
 
-def _meets(expected: Mapped, reading: Reading, step_ns: int) -> bool:
+def _meets(expected: Mapped, reading: ClockReading, step_ns: int) -> bool:
     margin_ns = expected.bound_ns + step_ns
     return reading.before_ns - margin_ns <= expected.at_ns <= reading.after_ns + margin_ns
 
@@ -167,7 +167,7 @@ class Latch(Protocol):
         """Ticks per second in which it counts."""
         ...
 
-    def read(self, device: Any) -> Reading:
+    def read(self, device: Any) -> ClockReading:
         """Latch the clock once; GLib errors pass through."""
         ...
 
@@ -178,13 +178,13 @@ class RegisterLatch:
 
     tick_hz: int
 
-    def read(self, device: Any) -> Reading:
+    def read(self, device: Any) -> ClockReading:
         """One write, two reads."""
         before_ns = host_ns()
         device.write_register(TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
         after_ns = host_ns()
         ticks = device.read_register(TIMESTAMP_HIGH) << 32 | device.read_register(TIMESTAMP_LOW)
-        return Reading(before_ns, after_ns, ticks * 10**9 // self.tick_hz)
+        return ClockReading(before_ns, after_ns, ticks * 10**9 // self.tick_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,13 +195,13 @@ class NodeLatch:
     value: str
     tick_hz: int
 
-    def read(self, device: Any) -> Reading:
+    def read(self, device: Any) -> ClockReading:
         """One command, one read."""
         before_ns = host_ns()
         device.execute_command(self.command)
         after_ns = host_ns()
         ticks = int(device.get_integer_feature_value(self.value))
-        return Reading(before_ns, after_ns, ticks * 10**9 // self.tick_hz)
+        return ClockReading(before_ns, after_ns, ticks * 10**9 // self.tick_hz)
 
 
 def find_latch(device: Any, features: Features, *, gige: bool) -> Latch | None:

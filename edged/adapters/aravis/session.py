@@ -20,8 +20,8 @@ from edged.adapters.aravis import exposure, link
 from edged.adapters.aravis.clock import (
     CLOCK_DRIFT,
     ClockMap,
+    ClockReading,
     Latch,
-    Reading,
     find_latch,
     host_ns,
     ptp_locked,
@@ -65,7 +65,7 @@ LOOK_S = 5.0
 
 
 COUNTS = ("n_completed_buffers", "n_failures", "n_resent_packets", "n_missing_packets")
-"""Aravis' names of what a stream counts, in the order of `Health`."""
+"""Aravis' names of what a stream counts, in the order of `CameraHealth`."""
 
 
 JUMPS_S = 3600.0  # a line about a clock that jumps; one that runs too fast does so more than once a second
@@ -73,7 +73,7 @@ RESTARTED = "it was restarted, or dropped the connection"
 
 
 @dataclass(frozen=True, slots=True)
-class Health:
+class CameraHealth:
     """How an open camera is.
 
     temperature_c : None where it does not tell. clock_bound_ns : of its clock's map, None without one.
@@ -92,7 +92,7 @@ class Health:
     gamma: float = 1.0
 
 
-class Session:
+class CameraSession:
     """An open, armed camera. Constructing it connects; `close` must be called even after a fault."""
 
     def __init__(
@@ -194,7 +194,7 @@ class Session:
     def note_exposure(self, earliest_ns: int, arrival: Arrival) -> None:
         """Without a clock that can be read: the exposure lay between that moment and its arrival."""
         if self._latch is None and arrival.device_ns > 0:
-            self.clock.add(Reading(earliest_ns, arrival.arrived_ns, arrival.device_ns))
+            self.clock.add(ClockReading(earliest_ns, arrival.arrived_ns, arrival.device_ns))
 
     def restart(self) -> None:
         """Stop and start acquisition: an exposure that is still under way is given up."""
@@ -270,7 +270,7 @@ class Session:
                 if features.exists("DeviceTemperature"):
                     self._temperature_c = float(device.get_float_feature_value("DeviceTemperature"))
 
-    def health(self) -> Health:
+    def health(self) -> CameraHealth:
         """How the camera is, as last seen; asks nothing."""
         stream = self._stream
         counts: dict[str, int] = {}
@@ -281,7 +281,9 @@ class Session:
         mapped = self.clock.at(latest[0].device_ns) if latest else None
         bound_ns = mapped.bound_ns if mapped is not None else None
         complete, failed, resent, lost = (counts.get(name) for name in COUNTS)
-        return Health(self._temperature_c, bound_ns, self.ptp, complete, failed, resent, lost, self._gamma)
+        return CameraHealth(
+            self._temperature_c, bound_ns, self.ptp, complete, failed, resent, lost, self._gamma
+        )
 
     def close(self) -> None:
         """Take everything down, politely if the camera still answers; never raises."""

@@ -48,7 +48,7 @@ class FreeRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class LineTrigger:
     """A pulse on an input of the camera.
 
     delay_us : from pulse to exposure. debounce_us : shorter pulses are disturbances.
@@ -77,7 +77,7 @@ class Action:
     broadcast: bool = False
 
 
-Trigger = Software | FreeRun | Line | Action
+Trigger = Software | FreeRun | LineTrigger | Action
 
 ACTIVATIONS: dict[Edge, str] = {"rising": "RisingEdge", "falling": "FallingEdge", "any": "AnyEdge"}
 
@@ -107,14 +107,14 @@ def arm(camera: str, trigger: Trigger, features: Features) -> None:
     if isinstance(trigger, FreeRun):
         _set_rate(camera, trigger.rate_hz, features)
         return
-    if isinstance(trigger, Line):
+    if isinstance(trigger, LineTrigger):
         _set_input(trigger, features)
     source = _source(camera, trigger, features)
     features.require({"TriggerMode": "On"})
     features.require({"TriggerSource": source})
-    if isinstance(trigger, Line):
+    if isinstance(trigger, LineTrigger):
         _set_or_neutral(features, ("TriggerActivation",), ACTIVATIONS[trigger.edge], "RisingEdge")
-    delay_us = trigger.delay_us if isinstance(trigger, Line) else 0.0
+    delay_us = trigger.delay_us if isinstance(trigger, LineTrigger) else 0.0
     _set_or_neutral(features, ("TriggerDelay", "TriggerDelayAbs"), delay_us, 0.0)
     if isinstance(trigger, Action):
         _set_action(trigger, source, features)
@@ -156,7 +156,7 @@ def _set_rate(camera: str, rate_hz: float | None, features: Features) -> None:
     features.require({**values, name: rate_hz})
 
 
-def _set_input(trigger: Line, features: Features) -> None:
+def _set_input(trigger: LineTrigger, features: Features) -> None:
     if not features.exists("LineSelector") or trigger.line not in features.choices("LineSelector"):
         if trigger.debounce_us > 0:
             features.require({"LineSelector": trigger.line})  # says what there is
@@ -169,7 +169,7 @@ def _set_input(trigger: Line, features: Features) -> None:
 
 def _source(camera: str, trigger: Trigger, features: Features) -> str:
     """The GenICam TriggerSource."""
-    if isinstance(trigger, Line):
+    if isinstance(trigger, LineTrigger):
         return trigger.line
     if not isinstance(trigger, Action):
         return "Software"

@@ -37,7 +37,7 @@ from edged.logs import LogLimit
 from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
-from edged.plc.answers import Reason, Verdict
+from edged.plc.answers import NackReason, ResultVerdict
 from edged.plc.ladder import Ladder
 from edged.plc.statuswords import status_values
 from edged.ports import Commander
@@ -47,10 +47,10 @@ from edged.vision.geometry.rigid import transform
 NOBODYS = -1
 """Ticket of a command that has ended, or that somebody else submitted."""
 VERDICTS = {
-    reg.ResultCode.OK: Verdict.GOOD,
-    reg.ResultCode.VERIFIED: Verdict.PASSED,
-    reg.ResultCode.GRABBED: Verdict.DONE,
-    reg.ResultCode.CAPTURE_FAULT: Verdict.FAULT,
+    reg.ResultCode.OK: ResultVerdict.GOOD,
+    reg.ResultCode.VERIFIED: ResultVerdict.PASSED,
+    reg.ResultCode.GRABBED: ResultVerdict.DONE,
+    reg.ResultCode.CAPTURE_FAULT: ResultVerdict.FAULT,
 }
 """What a result means for the handshake; every other code is a part that no robot may use."""
 
@@ -98,7 +98,7 @@ class CellRegisters:
         self._settings = settings
         self._commander = commander
         self._clock_s = clock_s
-        self._state: hs.Handshake[reg.Measured] = hs.Handshake(settings.limits)
+        self._state: hs.Handshake[reg.RegisterResult] = hs.Handshake(settings.limits)
         self._epoch = _new_epoch()
         self._basis = (0, 0)  # CONFIG_CRC and CALIBRATION
         self._registration, self._registered_by = Registration(), 0
@@ -107,7 +107,7 @@ class CellRegisters:
         self._command = [0] * reg.COMMAND.words
         self._image = bytearray(2 * MAP_END)
         self._encoded: tuple[int, bool, int, int] | None = None
-        self._held: hs.Result[reg.Measured] | None = None
+        self._held: hs.ShownResult[reg.RegisterResult] | None = None
         self._filled_rows = len(reg.TABLE)  # rows of the table that are not empty
         self._exposures = ExposureClock(clock_s)
         self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
@@ -190,7 +190,7 @@ class CellRegisters:
         rows = 0
         if result is not None:
             shown = result.payload
-            if result.verdict is Verdict.EXCHANGED:
+            if result.verdict is ResultVerdict.EXCHANGED:
                 shown = reg.exchanged(shown)
             rows = len(shown.poses)
             free = self._state.command_sequence == 0
@@ -335,7 +335,7 @@ class CellRegisters:
             self._commander.submit(command)
         except CommandRefused as refused:
             self._refusals.warning("command %d refused: %s", command.sequence & hs.SEQUENCE_MASK, refused)
-            reason = Reason.SETUP if isinstance(refused, BeingSetUp) else Reason.REFUSED
+            reason = NackReason.SETUP if isinstance(refused, BeingSetUp) else NackReason.REFUSED
             self._step(ev.Declined(command.sequence, reason), self._clock_s())
 
     # --- events of the cell --------------------------------------------------------------------
@@ -359,7 +359,7 @@ class CellRegisters:
                 ticket = self._ticket(command)
                 if ticket not in (None, NOBODYS):
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
-                    self._step(ev.Failed(ticket), now_s)
+                    self._step(ev.ExecutionFailed(ticket), now_s)
             case Basis():
                 self._take_basis(event, now_s)
             case CellState():
@@ -385,9 +385,9 @@ class CellRegisters:
         self._place_basis()
         self._step(ev.Exchanged(basis.number), now_s)
 
-    def _done(self, ticket: int | None, now_s: float) -> ev.Event[reg.Measured]:
+    def _done(self, ticket: int | None, now_s: float) -> ev.Event[reg.RegisterResult]:
         """The end of a command that measures nothing."""
-        return ev.Finished(ticket, 0, Verdict.DONE, now_s, None, basis=self._state.basis)
+        return ev.Finished(ticket, 0, ResultVerdict.DONE, now_s, None, basis=self._state.basis)
 
     def _take_registered(self, event: Registered, now_s: float) -> None:
         ticket = self._ticket(event.command)
@@ -400,21 +400,21 @@ class CellRegisters:
         if event.obstacle is None:
             self._step(self._done(ticket, now_s), now_s)
         else:
-            self._step(ev.Declined(ticket, Reason[event.obstacle.name]), now_s)
+            self._step(ev.Declined(ticket, NackReason[event.obstacle.name]), now_s)
 
     def _take_snapshot(self, snapshot: Snapshot, now_s: float) -> None:
         result = reg.measured(snapshot, self._settings.convention)
         self._is_simulated = bool(result.flags & reg.Flag.SIMULATED)
         self._counts = reg.counted(self._counts, snapshot)
         self._place(reg.COUNTERS, dict(self._counts))
-        verdict = VERDICTS.get(result.code, Verdict.BAD)
+        verdict = VERDICTS.get(result.code, ResultVerdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
-        rest = result.further() if verdict is Verdict.GOOD else ()
+        rest = result.further() if verdict is ResultVerdict.GOOD else ()
         job, basis = snapshot.job_number, snapshot.basis
         self._step(ev.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, job, basis), now_s)
 
-    def _step(self, event: ev.Event[reg.Measured], now_s: float) -> tuple[ev.Effect, ...]:
+    def _step(self, event: ev.Event[reg.RegisterResult], now_s: float) -> tuple[ev.Effect, ...]:
         before = self._state
         self._state, effects = hs.step(before, event, now_s)
         self.ladder.took(event, before, self._state, effects, now_s)

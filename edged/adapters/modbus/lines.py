@@ -7,7 +7,7 @@ what a command is, whose turn it is or how long a result is valid: each line bec
     7,LOCATE,0                                           sequence, command, job
     7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    the same with the pose of the flange
     kuka,7,LOCATE,0                                      the same of a robot that says whose it is
-    7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.Answer`
+    7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.LineAnswer`
 
 A line that came twice, because its answer was lost, is carried out once: the sequence is the same. What
 begins with the first byte of a frame (`edged.plc.frames`) is read and answered as one.
@@ -38,9 +38,9 @@ from edged.domain.numerals import decimal, whole
 from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc import registers as reg
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.plc.frames import MAGIC, REQUEST, answer_frame, read_request
-from edged.plc.lines import MAX_LINE_BYTES, POSE_NAMES, UNKNOWN, Answer, LineStatus, NoRequest
+from edged.plc.lines import MAX_LINE_BYTES, POSE_NAMES, UNKNOWN, BadRequest, LineAnswer, LineStatus
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform
 
@@ -72,7 +72,7 @@ class _Refused(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class LineRequest:
     """A line that was understood.
 
     brand : whose robot asks. flange : robot_from_flange (4, 4) in mm, None when it was not said; shown : its
@@ -92,22 +92,22 @@ BLANKS = " \t\r\n"
 BRAND_WORDS = {str(brand): brand for brand in Brand}
 
 
-def parse(line: bytes, configured: Brand) -> Request:
-    """Raises `NoRequest`. configured : the brand of a request that names none."""
+def parse(line: bytes, configured: Brand) -> LineRequest:
+    """Raises `BadRequest`. configured : the brand of a request that names none."""
     fields = [field.strip(BLANKS) for field in line.decode("ascii", "replace").split(",")]
     brand = BRAND_WORDS.get(fields[0].lower())
     try:
         if brand is None and fields[0].isalpha() and len(fields) > 2:
             status, sequence = LineStatus.NO_SUCH_BRAND, whole(fields[1])
-            raise NoRequest(f"no such brand: {fields[0]}", configured, status, sequence)
+            raise BadRequest(f"no such brand: {fields[0]}", configured, status, sequence)
         return _request(fields if brand is None else fields[1:], brand or configured)
     except (ValueError, OverflowError) as error:
-        if isinstance(error, NoRequest):
+        if isinstance(error, BadRequest):
             raise
-        raise NoRequest(str(error), brand or configured) from error
+        raise BadRequest(str(error), brand or configured) from error
 
 
-def _request(fields: list[str], brand: Brand) -> Request:
+def _request(fields: list[str], brand: Brand) -> LineRequest:
     """The fields behind the brand. Raises ValueError, OverflowError."""
     if len(fields) < 2:
         raise ValueError("expected a sequence and a command")
@@ -121,11 +121,11 @@ def _request(fields: list[str], brand: Brand) -> Request:
         raise ValueError(f"no such command: {command}")
     shown = tuple(decimal(field) for field in fields[3:])
     flange = transform_of(brand, shown) if shown else None
-    return Request(brand, sequence, command, job, flange, tries_all, shown)
+    return LineRequest(brand, sequence, command, job, flange, tries_all, shown)
 
 
-def parse_frame(frame: bytes, configured: Brand) -> Request:
-    """Raises `NoRequest`. configured : the brand of a request that names none."""
+def parse_frame(frame: bytes, configured: Brand) -> LineRequest:
+    """Raises `BadRequest`. configured : the brand of a request that names none."""
     asked = read_request(frame, configured)
     brand = asked.brand or configured
     try:
@@ -133,8 +133,8 @@ def parse_frame(frame: bytes, configured: Brand) -> Request:
             raise ValueError("sequences are 1 to 65535")
         flange = transform_of(brand, asked.flange) if asked.flange else None
     except (ValueError, OverflowError) as error:
-        raise NoRequest(str(error), brand) from error
-    return Request(brand, asked.sequence, asked.command, asked.job, flange, asked.tries_all, asked.flange)
+        raise BadRequest(str(error), brand) from error
+    return LineRequest(brand, asked.sequence, asked.command, asked.job, flange, asked.tries_all, asked.flange)
 
 
 class Robot:
@@ -156,41 +156,41 @@ class Robot:
         self._located = 0
         self._given: set[int] = set()
 
-    async def answer(self, message: bytes) -> tuple[Answer, Brand]:
+    async def answer(self, message: bytes) -> tuple[LineAnswer, Brand]:
         """Carry one line, or one frame, out. Never raises for what a robot sent.
 
         The brand is the one whose convention the answer is written in.
         """
         read = parse_frame if message.startswith(MAGIC[:1]) else parse
-        request: Request | NoRequest
+        request: LineRequest | BadRequest
         try:
             request = read(message, self._line.brand)
-        except NoRequest as error:
+        except BadRequest as error:
             request = error
         if not self._may_write:
-            answer = Answer(0, LineStatus.MAY_NOT_WRITE)
-        elif isinstance(request, NoRequest):
-            answer = Answer(request.sequence, request.status)
+            answer = LineAnswer(0, LineStatus.MAY_NOT_WRITE)
+        elif isinstance(request, BadRequest):
+            answer = LineAnswer(request.sequence, request.status)
         else:
             answer = await self._answered(request)
         return answer, request.brand
 
-    async def _answered(self, request: Request) -> Answer:
+    async def _answered(self, request: LineRequest) -> LineAnswer:
         try:
             return await self._carry_out(request)
         except _Refused as refused:
-            return Answer(request.sequence, refused.status)
+            return LineAnswer(request.sequence, refused.status)
         except RequestRefused:
-            return Answer(request.sequence, LineStatus.NOT_YOUR_TURN)
+            return LineAnswer(request.sequence, LineStatus.NOT_YOUR_TURN)
         except OverflowError:  # a flange beyond what a register holds
-            return Answer(request.sequence, LineStatus.NOT_UNDERSTOOD)
+            return LineAnswer(request.sequence, LineStatus.NOT_UNDERSTOOD)
 
-    async def _carry_out(self, request: Request) -> Answer:
+    async def _carry_out(self, request: LineRequest) -> LineAnswer:
         if request.command == "ACK":
             # who fetches several parts and then says that the picture was used means the one on display, too
             used = self._sequence if request.sequence in self._given else request.sequence
             self._write("ACK_SEQ", [used])
-            return Answer(request.sequence, LineStatus.OK)
+            return LineAnswer(request.sequence, LineStatus.OK)
         if request.command in READ:
             return self._tool(request)
         if request.command == "NEXT_PART":
@@ -209,9 +209,9 @@ class Robot:
             return self._part(request, LineStatus.NOT_VALID)
         if request.command == "VERIFY" and code != reg.ResultCode.VERIFIED:
             raise _Refused(100 + code)
-        return Answer(request.sequence, LineStatus.OK)
+        return LineAnswer(request.sequence, LineStatus.OK)
 
-    async def _locate(self, request: Request) -> None:
+    async def _locate(self, request: LineRequest) -> None:
         """Any command but NEXT: its number is the robot's."""
         shown = self._read(reg.STATUS)["CMD_SEQ_ECHO"]
         if self._asked != (request.sequence, False) or shown != self._sequence:
@@ -222,7 +222,7 @@ class Robot:
             self._located, self._given = request.sequence, {request.sequence}
         await self._end()
 
-    async def _next(self, request: Request) -> Answer:
+    async def _next(self, request: LineRequest) -> LineAnswer:
         """The next part of the picture; its number is the cell's: none of the robot's can be in the way.
 
         With the number of the LOCATE each line is another request, with one of its own it may be said again.
@@ -236,11 +236,11 @@ class Robot:
         try:
             await self._end()
         except _Refused as refused:
-            is_end = refused.status == Reason.NO_LIST
+            is_end = refused.status == NackReason.NO_LIST
             raise _Refused(LineStatus.NO_FURTHER if is_end else refused.status) from None
         return self._part(request, LineStatus.NO_FURTHER)
 
-    async def _register(self, request: Request) -> Answer:
+    async def _register(self, request: LineRequest) -> LineAnswer:
         """A command of a registration: how far it is, instead of a pose, also where it was refused."""
         status: int = LineStatus.OK
         try:
@@ -256,9 +256,9 @@ class Robot:
         numbers = (*told, float(state["H_USED"]), float(state["H_WORST"]))
         blank = (0.0,) * (len(POSE_NAMES[request.brand]) - len(numbers))
         sigmas = self._sigma(state, "H_SIGMA", request.brand)
-        return Answer(request.sequence, status, int(state["H_SAMPLES"]), (*numbers, *blank), sigmas)
+        return LineAnswer(request.sequence, status, int(state["H_SAMPLES"]), (*numbers, *blank), sigmas)
 
-    def _begin(self, request: Request, sequence: int) -> None:
+    def _begin(self, request: LineRequest, sequence: int) -> None:
         start = self._settings.base_address + reg.ADDRESS["COMMAND"]
         self._view.write(start, self._command(request, sequence), shown=request.shown)
         self._sequence, self._asked = sequence, (request.sequence, request.command == "NEXT_PART")
@@ -281,7 +281,7 @@ class Robot:
             await asyncio.wait({changed}, timeout=LOOK_S)
         raise _Refused(LineStatus.TAKEN_OVER)
 
-    def _command(self, request: Request, sequence: int) -> list[int]:
+    def _command(self, request: LineRequest, sequence: int) -> list[int]:
         """The command block. ONCE: a line is sent on purpose, none of a block that is written for ever."""
         values: dict[str, reg.Number] = {
             "COMMAND": CommandKind[request.command],
@@ -299,12 +299,12 @@ class Robot:
         data = reg.encode(reg.COMMAND, values, self._settings.word_order)
         return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
 
-    def _part(self, request: Request, otherwise: LineStatus) -> Answer:
+    def _part(self, request: LineRequest, otherwise: LineStatus) -> LineAnswer:
         """The part on display. otherwise : the status where it may not be used any more."""
         result = self._usable(otherwise)
         return self._answer(request, result, [result[axis] for axis in "XYZABC"], "SIGMA")
 
-    def _tool(self, request: Request) -> Answer:
+    def _tool(self, request: LineRequest) -> LineAnswer:
         """Where the tool takes the part on display, or from where it comes."""
         result, grasp = self._usable(LineStatus.NOT_VALID), self._read(reg.GRASP)
         if not int(grasp["G_FLAGS"]) & reg.Flag.VALID:
@@ -326,15 +326,19 @@ class Robot:
         return result
 
     def _answer(
-        self, request: Request, result: Mapping[str, reg.Number], numbers: Sequence[reg.Number], sigma: str
-    ) -> Answer:
+        self,
+        request: LineRequest,
+        result: Mapping[str, reg.Number],
+        numbers: Sequence[reg.Number],
+        sigma: str,
+    ) -> LineAnswer:
         """numbers : X Y Z A B C as in the registers. sigma : how the names of theirs begin."""
         x, y, z, a, b, c = (float(number) / 1000 for number in numbers)
         robot_from_pose = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
         pose = pose_of(request.brand, robot_from_pose)
         age_s = float(self._read(reg.STATUS)["RESULT_AGE"]) / 1000
         remaining, sigmas = int(result["REMAINING"]), self._sigma(result, sigma, request.brand)
-        return Answer(request.sequence, LineStatus.OK, remaining, pose, sigmas, age_s)
+        return LineAnswer(request.sequence, LineStatus.OK, remaining, pose, sigmas, age_s)
 
     def _sigma(self, result: Mapping[str, reg.Number], name: str, brand: Brand) -> tuple[float, ...]:
         """Of X, Y, Z in the brand's unit."""

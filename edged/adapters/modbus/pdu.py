@@ -61,7 +61,7 @@ class RequestRefused(Exception):
         super().__init__(f"exception code {code}")
 
 
-class Device(Protocol):
+class RegisterDevice(Protocol):
     """The registers as one client sees them during one request."""
 
     def read(self, address: int, count: int) -> Sequence[int]:
@@ -77,7 +77,7 @@ class Device(Protocol):
         ...
 
 
-def respond(request: bytes, device: Device, *, may_write: bool) -> bytes:
+def respond(request: bytes, device: RegisterDevice, *, may_write: bool) -> bytes:
     """Answer a request PDU (at least its function code). Never raises for what a client sent."""
     function = request[0]
     try:
@@ -86,7 +86,7 @@ def respond(request: bytes, device: Device, *, may_write: bool) -> bytes:
         return bytes((function | 0x80, refused.code))
 
 
-def _carry_out(request: bytes, device: Device, may_write: bool) -> bytes:
+def _carry_out(request: bytes, device: RegisterDevice, may_write: bool) -> bytes:
     function = request[0]
     if function not in _FIXED_LENGTH and function not in WRITES:
         raise RequestRefused(ILLEGAL_FUNCTION)
@@ -122,7 +122,7 @@ def _check_form(request: bytes) -> None:
             raise RequestRefused(ILLEGAL_VALUE)
 
 
-def _execute(pdu: ModbusPDU, device: Device) -> ModbusPDU:
+def _execute(pdu: ModbusPDU, device: RegisterDevice) -> ModbusPDU:
     match pdu.function_code:
         case 1 | 2:
             bits = _read_bits(device, pdu.address, pdu.count)
@@ -147,7 +147,7 @@ def _execute(pdu: ModbusPDU, device: Device) -> ModbusPDU:
             return _read_write(cast(ReadWriteMultipleRegistersRequest, pdu), device)
 
 
-def _read_write(pdu: ReadWriteMultipleRegistersRequest, device: Device) -> ModbusPDU:
+def _read_write(pdu: ReadWriteMultipleRegistersRequest, device: RegisterDevice) -> ModbusPDU:
     """FC23: the write comes first; a read that cannot be answered must not leave a write behind."""
     read_address, read_count = pdu.read_address, pdu.read_count
     device.read(read_address, read_count)
@@ -155,7 +155,7 @@ def _read_write(pdu: ReadWriteMultipleRegistersRequest, device: Device) -> Modbu
     return ReadWriteMultipleRegistersResponse(registers=device.read(read_address, read_count))
 
 
-def _read_bits(device: Device, address: int, count: int) -> list[bool]:
+def _read_bits(device: RegisterDevice, address: int, count: int) -> list[bool]:
     first, last = address // 16, (address + count - 1) // 16
     words: list[int] = []
     for start in range(first, last + 1, 125):

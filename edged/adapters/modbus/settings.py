@@ -9,7 +9,7 @@ from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_add
 from pathlib import Path
 from typing import Literal
 
-from edged.plc.handshake import Limits
+from edged.plc.handshake import HandshakeLimits
 from edged.plc.registers import BLOCKS, WordOrder
 from edged.robot.orientations import Brand, Convention
 
@@ -96,9 +96,9 @@ class ModbusSettings:
             raise ValueError(f"base_address {self.base_address}: expected 0 to {0x10000 - MAP_END}")
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> HandshakeLimits:
         """Times of the handshake."""
-        return Limits(self.validity_s, self.heartbeat_s, self.owner_s)
+        return HandshakeLimits(self.validity_s, self.heartbeat_s, self.owner_s)
 
 
 @lru_cache(1024)

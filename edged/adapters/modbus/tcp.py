@@ -55,7 +55,7 @@ class TcpServer:
         self.refusals = refusals
         self._numbers = clients
         self._context = context
-        self._connections: dict[TcpClient, Connection] = {}
+        self._connections: dict[TcpClient, ModbusConnection] = {}
         self._listener: TcpListener | None = None
         self._handshakes = Rate(STRANGERS_PER_S)
 
@@ -71,7 +71,7 @@ class TcpServer:
             self._context = server_context(settings.tls)
         listener = TcpListener(
             "modbus",
-            lambda client: Connection(self, client, next(self._numbers)),
+            lambda client: ModbusConnection(self, client, next(self._numbers)),
             self._admit,
             self._left,
             idle_s=settings.idle_s,
@@ -90,7 +90,7 @@ class TcpServer:
         if listener is not None:
             await listener.close()
 
-    def entered(self, connection: Connection) -> None:
+    def entered(self, connection: ModbusConnection) -> None:
         """A connection is through its handshake."""
         self._connections[connection.client] = connection
         self.cell.clients += 1
@@ -189,7 +189,7 @@ def _listen_problem(settings: ModbusSettings, error: Exception) -> str:
     return f"{place}: {getattr(error, 'strerror', None) or error}"
 
 
-class Connection(asyncio.Protocol):
+class ModbusConnection(asyncio.Protocol):
     """One client."""
 
     def __init__(self, server: TcpServer, client: TcpClient, number: int) -> None:

@@ -38,7 +38,7 @@ STRANGERS_PER_S = 20.0
 NONE_URI = "http://opcfoundation.org/UA/SecurityPolicy#None"
 
 
-class Refused(Exception):
+class ConnectionRefused(Exception):
     """The connection ends. status : what it is told."""
 
     def __init__(self, status: int, why: str) -> None:
@@ -46,7 +46,7 @@ class Refused(Exception):
         super().__init__(why)
 
 
-class Connection(asyncio.Protocol):
+class OpcUaConnection(asyncio.Protocol):
     """The protocol of one client."""
 
     def __init__(
@@ -112,12 +112,12 @@ class Connection(asyncio.Protocol):
             while len(self._received) >= FRAME.size:
                 kind, chunk, size = FRAME.unpack_from(self._received)
                 if kind not in KINDS or chunk[0] not in CHUNKS or not FRAME.size < size <= MAX_FRAME_BYTES:
-                    raise Refused(ua.StatusCodes.BadTcpMessageTypeInvalid, "this is no OPC UA")
+                    raise ConnectionRefused(ua.StatusCodes.BadTcpMessageTypeInvalid, "this is no OPC UA")
                 if len(self._received) < size:
                     break
                 self._frames.append(bytes(self._received[:size]))
                 del self._received[:size]
-        except Refused as refused:
+        except ConnectionRefused as refused:
             self._refuse(refused)
             return
         if self._frames:
@@ -151,7 +151,7 @@ class Connection(asyncio.Protocol):
                     self._transport.resume_reading()
                 # others get their turn, and at once while it keeps within its rate
                 await asyncio.sleep(0 if self._rate.take() else 1 / REQUESTS_PER_S)
-        except Refused as refused:
+        except ConnectionRefused as refused:
             self._refuse(refused)
         except Exception as error:  # noqa: BLE001  # whatever asyncua stumbles over was sent by the client
             self._log.warning("opcua: %s is hung up on: %s", self._client.peer, type(error).__name__)
@@ -170,18 +170,20 @@ class Connection(asyncio.Protocol):
             self._client.touch()
         transport = self._transport
         if transport is not None and transport.get_write_buffer_size() > MAX_UNSENT_BYTES:
-            raise Refused(ua.StatusCodes.BadTcpNotEnoughResources, "it does not read")
+            raise ConnectionRefused(ua.StatusCodes.BadTcpNotEnoughResources, "it does not read")
         return goes_on
 
     def _check(self, frame: bytes) -> None:
-        """What asyncua does not look at before it works, or at all. Raises `Refused`."""
+        """What asyncua does not look at before it works, or at all. Raises `ConnectionRefused`."""
         if frame.startswith(b"HEL") == self._is_greeted:
-            raise Refused(ua.StatusCodes.BadTcpMessageTypeInvalid, "it begins with HEL, and says it once")
+            raise ConnectionRefused(
+                ua.StatusCodes.BadTcpMessageTypeInvalid, "it begins with HEL, and says it once"
+            )
         if not self._is_greeted:
             self._is_greeted = True
             hello = struct_from_binary(ua.Hello, Buffer(frame[FRAME.size :]))
             if min(hello.ReceiveBufferSize, hello.SendBufferSize) < MIN_BUFFER_BYTES:
-                raise Refused(ua.StatusCodes.BadTcpNotEnoughResources, "its buffers are too small")
+                raise ConnectionRefused(ua.StatusCodes.BadTcpNotEnoughResources, "its buffers are too small")
         elif frame.startswith(b"OPN"):
             self._check_channel(
                 struct_from_binary(ua.AsymmetricAlgorithmHeader, Buffer(frame[FRAME.size + 4 :]))
@@ -191,10 +193,10 @@ class Connection(asyncio.Protocol):
         if header.SecurityPolicyURI == NONE_URI:
             return
         if not self._channels.take():
-            raise Refused(ua.StatusCodes.BadTcpServerTooBusy, "too many channels are opened")
+            raise ConnectionRefused(ua.StatusCodes.BadTcpServerTooBusy, "too many channels are opened")
         why = self._trust.why_not(header.SenderCertificate or b"")
         if why:
-            raise Refused(ua.StatusCodes.BadSecurityChecksFailed, why)
+            raise ConnectionRefused(ua.StatusCodes.BadSecurityChecksFailed, why)
 
     def _refuse(self, refused: Refused) -> None:
         self._log.warning("opcua: %s is hung up on: %s", self._client.peer, refused)

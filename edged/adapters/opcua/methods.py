@@ -12,8 +12,8 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 from asyncua import ua
 
 from edged.adapters.opcua.nodes import Nodes, argument, base, in_cell
-from edged.adapters.opcua.picture import Picture, job_name
-from edged.adapters.opcua.session import Server, Session, caller
+from edged.adapters.opcua.picture import RegisterPicture, job_name
+from edged.adapters.opcua.session import OpcUaSession, Server, caller
 from edged.adapters.opcua.space import (
     AUTOMATIC,
     HANDSHAKE,
@@ -32,11 +32,11 @@ from edged.adapters.opcua.structures import (
     text_of,
 )
 from edged.domain.events import CommandKind
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 from edged.plc.lines import LineStatus
 from edged.plc.registers import INT32_MAX, UINT16_MAX, Number
 
-UNKNOWN_RESULT, UNKNOWN_RECIPE = -int(LineStatus.NOT_VALID), -int(Reason.REFUSED)
+UNKNOWN_RESULT, UNKNOWN_RECIPE = -int(LineStatus.NOT_VALID), -int(NackReason.REFUSED)
 NOT_SUPPORTED = ua.StatusCode(ua.StatusCodes.BadNotSupported)
 DENIED = ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
 INVALID = ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
@@ -44,15 +44,17 @@ MISSING = ua.StatusCode(ua.StatusCodes.BadArgumentsMissing)
 WRONG_STATE = ua.StatusCode(ua.StatusCodes.BadInvalidState)
 
 T = TypeVar("T")
-Answer: TypeAlias = Any
+MethodAnswer: TypeAlias = Any
 """Output arguments (`ua.Variant`), or a `ua.StatusCode`."""
-Handler = Callable[..., Awaitable[Answer]]
+Handler = Callable[..., Awaitable[MethodAnswer]]
 
 
-class Handshake(Protocol):
+class CommandWriter(Protocol):
     """The cell's handshake, on whose event loop the answer is made; each session is one of its clients."""
 
-    async def command(self, session: ua.NodeId, values: Mapping[str, Number]) -> tuple[int, int, Picture]:
+    async def command(
+        self, session: ua.NodeId, values: Mapping[str, Number]
+    ) -> tuple[int, int, RegisterPicture]:
         """Write a command; its sequence, 0 or minus the reason of its refusal, and the registers after it."""
         ...
 
@@ -64,7 +66,7 @@ class Handshake(Protocol):
 class Methods:
     """Of one cell."""
 
-    def __init__(self, server: Server, space: Space, handshake: Handshake) -> None:
+    def __init__(self, server: Server, space: Space, handshake: CommandWriter) -> None:
         self._server = server
         self._space = space
         self._handshake = handshake
@@ -90,7 +92,7 @@ class Methods:
         self._space.recipe_added = self._bind_recipe
 
     def _bind(self, path: str, handler: Handler, count: int) -> None:
-        async def run(_object: ua.NodeId, *arguments: ua.Variant) -> Answer:
+        async def run(_object: ua.NodeId, *arguments: ua.Variant) -> MethodAnswer:
             if count >= 0 and len(arguments) != count:
                 return MISSING if len(arguments) < count else INVALID
             return await handler(*(argument.Value for argument in arguments))
@@ -100,7 +102,7 @@ class Methods:
     def _bind_recipe(self, place: str) -> None:
         name = place.removeprefix(f"{RECIPES}.")
 
-        async def prepare() -> Answer:
+        async def prepare() -> MethodAnswer:
             answer = await self._prepare(self._space.job_number(RecipeIdInternalDataType(Id=ua.String(name))))
             return answer if isinstance(answer, ua.StatusCode) else answer[1:]
 
@@ -135,7 +137,7 @@ class Methods:
 
     async def _start_single_job(
         self, meas: object, part: object, recipe: object, product: object, _parameters: object
-    ) -> Answer:
+    ) -> MethodAnswer:
         number = self._space.job_number(recipe)
         if number is None:
             return [structure(JobIdDataType()), _error(UNKNOWN_RECIPE)]
@@ -152,7 +154,7 @@ class Methods:
         self._space.remember(name, (meas, part, recipe, product))
         return [structure(JobIdDataType(ua.String(name))), _error(0)]
 
-    async def _command(self, kind: object, job: object, flange: object, timeout_ms: object) -> Answer:
+    async def _command(self, kind: object, job: object, flange: object, timeout_ms: object) -> MethodAnswer:
         asked = (kind, job, timeout_ms)
         numbers = [number for number in asked if isinstance(number, int) and 0 <= number <= UINT16_MAX]
         given = flange if isinstance(flange, list) else []
@@ -171,23 +173,23 @@ class Methods:
             return ran
         return [ua.Variant(ran[0], ua.VariantType.UInt16), _error(ran[1])]
 
-    async def _acknowledge(self, sequence: object) -> Answer:
+    async def _acknowledge(self, sequence: object) -> MethodAnswer:
         if not isinstance(sequence, int) or not 0 <= sequence <= UINT16_MAX:
             return INVALID
         return await self._write({"ACK_SEQ": sequence})
 
-    async def _release(self) -> Answer:
+    async def _release(self) -> MethodAnswer:
         return await self._write({"OPTIONS": 1})
 
-    async def _run(self, words: Mapping[str, Number]) -> tuple[int, int, Picture] | ua.StatusCode:
+    async def _run(self, words: Mapping[str, Number]) -> tuple[int, int, RegisterPicture] | ua.StatusCode:
         session = _who()
         return DENIED if session is None else await self._handshake.command(session.session_id, words)
 
-    async def _write(self, words: Mapping[str, Number]) -> Answer:
+    async def _write(self, words: Mapping[str, Number]) -> MethodAnswer:
         session = _who()
         return DENIED if session is None else [_error(await self._handshake.write(session.session_id, words))]
 
-    async def _select_automatic(self) -> Answer:
+    async def _select_automatic(self) -> MethodAnswer:
         if _who() is None:
             return DENIED
         picture = self._space.picture
@@ -197,11 +199,11 @@ class Methods:
 
     # --- recipes -----------------------------------------------------------------------------
 
-    async def _prepare_recipe(self, external: object, internal: object) -> Answer:
+    async def _prepare_recipe(self, external: object, internal: object) -> MethodAnswer:
         recipe = internal if text_of(internal) else external
         return await self._prepare(self._space.job_number(recipe) if text_of(recipe) else None)
 
-    async def _prepare(self, number: int | None) -> Answer:
+    async def _prepare(self, number: int | None) -> MethodAnswer:
         """InternalIdOut, IsCompleted, Error; the event RecipePrepared says when it is completed."""
         picture = self._space.picture
         if _who() is None:
@@ -222,7 +224,7 @@ class Methods:
         most: object,
         start: object,
         _timeout: object,
-    ) -> Answer:
+    ) -> MethodAnswer:
         picture = self._space.picture
         jobs = picture.jobs if picture is not None else ()
         active = picture.values["ACTIVE_JOB"] if picture is not None else 0
@@ -250,13 +252,13 @@ class Methods:
             return None
         return self._space.result_data(picture.result)
 
-    async def _result_by_id(self, identifier: object, _timeout: object) -> Answer:
+    async def _result_by_id(self, identifier: object, _timeout: object) -> MethodAnswer:
         data = self._current()
         if data is None or text_of(data.ResultId) != text_of(identifier):
             return [_handle(), structure(ResultDataType()), _error(UNKNOWN_RESULT)]
         return [_handle(), structure(data), _error(0)]
 
-    async def _result_components(self, identifier: object, _timeout: object) -> Answer:
+    async def _result_components(self, identifier: object, _timeout: object) -> MethodAnswer:
         data = self._current()
         is_it = data is not None and text_of(data.ResultId) == text_of(identifier)
         one = data if data is not None and is_it else ResultDataType()
@@ -286,7 +288,7 @@ class Methods:
             _error(0 if is_it else UNKNOWN_RESULT),
         ]
 
-    async def _results(self, state: object, *rest: object) -> Answer:
+    async def _results(self, state: object, *rest: object) -> MethodAnswer:
         *filters, most, start, _timeout = rest
         data = self._current()
         found = []
@@ -313,11 +315,11 @@ class Methods:
         ]
 
 
-async def _unsupported(*_arguments: object) -> Answer:
+async def _unsupported(*_arguments: object) -> MethodAnswer:
     return NOT_SUPPORTED
 
 
-def _who() -> Session | None:
+def _who() -> OpcUaSession | None:
     """Who calls, if it may command."""
     session = caller.get()
     return session if session is not None and session.may_command else None
@@ -332,7 +334,7 @@ def _handle() -> ua.Variant:
     return ua.Variant(0, ua.VariantType.UInt32)
 
 
-def _prepared(name: str, *, done: bool, error: int) -> Answer:
+def _prepared(name: str, *, done: bool, error: int) -> MethodAnswer:
     return [
         structure(RecipeIdInternalDataType(Id=ua.String(name))),
         ua.Variant(done, ua.VariantType.Boolean),

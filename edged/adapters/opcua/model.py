@@ -38,7 +38,7 @@ SCALARS: dict[str, tuple[ua.VariantType, Callable[[str], Any]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ModelRow:
     """A node of the table. parent, type_definition, data_type : "0:58", "1:1017"; "" where there is none."""
 
     number: int
@@ -57,11 +57,11 @@ class Row:
 class Model:
     """The table: rows in their order, children by parent, references between them."""
 
-    rows: tuple[Row, ...]
-    children: Mapping[str, tuple[Row, ...]]
+    rows: tuple[ModelRow, ...]
+    children: Mapping[str, tuple[ModelRow, ...]]
     references: tuple[tuple[str, str, str], ...]
 
-    def row(self, number: int) -> Row:
+    def row(self, number: int) -> ModelRow:
         """The row of a node."""
         return next(row for row in self.rows if row.number == number)
 
@@ -73,8 +73,8 @@ def read_model() -> Model:
     rows = []
     for line in first.splitlines():
         number, *rest = line.split("\t")
-        rows.append(Row(int(number), *rest))
-    children = defaultdict[str, list[Row]](list)
+        rows.append(ModelRow(int(number), *rest))
+    children = defaultdict[str, list[ModelRow]](list)
     for row in rows:
         children[row.parent].append(row)
     references = [tuple(line.split("\t")) for line in second.splitlines()]
@@ -128,7 +128,7 @@ def add_types(nodes: Nodes, model: Model) -> None:
     )
 
 
-def _add_type_row(nodes: Nodes, row: Row) -> None:
+def _add_type_row(nodes: Nodes, row: ModelRow) -> None:
     is_abstract = row.value.endswith("abstract")
     attributes: Any
     match row.kind:
@@ -166,7 +166,7 @@ def _add_type_row(nodes: Nodes, row: Row) -> None:
     )
 
 
-def _value_of(row: Row) -> ua.Variant | None:
+def _value_of(row: ModelRow) -> ua.Variant | None:
     if row.data_type == "0:296":
         return ua.Variant(arguments_of(row.value), ua.VariantType.ExtensionObject)
     if row.value and row.data_type in SCALARS:
@@ -179,7 +179,7 @@ IDENTIFIER_FIELDS = "Id 1:3017,Version? 1:3017,Hash? 0:15,HashAlgorithm? 0:12,De
 """Of BinaryIdBaseDataType, whose subtypes have no fields of their own."""
 
 
-def _definition_of(row: Row) -> Any:
+def _definition_of(row: ModelRow) -> Any:
     text = row.value.removesuffix("abstract").strip() or (IDENTIFIER_FIELDS if row.parent == "1:3019" else "")
     if "=" in text:
         enumeration = ua.EnumDefinition()
@@ -251,7 +251,7 @@ class Instances:
                 f"{place}.{name}", ua.QualifiedName(name, 0), state, base(kind), is_property=True
             )
 
-    def _part(self, row: Row, path: str, parent: ua.NodeId, optional: Collection[str]) -> None:
+    def _part(self, row: ModelRow, path: str, parent: ua.NodeId, optional: Collection[str]) -> None:
         name, place = name_of(row.name), f"{path}.{row.name.removeprefix('0:')}"
         if row.kind == "M":
             signature = {child.name: child.value for child in self._model.children.get(f"1:{row.number}", ())}

@@ -43,7 +43,7 @@ def job_name(epoch: int, sequence: int) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class RegisterPicture:
     """All registers at one moment.
 
     values : by name, those of the status, the command and the result. numbers : by address, all.

@@ -16,14 +16,14 @@ from typing import Any, Protocol, TypeVar
 from asyncua import ua
 
 from edged.adapters.opcua.methods import NOT_YOUR_TURN
-from edged.adapters.opcua.picture import Picture, ResultRecord
-from edged.adapters.opcua.security import Identity, identity_of
+from edged.adapters.opcua.picture import RegisterPicture, ResultRecord
+from edged.adapters.opcua.security import ServerIdentity, identity_of
 from edged.adapters.opcua.server import ServerThread
 from edged.adapters.opcua.settings import OpcUaSettings
 from edged.domain.events import Event, Snapshot
 from edged.errors import CommandRefused
 from edged.plc import registers as reg
-from edged.plc.answers import Reason
+from edged.plc.answers import NackReason
 
 TICK_S = 0.1
 """Of HEARTBEAT and RESULT_AGE; everything else is shown when it changes."""
@@ -35,7 +35,7 @@ NAMED = frozenset(
 T = TypeVar("T")
 
 
-class Registers(Protocol):
+class RegisterSource(Protocol):
     """The registers of the cell and the one handshake behind them."""
 
     def values(self) -> Sequence[tuple[reg.Register, reg.Number]]:
@@ -73,10 +73,10 @@ class OpcUaPublisher:
     def __init__(
         self,
         settings: OpcUaSettings,
-        registers: Callable[[], Registers | None],
+        registers: Callable[[], RegisterSource | None],
         jobs: Callable[[], Sequence[tuple[int, str]]],
         *,
-        identity: Identity | None = None,
+        identity: ServerIdentity | None = None,
     ) -> None:
         self._settings = settings
         self._registers = registers
@@ -84,7 +84,7 @@ class OpcUaPublisher:
         self._identity = identity
         self._numbers = itertools.count(1_000_000)  # the Modbus server counts its own from 1
         self._clients: dict[ua.NodeId, int] = {}
-        self._watched: Registers | None = None
+        self._watched: RegisterSource | None = None
         self._snapshot: Snapshot | None = None
         self._started_ns = time.time_ns()
         self._server: ServerThread | None = None
@@ -148,7 +148,7 @@ class OpcUaPublisher:
         if picture is not None and self._server is not None:
             self._server.post(picture)
 
-    def _picture(self) -> Picture | None:
+    def _picture(self) -> RegisterPicture | None:
         registers = self._registers()
         if registers is not self._watched:  # exchanged by a reload: its clients are none of the new one
             self._clients.clear()
@@ -160,7 +160,9 @@ class OpcUaPublisher:
         found = registers.values()
         values = {register.name: value for register, value in found if register.address in NAMED}
         numbers = {register.address: value for register, value in found}
-        return Picture(values, numbers, registers.valid_until_s, tuple(self._jobs()), self._displayed(values))
+        return RegisterPicture(
+            values, numbers, registers.valid_until_s, tuple(self._jobs()), self._displayed(values)
+        )
 
     def _displayed(self, values: Mapping[str, reg.Number]) -> ResultRecord | None:
         """The result on display, unless it was good and may not be used any more."""
@@ -181,7 +183,9 @@ class OpcUaPublisher:
 
     # --- commands, asked for on the server's thread --------------------------------------------
 
-    async def command(self, session: ua.NodeId, values: Mapping[str, reg.Number]) -> tuple[int, int, Picture]:
+    async def command(
+        self, session: ua.NodeId, values: Mapping[str, reg.Number]
+    ) -> tuple[int, int, RegisterPicture]:
         """See `methods.Handshake`."""
         return await self._on_loop(self._command(session, values))
 
@@ -198,7 +202,7 @@ class OpcUaPublisher:
 
     async def _command(
         self, session: ua.NodeId, wanted: Mapping[str, reg.Number]
-    ) -> tuple[int, int, Picture]:
+    ) -> tuple[int, int, RegisterPicture]:
         picture = self._picture()
         if picture is None or self._watched is None:
             raise CommandRefused("the registers are being exchanged")
@@ -222,7 +226,7 @@ class OpcUaPublisher:
     def _put(self, session: ua.NodeId, values: Mapping[str, reg.Number]) -> int:
         registers = self._watched
         if registers is None:
-            return -int(Reason.REFUSED)
+            return -int(NackReason.REFUSED)
         client = self._clients.setdefault(session, next(self._numbers))
         try:
             registers.write(client, values)

@@ -37,17 +37,17 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class ServerIdentity:
     """What the server shows to clients. certificate : None without an encrypted endpoint."""
 
     certificate: x509.Certificate | None = None
     key: RSAPrivateKey | None = None
 
 
-def identity_of(settings: OpcUaSettings) -> Identity:
+def identity_of(settings: OpcUaSettings) -> ServerIdentity:
     """Certificate and key, read and judged. Raises `ListenError` for files that do not fit."""
     if settings.certificate is None or settings.key is None:
-        return Identity()
+        return ServerIdentity()
     place = f"opcua: {settings.certificate}, {settings.key}"
     try:
         certificate = x509.load_pem_x509_certificate(settings.certificate.read_bytes())
@@ -68,7 +68,7 @@ def identity_of(settings: OpcUaSettings) -> Identity:
             f"{place}: the certificate's subjectAltName holds no URI:{settings.application_uri}, "
             "and clients would refuse it"
         )
-    return Identity(certificate, key)
+    return ServerIdentity(certificate, key)
 
 
 class TrustList:

@@ -1,6 +1,6 @@
 """The server on a thread and an event loop of its own: what clients ask costs the cell's loop nothing.
 
-Pictures come in through `post`; commands go out through `Handshake`, whose calls end on the cell's loop.
+Pictures come in through `post`; commands go out through `CommandWriter`, whose calls end on the cell's loop.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from asyncua.server.address_space import AttributeValue
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from edged import __version__
-from edged.adapters.opcua.connection import STRANGERS_PER_S, Connection
-from edged.adapters.opcua.methods import Handshake, Methods
+from edged.adapters.opcua.connection import STRANGERS_PER_S, OpcUaConnection
+from edged.adapters.opcua.methods import CommandWriter, Methods
 from edged.adapters.opcua.model import read_model
 from edged.adapters.opcua.nodes import CELL_URI, VISION_URI, base
-from edged.adapters.opcua.picture import Picture
-from edged.adapters.opcua.security import Identity, TrustList, Users
+from edged.adapters.opcua.picture import RegisterPicture
+from edged.adapters.opcua.security import ServerIdentity, TrustList, Users
 from edged.adapters.opcua.session import MAX_NODES, Server
 from edged.adapters.opcua.settings import OpcUaSettings
 from edged.adapters.opcua.space import Space
@@ -63,8 +63,8 @@ class ServerThread:
     def __init__(
         self,
         settings: OpcUaSettings,
-        identity: Identity,
-        handshake: Handshake,
+        identity: ServerIdentity,
+        handshake: CommandWriter,
         fallen: Callable[[], None],
         gone: Callable[[ua.NodeId], None],
     ) -> None:
@@ -79,8 +79,8 @@ class ServerThread:
         self._listener: TcpListener | None = None
         self._log = LogLimit(__name__)
         self._channels = Rate(STRANGERS_PER_S)
-        self._connections: dict[TcpClient, Connection] = {}
-        self._newest: Picture | None = None
+        self._connections: dict[TcpClient, OpcUaConnection] = {}
+        self._newest: RegisterPicture | None = None
         self._shown = asyncio.Event()
         self._space: Space | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -114,7 +114,7 @@ class ServerThread:
             place = f"{self._settings.host}:{self._settings.port}"
             raise TookTooLong(f"opcua on {place}: it has not started within {START_S:g} s") from error
 
-    def post(self, picture: Picture) -> None:
+    def post(self, picture: RegisterPicture) -> None:
         """Show a picture soon; one that comes before it was shown replaces it."""
         self._newest = picture
         loop = self._loop
@@ -266,8 +266,8 @@ class ServerThread:
 
     def _connect(
         self, server: Server, policies: list[Any], trust: TrustList, client: TcpClient
-    ) -> Connection:
-        connection = Connection(server, policies, trust, self._channels, client, self._log)
+    ) -> OpcUaConnection:
+        connection = OpcUaConnection(server, policies, trust, self._channels, client, self._log)
         # one that had to go while it came in has left already, and nobody would forget it
         if self._listener is not None and self._listener.client(client.name) is client:
             self._connections[client] = connection

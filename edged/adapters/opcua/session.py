@@ -68,7 +68,7 @@ SERVICES = frozenset(
 
 NOBODY = User(role=UserRole.Anonymous)
 
-caller: contextvars.ContextVar[Session | None] = contextvars.ContextVar("opcua_caller", default=None)
+caller: contextvars.ContextVar[OpcUaSession | None] = contextvars.ContextVar("opcua_caller", default=None)
 """The session whose method runs."""
 
 
@@ -88,7 +88,7 @@ class Server(InternalServer):
         self.allow_remote_admin = False
         self.max_sessions = max_sessions
         self.gone = gone
-        self.sessions: dict[ua.NodeId, Session] = {}
+        self.sessions: dict[ua.NodeId, OpcUaSession] = {}
         self.refresh: Callable[[], Awaitable[None]] = _nothing  # before values are looked at
         self.max_session_timeout_ms = SESSION_MS
         self.max_unacked_messages_per_subscription = MAX_UNACKNOWLEDGED
@@ -104,11 +104,13 @@ class Server(InternalServer):
         name: Any,
         user: User = NOBODY,
         external: bool = False,
-    ) -> Session:
+    ) -> OpcUaSession:
         """A session for a connection. Raises `ServiceError` when there are too many."""
         if len(self.sessions) >= self.max_sessions:
             raise ServiceError(ua.StatusCodes.BadTooManySessions)
-        session = Session(self, self.aspace, self.subscription_service, name, user=user, external=external)
+        session = OpcUaSession(
+            self, self.aspace, self.subscription_service, name, user=user, external=external
+        )
         self.sessions[session.session_id] = session
         return session
 
@@ -116,7 +118,7 @@ class Server(InternalServer):
         """A session ends with its connection: nobody takes up another's."""
 
 
-class Session(InternalSession):
+class OpcUaSession(InternalSession):
     """A client's session: it reaches its own subscriptions only, and no more than a share of the server."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:

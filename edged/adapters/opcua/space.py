@@ -19,7 +19,7 @@ from asyncua.common.events import Event
 
 from edged.adapters.opcua.model import Instances, Model, add_types, node_at, type_node
 from edged.adapters.opcua.nodes import Nodes, base, in_cell
-from edged.adapters.opcua.picture import Picture, ResultRecord, job_name
+from edged.adapters.opcua.picture import RegisterPicture, ResultRecord, job_name
 from edged.adapters.opcua.session import Server
 from edged.adapters.opcua.settings import OpcUaSettings
 from edged.adapters.opcua.state import Automatic, Top, VisionState, vision_state
@@ -109,7 +109,7 @@ def own_name(name: str) -> ua.QualifiedName:
 
 
 class Space:
-    """The nodes of one cell. moment_s : monotonic, the clock of `Picture.valid_until_s`."""
+    """The nodes of one cell. moment_s : monotonic, the clock of `RegisterPicture.valid_until_s`."""
 
     def __init__(
         self, server: Server, settings: OpcUaSettings, model: Model, moment_s: Callable[[], float]
@@ -126,7 +126,7 @@ class Space:
         self._asked: dict[str, Asked] = {}
         self._written: tuple[Snapshot, str] | None = None  # its content is made once
         self._log = LogLimit(__name__)
-        self.picture: Picture | None = None
+        self.picture: RegisterPicture | None = None
         self._fallen = True
         self._state = VisionState(Top.PREOPERATIONAL, None)
         self.recipe_added: Callable[[str], None] = lambda _path: None
@@ -183,7 +183,7 @@ class Space:
 
     # --- showing -----------------------------------------------------------------------------
 
-    async def show(self, picture: Picture) -> None:
+    async def show(self, picture: RegisterPicture) -> None:
         """Replace the picture."""
         before, self.picture, self._fallen = self.picture, picture, False
         if before is None or before.jobs != picture.jobs:
@@ -235,7 +235,7 @@ class Space:
                 await tell(handle, data)
 
     def _register_values(
-        self, picture: Picture
+        self, picture: RegisterPicture
     ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
         for address, (register, node, is_result) in self._registers.items():
             value = picture.numbers.get(address, 0)  # rows of jobs that are empty are left out
@@ -243,7 +243,7 @@ class Space:
             yield node, None if unknown else value, BAD if unknown else GOOD, VARIANTS[register.kind]
 
     def _other_values(
-        self, picture: Picture
+        self, picture: RegisterPicture
     ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
         yield from self._state_values(MACHINE, self._state.top)
         yield from self._state_values(AUTOMATIC, self._state.automatic)
@@ -285,7 +285,7 @@ class Space:
 
     # --- recipes and results -----------------------------------------------------------------
 
-    def _exchange_recipes(self, picture: Picture) -> None:
+    def _exchange_recipes(self, picture: RegisterPicture) -> None:
         """Jobs came, or have gone: their objects with them."""
         wanted = {name for _, name in picture.jobs}
         variables, methods = self.instances.variables, self.instances.methods
@@ -367,7 +367,7 @@ class Space:
     # --- events ------------------------------------------------------------------------------
 
     def _events(
-        self, before: Picture | None, state: VisionState, picture: Picture
+        self, before: RegisterPicture | None, state: VisionState, picture: RegisterPicture
     ) -> Iterator[tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]]:
         now, old = picture.values, before.values if before is not None else None
         kind = ua.VariantType.ExtensionObject

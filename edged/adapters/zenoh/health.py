@@ -11,7 +11,7 @@ from edged.payload import Json
 RATE_WINDOW = 32  # cycles over which the rate is taken
 
 
-class Health:
+class HealthCounts:
     """Counts of the cycles that were seen."""
 
     def __init__(self) -> None:

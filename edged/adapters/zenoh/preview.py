@@ -11,7 +11,7 @@ import time
 
 import zenoh
 
-from edged.adapters.zenoh.worker import Worker
+from edged.adapters.zenoh.worker import JobThread
 from edged.domain.arrays import SIDES
 from edged.domain.events import ExposureDone
 from edged.domain.frames import Frame
@@ -37,7 +37,7 @@ class Preview:
             for side in SIDES
         }
         self._zid = str(session.zid())
-        self._worker = Worker("zenoh-preview", 1)
+        self._worker = JobThread("zenoh-preview", 1)
         self._offered_s = float("-inf")
 
     def start(self) -> None:

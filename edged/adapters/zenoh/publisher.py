@@ -22,7 +22,7 @@ import zenoh
 import zenoh.ext
 
 from edged.adapters.zenoh.cbor import encode_cbor
-from edged.adapters.zenoh.health import Health
+from edged.adapters.zenoh.health import HealthCounts
 from edged.adapters.zenoh.keys import PREFIX, QUERYABLES
 from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
@@ -30,8 +30,8 @@ from edged.adapters.zenoh.routers import Routers
 from edged.adapters.zenoh.seals import Sealer
 from edged.adapters.zenoh.session import ZenohSettings, configured, open_session, plain
 from edged.adapters.zenoh.triggerquery import parse_trigger
-from edged.adapters.zenoh.triggers import Triggers
-from edged.adapters.zenoh.worker import Worker
+from edged.adapters.zenoh.triggers import PendingTriggers
+from edged.adapters.zenoh.worker import JobThread
 from edged.cell.ages import ExposureClock
 from edged.cell.tasks import bounded
 from edged.domain.cell import CellPhase, CellState
@@ -107,11 +107,11 @@ class ZenohPublisher:
         self._publishers: dict[str, zenoh.ext.AdvancedPublisher | zenoh.Publisher] = {}
         self._sequences = {"target": 0, "state": 0, "health": 0}
         self._started_ns = utc_ns()
-        self._outbox = Worker("zenoh-publish", OUTBOX_LENGTH)
-        self._answers = Worker("zenoh-answer", 2 * MAX_PENDING)
-        self._triggers: Triggers[zenoh.Query] = Triggers()
+        self._outbox = JobThread("zenoh-publish", OUTBOX_LENGTH)
+        self._answers = JobThread("zenoh-answer", 2 * MAX_PENDING)
+        self._triggers: PendingTriggers[zenoh.Query] = PendingTriggers()
         self._closed = False
-        self._health = Health()
+        self._health = HealthCounts()
         self._routers = Routers(settings.connect)
         self._heartbeat: asyncio.Task[None] | None = None
         self._last: tuple[Snapshot, int, float] | None = None
@@ -194,7 +194,7 @@ class ZenohPublisher:
         except (ListenError, zenoh.ZError) as error:
             log.warning("zenoh: the session did not close in order: %s", plain(error))
 
-    def _workers(self) -> list[Worker | Preview]:
+    def _workers(self) -> list[JobThread | Preview]:
         return [self._outbox, self._answers, *([self._preview] if self._preview is not None else [])]
 
     def links(self) -> int:

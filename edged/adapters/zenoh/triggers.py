@@ -21,7 +21,7 @@ class _Pending(Generic[Query]):
     timer: asyncio.TimerHandle | None = None
 
 
-class Triggers(Generic[Query]):
+class PendingTriggers(Generic[Query]):
     """The triggers of one publisher, each answered once.
 
     A command is known by being the same object, not by its number: a publisher that was made anew by a reload

@@ -14,7 +14,7 @@ from edged.adapters.zenoh.session import plain
 log = logging.getLogger(__name__)
 
 
-class Worker:
+class JobThread:
     """A thread that does small jobs in order; a full queue loses its oldest job, never its newest.
 
     Daemonic: should Zenoh ever hang in a call, the process can still end.

@@ -49,8 +49,8 @@ from edged.plc.registers.schema import (
 )
 from edged.plc.registers.values import (
     NOTHING,
-    Measured,
     Pose,
+    RegisterResult,
     basis_values,
     constant_values,
     counted,
@@ -93,11 +93,11 @@ __all__ = [
     "Block",
     "Flag",
     "Kind",
-    "Measured",
     "Number",
     "Option",
     "Pose",
     "Register",
+    "RegisterResult",
     "ResultCode",
     "StatusBit",
     "Warn",

@@ -77,7 +77,7 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class RegisterResult:
     """A snapshot in the units of the registers; immutable and encoded as often as needed.
 
     good : the first part was found and is within all limits; for a VERIFY that is all that is said.
@@ -96,7 +96,7 @@ class Measured:
     calibration: int
     index: int = 0
 
-    def further(self) -> tuple[Measured, ...]:
+    def further(self) -> tuple[RegisterResult, ...]:
         """The same, showing each of the other targets that are good."""
         return tuple(
             replace(self, index=index)
@@ -105,7 +105,7 @@ class Measured:
         )
 
 
-def measured(snapshot: Snapshot, convention: Convention) -> Measured:
+def measured(snapshot: Snapshot, convention: Convention) -> RegisterResult:
     """Express a snapshot in registers' units. Never raises for a number: out of range is a result code."""
     poses = tuple(_pose(target, snapshot, convention) for target in snapshot.targets)
     code = _code(snapshot, poses)
@@ -121,7 +121,7 @@ def measured(snapshot: Snapshot, convention: Convention) -> Measured:
     if snapshot.simulated:
         flags |= Flag.SIMULATED
     latency_us = (snapshot.published_ns - snapshot.exposed_ns) // 1000 if snapshot.exposed_ns else 0
-    return Measured(
+    return RegisterResult(
         code=code,
         good=good,
         job=_clamp(snapshot.job_number, UINT16_MAX),
@@ -134,7 +134,7 @@ def measured(snapshot: Snapshot, convention: Convention) -> Measured:
     )
 
 
-def exchanged(shown: Measured) -> Measured:
+def exchanged(shown: RegisterResult) -> RegisterResult:
     """What is left of a result when what it stands on was exchanged: that it was one."""
     return replace(shown, code=ResultCode.RELOADED, good=False, poses=(), index=0)
 
@@ -239,7 +239,7 @@ def _score(score: float) -> int:
 
 
 def result_values(
-    shown: Measured,
+    shown: RegisterResult,
     sequence: int,
     *,
     valid: bool,
@@ -338,7 +338,7 @@ def _coordinates(pose: Pose) -> dict[str, Number]:
     return values
 
 
-def row_values(shown: Measured, index: int, sequence: int, *, valid: bool) -> dict[str, Number]:
+def row_values(shown: RegisterResult, index: int, sequence: int, *, valid: bool) -> dict[str, Number]:
     """Values of one row of the target table; one that is rejected, or was given, has no coordinates."""
     if index >= len(shown.poses):
         return {}

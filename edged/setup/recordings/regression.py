@@ -20,7 +20,7 @@ from edged.files.recording import Recording
 from edged.payload import Json, snapshot_to_json
 from edged.pictures.lettering import Canvas
 from edged.pictures.overlay import draw_pair
-from edged.pipeline import Inspection, PreparedRig, inspect, judge
+from edged.pipeline import PairInspection, PreparedRig, inspect, judge
 from edged.robot.covariance import moved_frame
 from edged.robot.picking import RobotFrame, allowed, picked
 from edged.vision.part.job import Job
@@ -36,7 +36,7 @@ def remeasure(taken: Recording, rig: PreparedRig, job: Job) -> Json:
     return decided(taken, inspected(taken, rig, job), rig, job)
 
 
-def inspected(taken: Recording, rig: PreparedRig, job: Job) -> Inspection | None:
+def inspected(taken: Recording, rig: PreparedRig, job: Job) -> PairInspection | None:
     """What the same exposure shows; None where nothing was measured then."""
     command = taken.snapshot.get("command")
     if taken.pair is None or (isinstance(command, dict) and command.get("kind") == "GRAB"):
@@ -44,7 +44,7 @@ def inspected(taken: Recording, rig: PreparedRig, job: Job) -> Inspection | None
     return inspect(taken.pair, job, rig)
 
 
-def decided(taken: Recording, inspection: Inspection | None, rig: PreparedRig, job: Job) -> Json:
+def decided(taken: Recording, inspection: PairInspection | None, rig: PreparedRig, job: Job) -> Json:
     """What of a published snapshot an inspection decides."""
     if inspection is None:
         return {key: taken.snapshot.get(key) for key in COMPARED}
@@ -53,7 +53,7 @@ def decided(taken: Recording, inspection: Inspection | None, rig: PreparedRig, j
 
 
 def shown(
-    taken: Recording, inspection: Inspection, rig: PreparedRig, job: Job, *, drifts: bool = True
+    taken: Recording, inspection: PairInspection, rig: PreparedRig, job: Job, *, drifts: bool = True
 ) -> Json:
     """The same, with what was seen and not measured. drifts : what the rig then was worth counts."""
     outcome = judge(inspection)
@@ -63,7 +63,7 @@ def shown(
     return _json_of(outcome, rig, job.picking, _robot_from_flange(taken))
 
 
-def drawn(taken: Recording, inspection: Inspection, rig: PreparedRig, job: Job) -> Canvas:
+def drawn(taken: Recording, inspection: PairInspection, rig: PreparedRig, job: Job) -> Canvas:
     """The pair with what was measured, as `edged locate --overlay` draws it."""
     if taken.pair is None:
         raise ValueError("a recording without images")

@@ -20,7 +20,7 @@ from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Status
 from edged.errors import UserError
 from edged.files.recording import Recording
-from edged.pipeline import Inspection, PreparedRig, inspect
+from edged.pipeline import PairInspection, PreparedRig, inspect
 from edged.setup.frozen import Frozen
 from edged.setup.pairs import Progress, silent
 from edged.setup.recordings.recorded import reasons_of
@@ -131,7 +131,7 @@ def what_if(
     if taken.pair is None:
         raise UserError("this cycle has no pictures: the cameras gave none")
 
-    def look(changed: Change | None) -> tuple[CycleVerdict, Inspection]:
+    def look(changed: Change | None) -> tuple[CycleVerdict, PairInspection]:
         return _look(place, taken, rig, job, changed)
 
     before, seen = look(None)
@@ -207,7 +207,7 @@ def brightened(pair: FramePair, factor: float) -> FramePair:
 
 def _look(
     place: Path, taken: Recording, rig: PreparedRig, job: Job, change: Change | None
-) -> tuple[CycleVerdict, Inspection]:
+) -> tuple[CycleVerdict, PairInspection]:
     pair = taken.pair
     if pair is None:
         raise ValueError("a recording without images")
@@ -229,7 +229,7 @@ def _look(
 # --- what may have helped ---------------------------------------------------------------------
 
 
-def _tries(job: Job, seen: Inspection) -> Iterator[Remedy]:
+def _tries(job: Job, seen: PairInspection) -> Iterator[Remedy]:
     """Single changes that may help, those that loosen nothing first."""
     for factor in LIGHTS:
         yield _remedy("light", [1.0], [factor], "light", Change(light=factor))
@@ -247,7 +247,7 @@ def _tries(job: Job, seen: Inspection) -> Iterator[Remedy]:
             yield _remedy("min_score", [job.search.min_score], [score], "loosens", Change(limits=limits))
 
 
-def _leaving_out(job: Job, seen: Inspection) -> Iterator[Remedy]:
+def _leaving_out(job: Job, seen: PairInspection) -> Iterator[Remedy]:
     """Each feature that may go; first those that nobody saw."""
     known = {fit.name for one in seen.measured for fit in one.fits}
     for name in sorted(_names(job), key=lambda name: name in known):

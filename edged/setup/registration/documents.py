@@ -13,7 +13,7 @@ from edged.domain.arrays import FloatArray
 from edged.files.rig import rig_of
 from edged.robot.orientations import Brand, transform_of
 from edged.robot.pendant import PENDANTS, READING_CODES, brands_of, mm_per_unit
-from edged.robot.readings import Reading
+from edged.robot.readings import PoseReading
 from edged.setup.calibration.documents import Document
 from edged.setup.inuse import RigInUse
 from edged.setup.registration.drafts import Place, RegistrationState
@@ -280,7 +280,7 @@ def readings_in(judged: Judged) -> list[ReadingDocument]:
     return [_reading(judged.readings[rank], said=rank == judged.said) for rank in shown]
 
 
-def _reading(one: Reading, *, said: bool) -> ReadingDocument:
+def _reading(one: PoseReading, *, said: bool) -> ReadingDocument:
     return ReadingDocument(
         code=READING_CODES[one.orientation],
         orientation=one.orientation,

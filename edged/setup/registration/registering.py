@@ -15,7 +15,7 @@ from edged.errors import UserError
 from edged.files.rig import keep_old_rig, load_rig_quality, save_rig
 from edged.robot.handeye import HandEye, Mount, hand_eye
 from edged.robot.orientations import LENGTH_UNITS_MM, READINGS
-from edged.robot.readings import Reading, rank_readings
+from edged.robot.readings import PoseReading, rank_readings
 from edged.robot.touch import PointRegistration, register_points
 from edged.setup.pairs import Pair
 from edged.vision.boards.board import NominalBoard, NotDetected, StereoView
@@ -70,7 +70,7 @@ class Readings:
     agrees : the stated reading is among them; True when none was stated.
     """
 
-    ranked: tuple[Reading, ...]
+    ranked: tuple[PoseReading, ...]
     stands_out: bool
     alike: int
     agrees: bool

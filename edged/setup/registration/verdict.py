@@ -17,7 +17,7 @@ from edged.errors import CalibrationError
 from edged.robot.handeye import MIN_POSES, MIN_TURN_RAD, Mount, turns_of
 from edged.robot.orientations import LENGTH_UNITS_MM, READINGS, Brand, transform_of
 from edged.robot.pendant import READING_CODES, brands_of, mm_per_unit
-from edged.robot.readings import Reading, rank_readings
+from edged.robot.readings import PoseReading, rank_readings
 from edged.robot.touch import TWIN_SHARE
 from edged.setup.registration.registering import (
     DECIDED,
@@ -86,7 +86,7 @@ class Judged:
     sigma: tuple[float, ...] = UNKNOWN_6
     sky: Mapping[str, SkyPoint] = field(default_factory=dict)
     missing: str = ""
-    readings: tuple[Reading, ...] = ()
+    readings: tuple[PoseReading, ...] = ()
     said: int | None = None
     registered: Registered | None = None
 
@@ -246,7 +246,7 @@ def _ranked(
     board: NominalBoard,
     brand: Brand | None,
     mount: Mount,
-) -> tuple[tuple[Reading, ...], int | None]:
+) -> tuple[tuple[PoseReading, ...], int | None]:
     """Every way to read the poses, and the rank of the stated one."""
     if len(posed) < MIN_POSES:
         return (), None
@@ -265,7 +265,7 @@ def _ranked(
     return tuple(ranked), next(said, None)
 
 
-def _other_reading(readings: tuple[Reading, ...], said: int | None) -> Trouble | None:
+def _other_reading(readings: tuple[PoseReading, ...], said: int | None) -> Trouble | None:
     """Which reading fits so much better than the stated one that it is the right one."""
     if not readings:
         return None

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from edged.adapters.terminal import Comparison
+from edged.adapters.terminal import TruthComparison
 from edged.adapters.web.routes import Answer, Body, Call, Problem, route
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.domain.events import Event, Snapshot
@@ -163,7 +163,7 @@ class StageRoutes:
         if last is None or true is None:
             nothing = dict.fromkeys(TruthNow.model_fields)
             return TruthNow(**nothing)
-        seen = Comparison.of(last, true.rig_from_part) if true.thing is Thing.PART else None
+        seen = TruthComparison.of(last, true.rig_from_part) if true.thing is Thing.PART else None
         return TruthNow(
             at_ns=last.exposed_ns,
             showing=true.thing.value,

@@ -22,7 +22,7 @@ from edged.pipeline import PreparedRig, inspect, judge
 from edged.robot.budget import budget_of
 from edged.robot.orientations import Convention
 from edged.robot.picking import frame_of, picked, within
-from edged.robot.reading import Reading, frame_name, reading_of
+from edged.robot.reading import PartReading, frame_name, reading_of
 from edged.setup.frozen import Frozen
 from edged.setup.recordings.recorded import NOT_FOUND
 from edged.setup.recordings.sight import Points, outline_in
@@ -202,7 +202,7 @@ def _whiskers(rig: StereoRig, features: list[FeatureEvidence], side: int) -> Poi
     return [[round(x, 1), round(y, 1), round(dx, 4), round(dy, 4)] for x, y, dx, dy in told.tolist()]
 
 
-def _place(reading: Reading) -> PlaceMm:
+def _place(reading: PartReading) -> PlaceMm:
     x, y, z = (round(float(value), 4) for value in reading.position_mm)
     a, b, c = (round(float(value), 4) for value in reading.angles_deg)
     return PlaceMm(x_mm=x, y_mm=y, z_mm=z, a_deg=a, b_deg=b, c_deg=c)
@@ -214,7 +214,7 @@ def sigma_of(sigma_mm: FloatArray) -> SigmaUm:
     return SigmaUm(x=x, y=y, z=z)
 
 
-def _angles(target: Target, reading: Reading) -> SigmaAngles:
+def _angles(target: Target, reading: PartReading) -> SigmaAngles:
     a, b, c = (round(float(value), 5) for value in reading.sigma_deg)
     if target.free_axis is None:
         return SigmaAngles(a=a, b=b, c=c)
