@@ -18,7 +18,7 @@ from edged.adapters.aravis import (
     Trigger,
 )
 from edged.adapters.replay import replay_cameras
-from edged.cell.stereohead import StereoHead
+from edged.cell.stereohead import HeadSettings, StereoHead
 from edged.config.cameras import CameraSection, CamerasSection, TriggerSection
 from edged.domain.arrays import SIDES
 from edged.errors import ConfigError
@@ -81,13 +81,15 @@ def head_of(
     return StereoHead(
         left,
         right,
-        timeout_s=cameras.timeout_s,
-        max_skew_s=cameras.max_skew_ms * 1e-3,
-        max_arrival_skew_s=cameras.max_arrival_skew_ms * 1e-3,
-        follower=triggering.follower,
-        free_running=isinstance(triggering.triggers[0], FreeRun),
-        by_others=all(isinstance(trigger, LineTrigger) for trigger in triggering.triggers),
-        detect_frozen=cameras.source != "replay",
+        HeadSettings(
+            timeout_s=cameras.timeout_s,
+            max_skew_s=cameras.max_skew_ms * 1e-3,
+            max_arrival_skew_s=cameras.max_arrival_skew_ms * 1e-3,
+            follower=triggering.follower,
+            free_running=isinstance(triggering.triggers[0], FreeRun),
+            by_others=all(isinstance(trigger, LineTrigger) for trigger in triggering.triggers),
+            detect_frozen=cameras.source != "replay",
+        ),
     )
 
 

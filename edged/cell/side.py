@@ -1,4 +1,4 @@
-"""One camera of the stereo head: what is known of it, the frame that is awaited, and its slow closing."""
+"""One camera of the stereo head: its last frames, the frame that is awaited, and its slow closing."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from edged.errors import FrameFrozen, FrameRepeated, FrameTimeout, PairingError
 from edged.ports import Camera
 
 
-class Side:
+class CameraSide:
     """One camera of the head, and what is known of it.
 
-    frame_id : of the last frame since it was opened. paired_id : of the last pair. image : the last one ever,
-    so that a camera that still shows the same picture after it was opened again is caught. coming : the frame
-    that is listened for, since_s, and heard_s : when the last one came (time of the event loop). suspect : it
-    gave no image, and is to be asked why.
+    frame_id, paired_id : of the last frame and pair since it was opened. image : the last one ever, so that a
+    reopened camera that still shows the same picture is caught. coming : task that waits for the next frame,
+    since since_s; heard_s : when the last frame came (time of the event loop). suspect : it gave no
+    image, and is to be checked.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -40,7 +40,7 @@ class Side:
         return self.camera.name
 
     def close_soon(self) -> None:
-        """Begin to close the camera; one that does not answer must not hold up the cycle."""
+        """Begin to close the camera; a camera that does not answer must not hold up the cycle."""
         self.open = False
         self.faults = 0
         self.frame_id = self.paired_id = None
@@ -62,14 +62,14 @@ class Side:
         return coming is not None and coming.done() and isinstance(coming.exception(), FrameTimeout)
 
     def listen(self) -> asyncio.Task[Frame]:
-        """The task that waits for the next frame; it goes on when who waits for it is cancelled."""
+        """The task that waits for the next frame; cancelling who awaits it does not end it."""
         if self.coming is None:
             self.since_s = asyncio.get_running_loop().time()
             self.coming = asyncio.create_task(self._hear(), name=f"listen {self.name}")
         return self.coming
 
     def listen_again(self) -> None:
-        """After it gave up: the same wait goes on."""
+        """Wait on after it gave up, with the same start time."""
         since_s, self.coming = self.since_s, None
         self.listen()
         self.since_s = since_s
@@ -88,14 +88,14 @@ class Side:
                 self.closing = None
 
     def look_at(self, frame: Frame, *, detect_frozen: bool) -> PairingError | None:
-        """Remember a frame; what is wrong with it after the one before, or nothing."""
+        """Remember a frame; returns what is wrong with it after the previous one, or None."""
         last_id, last_image = self.frame_id, self.image
         self.frame_id, self.image = frame.frame_id, frame.image
         if last_id is not None and frame.frame_id <= last_id:
             return FrameRepeated(
                 self.name, f"frame {frame.frame_id} came after frame {last_id}: not a new image"
             )
-        # a dark or saturated image has no pixel to tell it from the one before
+        # a dark or saturated image has no pixel to tell it from the previous one
         if (
             detect_frozen
             and last_image is not None

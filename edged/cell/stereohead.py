@@ -5,7 +5,7 @@ that two frames are one exposure, and reopening what broke. Not responsible for:
 reached (`adapters`, `sim`), when it is triggered (`cycle`).
 
 A fault is a `CaptureError` at once, never a wait: cameras are opened by a task beside the cycle,
-and between two attempts the last error is all there is to say.
+and between two attempts the last error is raised again.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Coroutine
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from edged.cell.pairing import Pairing
-from edged.cell.side import Side
+from edged.cell.side import CameraSide
 from edged.cell.tasks import both, cancel_and_await
-from edged.domain.arrays import SIDES
-from edged.domain.arrays import Side as Which
+from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import Frame, FramePair
 from edged.errors import (
@@ -42,56 +42,58 @@ old connection for ever and never sends an image.
 """
 
 LISTEN_AGAIN_S = 0.1
-"""Pause before a camera is listened to again that gave up waiting: most wait for seconds."""
+"""Pause before listening again to a camera whose wait timed out: most time out after seconds."""
 
 T = TypeVar("T")
 
 
-class StereoHead:
-    """Two cameras that are triggered together.
+@dataclass(frozen=True, slots=True)
+class HeadSettings:
+    """How a stereo head triggers, pairs and reopens its cameras.
 
     timeout_s : from trigger to both images.
     max_skew_s, max_arrival_skew_s : see `Pairing`.
     follower : the camera that exposes when the other one does, and so must be armed before that is triggered.
     free_running : both expose all the time: a frame without a partner is followed by another.
-    by_others : somebody else triggers them: when nothing comes from either, nothing is wrong with them.
+    by_others : others trigger them: that neither camera gives a frame is no fault.
     open_timeout_s : for one attempt to open both cameras.
     min_backoff_s, max_backoff_s : pause after a failed attempt, or after a fault that closed a
         camera; doubles with each one until a pair has been captured.
-    detect_frozen : an image that equals the one before it in every pixel is a fault; False for
+    detect_frozen : an image that equals the previous one in every pixel is a fault; False for
         sources without noise that may repeat themselves (a folder with one pair).
-    clock : monotonic seconds, for the back-off.
     """
+
+    timeout_s: float = 1.0
+    max_skew_s: float = 0.005
+    max_arrival_skew_s: float = 0.05
+    follower: str = ""
+    free_running: bool = False
+    by_others: bool = False
+    open_timeout_s: float = 15.0
+    min_backoff_s: float = 0.5
+    max_backoff_s: float = 5.0
+    detect_frozen: bool = True
+
+
+DEFAULTS = HeadSettings()
+
+
+class StereoHead:
+    """Two cameras that are triggered together. clock : monotonic seconds, for the back-off."""
 
     def __init__(
         self,
         left: Camera,
         right: Camera,
-        *,
-        timeout_s: float = 1.0,
-        max_skew_s: float = 0.005,
-        max_arrival_skew_s: float = 0.05,
-        follower: str = "",
-        free_running: bool = False,
-        by_others: bool = False,
-        open_timeout_s: float = 15.0,
-        min_backoff_s: float = 0.5,
-        max_backoff_s: float = 5.0,
-        detect_frozen: bool = True,
+        settings: HeadSettings = DEFAULTS,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._sides = (Side(left), Side(right))
-        self._timeout_s = timeout_s
-        self._pairing = Pairing(max_skew_s, max_arrival_skew_s)
-        self._follower = follower
-        self._free_running = free_running
-        self._by_others = by_others
-        self._open_timeout_s = open_timeout_s
-        self._min_backoff_s = min_backoff_s
-        self._max_backoff_s = max_backoff_s
-        self._detect_frozen = detect_frozen
+        self._sides = (CameraSide(left), CameraSide(right))
+        self._settings = settings
+        self._timeout_s = settings.timeout_s
+        self._pairing = Pairing(settings.max_skew_s, settings.max_arrival_skew_s)
         self._clock = clock
-        self._backoff_s = min_backoff_s
+        self._backoff_s = settings.min_backoff_s
         self._retry_at_s = 0.0
         self._missed = 0
         self._error: CaptureError | None = None
@@ -104,10 +106,10 @@ class StereoHead:
         return left.camera, right.camera
 
     async def open(self) -> None:
-        """Connect both cameras, and look after those that are connected.
+        """Connect closed cameras, and check open ones.
 
         Raises the `CaptureError` that keeps a camera closed. The first time it waits for the attempt
-        to end; while there is a known fault, for one capture time-out at most: the attempt goes on.
+        to end; during a known fault, for one capture time-out at most, and the attempt goes on.
         """
         await self._ready(look=True)
 
@@ -123,7 +125,7 @@ class StereoHead:
         return await self._judged(self._expose())
 
     async def listen(self) -> FramePair:
-        """The next exposure of both cameras, which somebody else triggers. Raises `CaptureError`.
+        """The next exposure of both cameras, which others trigger. Raises `CaptureError`.
 
         Waits for it as long as it takes; may be cancelled and called again, and no frame is lost.
         """
@@ -132,7 +134,7 @@ class StereoHead:
         return FramePair(pair.left, pair.right, missed=self._missed)
 
     async def _judged(self, frames: Coroutine[Any, Any, FramePair]) -> FramePair:
-        """The frames, if they are a new pair; else the fault has been noted."""
+        """Return the frames if they are a new pair. Raises `CaptureError`, after noting the fault."""
         try:
             pair = await frames
             self._check_pair(pair)
@@ -144,24 +146,24 @@ class StereoHead:
             side.paired_id, side.faults = frame.frame_id, 0
         self._missed = min(steps) - 1
         self._pairing.accept(pair.left, pair.right)
-        self._backoff_s = self._min_backoff_s
+        self._backoff_s = self._settings.min_backoff_s
         return pair
 
     # --- exposure and gain, tried -----------------------------------------------------------
 
-    async def adjust(self, side: Which, values: CameraValues) -> CameraValues:
-        """Set what is stated of one camera until `restore`; returns what is in force.
+    async def adjust(self, side: Side, values: CameraValues) -> CameraValues:
+        """Set the stated values of one camera until `restore`; returns all values in force.
 
-        Raises `CameraSetupError` for what it does not take, and what keeps the cameras closed.
+        Raises `CameraSetupError` for a refused value, and the `CaptureError` that keeps a camera closed.
         """
         return await self._asked(side, lambda camera: camera.adjust(values))
 
-    async def limits(self, side: Which) -> CameraLimits:
+    async def limits(self, side: Side) -> CameraLimits:
         """What one camera can be set to now. Raises `CaptureError`."""
         return await self._asked(side, lambda camera: camera.limits())
 
     async def restore(self) -> None:
-        """Undo what was adjusted; a camera that does not answer is closed, and gets it when it is opened."""
+        """Undo `adjust`; a camera that does not answer is closed, and is set up anew when it is opened."""
         for side in self._sides:
             if isinstance(side.camera, Adjustable):
                 try:
@@ -169,7 +171,7 @@ class StereoHead:
                 except CaptureError:
                     side.close_soon()
 
-    async def _asked(self, name: Which, question: Callable[[Adjustable], Awaitable[T]]) -> T:
+    async def _asked(self, name: Side, question: Callable[[Adjustable], Awaitable[T]]) -> T:
         await self._ready(look=False)
         camera = self.cameras[SIDES.index(name)]
         if not isinstance(camera, Adjustable):
@@ -177,7 +179,7 @@ class StereoHead:
         try:
             return await question(camera)
         except CameraSetupError:
-            raise  # it refuses, and is well
+            raise  # the camera refused a value, and works
         except CaptureError as error:
             raise self._note(error) from None
 
@@ -197,7 +199,7 @@ class StereoHead:
     async def _ready(self, *, look: bool) -> None:
         """Return when both cameras are open, or raise why they are not.
 
-        look : ask open cameras as well (`Camera.open` of an open camera says whether it is alive).
+        look : check open cameras as well (`Camera.open` of an open camera says whether it is alive).
         """
         if self._attempt is None:
             if not look and all(side.open for side in self._sides):
@@ -206,7 +208,7 @@ class StereoHead:
                 raise self._error.with_traceback(None)  # or every raise would make it longer
             self._attempt = asyncio.create_task(self._open_both(), name="open cameras")
         attempt = self._attempt
-        wait_s = self._open_timeout_s + 1.0 if self._error is None else self._timeout_s
+        wait_s = self._settings.open_timeout_s + 1.0 if self._error is None else self._timeout_s
         await asyncio.wait({attempt}, timeout=wait_s)
         if not attempt.done():
             error = self._error or CameraUnreachable("both", "still being opened")
@@ -218,22 +220,24 @@ class StereoHead:
             raise self._error.with_traceback(None)
 
     async def _open_both(self) -> None:
-        """One attempt; leaves its verdict in `_error`. A camera that is well stays open meanwhile."""
+        """One attempt; its result is `_error`. A camera that works stays open meanwhile."""
         left, right = self._sides
-        limit_s = self._open_timeout_s + 5.0  # each side has its own limit: this one is never met
+        limit_s = self._settings.open_timeout_s + 5.0  # each side has its own limit: this is never reached
         errors = [e for e in await both(self._open(left), self._open(right), limit_s) if e is not None]
         if errors:
             self._fail(_merge(errors))
         else:
             self._error = None
 
-    async def _open(self, side: Side) -> CaptureError | None:
+    async def _open(self, side: CameraSide) -> CaptureError | None:
         try:
-            async with asyncio.timeout(self._open_timeout_s):
+            async with asyncio.timeout(self._settings.open_timeout_s):
                 await side.closed()
                 await side.camera.open()
         except TimeoutError:
-            error: CaptureError = CameraUnreachable(side.name, f"not open after {self._open_timeout_s:g} s")
+            error: CaptureError = CameraUnreachable(
+                side.name, f"not open after {self._settings.open_timeout_s:g} s"
+            )
         except CaptureError as refused:
             error = refused
         else:
@@ -243,10 +247,10 @@ class StereoHead:
         return error
 
     def _fail(self, error: CaptureError) -> None:
-        """No camera is touched before the back-off has passed."""
+        """Note the error; no camera is touched before the back-off has passed."""
         self._error = error
         self._retry_at_s = self._clock() + self._backoff_s
-        self._backoff_s = min(2 * self._backoff_s, self._max_backoff_s)
+        self._backoff_s = min(2 * self._backoff_s, self._settings.max_backoff_s)
 
     # --- one exposure ------------------------------------------------------------------------
 
@@ -257,7 +261,7 @@ class StereoHead:
         deadline_s = asyncio.get_running_loop().time() + self._timeout_s
 
         async def shoot(camera: Camera) -> Frame:
-            if self._follower and camera.name != self._follower:
+            if self._settings.follower and camera.name != self._settings.follower:
                 await armed.wait()
             await camera.trigger()
             armed.set()
@@ -269,17 +273,17 @@ class StereoHead:
         try:
             pair = FramePair(*await both(shoot(left), shoot(right), self._timeout_s))
             async with asyncio.timeout_at(deadline_s):
-                return await self._nearest(pair) if self._free_running else pair
+                return await self._nearest(pair) if self._settings.free_running else pair
         except TimeoutError:
             if not waiting:
                 raise FrameUnpaired("both", f"no two frames fit within {self._timeout_s:g} s") from None
             name = waiting[0] if len(waiting) == 1 else "both"
-            if self._by_others and name == "both":
+            if self._settings.by_others and name == "both":
                 raise FrameTimeout(name, f"nobody triggered them within {self._timeout_s:g} s") from None
             raise FrameTimeout(name, f"no image within {self._timeout_s:g} s of the trigger") from None
 
     async def _nearest(self, pair: FramePair) -> FramePair:
-        """Let the camera whose frame is older give another one until two fit."""
+        """Replace the older frame by the camera's next one until two fit."""
         while not (skew := self._pairing.skew(pair.left, pair.right)).is_one_exposure:
             left, right = (side.camera for side in self._sides)
             if skew.ns < 0:
@@ -289,7 +293,7 @@ class StereoHead:
         return pair
 
     async def _come(self) -> FramePair:
-        """Wait for two frames that others triggered; one without a partner is a `FrameUnpaired`."""
+        """Wait for two frames that others triggered. Raises `FrameUnpaired` for a frame without a partner."""
         while True:
             tasks = [side.listen() for side in self._sides]
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -300,8 +304,8 @@ class StereoHead:
             for side in given_up:
                 if side.has_given_up():
                     side.listen_again()
-        # this may be cancelled and called again for as long as a camera is silent: its time runs on from when
-        # the first frame was there and both were listened to
+        # this may be cancelled and called again while a camera is silent: the time-out counts from when the
+        # first frame was there and both were listened to
         now_s = asyncio.get_running_loop().time()
         frames_s = (side.heard_s for side, task in zip(self._sides, tasks, strict=True) if _has_frame(task))
         first_s = min(frames_s, default=now_s)
@@ -321,11 +325,12 @@ class StereoHead:
             raise FrameUnpaired(newer, f"no partner for frame {frames[older].frame_id} of {older}: {skew}")
         self._taken(*came)
         for task in came.values():
-            task.result()  # the fault of who gave no frame
+            task.result()  # raises the fault of the camera that gave no frame
         (name,) = {"left", "right"} - frames.keys()
         (other,) = frames.values()
         raise FrameUnpaired(
-            name, f"no partner for frame {other.frame_id} of {other.camera} within {self._timeout_s:g} s"
+            name,
+            f"no partner for frame {other.frame_id} of {other.camera} within {self._timeout_s:g} s",
         )
 
     def _taken(self, *names: str) -> None:
@@ -336,7 +341,7 @@ class StereoHead:
     def _check_pair(self, pair: FramePair) -> None:
         """Raise `PairingError` unless both frames are new and show one instant."""
         errors = [
-            side.look_at(frame, detect_frozen=self._detect_frozen)
+            side.look_at(frame, detect_frozen=self._settings.detect_frozen)
             for side, frame in zip(self._sides, (pair.left, pair.right), strict=True)
         ]
         for error in errors:
@@ -346,9 +351,9 @@ class StereoHead:
             raise PairingError("both", problem)
 
     def _note(self, error: CaptureError) -> CaptureError:
-        """Close cameras that an error says are gone, or that failed too often; what is to be said of it."""
+        """Close cameras that are gone or failed too often; returns the error to raise."""
         at_fault = [side for side in self._sides if error.camera in (side.name, "both")]
-        if self._by_others and isinstance(error, FrameTimeout) and len(at_fault) == 2:
+        if self._settings.by_others and isinstance(error, FrameTimeout) and len(at_fault) == 2:
             return error
         for side in at_fault:
             side.faults += 1
@@ -357,7 +362,7 @@ class StereoHead:
         broken = [side for side in at_fault if gone or side.faults >= REOPEN_AFTER]
         if broken:
             if isinstance(error, FrameTimeout):
-                # it was asked after each of them, and said that it was well
+                # the camera was checked after each failure, and answered
                 error = StreamStalled(
                     error.camera, f"no image of {REOPEN_AFTER} exposures, though it answers: opened again"
                 )
@@ -373,7 +378,7 @@ def _has_frame(task: asyncio.Task[Frame]) -> bool:
 
 
 def _merge(errors: list[CaptureError]) -> CaptureError:
-    """One error for what both cameras say; of two kinds, the left camera's."""
+    """One error for both cameras, of the left camera's type."""
     if len(errors) == 1:
         return errors[0]
     return type(errors[0])("both", "; ".join(str(error).removeprefix("camera ") for error in errors))

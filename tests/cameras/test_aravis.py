@@ -37,7 +37,7 @@ from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, 
 from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate, translated
 from edged.adapters.aravis.stream import BLOCK_IDS, Decoder, FrameCounter, pump
-from edged.cell.stereohead import StereoHead
+from edged.cell.stereohead import HeadSettings, StereoHead
 from edged.domain.frames import Frame
 from edged.errors import (
     CameraBusy,
@@ -326,7 +326,9 @@ def test_a_camera_is_found_by_its_serial_number(cell: Cell) -> None:
 def test_two_cameras_behind_a_stereo_head(cell: Cell) -> None:
     """Pairs of one instant through capture, adapter, Aravis and UDP."""
     head = StereoHead(
-        left_camera(), AravisCamera("right", AravisSettings(RIGHT)), timeout_s=5, max_skew_s=0.05
+        left_camera(),
+        AravisCamera("right", AravisSettings(RIGHT)),
+        HeadSettings(timeout_s=5, max_skew_s=0.05),
     )
 
     async def script(head: StereoHead) -> list[int]:
@@ -469,10 +471,7 @@ def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(process: Pro
     head = StereoHead(
         left_camera(),
         AravisCamera("right", AravisSettings(RIGHT)),
-        timeout_s=0.5,
-        max_skew_s=0.1,
-        max_backoff_s=0.5,
-        detect_frozen=False,
+        HeadSettings(timeout_s=0.5, max_skew_s=0.1, max_backoff_s=0.5, detect_frozen=False),
     )
 
     async def script(head: StereoHead) -> None:
@@ -514,7 +513,10 @@ def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle(proce
 
     with gige_camera(RIGHT, "EDGED-T2", Sensor(2)):
         run(
-            script, StereoHead(left_camera(), AravisCamera("right", AravisSettings(RIGHT)), max_backoff_s=0.5)
+            script,
+            StereoHead(
+                left_camera(), AravisCamera("right", AravisSettings(RIGHT)), HeadSettings(max_backoff_s=0.5)
+            ),
         )
 
 

@@ -15,7 +15,7 @@ import pytest
 from helpers.gigecell import LEFT, RIGHT, Cell, Sensor, gige_camera, run, running
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
-from edged.cell.stereohead import REOPEN_AFTER, StereoHead
+from edged.cell.stereohead import REOPEN_AFTER, HeadSettings, StereoHead
 from edged.errors import (
     CameraBusy,
     CameraRestarted,
@@ -47,9 +47,7 @@ class Line:
         self.head = StereoHead(
             AravisCamera("left", left),
             AravisCamera("right", AravisSettings(RIGHT)),
-            timeout_s=TIMEOUT_S,
-            max_skew_s=0.8,
-            max_backoff_s=0.2,
+            HeadSettings(timeout_s=TIMEOUT_S, max_skew_s=0.8, max_backoff_s=0.2),
         )
         self.faults: list[CaptureError] = []
 

@@ -15,7 +15,7 @@ from helpers.gigecell import HEIGHT, LEFT, NOBODY, RIGHT, WIDTH, Cell, left_came
 from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
 from edged.adapters.aravis.library import library
 from edged.app.cameras import camera_facts, camera_figures, head_of
-from edged.cell.stereohead import StereoHead
+from edged.cell.stereohead import HeadSettings, StereoHead
 from edged.config.cameras import CamerasSection
 from edged.domain.frames import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera
@@ -220,9 +220,7 @@ def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -
     head = StereoHead(
         left_camera(trigger=FreeRun(20.0)),
         AravisCamera("right", AravisSettings(RIGHT, trigger=FreeRun(20.0))),
-        timeout_s=5,
-        max_skew_s=0.03,
-        free_running=True,
+        HeadSettings(timeout_s=5, max_skew_s=0.03, free_running=True),
     )
 
     async def script(head: StereoHead) -> list[FramePair]:
@@ -271,8 +269,7 @@ def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:
     head = StereoHead(
         left_camera(trigger=FreeRun(20.0)),
         AravisCamera("right", AravisSettings(RIGHT, trigger=FreeRun(20.0))),
-        timeout_s=5,
-        max_skew_s=0.1,
+        HeadSettings(timeout_s=5, max_skew_s=0.1),
     )
 
     async def script(head: StereoHead) -> list[FramePair]:

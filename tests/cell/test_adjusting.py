@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edged.cell.lease.cameras import CameraChanges, SetupCameras
-from edged.cell.stereohead import StereoHead
+from edged.cell.stereohead import HeadSettings, StereoHead
 from edged.domain.arrays import Image
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import Frame
@@ -35,7 +35,7 @@ def head_with(
     size = {"width": 8, "height": 4}
     left = InProcessCamera("left", film, **size)
     right = InProcessCamera("right", Film(), **size)
-    return StereoHead(left, right, max_skew_s=0.05, min_backoff_s=backoff_s), (left, right)
+    return StereoHead(left, right, HeadSettings(max_skew_s=0.05, min_backoff_s=backoff_s)), (left, right)
 
 
 def test_what_is_adjusted_counts_until_it_is_undone() -> None:

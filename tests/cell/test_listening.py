@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.waiting import WHOLE_S
 
-from edged.cell.stereohead import REOPEN_AFTER, StereoHead
+from edged.cell.stereohead import REOPEN_AFTER, HeadSettings, StereoHead
 from edged.domain.frames import Frame, FramePair, TimeBase
 from edged.errors import CaptureError, FrameIncomplete, FrameTimeout, FrameUnpaired
 
@@ -60,7 +60,7 @@ def streaming(script: Callable[[StereoHead, Streaming, Streaming], Awaitable[Any
 
     async def main() -> Any:
         left, right = Streaming("left"), Streaming("right")
-        head = StereoHead(left, right, **{"timeout_s": 0.1, "max_skew_s": 0.005, **options})
+        head = StereoHead(left, right, HeadSettings(**{"timeout_s": 0.1, "max_skew_s": 0.005, **options}))
         before = asyncio.all_tasks()
         try:
             return await script(head, left, right)

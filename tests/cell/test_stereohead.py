@@ -13,7 +13,7 @@ import pytest
 from helpers.waiting import LIMIT_S, WHOLE_S
 
 from edged import errors
-from edged.cell.stereohead import REOPEN_AFTER, StereoHead
+from edged.cell.stereohead import REOPEN_AFTER, HeadSettings, StereoHead
 from edged.cell.tasks import both
 from edged.domain.arrays import Image
 from edged.domain.frames import Frame, FramePair
@@ -45,14 +45,20 @@ def noise(request: ExposureRequest) -> Image:
 class Bench:
     """A stereo head on two in-process cameras."""
 
-    def __init__(self, exposure: Callable[[ExposureRequest], Image] = noise, **options: Any) -> None:
+    def __init__(
+        self,
+        exposure: Callable[[ExposureRequest], Image] = noise,
+        clock: Callable[[], float] = time.monotonic,
+        **options: Any,
+    ) -> None:
         self.left, self.right = (
             InProcessCamera(name, exposure, width=16, height=12) for name in ("left", "right")
         )
         self.head = StereoHead(
             self.left,
             self.right,
-            **{"timeout_s": TIMEOUT_S, "max_skew_s": 0.1, "min_backoff_s": 0.02, **options},
+            HeadSettings(**{"timeout_s": TIMEOUT_S, "max_skew_s": 0.1, "min_backoff_s": 0.02, **options}),
+            clock,
         )
 
     def side(self, name: str) -> InProcessCamera:
@@ -205,7 +211,7 @@ def test_the_loop_keeps_running_while_an_image_is_rendered() -> None:
             return noise(request)
 
         left, right = (InProcessCamera(name, render, width=16, height=12) for name in ("left", "right"))
-        head = StereoHead(left, right, timeout_s=10.0)
+        head = StereoHead(left, right, HeadSettings(timeout_s=10.0))
         await head.capture()
         await head.close()
 
@@ -382,7 +388,7 @@ def scripted(*exposures: tuple[tuple[int, float], tuple[int, float]]) -> list[st
     left, right = Scripted("left"), Scripted("right")
 
     async def main() -> list[str]:
-        head = StereoHead(left, right, timeout_s=5.0, max_skew_s=0.005)
+        head = StereoHead(left, right, HeadSettings(timeout_s=5.0, max_skew_s=0.005))
         verdicts = []
         for ours, theirs in exposures:
             left.expose(*ours)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from edged.adapters.replay import ReplayCamera, replay_cameras
-from edged.cell.stereohead import StereoHead
+from edged.cell.stereohead import HeadSettings, StereoHead
 from edged.domain.arrays import Image
 from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
 
@@ -121,7 +121,7 @@ def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) -> Non
     cv2.imwrite(str(tmp_path / "d_right.tif"), np.zeros((12, 16), np.float32))
 
     async def main():
-        head = StereoHead(*replay_cameras(tmp_path), min_backoff_s=0.0)
+        head = StereoHead(*replay_cameras(tmp_path), HeadSettings(min_backoff_s=0.0))
         results = [(await head.capture()).left.frame_id]
         for _ in range(3):
             with pytest.raises(FrameIncomplete) as caught:

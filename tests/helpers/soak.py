@@ -386,7 +386,7 @@ class World:
     @property
     def in_force(self) -> int:
         """Version of the files by which the cell measures now."""
-        return int(vars(self.cycle)["_setup"].fingerprint, 16)
+        return int(vars(self.cycle)["_cell"].setup.fingerprint, 16)
 
     def _locate(
         self, job: int, head: int, version: int, pair: FramePair, _lap: Callable[[str], None]

@@ -11,6 +11,7 @@ from helpers.soak import Soak
 
 from edged.adapters.modbus.cell import NOBODYS, CellRegisters
 from edged.adapters.zenoh.triggers import PendingTriggers
+from edged.cell.context import CellContext
 from edged.cell.cycle import Cycle
 from edged.cell.loaded import LoadedJob
 from edged.domain.events import PLC_SOURCE
@@ -57,7 +58,7 @@ def test_a_cell_that_forgets_the_age_is_caught(monkeypatch: pytest.MonkeyPatch) 
     def ageless(validity_s: float, *others: Any, **named: Any) -> hs.HandshakeLimits:
         return real(9e9, *others, **named)
 
-    monkeypatch.setattr("edged.adapters.modbus.settings.Limits", ageless)
+    monkeypatch.setattr("edged.adapters.modbus.settings.HandshakeLimits", ageless)
     assert found("VALID after")
 
 
@@ -149,7 +150,7 @@ def test_two_reloads_that_lose_the_cameras_of_the_first_are_caught(monkeypatch: 
     real = Cycle.exchange
 
     def overwrite(self: Cycle, setup: Any, head: Any = None) -> None:
-        vars(self)["_pending"] = None
+        vars(self)["_cell"].pending = None
         real(self, setup, head)
 
     monkeypatch.setattr(Cycle, "exchange", overwrite)
@@ -160,8 +161,8 @@ class _AnyJob(dict[int, LoadedJob]):
     """Jobs of which a missing one is the active one."""
 
     def __init__(self, cycle: Cycle) -> None:
-        super().__init__(vars(cycle)["_setup"].jobs)
-        self._active = vars(cycle)["_active"]
+        super().__init__(vars(cycle)["_cell"].setup.jobs)
+        self._active = vars(cycle)["_cell"].active
 
     def __missing__(self, number: int) -> LoadedJob:
         return self._active
@@ -173,11 +174,11 @@ def test_a_missing_job_that_is_measured_as_the_active_one_is_caught(monkeypatch:
     real = vars(Cycle)["_measure"]
 
     async def anything(self: Cycle, command: Any, heard: Any) -> Any:
-        mine = vars(self)
-        mine["_setup"] = dataclasses.replace(mine["_setup"], jobs=_AnyJob(self))
+        mine = vars(self)["_cell"]
+        mine.setup = dataclasses.replace(mine.setup, jobs=_AnyJob(self))
         return await real(self, command, heard)
 
-    monkeypatch.setattr(Cycle, "_fail_waiting", lambda _self, _why: None)
+    monkeypatch.setattr(CellContext, "fail_waiting", lambda _self, _why: None)
     monkeypatch.setattr(Cycle, "_measure", anything)
     assert found("for a trigger of job")
 
