@@ -1,4 +1,8 @@
-"""The blocks of the map, word by word: the one place where an address is written down."""
+"""The blocks of the map, word by word: the one place where an address is written down.
+
+A row of a table is: name, kind, unit ("-": none; "_" is a space), meaning. A name that ends in [XYZABC] is one
+register per axis, in the first unit for lengths and in the second for angles.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,6 @@ from edged.plc.registers.schema import (
     TABLE_ROWS,
     Block,
     Flag,
-    Kind,
     Option,
     ResultCode,
     StatusBit,
@@ -25,323 +28,214 @@ from edged.plc.registers.schema import (
 from edged.robot.orientations import Convention
 
 AXES = ("X", "Y", "Z", "A", "B", "C")
-_U16, _I32, _U32, _U64, _F32 = Kind.U16, Kind.I32, Kind.U32, Kind.U64, Kind.F32
 
 CONSTANTS = make_block(
     "constants",
     0,
-    [
-        ("MAGIC", _U16, "", "0x4544: this is edged, and the base address is right"),
-        ("MAP_VERSION", _U16, "", "grows when a word changes its meaning"),
-        ("PROBE_U32", _U32, "", "0x01020304: reads so only with the right word order"),
-        ("PROBE_F32", _F32, "", "123.456, for the same check of floats"),
-        ("POSE_CONVENTION", _U16, "", f"what A, B, C mean: {list_codes(Convention)}"),
-        ("UNIT_LENGTH", _U16, "", "unit of X, Y, Z: 1 is µm"),
-        ("UNIT_ANGLE", _U16, "", "unit of A, B, C: 1 is 0.001°"),
-        ("RESERVED_9", _U16, "", "0"),
-        ("CONFIG_CRC", _U32, "", "fingerprint of the configuration, rig and jobs that are loaded"),
-        ("CALIBRATION", _U32, "", "CRC-32 of the id of the calibration that is loaded"),
-        ("TABLE_ROWS", _U16, "", "rows of the target table"),
-        ("ROW_WORDS", _U16, "", "words of each row"),
-    ],
+    f"""
+    MAGIC            u16 - 0x4544: this is edged, and the base address is right
+    MAP_VERSION      u16 - grows when a word changes its meaning
+    PROBE_U32        u32 - 0x01020304: reads so only with the right word order
+    PROBE_F32        f32 - 123.456, for the same check of floats
+    POSE_CONVENTION  u16 - what A, B, C mean: {list_codes(Convention)}
+    UNIT_LENGTH      u16 - unit of X, Y, Z: 1 is µm
+    UNIT_ANGLE       u16 - unit of A, B, C: 1 is 0.001°
+    RESERVED_9       u16 - 0
+    CONFIG_CRC       u32 - fingerprint of the configuration, rig and jobs that are loaded
+    CALIBRATION      u32 - CRC-32 of the id of the calibration that is loaded
+    TABLE_ROWS       u16 - rows of the target table
+    ROW_WORDS        u16 - words of each row
+    """,
 )
 
 COMMAND = make_block(
     "command",
     100,
-    [
-        (
-            "COMMAND",
-            _U16,
-            "",
-            f"{list_codes(CommandKind)}. GRAB takes the picture only; VERIFY measures and answers OK or NOK, "
-            "but no robot gets coordinates from it; NEXT_PART goes on with the parts of the last LOCATE; the "
-            "others register the rig by the robot's own program, where `[registration]` allows it",
-        ),
-        ("JOB", _U16, "", "job number; 0: the active one"),
-        (
-            "CMD_SEQ",
-            _U16,
-            "",
-            "write it last: the command runs when this changes. 0: no command, shows a free-running cell. "
-            "The first one of a connection, and after the start or another client's, runs nothing (NACK 8)",
-        ),
-        ("ACK_SEQ", _U16, "", "write SEQ of the result here when it is used: RESULT_VALID drops"),
-        (
-            "CLIENT_HEARTBEAT",
-            _U16,
-            "",
-            "optional: count it up; when it stops the result is withdrawn. 0: not supervised",
-        ),
-        (
-            "OPTIONS",
-            _U16,
-            "bits",
-            f"{list_bits(Option)}; reads back as 0. RELEASE gives up the right to write. The others count in "
-            "one request with CMD_SEQ. ONCE: it is not written again and again, so it runs as the first of a "
-            "connection, too. ALL_JOBS: every job is tried, none is begun after 3 s; JOB of the result is "
-            "the one whose part agrees best",
-        ),
-        *(
-            (
-                f"FLANGE_{axis}",
-                _I32,
-                "µm" if axis in "XYZ" else "0.001°",
-                "pose of the flange at the exposure, A, B, C as POSE_CONVENTION says, for a rig that the "
-                "robot carries (LOCATE is refused without it), and for REGISTER_ADD (after TOUCH_START "
-                "of the tool's tip where it touched); serves one command, then reads 0",
-            )
-            for axis in AXES
-        ),
-        ("TIMEOUT", _U16, "ms", "time-out of the command, NACK after it; 0: none"),
-        (
-            "AUTO_LOCK",
-            _U16,
-            "",
-            "1: the plant runs; nobody may take the cell for SETUP, and who has it loses it. 0: they may; so "
-            "it is without the connection that wrote 1",
-        ),
-        (
-            "BOX",
-            _U16,
-            "",
-            "of the boxes of the cell's `[limits]` this one alone counts for the command, from 1; 0: each of "
-            "them. Stays as it was written",
-        ),
-        ("RESERVED_121", _U16, "", "write 0"),
-    ],
+    f"""
+    COMMAND          u16 - {list_codes(CommandKind)}. GRAB takes the picture only; VERIFY measures and
+        answers OK or NOK, but no robot gets coordinates from it; NEXT_PART goes on with the parts of the
+        last LOCATE; the others register the rig by the robot's own program, where `[registration]` allows it
+    JOB              u16 - job number; 0: the active one
+    CMD_SEQ          u16 - write it last: the command runs when this changes. 0: no command, shows a
+        free-running cell. The first one of a connection, and after the start or another client's, runs
+        nothing (NACK 8)
+    ACK_SEQ          u16 - write SEQ of the result here when it is used: RESULT_VALID drops
+    CLIENT_HEARTBEAT u16 - optional: count it up; when it stops the result is withdrawn. 0: not supervised
+    OPTIONS          u16 bits {list_bits(Option)}; reads back as 0. RELEASE gives up the right to write. The
+        others count in one request with CMD_SEQ. ONCE: it is not written again and again, so it runs as the
+        first of a connection, too. ALL_JOBS: every job is tried, none is begun after 3 s; JOB of the result
+        is the one whose part agrees best
+    FLANGE_[XYZABC]  i32 µm/0.001° pose of the flange at the exposure, A, B, C as POSE_CONVENTION says, for a
+        rig that the robot carries (LOCATE is refused without it), and for REGISTER_ADD (after TOUCH_START of
+        the tool's tip where it touched); serves one command, then reads 0
+    TIMEOUT          u16 ms time-out of the command, NACK after it; 0: none
+    AUTO_LOCK        u16 - 1: the plant runs; nobody may take the cell for SETUP, and who has it loses it.
+        0: they may; so it is without the connection that wrote 1
+    BOX              u16 - of the boxes of the cell's `[limits]` this one alone counts for the command, from
+        1; 0: each of them. Stays as it was written
+    RESERVED_121     u16 - write 0
+    """,
     writable=True,
 )
 
 STATUS = make_block(
     "status",
     200,
-    [
-        ("STATE", _U16, "", "0 STARTING, 1 READY, 2 BUSY, 3 FAULT, 4 STOPPING, 5 SETUP"),
-        (
-            "STATUS_BITS",
-            _U16,
-            "bits",
-            list_bits(StatusBit)
-            + "; ACK and NACK belong to DONE_SEQ; 13 and 14 are not raised by this version",
-        ),
-        ("CMD_SEQ_ECHO", _U16, "", "the CMD_SEQ that was taken note of"),
-        ("HEARTBEAT", _U16, "0.1 s", "counts at 10 Hz while the server lives"),
-        ("ERROR", _U16, "", "0: none; 1xx: cameras; 1: other, see the log"),
-        (
-            "WARNING",
-            _U16,
-            "bits",
-            f"{list_bits(Warn)}: no client's CMD_SEQ is known, the next one runs nothing",
-        ),
-        ("ACTIVE_JOB", _U16, "", "the job that is loaded and warm"),
-        ("RESULT_AGE", _U32, "ms", "since the exposure of the result on display; 0xFFFFFFFF: none"),
-        ("MISSED_TRIGGERS", _U16, "", "since start; stays at 65535"),
-        ("CLIENTS", _U16, "", "connected clients"),
-        (
-            "DONE_SEQ",
-            _U16,
-            "",
-            "the last command that ended, the newest one from its end on; ACK, NACK, NACK_REASON speak of it",
-        ),
-        ("OPEN_COMMANDS", _U16, "", "accepted and not ended, at most 8"),
-        (
-            "NACK_REASON",
-            _U16,
-            "",
-            "0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed, 6 camera fault, "
-            "7 the cell is in SETUP, 8 first CMD_SEQ of a connection, or after a start or another client's: "
-            "nothing ran, 9 no next part; of a registration 10 none is under way, 11 not seen, "
-            "12 same place, 13 too few, 14 turn more, 15 not good, 16 other reading; 17 there was a reload "
-            "while it waited",
-        ),
-        ("WRITE_OWNER", _U16, "", "1: a client holds the right to write"),
-        (
-            "LAST_SEQ",
-            _U16,
-            "",
-            "the newest CMD_SEQ other than 0 since the start: a program that begins goes on after it",
-        ),
-        (
-            "START_EPOCH",
-            _U32,
-            "",
-            "another number after each start of the daemon or of this server, and after each exchange of "
-            "what results stand on (rig, jobs, limits, cameras); never 0",
-        ),
-        ("SETUP_SOURCE", _U16, "", f"why the cell is in SETUP: {list_codes(SetupSource)}"),
-        (
-            "CONVENTION",
-            _U16,
-            "",
-            "as POSE_CONVENTION, for a program to know before it commands",
-        ),
-    ],
+    f"""
+    STATE            u16 - 0 STARTING, 1 READY, 2 BUSY, 3 FAULT, 4 STOPPING, 5 SETUP
+    STATUS_BITS      u16 bits {list_bits(StatusBit)}; ACK and NACK belong to DONE_SEQ; 13 and 14 are not
+        raised by this version
+    CMD_SEQ_ECHO     u16 - the CMD_SEQ that was taken note of
+    HEARTBEAT        u16 0.1_s counts at 10 Hz while the server lives
+    ERROR            u16 - 0: none; 1xx: cameras; 1: other, see the log
+    WARNING          u16 bits {list_bits(Warn)}: no client's CMD_SEQ is known, the next one runs nothing
+    ACTIVE_JOB       u16 - the job that is loaded and warm
+    RESULT_AGE       u32 ms since the exposure of the result on display; 0xFFFFFFFF: none
+    MISSED_TRIGGERS  u16 - since start; stays at 65535
+    CLIENTS          u16 - connected clients
+    DONE_SEQ         u16 - the last command that ended, the newest one from its end on; ACK, NACK,
+        NACK_REASON speak of it
+    OPEN_COMMANDS    u16 - accepted and not ended, at most 8
+    NACK_REASON      u16 - 0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed,
+        6 camera fault, 7 the cell is in SETUP, 8 first CMD_SEQ of a connection, or after a start or another
+        client's: nothing ran, 9 no next part; of a registration 10 none is under way, 11 not seen,
+        12 same place, 13 too few, 14 turn more, 15 not good, 16 other reading; 17 there was a reload while
+        it waited
+    WRITE_OWNER      u16 - 1: a client holds the right to write
+    LAST_SEQ         u16 - the newest CMD_SEQ other than 0 since the start: a program that begins goes on
+        after it
+    START_EPOCH      u32 - another number after each start of the daemon or of this server, and after each
+        exchange of what results stand on (rig, jobs, limits, cameras); never 0
+    SETUP_SOURCE     u16 - why the cell is in SETUP: {list_codes(SetupSource)}
+    CONVENTION       u16 - as POSE_CONVENTION, for a program to know before it commands
+    """,
 )
 
 RESULT = make_block(
     "result",
     300,
-    [
-        ("SEQ_HEAD", _U16, "", "CMD_SEQ of the command; cycle number of a free-running cell; 0: no result"),
-        ("RESULT", _U16, "", list_codes(ResultCode)),
-        ("JOB", _U16, "", "job that was measured"),
-        (
-            "REJECT",
-            _U16,
-            "bits",
-            list_bits(Reject),
-        ),
-        ("COUNT", _U16, "", "targets that were found"),
-        ("INDEX", _U16, "", "row of the target table that is shown here; NEXT_PART shows a later one"),
-        ("SCORE", _U16, "0.01 %", "visible share of the model that agrees"),
-        ("FLAGS", _U16, "bits", list_bits(Flag) + "; coordinates are in the rig frame without ROBOT_FRAME"),
-        *((axis, _I32, "µm" if axis in "XYZ" else "0.001°", "INT32_MIN when not VALID") for axis in AXES),
-        ("RADIUS", _I32, "µm", "of the largest circle; INT32_MIN when there is none"),
-        ("DEPTH", _I32, "µm", "of the reference point along the left camera's axis"),
-        *(
-            (
-                f"SIGMA_{name}",
-                _U16,
-                "0.001°" if name in ("A", "B", "C") else "0.1 µm",
-                "one sigma; 65535: not known, or larger than can be written",
-            )
-            for name in (*AXES, "RADIUS", "DEPTH")
-        ),
-        ("EPIPOLAR_ERROR", _U16, "0.001 px", "rms row difference of corresponding points; 65535: not known"),
-        ("REMAINING", _U16, "", "good parts of the same exposure that NEXT_PART can still give"),
-        ("EXPOSURE_NS", _U64, "ns", "UTC of the exposure since 1970"),
-        ("CYCLE", _U32, "", "cycle number"),
-        ("LATENCY", _U32, "µs", "from exposure to publication"),
-        ("CALIBRATION", _U32, "", "CRC-32 of the calibration id"),
-        ("START_EPOCH", _U32, "", "as in the status: the start to which this result belongs"),
-        ("CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
-        (
-            "SEQ_TAIL",
-            _U16,
-            "",
-            "equals SEQ_HEAD as long as the block says what it said when the result appeared; 0 once it is "
-            "withdrawn: acknowledged, too old, or RESULT is RELOADED",
-        ),
-    ],
+    f"""
+    SEQ_HEAD         u16 - CMD_SEQ of the command; cycle number of a free-running cell; 0: no result
+    RESULT           u16 - {list_codes(ResultCode)}
+    JOB              u16 - job that was measured
+    REJECT           u16 bits {list_bits(Reject)}
+    COUNT            u16 - targets that were found
+    INDEX            u16 - row of the target table that is shown here; NEXT_PART shows a later one
+    SCORE            u16 0.01_% visible share of the model that agrees
+    FLAGS            u16 bits {list_bits(Flag)}; coordinates are in the rig frame without ROBOT_FRAME
+    [XYZABC]         i32 µm/0.001° INT32_MIN when not VALID
+    RADIUS           i32 µm of the largest circle; INT32_MIN when there is none
+    DEPTH            i32 µm of the reference point along the left camera's axis
+    SIGMA_[XYZABC]   u16 0.1_µm/0.001° one sigma; 65535: not known, or larger than can be written
+    SIGMA_RADIUS     u16 0.1_µm one sigma; 65535: not known, or larger than can be written
+    SIGMA_DEPTH      u16 0.1_µm one sigma; 65535: not known, or larger than can be written
+    EPIPOLAR_ERROR   u16 0.001_px rms row difference of corresponding points; 65535: not known
+    REMAINING        u16 - good parts of the same exposure that NEXT_PART can still give
+    EXPOSURE_NS      u64 ns UTC of the exposure since 1970
+    CYCLE            u32 - cycle number
+    LATENCY          u32 µs from exposure to publication
+    CALIBRATION      u32 - CRC-32 of the calibration id
+    START_EPOCH      u32 - as in the status: the start to which this result belongs
+    CRC16            u16 - CRC-16/MODBUS of the words before, each high byte first
+    SEQ_TAIL         u16 - equals SEQ_HEAD as long as the block says what it said when the result appeared;
+        0 once it is withdrawn: acknowledged, too old, or RESULT is RELOADED
+    """,
 )
 
 UR = make_block(
     "ur",
     400,
-    [
-        ("UR_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
-        ("UR_FLAGS", _U16, "bits", "as FLAGS"),
-        ("UR_RESULT", _U16, "", "as RESULT"),
-        *((f"UR_{axis}", _I32, "µm", "high word, low word; 32768, 0 when not VALID") for axis in "XYZ"),
-        *(
-            (f"UR_R{axis}", _I32, "µrad", "rotation vector, high word, low word; 32768, 0 when not VALID")
-            for axis in "XYZ"
-        ),
-        ("UR_JOB", _U16, "", "as JOB"),
-        ("UR_STATUS_BITS", _U16, "bits", "as STATUS_BITS"),
-        ("UR_DONE_SEQ", _U16, "", "as DONE_SEQ"),
-        ("UR_HEARTBEAT", _U16, "0.1 s", "as HEARTBEAT"),
-        ("UR_CMD_SEQ_ECHO", _U16, "", "as CMD_SEQ_ECHO"),
-        ("UR_NACK_REASON", _U16, "", "as NACK_REASON"),
-        ("UR_LAST_SEQ", _U16, "", "as LAST_SEQ"),
-        ("UR_START_EPOCH", _U32, "", "as START_EPOCH"),
-        ("UR_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
-        ("UR_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
-        ("UR_REMAINING", _U16, "", "as REMAINING"),
-    ],
+    """
+    UR_SEQ_HEAD      u16 - as SEQ_HEAD
+    UR_FLAGS         u16 bits as FLAGS
+    UR_RESULT        u16 - as RESULT
+    UR_[XYZ]         i32 µm high word, low word; 32768, 0 when not VALID
+    UR_R[XYZ]        i32 µrad rotation vector, high word, low word; 32768, 0 when not VALID
+    UR_JOB           u16 - as JOB
+    UR_STATUS_BITS   u16 bits as STATUS_BITS
+    UR_DONE_SEQ      u16 - as DONE_SEQ
+    UR_HEARTBEAT     u16 0.1_s as HEARTBEAT
+    UR_CMD_SEQ_ECHO  u16 - as CMD_SEQ_ECHO
+    UR_NACK_REASON   u16 - as NACK_REASON
+    UR_LAST_SEQ      u16 - as LAST_SEQ
+    UR_START_EPOCH   u32 - as START_EPOCH
+    UR_CRC16         u16 - CRC-16/MODBUS of the words before, each high byte first
+    UR_SEQ_TAIL      u16 - as SEQ_TAIL
+    UR_REMAINING     u16 - as REMAINING
+    """,
     high_first=True,
 )
 
 UR_GRASP = make_block(
     "ur grasp",
     427,
-    [
-        ("UG_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
-        ("UG_FLAGS", _U16, "bits", "as FLAGS; VALID when the part has a grasp"),
-        ("UG_GRASP", _U16, "", "as GRASP"),
-        *((f"UG_{axis}", _I32, "µm", "of the grasp; 32768, 0 when not VALID") for axis in "XYZ"),
-        *((f"UG_R{axis}", _I32, "µrad", "rotation vector; 32768, 0 when not VALID") for axis in "XYZ"),
-        *((f"UG_APPROACH_{axis}", _I32, "µm", "from where the tool comes, turned alike") for axis in "XYZ"),
-        ("UG_RETREAT", _I32, "µm", "as G_RETREAT"),
-        ("UG_START_EPOCH", _U32, "", "as START_EPOCH"),
-        ("UG_CRC16", _U16, "", "CRC-16/MODBUS of the words of this block before, each high byte first"),
-        ("UG_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
-    ],
+    """
+    UG_SEQ_HEAD       u16 - as SEQ_HEAD
+    UG_FLAGS          u16 bits as FLAGS; VALID when the part has a grasp
+    UG_GRASP          u16 - as GRASP
+    UG_[XYZ]          i32 µm of the grasp; 32768, 0 when not VALID
+    UG_R[XYZ]         i32 µrad rotation vector; 32768, 0 when not VALID
+    UG_APPROACH_[XYZ] i32 µm from where the tool comes, turned alike
+    UG_RETREAT        i32 µm as G_RETREAT
+    UG_START_EPOCH    u32 - as START_EPOCH
+    UG_CRC16          u16 - CRC-16/MODBUS of the words of this block before, each high byte first
+    UG_SEQ_TAIL       u16 - as SEQ_TAIL
+    """,
     high_first=True,
 )
 
 FLOAT = make_block(
     "float",
     500,
-    [
-        ("F_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
-        ("F_FLAGS", _U16, "bits", "as FLAGS"),
-        *((f"F_{axis}", _F32, "mm" if axis in "XYZ" else "°", "NaN when not VALID") for axis in AXES),
-        ("F_RADIUS", _F32, "mm", "NaN when not VALID"),
-        ("F_DEPTH", _F32, "mm", "NaN when not VALID"),
-        *((f"F_SIGMA_{axis}", _F32, "mm" if axis in "XYZ" else "°", "one sigma") for axis in AXES),
-        ("F_RESULT", _U16, "", "as RESULT"),
-        ("F_START_EPOCH", _U32, "", "as START_EPOCH"),
-        ("F_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
-        ("F_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
-    ],
+    """
+    F_SEQ_HEAD       u16 - as SEQ_HEAD
+    F_FLAGS          u16 bits as FLAGS
+    F_[XYZABC]       f32 mm/° NaN when not VALID
+    F_RADIUS         f32 mm NaN when not VALID
+    F_DEPTH          f32 mm NaN when not VALID
+    F_SIGMA_[XYZABC] f32 mm/° one sigma
+    F_RESULT         u16 - as RESULT
+    F_START_EPOCH    u32 - as START_EPOCH
+    F_CRC16          u16 - CRC-16/MODBUS of the words before, each high byte first
+    F_SEQ_TAIL       u16 - as SEQ_TAIL
+    """,
 )
-
 
 GRASP = make_block(
     "grasp",
     540,
-    [
-        ("G_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
-        ("G_FLAGS", _U16, "bits", "as FLAGS; VALID when the part that is shown has a grasp"),
-        ("GRASP", _U16, "", "number of the grasp in the job, from 1; 0: the job has none"),
-        ("G_TURN", _I32, "0.001°", "by how much it is turned about the part's z against the taught one"),
-        *(
-            (f"G_{axis}", _I32, "µm" if axis in "XYZ" else "0.001°", "of the tool; INT32_MIN when not VALID")
-            for axis in AXES
-        ),
-        *((f"G_APPROACH_{axis}", _I32, "µm", "from where the tool comes, turned alike") for axis in "XYZ"),
-        ("G_RETREAT", _I32, "µm", "how far it goes back along its z"),
-        *(
-            (f"G_SIGMA_{axis}", _U16, "0.1 µm" if axis in "XYZ" else "0.001°", "one sigma, as SIGMA_X")
-            for axis in AXES
-        ),
-        ("G_START_EPOCH", _U32, "", "as START_EPOCH"),
-        ("G_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
-        ("G_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
-    ],
+    """
+    G_SEQ_HEAD       u16 - as SEQ_HEAD
+    G_FLAGS          u16 bits as FLAGS; VALID when the part that is shown has a grasp
+    GRASP            u16 - number of the grasp in the job, from 1; 0: the job has none
+    G_TURN           i32 0.001° by how much it is turned about the part's z against the taught one
+    G_[XYZABC]       i32 µm/0.001° of the tool; INT32_MIN when not VALID
+    G_APPROACH_[XYZ] i32 µm from where the tool comes, turned alike
+    G_RETREAT        i32 µm how far it goes back along its z
+    G_SIGMA_[XYZABC] u16 0.1_µm/0.001° one sigma, as SIGMA_X
+    G_START_EPOCH    u32 - as START_EPOCH
+    G_CRC16          u16 - CRC-16/MODBUS of the words before, each high byte first
+    G_SEQ_TAIL       u16 - as SEQ_TAIL
+    """,
 )
 
 REGISTRATION = make_block(
     "registration",
     576,
-    [
-        ("H_SEQ", _U16, "", "CMD_SEQ of the command of a registration that this is the state after; 0: none"),
-        ("H_METHOD", _U16, "", list_codes(Method)),
-        ("H_SAMPLES", _U16, "", "poses or points that were taken"),
-        ("H_USED", _U16, "", "of them, those that REGISTER_SOLVE did not reject as outliers"),
-        (
-            "H_WORST",
-            _U16,
-            "",
-            "number of the one that agrees least, from 1; 0: none stands out",
-        ),
-        ("H_RMS", _I32, "µm", "of all used, at the board or the points; INT32_MIN: not solved"),
-        ("H_HELD_OUT", _I32, "µm", "the same, each seen by all the others; at most H_LIMIT is good"),
-        ("H_LIMIT", _I32, "µm", "`registration.limit_mm`"),
-        *(
-            (
-                f"H_SIGMA_{axis}",
-                _U16,
-                "0.1 µm" if axis in "XYZ" else "0.001°",
-                "of the robot's frame in the middle of the samples, A, B, C about X, Y, Z; 65535: not known",
-            )
-            for axis in AXES
-        ),
-        ("H_START_EPOCH", _U32, "", "as START_EPOCH"),
-        ("H_CRC16", _U16, "", "CRC-16/MODBUS of the words before, each high byte first"),
-    ],
+    f"""
+    H_SEQ            u16 - CMD_SEQ of the command of a registration that this is the state after; 0: none
+    H_METHOD         u16 - {list_codes(Method)}
+    H_SAMPLES        u16 - poses or points that were taken
+    H_USED           u16 - of them, those that REGISTER_SOLVE did not reject as outliers
+    H_WORST          u16 - number of the one that agrees least, from 1; 0: none stands out
+    H_RMS            i32 µm of all used, at the board or the points; INT32_MIN: not solved
+    H_HELD_OUT       i32 µm the same, each seen by all the others; at most H_LIMIT is good
+    H_LIMIT          i32 µm `registration.limit_mm`
+    H_SIGMA_[XYZABC] u16 0.1_µm/0.001° of the robot's frame in the middle of the samples, A, B, C about
+        X, Y, Z; 65535: not known
+    H_START_EPOCH    u32 - as START_EPOCH
+    H_CRC16          u16 - CRC-16/MODBUS of the words before, each high byte first
+    """,
 )
 
 
@@ -350,90 +244,61 @@ def _row(index: int) -> Block:
     return make_block(
         f"target {index}",
         600 + ROW_WORDS * index,
-        [
-            (t + "SEQ", _U16, "", "as SEQ_HEAD; 0: empty row"),
-            (t + "JOB", _U16, "", "job"),
-            (t + "REJECT", _U16, "bits", "as REJECT"),
-            (t + "SCORE", _U16, "0.01 %", "as SCORE"),
-            *((t + axis, _I32, "µm" if axis in "XYZ" else "0.001°", "as in the result") for axis in AXES),
-            (t + "RADIUS", _I32, "µm", "as RADIUS"),
-            (t + "FLAGS", _U16, "bits", "as FLAGS; not VALID when an earlier row than INDEX"),
-            (t + "CRC16", _U16, "", "of the row's words before"),
-        ],
+        f"""
+        {t}SEQ      u16 - as SEQ_HEAD; 0: empty row
+        {t}JOB      u16 - job
+        {t}REJECT   u16 bits as REJECT
+        {t}SCORE    u16 0.01_% as SCORE
+        {t}[XYZABC] i32 µm/0.001° as in the result
+        {t}RADIUS   i32 µm as RADIUS
+        {t}FLAGS    u16 bits as FLAGS; not VALID when an earlier row than INDEX
+        {t}CRC16    u16 - of the row's words before
+        """,
     )
 
 
 TABLE_END = make_block(
     "targets",
     600 + ROW_WORDS * TABLE_ROWS,
-    [
-        ("TABLE_SEQ_HEAD", _U16, "", "as SEQ_HEAD"),
-        ("TABLE_START_EPOCH", _U32, "", "as START_EPOCH"),
-        ("TABLE_CRC16", _U16, "", "CRC-16/MODBUS of all words before, from the first row of the table on"),
-        ("TABLE_SEQ_TAIL", _U16, "", "as SEQ_TAIL"),
-    ],
+    """
+    TABLE_SEQ_HEAD    u16 - as SEQ_HEAD
+    TABLE_START_EPOCH u32 - as START_EPOCH
+    TABLE_CRC16       u16 - CRC-16/MODBUS of all words before, from the first row of the table on
+    TABLE_SEQ_TAIL    u16 - as SEQ_TAIL
+    """,
 )
 
 COUNTERS = make_block(
     "counters",
     940,
-    [
-        ("N_CYCLES", _U32, "", "cycles that measured, whoever asked, since START_EPOCH; as all of these"),
-        ("N_NO_TARGET", _U32, "", "of them: nothing found"),
-        ("N_FAULTS", _U32, "", "cycles without a pair of images"),
-        ("N_PARTS", _U32, "", "parts found, good and bad"),
-        ("N_GOOD", _U32, "", "good ones"),
-        ("N_REJECTED", _U32, "", "bad ones"),
-        *(
-            (f"N_{bit.name}", _U32, "", f"bad ones for {bit.name}; a part may be bad for several")
-            for bit in Reject
-        ),
-    ],
+    """
+    N_CYCLES         u32 - cycles that measured, whoever asked, since START_EPOCH; as all of these
+    N_NO_TARGET      u32 - of them: nothing found
+    N_FAULTS         u32 - cycles without a pair of images
+    N_PARTS          u32 - parts found, good and bad
+    N_GOOD           u32 - good ones
+    N_REJECTED       u32 - bad ones
+    """
+    + "\n    ".join(
+        f"N_{bit.name} u32 - bad ones for {bit.name}; a part may be bad for several" for bit in Reject
+    ),
 )
 
 
 def _job(index: int) -> Block:
-    j = f"J{index}_"
-    return make_block(
-        f"job {index}",
-        1000 + (1 + NAME_WORDS) * index,
-        [
-            (
-                j + "NUMBER",
-                _U16,
-                "",
-                "how COMMAND's JOB calls it; 0: empty row. The least numbers come first",
-            ),
-            *(
-                (
-                    f"{j}NAME_{i}",
-                    _U16,
-                    "",
-                    "two characters of its name, the first in the high byte; 0: its end",
-                )
-                for i in range(1, NAME_WORDS + 1)
-            ),
-        ],
-    )
+    name = "u16 - two characters of its name, the first in the high byte; 0: its end"
+    rows = [f"J{index}_NUMBER u16 - how COMMAND's JOB calls it; 0: empty row. The least numbers come first"]
+    rows += [f"J{index}_NAME_{word} {name}" for word in range(1, NAME_WORDS + 1)]
+    return make_block(f"job {index}", 1000 + (1 + NAME_WORDS) * index, "\n".join(rows))
 
 
 JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
 BLOCKS = (
-    CONSTANTS,
-    COMMAND,
-    STATUS,
-    RESULT,
-    UR,
-    UR_GRASP,
-    FLOAT,
-    GRASP,
-    REGISTRATION,
-    *TABLE,
-    TABLE_END,
-    COUNTERS,
-    *JOBS,
+    *(CONSTANTS, COMMAND, STATUS),
+    *(RESULT, UR, UR_GRASP, FLOAT, GRASP, REGISTRATION),
+    *(*TABLE, TABLE_END, COUNTERS, *JOBS),
 )
 ROWS = (TABLE, JOBS)
 """Blocks that repeat, row by row."""

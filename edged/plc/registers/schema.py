@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import enum
+import re
 import struct
-from collections.abc import Iterable
+import textwrap
 from dataclasses import dataclass
 from typing import Literal
 
@@ -166,20 +167,23 @@ class Block:
 
 
 def make_block(
-    name: str,
-    address: int,
-    rows: Iterable[tuple[str, Kind, str, str]],
-    *,
-    writable: bool = False,
-    high_first: bool = False,
+    name: str, address: int, table: str, *, writable: bool = False, high_first: bool = False
 ) -> Block:
-    """A block of rows (name, kind, unit, meaning) that follow each other without gaps."""
-    registers = []
-    place = address
-    for register_name, kind, unit, text in rows:
-        registers.append(Register(register_name, place, kind, unit, text))
-        place += kind.words
-    return Block(name, address, tuple(registers), writable, high_first)
+    """A block from a table, as `layout` describes it; a line that is indented further goes on with a meaning.
+
+    >>> [register.name for register in make_block("place", 0, "P_[XYZ] i32 µm of the part").registers]
+    ['P_X', 'P_Y', 'P_Z']
+    """
+    registers: list[Register] = []
+    for row in re.sub(r"\n {4} *(?=\S)", " ", textwrap.dedent(table).strip("\n")).strip().splitlines():
+        first, kind_name, units, text = row.split(maxsplit=3)
+        kind, (stem, _, axes) = Kind[kind_name.upper()], first.rstrip("]").partition("[")
+        for axis in axes or ("",):
+            length_unit, _, angle_unit = units.partition("/")
+            unit = (angle_unit if axis in {*"ABC"} else length_unit).replace("_", " ").strip("-")
+            registers.append(Register(stem + axis, address, kind, unit, text))
+            address += kind.words
+    return Block(name, registers[0].address, tuple(registers), writable, high_first)
 
 
 def list_bits(flags: type[enum.IntFlag]) -> str:
