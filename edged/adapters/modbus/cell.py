@@ -45,14 +45,14 @@ from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
 
 NOBODYS = -1
-"""Ticket of a command that has ended, or that somebody else submitted."""
+"""Ticket of a command that has ended, or that another client submitted."""
 VERDICTS = {
     reg.ResultCode.OK: ResultVerdict.GOOD,
     reg.ResultCode.VERIFIED: ResultVerdict.PASSED,
     reg.ResultCode.GRABBED: ResultVerdict.DONE,
     reg.ResultCode.CAPTURE_FAULT: ResultVerdict.FAULT,
 }
-"""What a result means for the handshake; every other code is a part that no robot may use."""
+"""What a result code means for the handshake; every other code is BAD."""
 
 COMMAND_WORDS = struct.Struct(f">{reg.COMMAND.words}H")
 UR_STATUS = tuple(
@@ -62,15 +62,8 @@ UR_STATUS = tuple(
     and register.kind is reg.Kind.U16
     and register.name != "UR_JOB"  # of the result, not of the command
 )
-"""Words of the block ur that repeat the status: name there, byte of the map."""
-EPOCHS = (
-    "START_EPOCH",
-    "UR_START_EPOCH",
-    "G_START_EPOCH",
-    "UG_START_EPOCH",
-    "F_START_EPOCH",
-    "TABLE_START_EPOCH",
-)
+"""Words of the block ur that repeat the status: name in the status, byte of the map."""
+EPOCHS = tuple(f"{block}START_EPOCH" for block in reg.PREFIXES)
 TABLE_START = 2 * reg.TABLE[0].address
 TABLE_CRC = next(
     2 * register.address for register in reg.TABLE_END.registers if register.name == "TABLE_CRC16"
@@ -86,7 +79,7 @@ DEFINED = bytes(
 
 
 class CellRegisters:
-    """All registers of the cell, for every connection."""
+    """All registers of the cell, shared by all connections."""
 
     def __init__(
         self,
@@ -118,21 +111,19 @@ class CellRegisters:
         self.ladder = Ladder()
         self._place_basis()
         self.clients = 0
-        self.changed: Callable[[], None] = lambda: None  # told of each write and event
-        self._waiting: list[asyncio.Future[None]] = []
+        self.changed: Callable[[], None] = lambda: None  # called after each write and event
+        self._change: asyncio.Future[None] | None = None
 
     def change(self) -> asyncio.Future[None]:
-        """Done with the next write or event; time that passes is none."""
-        waiting: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._waiting.append(waiting)
-        return waiting
+        """A future that is done with the next write or event; shared, so not to be cancelled."""
+        if self._change is None or self._change.done():
+            self._change = asyncio.get_running_loop().create_future()
+        return self._change
 
     def _tell(self) -> None:
         self.changed()
-        told, self._waiting = self._waiting, []
-        for waiting in told:
-            if not waiting.done():
-                waiting.set_result(None)
+        if self._change is not None and not self._change.done():
+            self._change.set_result(None)
 
     # --- reading -----------------------------------------------------------------------------
 
@@ -146,7 +137,7 @@ class CellRegisters:
 
     @property
     def valid_until_s(self) -> float:
-        """When the coordinates on display fall by time alone; 0: there are none."""
+        """When the coordinates on display expire, by `clock_s`; 0 without valid coordinates."""
         return hs.valid_until_s(self._state, self._clock_s()) or 0.0
 
     @property
@@ -155,7 +146,7 @@ class CellRegisters:
         return self._state.owner
 
     def _refresh(self) -> None:
-        """Bring the picture up to date. Nothing else runs between this and the answer being encoded."""
+        """Bring the image up to date. Nothing else runs between this and the encoding of the answer."""
         now_s = self._clock_s()
         self._step(ev.Tick(), now_s)
         valid = hs.is_valid(self._state, now_s)
@@ -214,7 +205,7 @@ class CellRegisters:
         self._place_crc(TABLE_START, TABLE_CRC)
 
     def _place_basis(self) -> None:
-        """What is there whatever is measured: by what it is, and the state of a registration."""
+        """Encode the blocks that no measurement changes: constants and registration."""
         self._place(reg.CONSTANTS, reg.constant_values(self._settings.convention, *self._basis))
         registration = reg.registration_values(self._registration, self._registered_by, self._epoch)
         self._place(reg.REGISTRATION, registration)
@@ -225,7 +216,7 @@ class CellRegisters:
         self._place_crc(UR_START, UR_CRC)
 
     def _place_crc(self, start: int, end: int) -> None:
-        """Of words that are placed one by one, or belong to several blocks; bytes of the map."""
+        """CRC over bytes `start` to `end` of the image, where one block's encoder cannot compute it."""
         self._image[end : end + 2] = reg.crc16(self._image[start:end]).to_bytes(2, "big")
 
     # --- writing -----------------------------------------------------------------------------
@@ -233,10 +224,10 @@ class CellRegisters:
     def write(
         self, client: int, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()
     ) -> None:
-        """Take words of the command block as a whole; CMD_SEQ acts after all the others.
+        """Write words of the command block, all or none; CMD_SEQ acts after all others.
 
-        shown : the flange as the robot wrote it, where that is not what FLANGE has.
-        Raises `RequestRefused`: outside the block, another client's turn, an option that does not exist.
+        shown : the flange as the robot wrote it, if FLANGE was converted from it.
+        Raises `RequestRefused` outside the block, during another client's turn, for an unknown option.
         """
         start = address - self._settings.base_address - reg.COMMAND.address
         if start < 0 or start + len(words) > reg.COMMAND.words:
@@ -268,7 +259,7 @@ class CellRegisters:
         self._tell()
 
     def write_bits(self, client: int, address: int, bits: Sequence[bool]) -> None:
-        """Write bits of OPTIONS; no other word of the map is made of bits that a client may write."""
+        """Write bits of OPTIONS, the only word whose bits a client may write."""
         options = reg.ADDRESS["OPTIONS"] + self._settings.base_address
         start = address - 16 * options
         if start < 0 or start + len(bits) > 16:
@@ -307,15 +298,16 @@ class CellRegisters:
                 self._submit(Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all, box, pose))
 
     def _lock(self, client: int | None) -> None:
-        """Tell the cell when the plant begins or ceases to forbid SETUP. client : who wrote it last."""
+        """Forbid or allow SETUP when AUTO_LOCK changes. client : that wrote 1; None: nobody."""
         was_locked, self._locked_by = self._locked_by is not None, client
         if self._commander is not None and was_locked != (client is not None):
             self._commander.lock_setup(client is not None)
 
     def _taken_flange(self) -> tuple[FloatArray | None, tuple[float, ...]]:
-        """Pose of the flange, which serves one command: the next must not measure with an old one.
+        """Take robot_from_flange (4, 4) and its numbers (mm, degrees) out of FLANGE; None if all are zero.
 
-        Also its numbers, mm and degrees. All zeros: not said. No robot has its flange in its base's origin.
+        It serves one command: the next must not measure with an old pose. No robot has its flange at the
+        origin of its base.
         """
         start, end = _offset("FLANGE_X"), _offset("TIMEOUT")
         values = reg.decode(reg.COMMAND, self._command, self._settings.word_order)
@@ -386,7 +378,7 @@ class CellRegisters:
         self._step(ev.Exchanged(basis.number), now_s)
 
     def _done(self, ticket: int | None, now_s: float) -> ev.Event[reg.RegisterResult]:
-        """The end of a command that measures nothing."""
+        """The event that ends a command which measures nothing."""
         return ev.Finished(ticket, 0, ResultVerdict.DONE, now_s, None, basis=self._state.basis)
 
     def _take_registered(self, event: Registered, now_s: float) -> None:
@@ -424,11 +416,11 @@ class CellRegisters:
         return effects
 
     def _ticket(self, command: Command | None) -> int | None:
-        """Whose command it was: None when nobody asked, `NOBODYS` when it was none that is open here.
+        """The ticket of a command: None for a tick, `NOBODYS` for a command that is not open here.
 
-        Known by being the same object: tickets begin again when a reload makes these registers anew, and what
-        the ones before submitted may still be measured. What others ask over Zenoh is no cycle of a
-        free-running cell: a PLC gets no coordinates of it.
+        Compared by identity: tickets begin again when a reload makes these registers anew, while commands of
+        the previous registers may still be measured. A cycle that Zenoh asked for is not shown to a PLC as
+        one of a free-running cell.
         """
         if command is None:
             return None
@@ -459,7 +451,7 @@ class ClientView:
         self._cell.write(self._client, address, words, shown=shown)
 
     def change(self) -> asyncio.Future[None]:
-        """Done with the next write or event."""
+        """See `CellRegisters.change`."""
         return self._cell.change()
 
     def write_bits(self, address: int, bits: Sequence[bool]) -> None:

@@ -49,6 +49,7 @@ from edged.plc.registers.schema import (
 )
 from edged.plc.registers.values import (
     NOTHING,
+    PREFIXES,
     Pose,
     RegisterResult,
     basis_values,
@@ -78,6 +79,7 @@ __all__ = [
     "MAGIC",
     "MAP_VERSION",
     "NOTHING",
+    "PREFIXES",
     "REGISTRATION",
     "RESULT",
     "ROWS",

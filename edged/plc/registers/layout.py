@@ -1,6 +1,6 @@
 """The blocks of the map, word by word: the one place where an address is written down.
 
-A row of a table is: name, kind, unit ("-": none; "_" is a space), meaning. A name that ends in [XYZABC] is one
+A row of a table is: name, kind, unit ("-": none; "_" is a space), meaning. A name with [XYZABC] is one
 register per axis, in the first unit for lengths and in the second for angles.
 """
 

@@ -1,8 +1,4 @@
-"""From a snapshot to the numbers of the registers.
-
-Whatever is not a good, fresh result is encoded as such: INT32_MIN, NaN or 65535. Stale results are
-never published.
-"""
+"""From a snapshot to the numbers of the registers; what is unknown or withdrawn is INT32_MIN, NaN or 65535."""
 
 from __future__ import annotations
 
@@ -80,8 +76,8 @@ class Pose:
 class RegisterResult:
     """A snapshot in the units of the registers; immutable and encoded as often as needed.
 
-    good : the first part was found and is within all limits; for a VERIFY that is all that is said.
-    poses : of each target; None where one cannot be expressed (not finite, out of range).
+    good : the first part was found and is within all limits.
+    poses : of each target; None where a pose cannot be expressed (not finite, out of range).
     index : the target that is shown.
     """
 
@@ -97,7 +93,7 @@ class RegisterResult:
     index: int = 0
 
     def further(self) -> tuple[RegisterResult, ...]:
-        """The same, showing each of the other targets that are good."""
+        """Copies that show each further good target, in order."""
         return tuple(
             replace(self, index=index)
             for index, pose in enumerate(self.poses)
@@ -135,7 +131,7 @@ def measured(snapshot: Snapshot, convention: Convention) -> RegisterResult:
 
 
 def exchanged(shown: RegisterResult) -> RegisterResult:
-    """What is left of a result when what it stands on was exchanged: that it was one."""
+    """The result after its basis was exchanged: RELOADED, without numbers."""
     return replace(shown, code=ResultCode.RELOADED, good=False, poses=(), index=0)
 
 
@@ -191,7 +187,7 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
 
 
 def _tool(target: Target, snapshot: Snapshot, convention: Convention) -> Tool | None:
-    """None where the target has no grasp, or one that no register holds."""
+    """The grasp in registers' units; None without a grasp, or when a number does not fit its register."""
     grasp, robot = target.grasp, snapshot.robot_from_rig
     if grasp is None:
         return None
@@ -217,7 +213,7 @@ def _tool(target: Target, snapshot: Snapshot, convention: Convention) -> Tool | 
 
 
 def _is_sane(matrix: FloatArray) -> bool:
-    """Whether all numbers are finite and far from the end of float64, so that sums of products are too."""
+    """Whether all numbers are finite, and small enough that sums of their products are finite."""
     return bool((np.abs(matrix) < 1e30).all())
 
 
@@ -226,7 +222,7 @@ def _clamp(number: int, top: int) -> int:
 
 
 def _saturated(value: float, unit: float) -> int:
-    """A magnitude in units; 65535 for what is not known or too large."""
+    """A magnitude in units; 65535 when unknown or too large."""
     return round(min(value / unit, UINT16_MAX)) if math.isfinite(value) and value >= 0 else UINT16_MAX
 
 
@@ -236,6 +232,10 @@ def _length_um(value_mm: float) -> int:
 
 def _score(score: float) -> int:
     return round(min(max(score, 0.0), 1.0) * 1e4) if math.isfinite(score) else 0
+
+
+PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_")
+"""Of the registers of each block that shows a result."""
 
 
 def result_values(
@@ -249,8 +249,8 @@ def result_values(
 ) -> dict[str, Number]:
     """Values of the blocks result, ur, float, of both grasps and of the table's end, by name.
 
-    Coordinates only when valid. as_published : it says what it said when it appeared; without that the tails
-    are 0, so that whoever reads a block in several requests sees that it changed in between.
+    Coordinates only when valid. as_published : the result has not changed since it appeared; otherwise the
+    tails are 0, so that a client that reads a block in several requests notices the change.
     """
     tail = sequence if as_published else 0
     flags = (
@@ -260,35 +260,20 @@ def result_values(
     values: dict[str, Number] = {
         **NOTHING,
         "JOB": shown.job,
-        "RESULT": shown.code,
         "COUNT": _clamp(len(shown.poses), UINT16_MAX),
         "INDEX": shown.index,
         "REMAINING": remaining,
-        "FLAGS": flags,
-        "SEQ_HEAD": sequence,
-        "SEQ_TAIL": tail,
+        "UR_REMAINING": remaining,
+        "UR_JOB": shown.job,
         "EXPOSURE_NS": shown.exposed_ns,
         "CYCLE": shown.cycle,
         "LATENCY": shown.latency_us,
         "CALIBRATION": shown.calibration,
-        "UR_SEQ_HEAD": sequence,
-        "UR_SEQ_TAIL": tail,
-        "UR_FLAGS": flags,
-        "UR_RESULT": shown.code,
-        "UR_JOB": shown.job,
-        "UR_REMAINING": remaining,
-        "F_SEQ_HEAD": sequence,
-        "F_SEQ_TAIL": tail,
-        "G_SEQ_HEAD": sequence,
-        "G_SEQ_TAIL": tail,
-        "UG_SEQ_HEAD": sequence,
-        "UG_SEQ_TAIL": tail,
-        "TABLE_SEQ_HEAD": sequence,
-        "TABLE_SEQ_TAIL": tail,
-        "G_FLAGS": flags & ~Flag.VALID,
-        "UG_FLAGS": flags & ~Flag.VALID,
-        "F_FLAGS": flags,
-        "F_RESULT": shown.code,
+        **{f"{block}SEQ_HEAD": sequence for block in PREFIXES},
+        **{f"{block}SEQ_TAIL": tail for block in PREFIXES},
+        **{f"{block}RESULT": shown.code for block in ("", "UR_", "F_")},
+        **{f"{block}FLAGS": flags for block in ("", "UR_", "F_")},
+        **{f"{block}FLAGS": flags & ~Flag.VALID for block in ("G_", "UG_")},
     }
     if pose is not None:
         values["REJECT"] = pose.reject
@@ -319,7 +304,7 @@ NOTHING: dict[str, Number] = {
     **{f"G_SIGMA_{name}": UINT16_MAX for name in AXES},
     "EPIPOLAR_ERROR": UINT16_MAX,
 }
-"""Values of the block result when there is none; INT32_MIN and NaN come by themselves."""
+"""Values of the block result without a result; INT32_MIN and NaN are the encoder's defaults."""
 
 
 def _coordinates(pose: Pose) -> dict[str, Number]:
@@ -339,7 +324,7 @@ def _coordinates(pose: Pose) -> dict[str, Number]:
 
 
 def row_values(shown: RegisterResult, index: int, sequence: int, *, valid: bool) -> dict[str, Number]:
-    """Values of one row of the target table; one that is rejected, or was given, has no coordinates."""
+    """Values of one row of the target table; without coordinates for a part that is rejected, or was shown before."""
     if index >= len(shown.poses):
         return {}
     t = f"T{index}_"
@@ -378,7 +363,7 @@ def constant_values(convention: Convention, config: int, calibration: int) -> di
 
 
 def counted(before: Mapping[str, int], snapshot: Snapshot) -> dict[str, int]:
-    """Values of the block counters after one more cycle; one that took pictures only measured nothing."""
+    """Values of the block counters after one more cycle; GRAB counts as no cycle."""
     counts = dict(before)
 
     def add(name: str, number: int = 1) -> None:
@@ -402,7 +387,7 @@ def counted(before: Mapping[str, int], snapshot: Snapshot) -> dict[str, int]:
 
 
 def registration_values(registration: Registration, sequence: int, epoch: int) -> dict[str, Number]:
-    """Values of the block registration. sequence : CMD_SEQ of the command that it is the state after."""
+    """Values of the block registration. sequence : CMD_SEQ of the command that led to this state."""
     values: dict[str, Number] = {
         "H_SEQ": sequence,
         "H_METHOD": registration.method,
@@ -420,7 +405,7 @@ def registration_values(registration: Registration, sequence: int, epoch: int) -
 
 
 def _limited_um(value_mm: float) -> int:
-    """A length that may be of any size; INT32_MIN for what is not known."""
+    """A length of any size, clipped to INT32_MAX; INT32_MIN when unknown."""
     return min(round(value_mm * 1000), INT32_MAX) if math.isfinite(value_mm) else INT32_MIN
 
 
