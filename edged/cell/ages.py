@@ -1,4 +1,4 @@
-"""How old a result is: counted on a monotonic clock, because somebody may set the other one."""
+"""Age of a result on a monotonic clock, as UTC may be set meanwhile."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from edged.domain.events import ExposureDone, Snapshot
 
 
 class ExposureClock:
-    """When exposures were made, on the monotonic clock that is given.
+    """Time of exposures on a monotonic clock.
 
     Both stamps of a snapshot are UTC of one machine. If the clock was set in between, the latency is too
     long, and the result old, or too short: then it counts from when the images were in memory.
@@ -19,11 +19,11 @@ class ExposureClock:
         self._cycle, self._in_memory_s = 0, 0.0  # the latest cycle whose images are in memory, and since when
 
     def note(self, event: ExposureDone) -> None:
-        """The images of a cycle are in memory now."""
+        """Note that the images of a cycle are in memory now."""
         self._cycle, self._in_memory_s = event.cycle, self._clock_s()
 
     def exposed_s(self, snapshot: Snapshot) -> float:
-        """When a snapshot that is complete now was exposed; without an exposure, now."""
+        """Exposure time of a snapshot that is complete now; without an exposure, now."""
         now_s = self._clock_s()
         if not snapshot.exposed_ns:
             return now_s

@@ -22,20 +22,20 @@ from edged.domain.cell import Calibrated, DriftState
 from edged.domain.measurement import Outcome, Reject, Status, Target
 
 WEIGHT = 0.05
-"""Of the newest cycle: the mean remembers about forty."""
+"""Weight of the newest cycle: the mean remembers about forty."""
 CERTAIN = 3.0
 """Standard errors between the mean and a limit before the limit counts as passed."""
 TELLING = Reject.TOLERANCE | Reject.LEFT_RIGHT_MISMATCH
-"""What a wrong rig does to good parts; targets refused for anything else say nothing about it."""
+"""Rejects that a wrong rig causes; targets rejected for other reasons are no evidence of drift."""
 TORN = Reject.FEW_EDGES | Reject.RESIDUAL | Reject.SIGMA_LIMIT
-"""What rows that do not meet do to a fit over both images besides; its sizes are then worth nothing."""
+"""Rejects that a mismatch of rows also causes in a fit over both images, whose sizes are then meaningless."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriftLimits:
     """Limits of the mean: row difference in px (rms), deviation of the known length in percent.
 
-    min_cycles : before any verdict.
+    min_cycles : needed for a verdict.
     """
 
     warn_rows_px: float = 0.5
@@ -71,7 +71,7 @@ class _Mean:
 
 @dataclass(slots=True)
 class _Length:
-    """Deviation of one known length in percent. allowed : by its tolerance; None where none is stated."""
+    """Deviation of one known length, percent. allowed : its tolerance; None without one."""
 
     allowed: float | None
     mean: _Mean = field(default_factory=_Mean)
@@ -79,7 +79,7 @@ class _Length:
 
 @dataclass(slots=True)
 class DriftMonitor:
-    """One for each calibration: a new one begins anew."""
+    """Watches one calibration; each calibration has its own monitor."""
 
     limits: DriftLimits
     _rows: _Mean = field(default_factory=_Mean)
@@ -87,9 +87,9 @@ class DriftMonitor:
     _verdict: Calibrated = Calibrated.HOLDS
 
     def add(self, target: Target, witness: str | None) -> None:
-        """Note a located part. witness : name of its measurement whose nominal size is known.
+        """Note a located part. witness : name of its measurement of known nominal size.
 
-        Parts that are refused because rows or sizes are wrong count: they are what a wrong rig shows.
+        Parts rejected for wrong rows or sizes count: a wrong rig causes just that.
         """
         torn = TORN if target.reject & Reject.LEFT_RIGHT_MISMATCH else Reject.NONE
         if target.reject & ~(TELLING | torn):
@@ -102,7 +102,7 @@ class DriftMonitor:
                 length = self._lengths.setdefault(f"{target.job}/{one.name}", _Length(allowed))
                 length.mean.add(100 * (one.value / one.nominal - 1))
         found = self._judged()
-        # near a limit a verdict must not come and go: results are given again when nothing drifts any more
+        # hysteresis: after INVALID, results are given again only when nothing drifts any more
         held = self._verdict is Calibrated.INVALID and found is Calibrated.DRIFTS
         self._verdict = Calibrated.INVALID if held else found
 
@@ -113,7 +113,7 @@ class DriftMonitor:
         return DriftState(self._verdict, rows, max(lengths, key=abs, default=math.nan))
 
     def _judged(self) -> Calibrated:
-        """The worst witness decides."""
+        """The worst verdict of all witnesses."""
         limits = self.limits
         verdicts = [self._beyond(self._rows, limits.warn_rows_px, limits.invalid_rows_px)]
         for length in self._lengths.values():
@@ -134,7 +134,7 @@ class DriftMonitor:
 
 
 def refused(outcome: Outcome) -> Outcome:
-    """What a good outcome becomes while the calibration is known to be wrong."""
+    """A good outcome as LOW_QUALITY, while the calibration is known to be wrong."""
     if outcome.status is not Status.OK:
         return outcome
     targets = tuple(replace(one, reject=one.reject | Reject.CALIBRATION) for one in outcome.targets)

@@ -1,4 +1,4 @@
-"""What the loop measures by: jobs in memory, and all else that a reload exchanges."""
+"""Setup of the loop: jobs in memory, and all else that a reload exchanges."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Locate = Callable[[FramePair, Callable[[str], None]], Outcome]
 class LoadedJob:
     """A job that is in memory and warm.
 
-    witness : its measurement whose size is known, for the drift. picking : what of its parts a robot gets.
+    witness : its measurement of known size, for the drift. picking : which parts a robot may pick, and how.
     """
 
     name: str
@@ -38,18 +38,18 @@ def _no_job(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
 
 
 NO_JOB = LoadedJob("", 0, _no_job)
-"""The active job of a cell that lacks calibration or jobs: it is in SETUP, and never measures."""
+"""Active job of a cell without calibration or jobs: it is in SETUP, and never measures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
     """Everything that a reload may exchange between two cycles.
 
-    jobs : by number. period_s : None means "only on command".
-    lacks : why a cell that has nothing to measure by is in SETUP; its jobs are none.
+    jobs : by number. period_s : None: only on command.
+    lacks : why the cell cannot measure and is in SETUP; it has no jobs then.
     listens : others trigger the cameras, and each of their exposures is measured.
     flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
-    registration_covariance : of robot_from_rig, or of flange_from_rig.
+    registration_covariance : (6, 6) of robot_from_rig, or of flange_from_rig.
     bounds : where the robot may go, whatever the job.
     """
 
@@ -68,9 +68,9 @@ class Setup:
     bounds: Bounds = field(default_factory=Bounds)
 
     def problem(self, command: Command) -> str:
-        """Why it cannot carry a command out; "" when it can."""
+        """Why a command cannot be carried out; "" when it can."""
         if command.kind is CommandKind.NEXT_PART:
-            return "NEXT_PART goes on with a list of parts: whoever keeps one answers it"
+            return "NEXT_PART is answered from a list of parts, which this client has not"
         if command.job and command.job not in self.jobs:
             known = ", ".join(f"{job.number} ({job.name})" for job in self.jobs.values())
             return f"unknown job {command.job}, there are {known}"
@@ -84,7 +84,7 @@ class Setup:
         return ""
 
     def frame(self, command: Command | None) -> tuple[RobotFrame, FloatArray | None]:
-        """Where the coordinates of a cycle are told, and the covariance (6, 6) of that frame."""
+        """The frame of a cycle's coordinates, and its covariance (6, 6)."""
         robot_from_rig, registration = self.robot_from_rig, self.registration_covariance
         if self.flange_from_rig is None:
             return RobotFrame(robot_from_rig), registration
@@ -95,5 +95,5 @@ class Setup:
         return RobotFrame(robot_from_flange @ self.flange_from_rig), moved
 
     def picking(self, job: LoadedJob, command: Command | None) -> Picking:
-        """The job's, within what the cell and the command allow."""
+        """The job's picking rules within the limits of the cell and the command."""
         return within(job.picking, narrowed(self.bounds, command.box if command is not None else 0))

@@ -20,7 +20,7 @@ CLOCK_DRIFT = 400e-6
 
 @dataclass(frozen=True, slots=True)
 class Skew:
-    """How far apart two exposures are: left minus right, ns, what tells, and how much is allowed."""
+    """How far apart two exposures are: left minus right and its limit, ns; what : the clock used."""
 
     ns: int
     limit_ns: int
@@ -38,8 +38,8 @@ class Skew:
 class Pairing:
     """Compares frames of two cameras; remembers the last pair.
 
-    max_skew_s : two frames whose exposures differ by more are not one exposure.
-    max_arrival_skew_s : the same where nothing but their arrival is known.
+    max_skew_s : limit of the time between two frames of one exposure.
+    max_arrival_skew_s : limit where only their arrival is known.
     """
 
     def __init__(self, max_skew_s: float, max_arrival_skew_s: float) -> None:
@@ -48,16 +48,16 @@ class Pairing:
         self._last: tuple[Frame, Frame] | None = None
 
     def forget(self) -> None:
-        """A camera was opened again: its clock and its counter may have begun anew."""
+        """Forget the last pair, as a reopened camera may restart its clock and counter."""
         self._last = None
 
     def accept(self, left: Frame, right: Frame) -> None:
-        """These two were one exposure; the next ones are measured against them."""
+        """Note two frames of one exposure, as the reference for the next pair."""
         # their images need not be kept for that
         self._last = (_without_image(left), _without_image(right))
 
     def skew(self, left: Frame, right: Frame) -> Skew:
-        """How far apart two exposures are, by the best clock there is."""
+        """How far apart two exposures are, by the best clock of both."""
         bases = {left.time_base, right.time_base}
         apart_ns = left.exposed_ns - right.exposed_ns
         if TimeBase.ARRIVAL in bases:

@@ -14,7 +14,7 @@ from edged.ports import Camera
 
 
 class CameraSide:
-    """One camera of the head, and what is known of it.
+    """One camera of the head, and its state.
 
     frame_id, paired_id : of the last frame and pair since it was opened. image : the last one ever, so that a
     reopened camera that still shows the same picture is caught. coming : task that waits for the next frame,

@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 async def both(
     left: Coroutine[Any, Any, Result], right: Coroutine[Any, Any, Result], timeout_s: float
 ) -> tuple[Result, Result]:
-    """Run two coroutines as one: both results, or one error and neither still running.
+    """Run two coroutines as one: both results, or one error with neither still running.
 
     The first error wins, and the other task is cancelled and awaited before it is raised; so it is
     when the caller is cancelled. Raises `TimeoutError` when either is not done within timeout_s.
@@ -56,9 +56,9 @@ async def cancel_and_await(*tasks: asyncio.Future[Any]) -> None:
 async def bounded(
     work: Callable[[], Result], timeout_s: float, what: str, undo: Callable[[Result], object] | None = None
 ) -> Result:
-    """Run what may block on a thread of its own. Raises `TookTooLong`.
+    """Run a blocking call on a thread of its own. Raises `TookTooLong`, and what the call raises.
 
-    undo : for a result that comes when nobody waits any more.
+    undo : called with a result that comes too late.
     Not `asyncio.to_thread`: its threads are joined at exit, and one that hangs would hang the exit.
     """
     loop = asyncio.get_running_loop()
@@ -79,7 +79,7 @@ async def bounded(
                 undo(result)
         except Exception as error:  # noqa: BLE001  (whatever it is, it is raised by the await below)
             setter, value = done.set_exception, error
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+        with contextlib.suppress(RuntimeError):  # the loop is closed
             loop.call_soon_threadsafe(settle, setter, value)
 
     thread = threading.Thread(target=run, name=what, daemon=True)

@@ -1,4 +1,4 @@
-"""What travels as an array, and which of the two cameras it is of."""
+"""Types of arrays, and the names of the two cameras."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ class Calibrated(enum.IntEnum):
     """Whether the calibration holds, by what the parts show."""
 
     HOLDS = 0
-    """Nothing speaks against it, or too little has been seen to tell."""
+    """No evidence against it, or too little to judge."""
     DRIFTS = 1
     """Rows or the known length are beyond the first limit: calibrate soon."""
     INVALID = 2
@@ -28,7 +28,7 @@ class DriftState:
 
 
 class CellPhase(enum.StrEnum):
-    """What the daemon is doing."""
+    """Phase of the daemon."""
 
     STARTING = "STARTING"
     READY = "READY"
@@ -42,9 +42,9 @@ class SetupSource(enum.IntEnum):
     """Why the cell is in SETUP."""
 
     NONE = 0
-    """It is not."""
+    """It is not in SETUP."""
     PERSON = 1
-    """Somebody has it, to calibrate, teach or look."""
+    """A person has taken it, to calibrate, teach or look."""
     NO_CALIBRATION = 2
     """There is no rig file yet."""
     NO_JOB = 3
@@ -57,7 +57,7 @@ class SetupSource(enum.IntEnum):
 class CellState:
     """The daemon's own state, published on change.
 
-    setup : why it is in SETUP. setup_by : who has it; "" for nobody: unattended, or nothing to measure by.
+    setup : why it is in SETUP. setup_by : holder of the cell; "" when no lease is held.
     """
 
     state: CellPhase

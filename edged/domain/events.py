@@ -1,4 +1,4 @@
-"""What the cell is asked, and what it tells."""
+"""Commands to the cell, and the events it announces."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ REGISTERING = frozenset(
 """Commands with which a robot's program registers the rig."""
 
 PLC_SOURCE = "modbus"
-"""Source of the commands of whoever holds the right to write registers; nobody else's go before them."""
+"""Source of commands written to registers; they go before all others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A request to measure, or to change the job.
+    """A request of a client.
 
-    source : who asks (`PLC_SOURCE`, "zenoh", ...); sequence : that source's own number.
+    source : client (`PLC_SOURCE`, "zenoh", ...); sequence : that source's own number.
     job : job number, 0 for the active one.
-    robot_from_flange (4, 4) : where the flange is at the exposure, for a rig that it carries; None: not said.
-    tries_all : every job is tried, and the part that agrees best counts; job is then 0.
-    box : of the cell's boxes this one alone counts, from 1; 0: each of them.
-    shown : the numbers that robot_from_flange was read from, as the robot wrote them; () where not known.
+    robot_from_flange (4, 4) : pose of the flange at the exposure, for a rig that it carries; None: not given.
+    tries_all : try every job and report the best part; job is then 0.
+    box : the only box of the cell that counts, from 1; 0: every box.
+    shown : the numbers behind robot_from_flange, as the robot wrote them; () if unknown.
     """
 
     kind: CommandKind
@@ -78,7 +78,7 @@ class Command:
 class ExposureDone:
     """Both images of a cycle are in memory: the part may move.
 
-    pair : the images, for previews; whoever keeps them keeps their memory.
+    pair : the images, for previews; keeping them keeps their memory.
     """
 
     cycle: int
@@ -97,7 +97,7 @@ class JobChanged:
 
 @dataclass(frozen=True, slots=True)
 class Registered:
-    """A command of a registration has ended. obstacle : None: it was carried out. why : for people."""
+    """A registration command has ended. obstacle : None when it was carried out. why : text for people."""
 
     command: Command
     registration: Registration
@@ -107,7 +107,7 @@ class Registered:
 
 @dataclass(frozen=True, slots=True)
 class CommandFailed:
-    """A command that was accepted and then could not be carried out."""
+    """An accepted command could not be carried out."""
 
     command: Command
     reason: str
@@ -123,7 +123,7 @@ class Snapshot:
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
     dismissed, nearest : see `Outcome`.
-    basis : the number of what it was measured by, see `Basis`.
+    basis : number of the `Basis` it was measured on.
     robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
     of it, or None where it is not known.  drift : of the calibration, this cycle included.
     """
@@ -156,7 +156,7 @@ class Snapshot:
 
 
 def _seal(value: object) -> None:
-    """Let no array of a value be written any more."""
+    """Make every array of a value read-only."""
     if isinstance(value, np.ndarray):
         value.flags.writeable = False
     elif isinstance(value, tuple):
@@ -169,10 +169,10 @@ def _seal(value: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """What results stand on from now on: rig, registration, jobs, limits and cameras.
+    """What results are based on: rig, registration, jobs, limits and cameras.
 
-    Told after each exchange of any of them, and to each publisher that begins to listen. number : another one
-    after each exchange in the life of a daemon; a result with another number is a result no more.
+    Announced after each exchange of any of them, and to each new publisher. number : counts the exchanges of
+    a daemon; results with an older number are void.
     """
 
     number: int
@@ -182,7 +182,7 @@ class Basis:
 
 @dataclass(frozen=True, slots=True)
 class Idle:
-    """The loop has nothing to do, has looked after the cameras and goes on waiting: proof of life."""
+    """Sign of life of a loop that waits."""
 
 
 Event = Snapshot | ExposureDone | JobChanged | Registered | CommandFailed | CellState | Basis | Idle

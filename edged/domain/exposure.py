@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class CameraValues:
-    """What a camera is set to, or is to be set to. None: it has no such setting, or it stays as it is."""
+    """Values that a camera has, or is to get. None: no such setting, or unchanged."""
 
     exposure_us: float | None = None
     gain_db: float | None = None
@@ -26,13 +26,13 @@ class CameraValues:
 
 @dataclass(frozen=True, slots=True)
 class CameraLimits:
-    """The least and the most that a camera takes now. None: it has no such setting."""
+    """Least and largest value that a camera takes now. None: no such setting."""
 
     exposure_us: tuple[float, float] | None = None
     gain_db: tuple[float, float] | None = None
 
     def problem(self, values: CameraValues) -> str:
-        """What the camera cannot be set to; "" when it can.
+        """Why the camera cannot take these values; "" when it can.
 
         >>> CameraLimits((10.0, 1000.0)).problem(CameraValues(exposure_us=5.0))
         'exposure_us: 5 is outside 10 to 1000'

@@ -43,7 +43,7 @@ class Frame:
 class FramePair:
     """The two frames of one exposure.
 
-    missed : exposures since the pair before that were lost, or that nobody had time for.
+    missed : exposures since the previous pair that were lost or skipped.
     """
 
     left: Frame

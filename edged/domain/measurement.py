@@ -1,4 +1,4 @@
-"""What is found and measured of the parts in one pair of images."""
+"""Parts found and measured in one pair of images."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Reject(enum.IntFlag):
 class Match:
     """Where the shape was found.
 
-    x_px, y_px : the model's origin in the left image as the camera delivers it (not rectified).
+    x_px, y_px : the model's origin in the left image as delivered by the camera (not rectified).
     angle_rad : rotation against the taught view, positive from x to y (clockwise on screen).
     scale_x, scale_y : size against the taught view, along the model's own axes.
     score : visible share of the model that agrees, [0, 1].
@@ -144,8 +144,8 @@ class Corner3D:
 class Measurement:
     """One measured size of a part.
 
-    unit : "mm" or "deg", of value, sigma, nominal and tolerance.  value, sigma : NaN when the features it
-    needs were not seen.  nominal, tolerance : None where the job has none.
+    unit : "mm" or "deg", of all four numbers. value, sigma : NaN when its features were not seen. nominal,
+    tolerance : None where the job has none.
     """
 
     name: str
@@ -158,7 +158,7 @@ class Measurement:
 
     @property
     def ok(self) -> bool | None:
-        """Whether it is within its tolerance; what was not seen is not; None without a tolerance."""
+        """Whether it is within its tolerance (False when not seen); None without a tolerance."""
         if self.tolerance is None:
             return None
         return abs(self.value - (self.nominal or 0.0)) <= self.tolerance
@@ -166,7 +166,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportedPose:
-    """The pose that a job wants published instead of its reference point's, all as in `Target`."""
+    """Pose that is published instead of the reference point's; fields as in `Target`."""
 
     rig_from_part: FloatArray
     covariance: FloatArray
@@ -188,10 +188,10 @@ class Target:
     grasp : how a tool takes it; None where the job has none, or none that is allowed.
     rig_from_model (4, 4) : where the frame of the job's CAD model lies; None where it was taught without one.
     reported : what is published in place of the reference point's pose; None: that one.
-    doubt_mm : part of the distance's sigma, in every covariance, that comes from what contradicts the rig:
-    rows that do not meet, sizes that are all wrong alike.
-    by_edges, by_doubt (6, 6) : what of the covariance comes from the edges, and from the doubt; the rest
-    comes from the calibration. by_edges None: not known.
+    doubt_mm : part of the distance's sigma, in every covariance, from evidence against the rig: rows that
+    do not meet, sizes that are all wrong by one factor.
+    by_edges, by_doubt (6, 6) : parts of the covariance from the edges and from the doubt; the rest is the
+    calibration's. by_edges None: not known.
     """
 
     job: str
@@ -215,15 +215,14 @@ class Target:
 
     @property
     def as_reported(self) -> Target:
-        """With the pose that the job wants published in place of the reference point's."""
+        """The target with its `reported` pose, if it has one, as its pose."""
         if self.reported is None:
             return self
-        one = self.reported
         return replace(
             self,
-            rig_from_part=one.rig_from_part,
-            covariance=one.covariance,
-            by_edges=one.by_edges,
+            rig_from_part=self.reported.rig_from_part,
+            covariance=self.reported.covariance,
+            by_edges=self.reported.by_edges,
             reported=None,
         )
 
@@ -240,7 +239,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class NotMeasured:
-    """What the left image showed and could not be measured, and why."""
+    """A match in the left image that could not be measured, and why."""
 
     match: Match
     reject: Reject
@@ -248,17 +247,16 @@ class NotMeasured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearMiss:
-    """Where the left image is most like the part, though not enough: its score is below the one needed."""
+    """The best match in the left image below the needed score."""
 
     match: Match
     needed_score: float
 
 
 class Nearest:
-    """The place that is most like a part which was not found: looked for when somebody asks, and once.
+    """A lazy query for the nearest miss: searched for on the first `ask`, on any thread.
 
-    A look takes as long as a cycle, or longer, and helps people only: whoever publishes for machines does
-    without.  look : gives the same answer to whoever is first, in whichever thread.
+    A search takes as long as a cycle, or longer, and helps people only; publishers for machines do not ask.
     """
 
     def __init__(self, look: Callable[[], NearMiss | None]) -> None:
@@ -268,7 +266,7 @@ class Nearest:
         self._lock = threading.Lock()
 
     def ask(self) -> NearMiss | None:
-        """Look, or wait for whoever looks; None where no place is like the part, or all is forgotten."""
+        """Search, or wait for a running search; None without a near miss, or after `forget`."""
         with self._lock:
             look = self._look
             if look is not None:
@@ -277,30 +275,30 @@ class Nearest:
             return self._answer
 
     def forget(self) -> None:
-        """Let go of the pair: who asks later gets the answer that is there, if one is."""
+        """Release the images; `ask` returns the known answer from now on."""
         self._look = None
 
     @property
     def open(self) -> bool:
-        """Whether asking still means to look."""
+        """Whether `ask` would still search."""
         return self._look is not None
 
     @property
     def answered(self) -> bool:
-        """Whether somebody has looked."""
+        """Whether the search is done."""
         return self._answered
 
     @property
     def answer(self) -> NearMiss | None:
-        """The answer as far as it is there; None also before somebody asked."""
+        """The known answer; None also before the search."""
         return self._answer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What the pipeline says of one pair: pure result, no time, no identity.
+    """Result of the pipeline for one pair, without time or identity.
 
-    nearest : where nothing was found at all, who knows the place that is most like the part.
+    nearest : where nothing was found at all, a lazy query for the nearest miss.
     """
 
     status: Status

@@ -1,4 +1,4 @@
-"""What a robot may pick, in which order, and how its tool takes it."""
+"""Picking rules: which parts a robot may pick, in which order, and how its tool takes them."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ class Order(enum.StrEnum):
     """Which of several good parts comes first."""
 
     SCORE = "score"
-    """The one that agrees best with the taught shape."""
+    """Highest score first."""
     NEAREST = "nearest"
-    """The one nearest to the left camera."""
+    """Nearest to the left camera first."""
     TOPMOST = "topmost"
-    """The highest in the robot's frame; without a registration the least deep along the camera's axis."""
+    """Highest in the robot's frame first; without a registration, least deep along the camera's axis."""
     LEFTMOST = "leftmost"
-    """The leftmost in the left picture."""
+    """Leftmost in the left picture first."""
     LEAST_SIGMA = "least_sigma"
-    """The one whose position is known best."""
+    """Smallest sigma of the position first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A cuboid along the axes of the frame that coordinates are told in: x, y, z of its corners in mm."""
+    """A cuboid along the axes of the frame of the published coordinates; x, y, z of its corners in mm."""
 
     name: str
     min_mm: tuple[float, float, float]
@@ -34,7 +34,7 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Where a robot may go: into one of the boxes (anywhere where there is none), into no keep-out zone."""
+    """Where a robot may go: into one of the boxes (anywhere if there are none), into no keep-out zone."""
 
     boxes: tuple[Box, ...] = ()
     keep_out: tuple[Box, ...] = ()
@@ -42,11 +42,11 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grasp:
-    """How a tool takes the part: its z axis is the direction in which it comes.
+    """How a tool takes the part; it approaches along its z axis.
 
-    part_from_tcp (4, 4). rig_from_tcp (4, 4) : the same as the part lay at teaching. approach_mm and
-    retreat_mm : along the tool's z, before and after. symmetry : in how many ways the part may be turned
-    about its z and be taken alike: 1: in no other, 0: in any.
+    part_from_tcp (4, 4), and rig_from_tcp (4, 4) as the part lay at teaching. approach_mm, retreat_mm : along
+    the tool's z, before and after. symmetry : number of equal turns of the part about its z; 1: none besides
+    the taught one, 0: any angle.
     """
 
     name: str
@@ -59,9 +59,9 @@ class Grasp:
 
 @dataclass(frozen=True, slots=True)
 class Picking:
-    """What a robot may pick of a job's parts, how, and in which order.
+    """Picking rules of a job.
 
-    bounds : all of them must allow it. grasps : the first that they allow is given.
+    bounds : all must allow a part. grasps : the first allowed one is given.
     """
 
     order: Order = Order.SCORE
@@ -73,8 +73,8 @@ class Picking:
 class GraspPose:
     """Where the tool takes one part.
 
-    number : of the grasp in its job, from 1. turn_rad : by how much it is turned about the part's z against
-    the taught one. rig_from_tcp (4, 4), covariance (6, 6) : as those of a target, of the tool's tip.
+    number : of the grasp in its job, from 1. turn_rad : about the part's z, against the taught grasp.
+    rig_from_tcp (4, 4), covariance (6, 6) : pose of the tool's tip, as of a target.
     """
 
     name: str
@@ -87,12 +87,12 @@ class GraspPose:
 
     @property
     def rig_from_approach(self) -> FloatArray:
-        """(4, 4) from where the tool comes: against its z axis."""
+        """(4, 4) before the approach along the tool's z."""
         return self._shifted(-self.approach_mm)
 
     @property
     def rig_from_retreat(self) -> FloatArray:
-        """(4, 4) where it goes."""
+        """(4, 4) after the retreat."""
         return self._shifted(-self.retreat_mm)
 
     def _shifted(self, along_mm: float) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A registration by the robot's own program: what a command of it came to, and how good it is so far."""
+"""A registration by the robot's own program: its state and quality, and why a command failed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ UNKNOWN_6 = (math.nan,) * 6
 
 
 class Method(enum.IntEnum):
-    """By what the rig is registered."""
+    """Method of a registration."""
 
     NONE = 0
     """By nothing yet."""
@@ -36,10 +36,10 @@ class Obstacle(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """How far a registration is; lengths are NaN as long as nothing was solved.
+    """State of a registration; lengths are NaN until it is solved.
 
-    samples : poses or points that were taken; used : of them, those that were not rejected as outliers.
-    worst : number of the sample, from 1, that agrees least with the others; 0: none.
+    samples : poses or points taken; used : those not rejected as outliers. worst : number, from 1, of the
+    sample that agrees least with the others; 0: none.
     rms_mm, held_out_mm : how far poses or points are from the fit of all, and of all others, at the board or
     the point; limit_mm : of held_out_mm. sigma : of X, Y, Z (mm) in the middle of the samples, and of the
     rotation about each axis (degrees), of the robot's frame.

@@ -1,4 +1,4 @@
-"""The cameras while the cell is set up: used by who has it, and otherwise left to other programs."""
+"""The cameras during SETUP: open for the holder of the cell, otherwise closed for other programs to use."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from edged.errors import CameraSetupError, CaptureError, FrameTimeout
 from edged.ports import AdjustableHead, Head
 
 LOOK_S = 1.0
-"""Waiting for others to trigger, look this often whether anybody still wants the picture."""
+"""Waiting for others to trigger, check this often whether the picture is still wanted."""
 LISTEN_S = 10.0
-"""Wait so long for an exposure that others trigger."""
+"""Longest wait for an exposure that others trigger."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraChanges:
-    """How one camera is to be other than configured. None: as it is configured.
+    """Changes to the configuration of one camera. None: as configured.
 
-    device : serial number or address; serial : that is expected there.
+    device : serial number or address; serial : number that is expected at the address.
     """
 
     device: str | None = None
@@ -33,7 +33,7 @@ class CameraChanges:
     gain_db: float | None = None
 
     def stated(self) -> dict[str, str | float]:
-        """What is other, by the names of the configuration."""
+        """The changed values, by the names of the configuration."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
@@ -43,16 +43,16 @@ class _OpenAdjustableHead(Head, AdjustableHead, Protocol):
 
 
 class SetupCameras:
-    """The configured head, or one that is tried instead.
+    """The configured head, or another one on trial.
 
-    is_wanted : whether whoever asked for a picture still does.
+    is_wanted : whether the picture that was asked for is still awaited.
     """
 
     def __init__(self, is_wanted: Callable[[], bool]) -> None:
         self._is_wanted = is_wanted
         self._draft: Head | None = None
         self._changes: dict[Side, CameraChanges] = {}
-        self._by_head: dict[Side, CameraChanges] = {}  # those that the other head is
+        self._by_head: dict[Side, CameraChanges] = {}  # that define the head on trial
         self._may_be_open = True
         self._are_well = False
 
@@ -72,11 +72,11 @@ class SetupCameras:
 
     @property
     def changes(self) -> Mapping[Side, CameraChanges]:
-        """What is tried, by side; nothing of it outlives SETUP by itself."""
+        """Changes on trial, by side; SETUP's end drops them."""
         return dict(self._changes)
 
     async def adjust(self, configured: Head, side: Side, values: CameraValues) -> CameraValues:
-        """Set what is stated of one camera until SETUP ends; returns what is in force, as read back.
+        """Set the stated values of one camera until SETUP ends; returns all values as read back.
 
         Raises `CaptureError`.
         """
@@ -104,9 +104,9 @@ class SetupCameras:
     async def exchange(
         self, configured: Head, draft: Head, changes: Mapping[Side, CameraChanges] | None = None
     ) -> None:
-        """Use others from now on. changes : what they are, if they are to become the configured ones.
+        """Use another head from now on. changes : that define it, if it is to become the configured one.
 
-        Raises `CaptureError` when they cannot be opened; those from before are used then.
+        Raises `CaptureError` when it cannot be opened; the previous head is used then.
         """
         before = self._draft or configured
         self._may_be_open, self._are_well = True, False
@@ -122,7 +122,7 @@ class SetupCameras:
         self._changes = dict(self._by_head)
 
     async def put_down(self, configured: Head) -> None:
-        """Close whatever may be open; the configured ones count from then on."""
+        """Close every camera, and go back to the configured head."""
         draft, self._draft = self._draft, None
         self._changes, self._by_head = {}, {}
         if self._may_be_open:
@@ -133,7 +133,7 @@ class SetupCameras:
         self._may_be_open, self._are_well = False, False
 
     def hand_back(self) -> None:
-        """The loop uses the configured ones again: they may be open when SETUP begins next."""
+        """Note that the loop uses the configured head, which may be open when SETUP next begins."""
         self._may_be_open, self._are_well = True, False
 
     def _adjustable(self, configured: Head, side: Side) -> _OpenAdjustableHead:
@@ -143,7 +143,7 @@ class SetupCameras:
         return head
 
     async def _heard(self, head: Head) -> FramePair:
-        """The next exposure that others trigger. Raises `FrameTimeout` when there is none."""
+        """The next exposure that others trigger. Raises `FrameTimeout` without one."""
         heard = asyncio.ensure_future(head.listen())
         try:
             for _ in range(round(LISTEN_S / LOOK_S)):

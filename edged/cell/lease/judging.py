@@ -24,7 +24,7 @@ PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureQuality:
-    """Of one picture. exposure_factor : for what `advice` says."""
+    """Light and sharpness of one picture. exposure_factor : change of the exposure time for `advice`."""
 
     light: LightFigures
     sharpness: Sharpness
@@ -32,7 +32,7 @@ class PictureQuality:
     exposure_factor: float
 
     def to_json(self) -> dict[str, Any]:
-        """By the names of the API; null where there are too few edges to tell."""
+        """As the API names them; null where there are too few edges to judge."""
         spread_px = self.sharpness.spread_px
         return {
             "clipped_share": self.light.clipped_share,
@@ -57,9 +57,9 @@ def judge(image: Image, gain_db: float | None) -> PictureQuality:
 
 
 class PictureJudge:
-    """Looks at live pairs; used on the event loop only.
+    """Judges live pairs; used on the event loop only.
 
-    notices : told as "quality". gains : of the cameras, dB, as far as they are known.
+    notices : get "quality". gains : known camera gains, dB.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class PictureJudge:
         return document
 
     async def close(self) -> None:
-        """Nothing is judged any more when this returns."""
+        """Wait for the end of the running judgement."""
         if self._task is not None:
             await asyncio.wait({self._task})
 

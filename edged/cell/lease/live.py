@@ -1,6 +1,6 @@
-"""Live pictures: exposures one after another, while somebody who has the cell wants them and looks.
+"""Live pictures: one exposure after another, while the holder of the cell watches them.
 
-Each goes to whoever listens: pages, and what judges board, light and focus.
+Each goes to every listener: pages, and the judges of board, light and focus.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from edged.errors import CaptureError, SetupRefused
 from edged.ports import Commissioner
 
 PERIOD_S = 0.05
-"""From one exposure to the next at least: nobody sees more, and other requests come in between."""
+"""Least time between exposures: the eye needs no more, and other requests get their turn."""
 REST_S = 1.0
 """After a fault of the cameras."""
 UNSEEN_S = 10.0
-"""Who has seen no picture for so long does not look: a tablet that sleeps must not keep the cell taken."""
+"""A page that shows no picture for so long is taken off: a sleeping tablet must not keep the cell taken."""
 Listener = Callable[[int, FramePair], None]
 
 
 @dataclass(frozen=True, slots=True)
 class _Want:
-    """Of somebody who has the cell; until_s : unless a picture is seen before."""
+    """A page that wants pictures, under this token; until_s : extended whenever it has shown a picture."""
 
     token: str
     until_s: float
 
 
 class LivePictures:
-    """Used on the event loop only. notices : told as "live" when it begins, ends, or the cameras fail."""
+    """Used on the event loop only. notices : "live" at the begin, the end, and when the cameras fail."""
 
     def __init__(
         self,
@@ -57,10 +57,10 @@ class LivePictures:
         return self._task is not None
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Get each pair with its number from now on. Returns what ends it.
+        """Add a listener for each pair and its number. Returns a function that removes it.
 
-        Called on the event loop: what takes longer than a glance is done elsewhere, and who is busy leaves
-        the pair; no exposure waits for a listener.
+        Called on the event loop: it must return at once, and drop pairs while it is busy; no exposure waits
+        for a listener.
         """
         key = object()
         self._listeners[key] = listener
@@ -71,7 +71,7 @@ class LivePictures:
         return stop
 
     def want(self, who: Hashable, token: str) -> None:
-        """Take pictures, for who has the cell. Raises `SetupRefused`."""
+        """Take pictures for the holder of this token. Raises `SetupRefused`."""
         self._commissioner.renew_setup(token)
         self._wants[who] = _Want(token, self._clock_s() + UNSEEN_S)
         if self._task is None:
@@ -80,16 +80,16 @@ class LivePictures:
             self._task = asyncio.create_task(self._run(), name="live")
 
     def seen(self, who: Hashable) -> None:
-        """Somebody has seen a picture, and still looks."""
+        """Note that a page has shown a picture."""
         if who in self._wants:
             self._wants[who] = _Want(self._wants[who].token, self._clock_s() + UNSEEN_S)
 
     def unwant(self, who: Hashable) -> None:
-        """Take none any more for somebody; nothing to do for who wanted none."""
+        """Take no more pictures for a page; nothing to do for an unknown one."""
         self._wants.pop(who, None)
 
     async def close(self) -> None:
-        """Take none any more."""
+        """Take no more pictures."""
         self._wants.clear()
         if self._task is not None:
             await cancel_and_await(self._task)

@@ -1,4 +1,4 @@
-"""What open pages are told at once: drafts, tasks, live pictures. Whoever changes one publishes it here."""
+"""Notices to open pages: changed drafts, tasks and live pictures."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ Listener = Callable[[str, Mapping[str, Any]], None]
 
 
 class Notices:
-    """Used on the event loop only; nobody hears what was published before they listened."""
+    """Used on the event loop only; a listener gets what is published after it was added."""
 
     def __init__(self) -> None:
         self._listeners: dict[object, Listener] = {}
 
     def publish(self, kind: str, document: Mapping[str, Any]) -> None:
-        """Tell every listener the newest state of a thing.
+        """Pass a new state to every listener.
 
-        kind : "draft", "task", … document : JSON; of the same kind and `id` the newest counts, and one before
-        it may never be told to who is slow.
+        kind : "draft", "task", … document : JSON. A slow page may get only the newest document of a
+        kind and `id`.
         """
         for listener in tuple(self._listeners.values()):
             listener(kind, document)
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Hear of everything from now on; the listener must neither block nor raise. Returns what ends it."""
+        """Add a listener, which must neither block nor raise. Returns a function that removes it."""
         key = object()
         self._listeners[key] = listener
 

@@ -1,4 +1,4 @@
-"""From a snapshot to the numbers of the registers; what is unknown or withdrawn is INT32_MIN, NaN or 65535."""
+"""From a snapshot to the numbers of the registers; unknown or withdrawn ones are INT32_MIN, NaN or 65535."""
 
 from __future__ import annotations
 
@@ -324,7 +324,7 @@ def _coordinates(pose: Pose) -> dict[str, Number]:
 
 
 def row_values(shown: RegisterResult, index: int, sequence: int, *, valid: bool) -> dict[str, Number]:
-    """Values of one row of the target table; without coordinates for a part that is rejected, or was shown before."""
+    """Values of one row of the target table; a part that is rejected or was shown has no coordinates."""
     if index >= len(shown.poses):
         return {}
     t = f"T{index}_"
