@@ -1,9 +1,9 @@
-"""The published JSON: the one place where its shape is decided (schema: config/edged.schema.json).
+"""The published JSON, whose shape is decided here alone (schema: config/edged.schema.json).
 
 Used by `edged locate --json`, by Zenoh and by everything else that writes results down. Units are in
 the names; lengths in mm, angles in degrees for people, times in ns UTC. JSON has no NaN: a number
-that is not known is null. What is not good enough to be used never stands where a good result
-stands: `targets` of a published snapshot are good, the others are under `rejected`.
+that is not known is null. `targets` of a published snapshot are good; rejected ones are under
+`rejected`, so that no client takes them for good.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def target_to_json(
         "edges": [_edge(edge) for edge in target.edges],
         "slots": [_slot(slot) for slot in target.slots],
         "corners": [_corner(corner) for corner in target.corners],
-        "measurements": [_measurement(one) for one in target.measurements],
+        "measurements": [_measurement(measured) for measured in target.measurements],
         "free_axis": None if target.free_axis is None else _numbers(target.free_axis),
         "epipolar_rms_px": known(target.epipolar_rms_px),
         "doubt_mm": known(target.doubt_mm),
@@ -102,7 +102,7 @@ def outcome_to_json(
             }
             for target in outcome.targets
         ],
-        "dismissed": [_dismissed(one) for one in outcome.dismissed],
+        "dismissed": [_dismissed(missed) for missed in outcome.dismissed],
         "nearest": _near_miss(outcome.nearest),
     }
 
@@ -139,7 +139,7 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         "timing_ms": _timing(snapshot.timing_ms),
         "targets": [target_to_json(target, robot, registration) for target in usable],
         "rejected": [target_to_json(target, robot, registration) for target in rejected],
-        "dismissed": [_dismissed(one) for one in snapshot.dismissed],
+        "dismissed": [_dismissed(missed) for missed in snapshot.dismissed],
         "nearest": _near_miss(snapshot.nearest),
         "drift": {
             "verdict": snapshot.drift.verdict.name,
@@ -170,7 +170,7 @@ def state_to_json(state: CellState) -> Json:
 
 
 def registered_to_json(event: Registered) -> Json:
-    """How far a registration by commands is."""
+    """State of a registration by commands."""
     state = event.registration
     return {
         "command": command_to_json(event.command),
@@ -188,7 +188,7 @@ def registered_to_json(event: Registered) -> Json:
 
 
 def command_to_json(command: Command) -> Json:
-    """Who asked for a result."""
+    """The command behind a result."""
     return {
         "kind": command.kind.name,
         "source": command.source,
@@ -204,12 +204,12 @@ def command_to_json(command: Command) -> Json:
 def message(
     kind: str, cell: str, started_ns: int, body: Mapping[str, Any], sequence: int | None = None
 ) -> Json:
-    """What goes on the wire: the body, and where it comes from.
+    """A message: the body, and its origin.
 
     kind : "target", "state", ...; names the definition in the schema.
     started_ns : when this publisher started, UTC ns. sequence : counts the messages of a kind from 1;
     together they tell a lost message (a gap) from a restart (another `started_ns`). An answer that was
-    never published has none.
+    never published has no sequence.
     """
     origin: Json = {"schema": f"edged/{kind}/{SCHEMA_VERSION}", "cell": cell, "started_ns": started_ns}
     if sequence is not None:
@@ -218,9 +218,9 @@ def message(
 
 
 def said(code: str, text: str, **values: Any) -> Json:
-    """A sentence in English, and its code for a page that has it in other languages, with what it needs.
+    """A sentence in English with its code and values, from which a page writes it in other languages.
 
-    Decimal numbers among the values are text, with the digits that are shown.
+    Decimal numbers among the values are text, with the digits to show.
     """
     return {"code": code, "text": text, **values}
 
@@ -247,7 +247,7 @@ def _pose(pose: FloatArray, covariance: FloatArray) -> Json:
 def _grasp(
     target: Target, grasp: GraspPose, robot_from_rig: FloatArray | None, registration: FloatArray | None
 ) -> Json:
-    """Where the tool takes it; poses as those of the target."""
+    """Pose of a grasp, in the frames of the target."""
     document: Json = {
         "name": grasp.name,
         "number": grasp.number,
@@ -320,36 +320,36 @@ def _corner(corner: Corner3D) -> Json:
     }
 
 
-def _measurement(one: Measurement) -> Json:
+def _measurement(measured: Measurement) -> Json:
     return {
-        "name": one.name,
-        "kind": one.kind,
-        "unit": one.unit,
-        "value": known(one.value),
-        "sigma": known(one.sigma),
-        "nominal": None if one.nominal is None else known(one.nominal),
-        "tolerance": None if one.tolerance is None else known(one.tolerance),
-        "ok": one.ok,
+        "name": measured.name,
+        "kind": measured.kind,
+        "unit": measured.unit,
+        "value": known(measured.value),
+        "sigma": known(measured.sigma),
+        "nominal": None if measured.nominal is None else known(measured.nominal),
+        "tolerance": None if measured.tolerance is None else known(measured.tolerance),
+        "ok": measured.ok,
     }
 
 
-def _dismissed(one: NotMeasured) -> Json:
+def _dismissed(missed: NotMeasured) -> Json:
     return {
-        "match": _match(one.match),
-        "score": known(one.match.score),
-        "reject": reject_names(one.reject),
-        "reject_bits": int(one.reject),
+        "match": _match(missed.match),
+        "score": known(missed.match.score),
+        "reject": reject_names(missed.reject),
+        "reject_bits": int(missed.reject),
     }
 
 
 def _near_miss(nearest: Nearest | None) -> Json | None:
-    one = None if nearest is None else nearest.answer
-    if one is None:
+    miss = None if nearest is None else nearest.answer
+    if miss is None:
         return None
     return {
-        "match": _match(one.match),
-        "score": known(one.match.score),
-        "needed_score": known(one.needed_score),
+        "match": _match(miss.match),
+        "score": known(miss.match.score),
+        "needed_score": known(miss.needed_score),
     }
 
 
@@ -358,7 +358,7 @@ def _timing(timing_ms: Mapping[str, float]) -> Json:
 
 
 def _sigmas(covariance: FloatArray) -> FloatArray:
-    """Square roots of the diagonal; NaN where it is negative (a covariance that is none)."""
+    """Square roots of the diagonal; NaN where it is negative (no valid covariance)."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(np.diag(covariance)), dtype=np.float64)
 

@@ -24,8 +24,8 @@ from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
 
 NEAR_SHARE = 0.7
-"""Of the least score, down to which a miss is looked for: with half of it clutter looks like parts, and a
-search in noise takes seconds."""
+"""Share of min_score that counts as a near miss: at half of it clutter looks like parts, and a search in
+noise takes seconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], Non
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairInspection:
-    """All that was seen: parts that were measured, what could not be, else who knows what came nearest."""
+    """Measured parts, matches that could not be measured; without a match, a query for the nearest miss."""
 
     measured: tuple[MeasuredPart, ...]
     dismissed: tuple[NotMeasured, ...]
@@ -67,7 +67,7 @@ class PairInspection:
 def inspect(
     pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap
 ) -> PairInspection:
-    """`locate` with the evidence: every part that was found, with the edges it stands on."""
+    """`locate` with the evidence: every part found, with its edges."""
     images = _rectified(pair, rig)
     rectified = images.rectified_left
     lap("rectify")
@@ -86,14 +86,14 @@ def inspect(
 
 
 def _found(rectified: Image, job: Job, params: SearchParams, rig: PreparedRig) -> list[ShapeMatch]:
-    """Where the job's part is in a rectified left image, in all the views that the job allows."""
+    """Matches of the job's part in a rectified left image, in all views that the job allows."""
     views, valid = views_of(job, rig.rectification), rig.rectification.valid_left
     with rig.workspaces.lend() as work:
         return find_shapes(rectified, job.shape, params, valid, work, views)
 
 
 def _nearest(pair: FramePair, job: Job, rig: PreparedRig) -> NearMiss | None:
-    """The best match of a more lenient search: it says whether the part was missed narrowly, and where."""
+    """The best match of a more lenient search; None without one."""
     lenient = replace(job.search, min_score=NEAR_SHARE * job.search.min_score, max_matches=1)
     found = _found(_rectified(pair, rig).rectified_left, job, lenient, rig)
     if not found:
@@ -102,18 +102,18 @@ def _nearest(pair: FramePair, job: Job, rig: PreparedRig) -> NearMiss | None:
 
 
 def judge(inspection: PairInspection) -> Outcome:
-    """OK when at least one part is good; the good ones come first, each group by score."""
+    """Outcome of an inspection: OK with a good part; good parts come first, each group by score."""
     if not inspection.measured:
         return Outcome(Status.NO_TARGET, dismissed=inspection.dismissed, nearest=inspection.nearest)
     targets = sorted(
-        (one.target for one in inspection.measured), key=lambda t: (t.reject != Reject.NONE, -t.match.score)
+        (part.target for part in inspection.measured), key=lambda t: (t.reject != Reject.NONE, -t.match.score)
     )
     good = targets[0].reject == Reject.NONE
     return Outcome(Status.OK if good else Status.LOW_QUALITY, tuple(targets), inspection.dismissed)
 
 
 def cloud(pair: FramePair, job: Job, rig: PreparedRig, inspection: PairInspection) -> PointCloud:
-    """Points in space of every part that was measured (paper, Fig. 9)."""
+    """Points in space on every measured part (paper, Fig. 9)."""
     return point_cloud(_rectified(pair, rig), job, inspection.measured)
 
 

@@ -1,4 +1,4 @@
-"""What the core asks of the world: small protocols, implemented in `adapters` and `sim`."""
+"""Protocols of the core towards the world, implemented in `adapters` and `sim`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from edged.domain.frames import Frame, FramePair
 
 
 class Camera(Protocol):
-    """One camera that takes a picture when told.
+    """One triggered camera.
 
     Every method is bounded in time by its implementation and raises only `CaptureError`s.
     """
@@ -40,29 +40,29 @@ class Camera(Protocol):
 
 @runtime_checkable
 class Adjustable(Protocol):
-    """A camera whose exposure can be tried. Bounded in time; raises only `CaptureError`s."""
+    """A camera whose exposure can be adjusted on trial. Bounded in time; raises only `CaptureError`s."""
 
     async def adjust(self, values: CameraValues) -> CameraValues:
-        """Set what is stated, until `restore`; returns all that is in force, as read back.
+        """Set the stated values until `restore`; returns all values as read back.
 
-        Raises `CameraSetupError` for what the camera does not have or take; then nothing has changed.
+        Raises `CameraSetupError` for a value that the camera does not have or take; nothing is changed then.
         """
         ...
 
     async def limits(self) -> CameraLimits:
-        """What it can be set to now."""
+        """Values that it can be set to now."""
         ...
 
     async def restore(self) -> None:
-        """Undo what was adjusted. When it fails, too, no later connection has what was adjusted."""
+        """Undo `adjust`; even if this fails, no later connection has the adjusted values."""
         ...
 
 
 class Head(Protocol):
-    """Two cameras that answer as one: what the loop needs of them."""
+    """Two cameras that act as one."""
 
     async def open(self) -> None:
-        """Connect both cameras; nothing to do for those that are connected and well."""
+        """Connect cameras that are not connected or not well."""
         ...
 
     async def capture(self) -> FramePair:
@@ -70,7 +70,7 @@ class Head(Protocol):
         ...
 
     async def listen(self) -> FramePair:
-        """The next exposure that others trigger; may be cancelled and called again, and none is lost."""
+        """The next exposure that others trigger; may be cancelled and called again without losing one."""
         ...
 
     async def close(self) -> None:
@@ -80,14 +80,14 @@ class Head(Protocol):
 
 @runtime_checkable
 class AdjustableHead(Protocol):
-    """A head whose cameras' exposure can be tried; as `Adjustable`."""
+    """A head whose cameras' exposure can be adjusted on trial; see `Adjustable`."""
 
     async def adjust(self, side: Side, values: CameraValues) -> CameraValues:
-        """Set what is stated; `CameraValues()` only reads."""
+        """Set the stated values; `CameraValues()` only reads."""
         ...
 
     async def limits(self, side: Side) -> CameraLimits:
-        """What a camera can be set to now."""
+        """Values that a camera can be set to now."""
         ...
 
     async def restore(self) -> None:
@@ -96,7 +96,7 @@ class AdjustableHead(Protocol):
 
 
 class Publisher(Protocol):
-    """Somewhere results go."""
+    """A receiver of the cell's events."""
 
     async def start(self) -> None:
         """Open sockets. Raises `ListenError`."""
@@ -112,7 +112,7 @@ class Publisher(Protocol):
 
 
 class Commander(Protocol):
-    """Where publishers that also take commands hand them in."""
+    """Takes the commands of publishers' clients."""
 
     def submit(self, command: Command) -> None:
         """Accept a command for the cycle, or raise `CommandRefused`.
@@ -123,19 +123,19 @@ class Commander(Protocol):
         ...
 
     def lock_setup(self, locked: bool) -> None:
-        """Forbid that people take the cell for SETUP, and end it where one has; or allow it again."""
+        """Forbid SETUP and end it; or allow it again."""
         ...
 
 
 class Commissioner(Protocol):
-    """Where people take the cell for SETUP. Every method raises `SetupRefused` for what cannot be now."""
+    """Takes the requests of people for SETUP. Every method raises `SetupRefused` when refused."""
 
     async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
-        """Take the cell after the running cycle, also from whoever has it; returns the token of a lease."""
+        """Take the cell (take_over : from its holder) after the running cycle; returns a lease's token."""
         ...
 
     def renew_setup(self, token: str) -> None:
-        """Say once a minute at least that somebody still looks after the cell."""
+        """Extend the lease, at least once a minute."""
         ...
 
     def leave_setup(self, token: str) -> None:
@@ -143,9 +143,9 @@ class Commissioner(Protocol):
         ...
 
     def end_setup(self, name: str) -> None:
-        """End it for whoever has the cell, or had it and never gave it back."""
+        """End SETUP for any holder, present or lapsed. name : of the person who says so."""
         ...
 
     async def capture(self, token: str) -> FramePair:
-        """One exposure, of which nobody else hears. Raises `CaptureError`, too."""
+        """One exposure, which is not announced. Raises `CaptureError`, too."""
         ...

@@ -1,1 +1,1 @@
-"""What a PLC sees: the Modbus map, the handshake, and client programs written from both."""
+"""The PLC's side of the cell: the Modbus map and the handshake."""

@@ -1,4 +1,4 @@
-"""How a command of a PLC ends, and why: in words and in the numbers of the registers."""
+"""How a command of a PLC ends, and why."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class NackReason(enum.IntEnum):
 
 
 class ResultVerdict(enum.Enum):
-    """What a finished command says about the part."""
+    """Meaning of a finished command for the part."""
 
     GOOD = "good"  # found, within limits, can be expressed in the registers
     PASSED = "passed"  # as good, but asked for without coordinates: nothing for a robot

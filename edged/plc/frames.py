@@ -1,9 +1,9 @@
-"""Binary frames of fixed length that robots may talk in instead of lines: the same requests and answers.
+"""Binary frames of fixed length: the requests and answers of `lines` for robots that prefer them.
 
-Each begins with two bytes that no line begins with, says how long it is, and ends with a CRC-32 (of zlib and
-Ethernet) over all before it: what is torn, shifted or of another version is none. An answer names the brand
-that its pose is written for, and repeats the sequence of its request: what is old, or meant for another
-robot, cannot be taken for it. Numbers are big-endian, floats those of IEEE 754 with 32 bits.
+A frame begins with two bytes that begin no line, states its length, and ends with a CRC-32 (of zlib and
+Ethernet) over all bytes before it, so that torn, shifted or foreign frames are rejected. An answer names the
+brand of its pose and repeats the sequence of its request, so that an old one, or one for another robot, is
+not taken for it. Numbers are big-endian, floats IEEE 754 with 32 bits.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ VERSION = 1
 FLANGE, ALL_JOBS = 1, 2
 """Flags of a request: FLANGE is given; every job is tried."""
 POSE_SIZE = 7
-"""Numbers that there is room for: ABB's."""
+"""Numbers of the longest pose, ABB's."""
 REQUEST_ROWS = (
     ("MAGIC", "2s"),
     ("VERSION", "B"),
@@ -52,17 +52,17 @@ ANSWER_ROWS = (
 REQUEST = struct.Struct(">" + "".join(kind for _, kind in REQUEST_ROWS))
 ANSWER = struct.Struct(">" + "".join(kind for _, kind in ANSWER_ROWS))
 COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, "GRASP": 100, "APPROACH": 101, "ACK": 102}
-"""What COMMAND may be: a command of the registers, or what is asked of the part that was given last."""
+"""Values of COMMAND: commands of the registers, and queries about the last part."""
 BRANDS = {brand: number for number, brand in enumerate(Brand, 1)}
 AS_CONFIGURED = 0
-"""BRAND of a request that names none; frames of before had this byte as the upper half of COMMAND."""
+"""BRAND of a request without a brand; in older frames this byte was the upper half of COMMAND."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameRequest:
-    """What a frame asks. flange : its numbers as the brand writes them, () when it was not given.
+    """Request of a frame. flange : its numbers in the brand's convention, () if not given.
 
-    brand : whose robot it is; None: the one that is configured.
+    brand : of the robot; None: the configured one.
     """
 
     sequence: int
@@ -73,7 +73,7 @@ class FrameRequest:
     brand: Brand | None = None
 
     def frame(self) -> bytes:
-        """As it is sent."""
+        """The bytes to send."""
         flags = (FLANGE if self.flange else 0) | (ALL_JOBS if self.tries_all else 0)
         flange = self.flange + (0.0,) * (POSE_SIZE - len(self.flange))
         brand = BRANDS[self.brand] if self.brand is not None else AS_CONFIGURED
@@ -82,7 +82,7 @@ class FrameRequest:
 
 
 def read_request(frame: bytes, configured: Brand) -> FrameRequest:
-    """Raises `BadRequest`. configured : the brand of a request that names none.
+    """Decode a request. configured : brand of a request without one. Raises `BadRequest`.
 
     >>> read_request(FrameRequest(7, "LOCATE", 2).frame(), Brand.KUKA).job
     2
@@ -102,7 +102,7 @@ def read_request(frame: bytes, configured: Brand) -> FrameRequest:
 
 
 def answer_frame(answer: LineAnswer, brand: Brand) -> bytes:
-    """As it is sent."""
+    """The bytes to send."""
     pose = answer.pose + (0.0,) * (POSE_SIZE - len(answer.pose))
     head = (MAGIC, VERSION, BRANDS[brand], ANSWER.size, answer.sequence, int(answer.status))
     numbers = (*pose, *answer.sigma, answer.age_s)
@@ -110,9 +110,9 @@ def answer_frame(answer: LineAnswer, brand: Brand) -> bytes:
 
 
 def read_answer(frame: bytes, brand: Brand, sequence: int) -> LineAnswer:
-    """The answer to the request of that sequence. Raises ValueError for anything else.
+    """Decode the answer to the request of that sequence. Raises ValueError for any other frame.
 
-    One of sequence 0 says that the request was none.
+    An answer of sequence 0 says that the request was invalid.
     """
     said, answered, status, remaining, *numbers = _opened(frame, ANSWER)
     if said != BRANDS[brand]:
@@ -120,18 +120,18 @@ def read_answer(frame: bytes, brand: Brand, sequence: int) -> LineAnswer:
     if answered != sequence and not (answered == 0 and status):
         raise ValueError(f"an answer to {answered}, expected {sequence}")
     if not all(map(math.isfinite, numbers)):
-        raise ValueError("a number of the answer is none")
+        raise ValueError("a number of the answer is not finite")
     x, y, z, age_s = numbers[POSE_SIZE:]
     return LineAnswer(answered, status, remaining, tuple(numbers[: len(POSE_NAMES[brand])]), (x, y, z), age_s)
 
 
 def _sealed(frame: bytes) -> bytes:
-    """With the CRC in place of its last four bytes."""
+    """The frame with its CRC in the last four bytes."""
     return frame[:-4] + zlib.crc32(frame[:-4]).to_bytes(4, "big")
 
 
 def _opened(frame: bytes, form: struct.Struct) -> tuple[int, ...]:
-    """What stands between the head and the CRC, the byte after the version first."""
+    """The byte after the version, and the numbers between head and CRC. Raises ValueError."""
     if len(frame) != form.size or frame != _sealed(frame):
         raise ValueError("a frame that is torn")
     magic, version, byte, length, *numbers, _crc = form.unpack(frame)

@@ -1,39 +1,38 @@
 """The handshake between a PLC and the cell, as a pure state machine.
 
 `step(state, event, now_s) -> (state, effects)`: no I/O, no clock; time is passed in, in seconds of
-any monotonic clock. Responsible for: which command is accepted, how it ends, whose turn to write it
-is, and whether the result on display may be called valid. Not responsible for registers (`registers`)
-nor for what a result looks like: a result is an opaque payload here.
+any monotonic clock. Responsible for: which command is accepted, how it ends, which client may write, and
+whether the result on display is valid. Not responsible for registers (`registers`) nor for the content of
+a result: it is an opaque payload here.
 
 The rules:
 
-- A command runs when CMD_SEQ changes to something other than 0. Whatever result was on display is
-  taken down at that moment, whether the command is accepted or refused.
-- The first CMD_SEQ that a connection writes is a baseline: it is taken note of, and nothing runs (NACK,
-  BASELINE). So it is after the start, after another client has written CMD_SEQ, and after it was not its
-  turn. PLCs write the same registers for ever: what was a command to the cell before a restart, or before
-  somebody else's turn, is none any more. Who writes a command once, on purpose, says so
-  (`SequenceWritten.once`).
+- A command runs when CMD_SEQ changes to something other than 0. The result on display is
+  withdrawn at that moment, whether the command is accepted or refused.
+- The first CMD_SEQ of a connection is a baseline: it is noted, and nothing runs (NACK, BASELINE). The same
+  holds after the start, after another client has written CMD_SEQ, and after a write during another client's
+  turn. PLCs write the same registers cyclically: a command from before a restart, or before another client's
+  turn, must not run again. A client that writes a command only once says so (`SequenceWritten.once`).
 - Each accepted command ends in exactly one `Answered`: ACK when it was carried out (even if nothing was
   found), NACK when it was refused, failed or took longer than its time-out. What comes later is ignored.
 - The answer of the newest command stays on display until the next one is written.
-- While CMD_SEQ is not 0 only the result of the newest command is shown; with 0 the results of a
-  free-running cell are, the newest replacing the one before.
+- While CMD_SEQ is not 0 only the result of the newest command is shown; with 0, the newest result of a
+  free-running cell.
 - A result stays valid until ACK_SEQ equals its sequence, until it is older than the validity
-  time-out (counted from the exposure), until the next command, until the client is lost, or until what it
-  stands on is exchanged. It never becomes valid again.
-- What a result stands on (rig, registration, jobs, limits, cameras) has a number, the *basis*. A result of
-  another basis than that of now is EXCHANGED: its sequence stays on display, and says nothing. A command that
-  is open when the basis changes ends in NACK, RELOADED: it was asked in one world and would be answered in
-  another one. A registration is not touched: it measures nothing, and ends by an exchange.
+  time-out (counted from the exposure), until the next command, until the client is lost, or until its
+  basis is exchanged. It never becomes valid again.
+- The *basis* numbers what a result is based on (rig, registration, jobs, limits, cameras). A result of an
+  older basis is EXCHANGED: its sequence stays on display, without content. A command that is open when the
+  basis changes ends in NACK, RELOADED: it would be answered on another basis than it was asked on. A
+  registration is not affected: it measures nothing, and ends by an exchange.
 - A measurement that finds several good parts leaves a list of the others. NEXT_PART shows the next one under
   its own sequence, without an exposure, and ends at once: a part is shown once, by one command. The list is
   as old as its exposure; it is gone with any other command (accepted or refused, 0 too), with its connection,
   a client that is lost, the validity time-out, another basis and SETUP. Without one NEXT_PART is a NACK.
-- While the cell is set up (`Suspended` to `Resumed`) nothing is open, shown or valid: what was open ends in
-  NACK, SETUP, and so does each command that is written. Where a robot's program registers the rig, that is so
-  but for the commands of the registration, which run and never show a result.
-- At most `HandshakeLimits.queue` commands are open; one more is refused and sets OVERRUN.
+- During SETUP (`Suspended` to `Resumed`) nothing is open, shown or valid: open and new commands end in NACK,
+  SETUP. Only while a robot's program registers the rig, the commands of the registration run; they never show
+  a result.
+- At most `HandshakeLimits.queue` commands are open; a further one is refused and sets OVERRUN.
 - One client writes at a time. It keeps that right while it writes, or while commands are open.
 
 Sequences are 16 bit and wrap, and a client may use one again. A *ticket* is the sequence unwrapped:
@@ -80,8 +79,8 @@ class HandshakeLimits:
     """Times and sizes of the handshake.
 
     validity_s : a result older than this, counted from its exposure, is not valid.
-    heartbeat_s : a client that has begun to count its heartbeat and stops for so long is lost.
-    owner_s : the right to write lapses after so long without a write and without open commands.
+    heartbeat_s : a client is lost when its heartbeat, once begun, stops for so long.
+    owner_s : the right to write lapses after so long without writes and open commands.
     queue : open commands.
     """
 
@@ -101,9 +100,9 @@ class OpenCommand:
 
 @dataclass(frozen=True, slots=True)
 class ShownResult(Generic[Payload]):
-    """What is on display. exposed_s : time of the exposure on the clock of `now_s`.
+    """The result on display. exposed_s : time of the exposure on the clock of `now_s`.
 
-    withdrawn : it was acknowledged, has grown too old, or its client was lost.
+    withdrawn : acknowledged, too old, or its client was lost.
     """
 
     sequence: int
@@ -115,9 +114,9 @@ class ShownResult(Generic[Payload]):
 
 @dataclass(frozen=True, slots=True)
 class PartList(Generic[Payload]):
-    """What NEXT_PART can still give: the further parts of the newest measurement, in their order.
+    """Parts that NEXT_PART can still give: the further parts of the newest measurement.
 
-    client : who asked for it. job : number of the measured job. exposed_s : as in `ShownResult`.
+    client : that asked for the measurement. job : number of the measured job. exposed_s : as in `ShownResult`.
     """
 
     client: int
@@ -128,12 +127,12 @@ class PartList(Generic[Payload]):
 
 @dataclass(frozen=True, slots=True)
 class Handshake(Generic[Payload]):
-    """The state. Build it with the limits only; everything else is the state after start.
+    """State of the handshake; built with the limits only, it is the state after the start.
 
-    parts : None where there is no list; one at its end is none.
-    synchronised : the client whose CMD_SEQ is known: a change of it is a command. None: nobody's.
-    suspended : the cell is set up. registers : by a robot's program, whose commands run.
-    basis : the number of what results stand on now.
+    parts : None without a list, or at its end.
+    synchronised : the client whose CMD_SEQ is known, so that a change is a command; None: no client's is.
+    suspended : SETUP. registers : a robot's program registers the rig, and its commands run.
+    basis : number of the present basis.
     """
 
     limits: HandshakeLimits
@@ -168,7 +167,7 @@ def is_valid(state: Handshake[Payload], now_s: float) -> bool:
 
 
 def is_fresh(state: Handshake[Payload], now_s: float) -> bool:
-    """Whether what is on display is neither acknowledged, nor too old, nor for a client that is lost."""
+    """Whether the result on display is not acknowledged, not too old, and its client is not lost."""
     result = state.result
     return (
         result is not None
@@ -180,7 +179,7 @@ def is_fresh(state: Handshake[Payload], now_s: float) -> bool:
 
 
 def is_as_published(state: Handshake[Payload], now_s: float) -> bool:
-    """Whether the result on display still says what it said when it appeared."""
+    """Whether the result on display is unchanged since it appeared."""
     if state.result is None or state.result.verdict is ResultVerdict.EXCHANGED:
         return False
     return state.result.verdict is not ResultVerdict.GOOD or is_valid(state, now_s)
@@ -196,11 +195,11 @@ def remaining(state: Handshake[Payload]) -> int:
 
 
 def valid_until_s(state: Handshake[Payload], now_s: float) -> float | None:
-    """When coordinates that may be used now fall by time alone; None when there are none."""
+    """When the valid coordinates on display expire; None without valid coordinates."""
     if state.result is None or not is_valid(state, now_s):
         return None
-    fallen_s = state.result.exposed_s + state.limits.validity_s
-    return fallen_s if state.heartbeat_due_s is None else min(fallen_s, state.heartbeat_due_s)
+    expired_s = state.result.exposed_s + state.limits.validity_s
+    return expired_s if state.heartbeat_due_s is None else min(expired_s, state.heartbeat_due_s)
 
 
 def may_write(state: Handshake[Payload], client: int, now_s: float) -> bool:
@@ -242,8 +241,8 @@ def _take(
         case HeartbeatWritten(value):
             return _beat(state, value, now_s), ()
         case CycleBegun():
-            # of a commanded cycle EXPOSURE_DONE is taken down by the command itself, so that it is
-            # already down when the write is answered
+            # the command itself resets EXPOSURE_DONE of its cycle, so that it is 0 when the write is
+            # answered
             return (replace(state, exposure_done=False) if state.command_sequence == 0 else state), ()
         case Exposed(ticket):
             is_served = not state.suspended or state.registers
@@ -254,7 +253,7 @@ def _take(
         case Released():
             return _release(state, event), ()
         case Barred(client):
-            # what it goes on writing when its turn comes may be a command that it has given up meanwhile
+            # a value it still writes when its turn comes may be a command it has given up meanwhile
             return (replace(state, synchronised=None) if state.synchronised == client else state), ()
         case Exchanged(basis):
             return _exchange(state, basis)
@@ -279,9 +278,9 @@ def _exchange(state: Handshake[Payload], basis: int) -> tuple[Handshake[Payload]
 
 
 def _without_result(state: Handshake[Payload]) -> Handshake[Payload]:
-    """The result on display is EXCHANGED, and its list is gone."""
+    """Mark the result on display as EXCHANGED, and drop the list of parts."""
     if state.registers:
-        return state  # nothing is shown, and EXPOSURE_DONE is of a command of the registration, which goes on
+        return state  # nothing is shown, and EXPOSURE_DONE belongs to the registration, which goes on
     result = state.result
     if result is not None and result.verdict is not ResultVerdict.EXCHANGED:
         result = replace(result, verdict=ResultVerdict.EXCHANGED)
@@ -306,13 +305,13 @@ def _expire(state: Handshake[Payload], now_s: float) -> tuple[Handshake[Payload]
             state, ended = _end(state, command.ticket, AckState.NACK, NackReason.TIMEOUT)
             effects += ended
     if state.heartbeat_due_s is not None and now_s >= state.heartbeat_due_s:
-        # whoever takes over must not find a result that was meant for somebody else
+        # the next client must not find a result that was meant for another one
         state = replace(state, heartbeat_due_s=None, client_lost=True, owner=None, result=None, parts=None)
     if state.parts is not None and not _is_young(state, state.parts.exposed_s, now_s):
         state = replace(state, parts=None)
     result = state.result
     if result is not None and not result.withdrawn and _is_used_up(state, result, now_s):
-        # neither another ACK_SEQ nor a heartbeat must bring it back: somebody may have seen that it fell
+        # another ACK_SEQ or a heartbeat must not restore it: a client may have seen its withdrawal
         state = replace(state, result=replace(result, withdrawn=True))
     return state, effects
 
@@ -327,7 +326,7 @@ def _command(
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
     is_baseline = event.client != state.synchronised and not event.once
     state = replace(state, synchronised=event.client)
-    # what another connection was answered under this very number is no answer to this one
+    # an answer to another connection under the same number does not answer this one
     if event.sequence == state.command_sequence and not (is_baseline and event.sequence):
         return state, ()
     parts = state.parts
@@ -350,13 +349,13 @@ def _command(
     if len(state.open) >= state.limits.queue:
         return _refuse(replace(state, overrun=True), NackReason.QUEUE_FULL)
     deadline_s = float("inf") if event.timeout_s is None else now_s + event.timeout_s
-    # the answer of the command before must not be read as the answer of this one
+    # the previous command's answer must not be read as this one's
     state = replace(state, answer=AckState.NONE, reason=NackReason.NONE, done_sequence=0, overrun=False)
     return replace(state, open=(*state.open, OpenCommand(ticket, deadline_s))), (Submit(ticket),)
 
 
 def _refuse(state: Handshake[Payload], reason: NackReason) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
-    """Answer the newest command without ever having opened it."""
+    """Answer the newest command with NACK, without opening it."""
     sequence = state.ticket & SEQUENCE_MASK
     state = replace(state, done_sequence=sequence, answer=AckState.NACK, reason=reason)
     return state, (Answered(state.ticket, AckState.NACK, reason),)
@@ -365,7 +364,7 @@ def _refuse(state: Handshake[Payload], reason: NackReason) -> tuple[Handshake[Pa
 def _next_part(
     state: Handshake[Payload], parts: PartList[Payload] | None, event: SequenceWritten
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
-    """Show the next part of the list, which was there until this command; it is never open."""
+    """Show the next part of the previous list; the command is never open."""
     if parts is None or parts.client != event.client or event.next_of not in (0, parts.job):
         return _refuse(state, NackReason.NO_LIST)
     shown = ShownResult(event.sequence, ResultVerdict.GOOD, parts.exposed_s, parts.rest[0])
@@ -385,15 +384,15 @@ def _next_part(
 def _end(
     state: Handshake[Payload], ticket: int, answer: AckState, reason: NackReason
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
-    """End an open command; one that is not open (any more) changes nothing."""
+    """End an open command; nothing changes when it is not open."""
     still_open = tuple(command for command in state.open if command.ticket != ticket)
     if len(still_open) == len(state.open):
         return state, ()
     is_newest_open = any(command.ticket == state.ticket for command in state.open)
     state = replace(state, open=still_open)
     if is_newest_open:
-        # once the newest command has its answer, an older one that ends later must not write over it: the
-        # client that waits for it may not have looked yet
+        # an older command that ends later must not overwrite the newest answer: its client may not have read
+        # it yet
         state = replace(state, done_sequence=ticket & SEQUENCE_MASK, answer=answer, reason=reason)
     return state, (Answered(ticket, answer, reason),)
 
@@ -419,9 +418,9 @@ def _finish(
     if effects and is_newest and event.payload is not None:
         sequence = event.ticket & SEQUENCE_MASK
         shown = ShownResult(sequence, event.verdict, event.exposed_s, event.payload)
-        # a result without a fault proves an exposure, whatever became of the message that said so
+        # a result without a fault proves an exposure, even if its `Exposed` was lost
         state = replace(state, result=shown, exposure_done=state.exposure_done or not is_fault)
-        # who wrote the newest command and is gone by now has nobody to go on for it
+        # no list for a client that is gone by now
         if event.verdict is ResultVerdict.GOOD and event.rest and state.synchronised is not None:
             parts = PartList(state.synchronised, event.job, event.exposed_s, event.rest)
             state = replace(state, parts=parts)

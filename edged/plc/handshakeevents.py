@@ -1,4 +1,4 @@
-"""What happens between a PLC and the cell, and what follows of it: events and effects of the `handshake`."""
+"""Events and effects of the `handshake` between a PLC and the cell."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ Payload = TypeVar("Payload")
 class SequenceWritten:
     """CMD_SEQ was written. known : the command register holds a command that exists.
 
-    client : who wrote it. once : it is no part of a block that is written again and again: it runs although
-    nothing is known of what this client wrote before. timeout_s : for this command, None for none.
-    next_of : it is NEXT_PART, of a list of this job (0: whatever job); None: it is another command.
-    registers : it is one with which a robot's program registers the rig.
+    client : the writer. once : written once, not cyclically: it runs as a client's first command, too.
+    timeout_s : for this command; None: without limit. next_of : NEXT_PART from a list of this job (0: any);
+    None: another command. registers : a registration command.
     """
 
     sequence: int
@@ -47,7 +46,7 @@ class HeartbeatWritten:
 
 @dataclass(frozen=True, slots=True)
 class Declined:
-    """The cycle did not take the command that was submitted."""
+    """The cycle refused the submitted command."""
 
     ticket: int
     reason: NackReason = NackReason.REFUSED
@@ -62,12 +61,12 @@ class ExecutionFailed:
 
 @dataclass(frozen=True, slots=True)
 class CycleBegun:
-    """The cell begins to measure."""
+    """The cell starts to measure."""
 
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """Both images are in memory. ticket : the command's, None when nobody here asked."""
+    """Both images are in memory. ticket : of the command; None for a cycle without one."""
 
     ticket: int | None
 
@@ -76,9 +75,9 @@ class Exposed:
 class Finished(Generic[Payload]):
     """A measurement, a picture or a job change is complete.
 
-    ticket : the command's, None when nobody here asked; cycle : its number (for free-running cells).
-    payload : what to display, None for nothing. rest : what to display of each further good part, for
-    NEXT_PART; job : the number of the job that was measured. basis : by what it was, see `Exchanged`.
+    ticket : of the command; None for a cycle without one. cycle : its number (for free-running cells).
+    payload : result to display; None: nothing. rest : results of the further good parts, for NEXT_PART.
+    job : number of the measured job. basis : see `Exchanged`.
     """
 
     ticket: int | None
@@ -100,7 +99,7 @@ class ClaimedBy:
 
 @dataclass(frozen=True, slots=True)
 class Released:
-    """A client has given up its right to write. gone : its connection has ended, too."""
+    """A client has given up its right to write. gone : its connection has ended."""
 
     client: int
     gone: bool = False
@@ -108,16 +107,16 @@ class Released:
 
 @dataclass(frozen=True, slots=True)
 class Barred:
-    """A client wrote CMD_SEQ while another one held the right to write: it was not taken."""
+    """A client wrote CMD_SEQ while another client held the right to write: it was refused."""
 
     client: int
 
 
 @dataclass(frozen=True, slots=True)
 class Exchanged:
-    """What results stand on has been exchanged: rig, registration, jobs, limits or cameras.
+    """The basis of results has been exchanged: rig, registration, jobs, limits or cameras.
 
-    basis : the number of what they stand on from now on; a result of another one is none any more.
+    basis : number of the new basis; results of another basis are void.
     """
 
     basis: int
@@ -125,14 +124,14 @@ class Exchanged:
 
 @dataclass(frozen=True, slots=True)
 class OtherJob:
-    """Somebody else than the client has made another job the active one."""
+    """Another source than the client has changed the active job."""
 
 
 @dataclass(frozen=True, slots=True)
 class Suspended:
-    """The cell is set up from now on: its cameras, its rig or its jobs may change.
+    """SETUP has begun: cameras, rig or jobs may change.
 
-    registers : by a robot's program, whose commands run.
+    registers : a robot's program registers the rig, and its commands run.
     """
 
     registers: bool = False
@@ -140,7 +139,7 @@ class Suspended:
 
 @dataclass(frozen=True, slots=True)
 class Resumed:
-    """The cell works for clients again."""
+    """SETUP has ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +172,7 @@ Event = (
 
 @dataclass(frozen=True, slots=True)
 class Submit:
-    """Hand this command to the cycle; answer with `Declined` if it does not take it."""
+    """Submit this command to the cycle; step with `Declined` if it refuses."""
 
     ticket: int
 

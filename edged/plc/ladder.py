@@ -1,4 +1,4 @@
-"""What PLC and cell said to each other last, command by command, for people: it changes nothing."""
+"""The latest dialogue of PLC and cell, command by command, for people; it has no effect."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ from edged.plc.registers import UINT16_MAX, RegisterResult
 
 KEPT = 50
 MOST_RUNGS = 16
-"""Of one command; what comes later is not kept."""
+"""Most rungs kept of one command."""
 FARTHEST_MM = 20_000.0
 """No robot's flange is farther from its base."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """One thing that was said. after_s : since the command. what : a code. detail : of it, "" for none.
+    """One step of a dialogue. after_s : since the command. what : a code. detail : text, may be "".
 
     what : by the PLC "command", "acknowledged", "taken_down"; by the cell "exposure", "result" (detail: its
-    code, valid or not), "reloaded": the result falls, "ack", "nack" (detail: the reason), "barred": it was
-    not its turn.
+    code), "reloaded" (the result is void), "ack", "nack" (detail: the reason), "barred" (not its turn).
     """
 
     after_s: float
@@ -37,9 +36,9 @@ class Rung:
 
 @dataclass(slots=True, eq=False)
 class Exchange:
-    """One command and what became of it. began_ns : UTC. code : of the COMMAND register.
+    """One command and its outcome. began_ns : UTC. code : of the COMMAND register.
 
-    hint : "bytes" or "words" that look exchanged in what was written, or "". times : so often in a row.
+    hint : "bytes" or "words" that look swapped in the written registers, or "". times : in a row.
     """
 
     number: int
@@ -54,14 +53,14 @@ class Exchange:
 
     @property
     def command(self) -> str:
-        """Its name; "" for one that there is not."""
+        """Name of the command; "" for an unknown code."""
         return CommandKind(self.code).name if self.code in set(CommandKind) else ""
 
 
 class Ladder:
-    """The last exchanges; told of each step of the handshake.
+    """Records the last exchanges from the steps of the handshake.
 
-    name_of : a client, by its number; None where it has no address.
+    name_of : address of a client by its number; None without an address.
     """
 
     def __init__(self, clock_ns: Callable[[], int] = time.time_ns) -> None:
@@ -74,11 +73,11 @@ class Ladder:
 
     @property
     def exchanges(self) -> list[Exchange]:
-        """The youngest first."""
+        """The newest first."""
         return list(reversed(self._kept))
 
     def writes(self, code: int, job: int, flange_mm: tuple[float, ...]) -> None:
-        """What stands in the command block while CMD_SEQ is taken. flange_mm : () where none was written."""
+        """Note the command block before its CMD_SEQ is stepped. flange_mm : () if not written."""
         self._next = code, job, _hint(code, flange_mm)
 
     def took(
@@ -89,7 +88,7 @@ class Ladder:
         effects: tuple[ev.Effect, ...],
         now_s: float,
     ) -> None:
-        """A step of the handshake. Cheap where nothing was said: each read of a register is a step."""
+        """Record a step of the handshake; cheap for a `Tick`, which comes with each read of a register."""
         match event:
             case ev.Tick() if not effects:
                 return
@@ -159,7 +158,7 @@ class Ladder:
 
 
 def _hint(code: int, flange_mm: tuple[float, ...]) -> str:
-    """What a client has exchanged, where what it writes makes sense only the other way round.
+    """What a client swaps: "bytes" or "words" if its values make sense only the other way round, else "".
 
     >>> _hint(0x0100, ())
     'bytes'
@@ -174,7 +173,7 @@ def _hint(code: int, flange_mm: tuple[float, ...]) -> str:
 
 
 def _turned(mm: float) -> float:
-    """With the words of its register, in µm, exchanged."""
+    """The value after swapping the words of its register (µm)."""
     value = round(mm * 1000) & 0xFFFFFFFF
     other = (value & UINT16_MAX) << 16 | value >> 16
     return (other - (1 << 32) if other >> 31 else other) / 1000

@@ -1,12 +1,11 @@
-"""Lines of text that robots without Modbus talk in: what an answer consists of, and what its status says.
+"""Lines of text for robots without Modbus: fields and statuses of an answer.
 
 The schema of `[modbus.socket]`, as `edged.plc.registers` is that of the registers: the server answers by it,
 and the clients in the robots' languages are written from it.
 
-A request may name the brand of its robot before all else: `kuka,7,LOCATE,0`. What it says of the flange is
-read as that maker writes poses, and so the answer is written, whatever `brand` is configured. One that names
-none is read and answered as configured. Every generated program names its own: a pose of another maker's
-angles looks like any other. A cell that knows no brands in requests takes such a line for none.
+A request may begin with the brand of its robot: `kuka,7,LOCATE,0`. Its flange is read, and its answer
+written, in that maker's convention of poses; without a brand, in the configured one. Every generated program names its
+brand, as angles of another maker's convention look like any others.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from edged.robot.orientations import Brand
 
 MAX_LINE_BYTES = 256
 UNKNOWN = -1.0
-"""A sigma, or an age, that is not known."""
+"""An unknown sigma or age."""
 POSE_NAMES: dict[Brand, tuple[str, ...]] = {
     brand: ("X", "Y", "Z", "Q1", "Q2", "Q3", "Q4") if brand is Brand.ABB else ("X", "Y", "Z", "A", "B", "C")
     for brand in Brand
@@ -66,7 +65,7 @@ class LineStatus(enum.IntEnum):
     MAY_NOT_WRITE = 115
     """The robot's address is not in `modbus.writers`."""
     NOT_UNDERSTOOD = 116
-    """No request, or a number that is none."""
+    """No request, or a malformed number."""
     NO_FURTHER = 117
     """NEXT, and there is no further target."""
     OUT_OF_LIMITS = 118
@@ -78,9 +77,9 @@ class LineStatus(enum.IntEnum):
 
 
 class BadRequest(ValueError):
-    """What came is none.
+    """A line or frame that is no valid request.
 
-    brand : whose convention that is answered in. sequence : the request's, 0 where it is not known.
+    brand : in whose convention it is answered. sequence : of the request; 0 if unknown.
     """
 
     def __init__(
@@ -94,9 +93,9 @@ class BadRequest(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class LineAnswer:
-    """What is sent back; the pose is 0, sigmas and age are -1 where there are none.
+    """An answer; an absent pose is 0, absent sigmas and age are -1.
 
-    remaining : targets that NEXT can still give. pose : as the brand writes it. sigma : of X, Y, Z in its
+    remaining : targets that NEXT can still give. pose : in the brand's convention. sigma : of X, Y, Z in its
     unit of length. age_s : since the exposure.
     """
 
@@ -108,7 +107,7 @@ class LineAnswer:
     age_s: float = UNKNOWN
 
     def line(self, brand: Brand, end: bytes = b"\n") -> bytes:
-        """As it is sent: always the same number of fields."""
+        """The line to send, always with the same number of fields."""
         pose = self.pose or (0.0,) * len(POSE_NAMES[brand])
         numbers = (f"{number:.6f}" for number in (*pose, *self.sigma, self.age_s))
         whole = (str(self.sequence), str(int(self.status)), str(self.remaining))

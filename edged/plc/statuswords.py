@@ -1,4 +1,4 @@
-"""What the block status says of the handshake and of the cell, as numbers."""
+"""Handshake and state of the cell as the numbers of the block status."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def status_values(
     valid: bool,
     simulated: bool,
 ) -> dict[str, reg.Number]:
-    """Values of the block status by name, but what only the server knows: CLIENTS, START_EPOCH, CONVENTION.
+    """Values of the block status by name, except the server's own: CLIENTS, START_EPOCH, CONVENTION.
 
-    cell : None before the cell has said anything. valid : the coordinates on display may be used. simulated :
-    the last result was.
+    cell : None before its first state. valid : the coordinates on display may be used. simulated : the last
+    result came from a virtual cell.
     """
     return {
         "STATE": STATES[cell.state] if cell is not None else 0,

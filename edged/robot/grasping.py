@@ -1,7 +1,7 @@
-"""Where a tool takes a part that was found: pure functions of its pose and of the grasps that were taught.
+"""Where a tool takes a located part: pure functions of its pose and the taught grasps.
 
-A part that looks the same in several ways may be taken in as many; of those that are allowed the tool is
-given the one that turns it least against how it took the part at teaching.
+A symmetric part may be taken in several ways; of the allowed ones, the tool gets the one nearest to its
+taught orientation.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from edged.robot.orientations import about
 from edged.vision.geometry.rigid import rotation_vector, skew, transform
 
 ALONG_Z = 0.999
-"""Cosine between the axis about which a part looks the same and its z: below, the one is not the other."""
+"""Least cosine between a part's axis of symmetry and its z for the two to be taken as one."""
 
 
 def best_grasp(
     target: Target, grasps: Sequence[Grasp], is_allowed: Callable[[GraspPose], bool]
 ) -> GraspPose | None:
-    """The first grasp that is allowed in one of its alternatives, in the order of the job."""
+    """The first allowed alternative of the grasps, in the order of the job; None if none is allowed."""
     if not (np.isfinite(target.rig_from_part).all() and np.isfinite(target.covariance).all()):
         return None
     poses = (pose for number, grasp in enumerate(grasps, 1) for pose in alternatives(target, grasp, number))
@@ -32,14 +32,14 @@ def best_grasp(
 
 
 def alternatives(target: Target, grasp: Grasp, number: int) -> Iterator[GraspPose]:
-    """Every way to take the part by this grasp, the one that turns the tool least first."""
+    """Every way to take the part by this grasp, the least turn of the tool first."""
     is_any = grasp.symmetry == 0 or _looks_the_same(target)
     if is_any:
         turns_rad = [_least_turn_rad(target.rig_from_part, grasp)]
     else:
         turns_rad = [2 * math.pi * k / grasp.symmetry for k in range(grasp.symmetry)]
     poses = [(turn_rad, _rig_from_tcp(target.rig_from_part, grasp, turn_rad)) for turn_rad in turns_rad]
-    poses.sort(key=lambda one: round(_turned_rad(one[1], grasp.rig_from_tcp), 9))
+    poses.sort(key=lambda turned: round(_turned_rad(turned[1], grasp.rig_from_tcp), 9))
     for turn_rad, pose in poses:
         yield GraspPose(
             grasp.name,
@@ -82,7 +82,7 @@ def _turned_rad(rig_from_tcp: FloatArray, taught: FloatArray) -> float:
 
 
 def _least_turn_rad(rig_from_part: FloatArray, grasp: Grasp) -> float:
-    """The turn about the part's z that leaves the tool as it stood at teaching, as well as it can.
+    """The turn about the part's z that brings the tool nearest to its taught orientation.
 
     The angle of a rotation is least where its trace is largest; with M = part_from_tcp taught^T rig_from_part
     the trace of M Rz(t) is (M00 + M11) cos t + (M01 - M10) sin t + M22.

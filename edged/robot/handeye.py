@@ -29,11 +29,11 @@ Mount = Literal["eye-to-hand", "eye-in-hand"]
 MIN_POSES = 4
 MIN_TURN_RAD = np.radians(5.0)
 MIN_AXES_SPREAD = 0.05
-"""Of the rotation axes: second singular value over the first; below it they are parallel."""
+"""Least spread of the rotation axes: second singular value over the first; below it they are parallel."""
 OUTLIER = 6.0
-"""Times the median residual: a pose that was mistyped or a board that was moved."""
+"""Outlier limit in median residuals: a mistyped pose, or a board that was moved."""
 MIN_KEPT = 0.6
-"""With fewer in agreement there is no telling who is wrong: all are kept, and the rms says so."""
+"""Least share of poses in agreement; below it no outlier can be identified, and all poses are kept."""
 REWEIGHTED = 12
 
 
@@ -98,9 +98,8 @@ def hand_eye(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlangeTurns:
-    """How the flange turned, from the first pose. largest_rad : of all. spread : of the axes, second singular
-    value over the first; 0: all turns are about one. axis (3,) : the one about which it turned most, unit, in
-    the frame of the first pose.
+    """Rotations of the flange since the first pose. largest_rad : largest angle. spread : of the axes, second
+    singular value over the first; 0: a single axis. axis (3,) : main axis, unit, in the first pose's frame.
     """
 
     largest_rad: float
@@ -109,12 +108,12 @@ class FlangeTurns:
 
     @property
     def are_enough(self) -> bool:
-        """For hand-eye."""
+        """Whether they determine a hand-eye calibration."""
         return self.largest_rad >= MIN_TURN_RAD and self.spread >= MIN_AXES_SPREAD
 
 
 def turns_of(poses: Sequence[FloatArray]) -> FlangeTurns:
-    """Of poses (4, 4), two at least."""
+    """Rotations between poses (4, 4), two or more."""
     vectors = np.array([rotation_vector(poses[0][:3, :3].T @ pose[:3, :3]) for pose in poses[1:]])
     angles = np.linalg.norm(vectors, axis=1)
     turned = vectors[angles > 0.3 * MIN_TURN_RAD]
@@ -204,7 +203,7 @@ def _refine(
 def _without_outliers(
     A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Fit in which a pose weighs less the worse it agrees (Cauchy), then without those that disagree."""
+    """Robust fit (Cauchy weights), then a fit without the outliers."""
     errors = _errors_mm(A, B, X, Y, marks)
     for _ in range(REWEIGHTED):
         weights = 1 / (1 + (errors / max(2.0 * float(np.median(errors)), 1e-9)) ** 2)

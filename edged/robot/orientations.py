@@ -25,11 +25,11 @@ from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import quaternion, rotation_matrix, rotation_vector, skew, wrapped
 
 SINGULAR = 1e-9
-"""Below this sine (or cosine) the outer angles cannot be told apart in float64."""
+"""Below this sine (or cosine) the outer angles cannot be separated in float64."""
 
 
 class Convention(enum.IntEnum):
-    """What A, B, C mean; the value of a register."""
+    """Meaning of A, B, C; the value of a register."""
 
     FIXED_XYZ = 1
     """FANUC W, P, R; Yaskawa Rx, Ry, Rz: about fixed X, then Y, then Z."""
@@ -94,7 +94,7 @@ def rotation_vector_rad(R: FloatArray) -> tuple[float, float, float]:
 
 
 def rotation_vector_deg(R: FloatArray) -> tuple[float, float, float]:
-    """`rotation_vector_rad` in degrees, for registers whose unit is the millidegree."""
+    """`rotation_vector_rad` in degrees, for registers in millidegrees."""
     rx, ry, rz = rotation_vector_rad(R)
     return math.degrees(rx), math.degrees(ry), math.degrees(rz)
 
@@ -139,7 +139,7 @@ def _small_turn(axis: int, angle_rad: float) -> FloatArray:
 
 
 class Brand(enum.StrEnum):
-    """Whose poses these are: order, angles and units as the controller shows them."""
+    """Robot brand, which fixes the order, angles and units of a pose as its controller shows them."""
 
     UR = "ur"
     KUKA = "kuka"
@@ -169,7 +169,7 @@ POSE_FIELDS: dict[Brand, str] = {
     Brand.DENSO: "X Y Z in mm, RX RY RZ in degrees",
     Brand.TECHMAN: "X Y Z in mm, Rx Ry Rz in degrees",
 }
-"""What a pose consists of; for messages."""
+"""Numbers of a pose, for messages."""
 
 
 def about(axis: int, angle_rad: float) -> FloatArray:
@@ -236,7 +236,7 @@ _CONVENTIONS = {
     Brand.DENSO: Convention.FIXED_XYZ,
     Brand.TECHMAN: Convention.FIXED_XYZ,
 }
-"""Of the brands that write three angles."""
+"""Angles of the brands that write three."""
 _READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
     Brand.UR: (1000.0, 1.0, matrix_rotation_vector),
     Brand.KUKA: (1.0, math.pi / 180, matrix_zyx),

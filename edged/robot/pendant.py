@@ -1,4 +1,4 @@
-"""Poses as people have them from a robot's pendant: how it calls and rounds them, and how they are pasted."""
+"""Poses as a robot's pendant shows them: labels, rounding, and pasted text."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from edged.vision.geometry.rigid import transform
 
 @dataclass(frozen=True, slots=True)
 class Pendant:
-    """What a pendant shows of a pose. labels : of position and orientation, in their order.
+    """Format of a pose on a pendant. labels : of position and orientation, in order.
 
-    length : "mm" or "m". angle : "deg", "rad", or "" of a quaternion. shape : of a pose in the maker's own
-    language, with %s for each number.
+    length : "mm" or "m". angle : "deg", "rad", or "" of a quaternion. shape : a pose in the maker's language,
+    with %s for each number.
     """
 
     labels: tuple[str, ...]
@@ -28,17 +28,17 @@ class Pendant:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of each label."""
+        """The unit of each label."""
         return (self.length,) * 3 + (self.angle,) * (len(self.labels) - 3)
 
     def rounded(self, numbers: tuple[float, ...]) -> list[str]:
-        """As it would show them: 0.01 mm, 0.001°."""
+        """The numbers as it shows them: 0.01 mm, 0.001°."""
         digits = {"mm": 2, "m": 5, "deg": 3, "rad": 5, "": 6}
         units = self.units[: len(numbers)]
         return [f"{number:.{digits[unit]}f}" for number, unit in zip(numbers, units, strict=True)]
 
     def text(self, numbers: tuple[float, ...]) -> str:
-        """A pose, or a position, to be read or copied."""
+        """A pose or position, to read or copy."""
         shown = self.rounded(numbers)
         if self.shape and len(numbers) == len(self.labels):
             return self.shape % tuple(shown)
@@ -64,7 +64,7 @@ PENDANTS: dict[Brand, Pendant] = {
 
 
 def mm_per_unit(brand: Brand) -> float:
-    """Of the lengths that a pendant shows."""
+    """Unit of length on the brand's pendant, in mm."""
     return LENGTH_UNITS_MM[PENDANTS[brand].length]
 
 
@@ -78,15 +78,15 @@ _POINT_OR_COMMA = re.compile(rf"{_SIGNED}(?:\d+(?:[.,]\d+)?|[.,]\d+){_TAIL}")
 _BEYOND = re.compile(r"\)\s*\(|[,\s]S\s*:?\s*\d+\s*,?\s*T\b")
 """Where configuration and turns begin: MELFA's second bracket, KUKA's S and T."""
 _NEXT_GROUP = re.compile(r"\]\s*,\s*\[")
-"""Of a robtarget: position and orientation are the first two."""
+"""Between the groups of a robtarget: position and orientation are the first two."""
 
 
 def numbers_in(text: str, counts: tuple[int, ...]) -> tuple[float, ...]:
     """The numbers of one pose or point, however they are separated and named.
 
-    counts : how many there may be. Labels, brackets, degree signs and units are passed over, and so is what
-    stands behind a pose; a comma is the decimal sign where something else separates, or where only that gives
-    a right count. Raises `UserError`.
+    counts : how many are allowed. Labels, brackets, degree signs, units and text behind a pose are ignored; a
+    comma is the decimal sign where something else separates, or where only that gives an allowed count.
+    Raises `UserError`.
 
     >>> numbers_in("X 512,03  Y -88,12  Z 35,40", (3,))
     (512.03, -88.12, 35.4)
@@ -108,14 +108,14 @@ def numbers_in(text: str, counts: tuple[int, ...]) -> tuple[float, ...]:
 
 
 def _is_decimal(plain: str) -> bool:
-    """Every comma stands between digits, alone in its number, and something else separates the numbers."""
+    """Whether every comma is a decimal sign: between digits, once per number, and other separators exist."""
     commas = re.findall(r"\d,\d", plain)
     others = re.search(r"\d\.\d|,(?!\d)|(?<!\d),|,\d+,", plain)
     return bool(commas) and others is None and re.search(r"\d\S*[\s;]+\S*\d", plain) is not None
 
 
 def _floats(found: list[str]) -> tuple[float, ...]:
-    return tuple(float(one.replace(",", ".")) for one in found)
+    return tuple(float(text.replace(",", ".")) for text in found)
 
 
 # --- readings -------------------------------------------------------------------------------------
@@ -140,11 +140,11 @@ READING_CODES: dict[str, str] = dict(
         strict=True,
     )
 )
-"""Of `READINGS`, for programs and for the page, which has words of its own."""
+"""Codes of `READINGS`, for programs and for the page, which translates them."""
 
 
 def brands_of(orientation: str, length_unit: str) -> tuple[Brand, ...]:
-    """Whose pendants write a pose so: none of some ways, several of others."""
+    """Brands whose pendants write poses in this orientation and unit; may be none or several."""
     count, reader = READINGS[orientation]
     unit = np.array((0.5, 0.1, 0.7, 0.5)) if count == 4 else np.array((0.4, -0.7, 1.1))
     probe = (1.0, 2.0, 3.0, *(unit / np.linalg.norm(unit) if count == 4 else unit).tolist())

@@ -1,8 +1,8 @@
-"""What a robot may pick of what was found, how, and in which order: pure functions of an outcome.
+"""Picking rules applied to an outcome: pure functions.
 
-Boxes and keep-out zones lie in the frame that coordinates are told in: the robot's, and the rig's as long as
-the rig is not registered. A rig on the flange is registered; without the pose of the flange nobody knows
-where the robot's frame is, and a job or a cell with bounds gives nothing then.
+Boxes and keep-out zones lie in the frame of the published coordinates: the robot's, or the rig's as long as
+the rig is not registered. A rig on the flange is registered; without the pose of the flange the robot's frame
+is unknown, and every part of a job or cell with bounds is refused.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ NOWHERE = Box("nowhere", (math.inf,) * 3, (-math.inf,) * 3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotFrame:
-    """Where coordinates are told. robot_from_rig (4, 4) : None where that is the rig's own frame.
+    """Frame of the published coordinates. robot_from_rig (4, 4) : None for the rig's own frame.
 
-    is_known : not of a rig on the flange while nobody says where the flange is.
+    is_known : False for a rig on the flange without the flange's pose.
     """
 
     robot_from_rig: FloatArray | None = None
@@ -34,25 +34,24 @@ class RobotFrame:
 
 
 def frame_of(rig: StereoRig) -> RobotFrame:
-    """Without a pose of the flange."""
+    """The frame of a rig, without a pose of the flange."""
     return RobotFrame(rig.robot_from_rig, rig.flange_from_rig is None)
 
 
 def within(picking: Picking, bounds: Bounds) -> Picking:
-    """With the cell's bounds besides those of the job."""
+    """The job's picking rules with the cell's bounds added."""
     return replace(picking, bounds=(bounds, *picking.bounds)) if bounds != Bounds() else picking
 
 
 def narrowed(bounds: Bounds, box: int) -> Bounds:
-    """With one box alone, counted from 1; 0: with all. Into a box that is not there nothing goes."""
+    """The bounds with a single box, counted from 1; 0: with all. A missing box admits nothing."""
     return replace(bounds, boxes=bounds.boxes[box - 1 : box] or (NOWHERE,)) if box else bounds
 
 
 def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
-    """The outcome without what the robot may not go to, its good parts first in the order of the job.
+    """The outcome with parts out of bounds rejected, and the good parts first, in the order of the job.
 
-    Each with the pose that its job wants published: nothing but publishing may come after it.
-    Parts that are equal in it stay as they were: by their score.
+    Each part has its reported pose: only publishing may follow. Equal parts keep their order, by score.
     """
     key = _KEYS[picking.order]
 
@@ -60,8 +59,8 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
         value = key(target, frame.robot_from_rig)
         return target.reject != Reject.NONE, value if math.isfinite(value) else math.inf
 
-    told = (allowed(one, picking, frame).as_reported for one in outcome.targets)
-    targets = sorted(told, key=place)
+    reported = (allowed(target, picking, frame).as_reported for target in outcome.targets)
+    targets = sorted(reported, key=place)
     is_bad = outcome.status is Status.OK and bool(targets) and targets[0].reject != Reject.NONE
     return replace(outcome, status=Status.LOW_QUALITY if is_bad else outcome.status, targets=tuple(targets))
 
@@ -79,12 +78,12 @@ def allowed(target: Target, picking: Picking, frame: RobotFrame) -> Target:
 
 
 def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> bool:
-    """Whether the tool may stand there, and meets no keep-out zone on the straight way to it and back."""
+    """Whether the tool may go there, without a keep-out zone on its straight approach and retreat."""
     if _refusal(grasp.rig_from_tcp[:3, 3], bounds, frame):
         return False
-    tip_mm = _told(grasp.rig_from_tcp[:3, 3], frame)
-    ends_mm = [_told(end[:3, 3], frame) for end in (grasp.rig_from_approach, grasp.rig_from_retreat)]
-    zones = [box for one in bounds for box in one.keep_out]
+    tip_mm = _in_frame(grasp.rig_from_tcp[:3, 3], frame)
+    ends_mm = [_in_frame(end[:3, 3], frame) for end in (grasp.rig_from_approach, grasp.rig_from_retreat)]
+    zones = [box for each in bounds for box in each.keep_out]
     return not any(_meets(box, tip_mm, end_mm) for box in zones for end_mm in ends_mm)
 
 
@@ -105,28 +104,28 @@ def _meets(box: Box, start_mm: FloatArray, end_mm: FloatArray) -> bool:
 
 
 def _refusal(rig_mm: FloatArray, bounds: Sequence[Bounds], frame: RobotFrame) -> Reject:
-    if not any(one.boxes or one.keep_out for one in bounds):
+    if not any(each.boxes or each.keep_out for each in bounds):
         return Reject.NONE
     if not frame.is_known or not np.isfinite(rig_mm).all():
         return Reject.OUT_OF_LIMITS
-    point_mm = _told(rig_mm, frame)
+    point_mm = _in_frame(rig_mm, frame)
     reject = Reject.NONE
-    for one in bounds:
-        if one.boxes and not any(_holds(box, point_mm) for box in one.boxes):
+    for each in bounds:
+        if each.boxes and not any(_holds(box, point_mm) for box in each.boxes):
             reject |= Reject.OUT_OF_LIMITS
-        if any(_holds(box, point_mm) for box in one.keep_out):
+        if any(_holds(box, point_mm) for box in each.keep_out):
             reject |= Reject.KEEP_OUT
     return reject
 
 
-def _told(rig_mm: FloatArray, frame: RobotFrame) -> FloatArray:
-    """A point (3,) of the rig's frame as coordinates are told."""
+def _in_frame(rig_mm: FloatArray, frame: RobotFrame) -> FloatArray:
+    """A point (3,) of the rig's frame in the published frame."""
     robot = frame.robot_from_rig
     return rig_mm if robot is None else np.asarray(robot[:3, :3] @ rig_mm + robot[:3, 3])
 
 
 def _holds(box: Box, point_mm: FloatArray) -> bool:
-    """Its sides belong to it."""
+    """Whether a point is in a box or on its surface."""
     return all(low <= x <= high for low, x, high in zip(box.min_mm, point_mm, box.max_mm, strict=True))
 
 
@@ -139,7 +138,7 @@ def _distance_mm(target: Target, _robot: FloatArray | None) -> float:
 
 
 def _depth_mm(target: Target, robot_from_rig: FloatArray | None) -> float:
-    """Below the robot's origin; without a robot along the camera's axis."""
+    """Depth below the robot's origin; without a robot, along the camera's axis."""
     if robot_from_rig is None:
         return float(target.position_mm[2])
     return -float(robot_from_rig[2, :3] @ target.position_mm)
@@ -160,4 +159,4 @@ _KEYS: dict[Order, Callable[[Target, FloatArray | None], float]] = {
     Order.LEFTMOST: _left_px,
     Order.LEAST_SIGMA: _variance_mm2,
 }
-"""The least comes first."""
+"""Sort keys: the smallest comes first."""

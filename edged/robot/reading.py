@@ -1,4 +1,4 @@
-"""A located part as the PLC reads it: position and A, B, C in the robot's frame, where there is one."""
+"""A located part in the units of a PLC: position and A, B, C, in the robot's frame if there is one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PartReading:
 
 
 def frame_name(robot_from_rig: FloatArray | None) -> str:
-    """`robot` where the rig is registered to one, else `rig`: the frame that positions are told in."""
+    """Frame of published positions: `robot` if the rig is registered to one, else `rig`."""
     return "rig" if robot_from_rig is None else "robot"
 
 

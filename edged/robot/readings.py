@@ -1,4 +1,4 @@
-"""Which reading of a robot's poses agrees with what the cameras saw: tried, ranked, told."""
+"""Readings of a robot's poses, ranked by their agreement with the cameras."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOUNTS: tuple[Mount, ...] = ("eye-to-hand", "eye-in-hand")
 
 @dataclass(frozen=True, slots=True)
 class PoseReading:
-    """One way to read the poses, and how far the best hand-eye with it is off."""
+    """One way to read poses, and the rms of the best hand-eye calibration with it."""
 
     orientation: str
     length_unit: str
@@ -32,7 +32,7 @@ def rank_readings(
     orientations: Mapping[str, tuple[int, Callable[..., FloatArray]]],
     units_mm: Mapping[str, float],
 ) -> list[PoseReading]:
-    """All readings that can be computed, best first.
+    """All computable readings, best first.
 
     numbers : poses as the controller shows them, x y z and three or four numbers of orientation.
     orientations : name to (count, reader to a rotation matrix).  units_mm : name to length in mm.
@@ -52,7 +52,7 @@ def rank_readings(
                 transform(rotation, factor * np.array(pose[:3], np.float64))
                 for rotation, pose in zip(rotations, numbers, strict=True)
             ]
-            # a pose that is read the wrong way round fits as the other mount
+            # a pose that is read inversely fits as the other mount
             for mount in MOUNTS:
                 try:
                     rms = hand_eye(poses, rig_from_board, board_mm, mount, hold_out=False).rms_mm

@@ -11,7 +11,7 @@ from edged.errors import CalibrationError, Undetermined
 from edged.vision.geometry.rigid import RigidFit, apply, fit_rigid, skew
 
 TWIN_SHARE = 0.005
-"""Points nearer to each other than this share of the whole spread say the same thing twice."""
+"""Points nearer to each other than this share of the spread count as repeated."""
 
 
 FLAT_SHARE = 0.01
@@ -19,7 +19,7 @@ FLAT_SHARE = 0.01
 
 
 MIRROR_GAIN = 20.0
-"""A mirror image that fits so many times better is no accident."""
+"""A mirror image that fits so many times better is no chance."""
 
 
 STUDENT_LIMITS = ((3, 11.9), (6, 4.87), (9, 3.73), (12, 3.29), (18, 2.91), (30, 2.66))
@@ -38,8 +38,7 @@ class PointRegistration:
     residuals_mm, held_out_mm (N,) : distance of each point from the fit of all, and of all others.
     others_rms_mm (N,) : rms of the fit without each point.
     studentised (N,) : held-out errors in units of what the others' fit lets expect.
-    culprit : index of the point that is wrong beyond chance, where one alone is; None where none is, or where
-    it cannot be told which.
+    culprit : index of the only point that is wrong beyond chance; None without one, or when ambiguous.
     All of these are NaN, and None, where the others do not determine a fit, as of three points.
     lengths_mm : largest difference between the distances of two points in both frames.
     scale : best scale of the robot's over the rig's lengths; it should be 1. sigma_scale : of it.
@@ -58,7 +57,7 @@ class PointRegistration:
 
     @property
     def rms_mm(self) -> float:
-        """Of the residuals."""
+        """Rms of the residuals."""
         return float(np.sqrt(np.mean(self.residuals_mm**2)))
 
 
@@ -129,7 +128,7 @@ def _held_out(rig: FloatArray, robot: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _culprit(studentised: FloatArray) -> int | None:
-    """The one point that is wrong beyond chance."""
+    """Index of the single point that is wrong beyond chance."""
     known = np.flatnonzero(np.isfinite(studentised))
     if len(known) < 2:
         return None

@@ -21,7 +21,7 @@ _EMPTY: dict[Kind, Number] = {
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """How a block travels, prepared once: every read of every client encodes.
+    """Encoding of a block, prepared once: every read of every client encodes.
 
     names, empty : of each register. order : which word goes where when the low one comes first.
     crc_at : byte of the CRC16 register, None without one.
@@ -81,12 +81,12 @@ def decode(block: Block, words: Sequence[int], order: WordOrder = "high") -> dic
 
 
 def _reordered(data: bytes, order: Sequence[int]) -> bytes:
-    """The words of each register turned round; twice gives the words back."""
+    """The data with the words of each register reversed; applied twice, the data."""
     return b"".join(data[2 * i : 2 * i + 2] for i in order)
 
 
 def _misfit(block: Block, values: Mapping[str, Number]) -> OverflowError:
-    """Which value it is that does not fit."""
+    """The error that names the value which does not fit."""
     for register in block.registers:
         value = values.get(register.name, _EMPTY[register.kind])
         try:
@@ -110,7 +110,7 @@ CRC_START = 0xFFFF
 
 
 def crc16(data: bytes | bytearray, crc: int = CRC_START) -> int:
-    """CRC-16/MODBUS; crc : of what came before, to go on with it.
+    """CRC-16/MODBUS; crc : of the bytes before.
 
     >>> hex(crc16(b"123456789"))
     '0x4b37'

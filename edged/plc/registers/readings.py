@@ -1,4 +1,4 @@
-"""Registers for people: the exact value, and what bits, codes and times mean."""
+"""Registers for people: the exact value, and the meaning of bits, codes and times."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def text_of(register: Register, value: Number) -> str:
 
 
 def _bits(text: str) -> bytes:
-    """Of the float that a text is; none where rounding has led beyond the largest."""
+    """Bytes of a float in text; b"" when rounded beyond the largest."""
     try:
         return struct.pack(">f", float(text))
     except OverflowError:
@@ -59,7 +59,7 @@ def _bits(text: str) -> bytes:
 
 
 def meaning_of(register: Register, value: Number) -> str:
-    """What a value says in words, names and usual units; "" where the number says it all."""
+    """A value in words, names and usual units; "" when the number says it all."""
     if isinstance(value, float) and not math.isfinite(value):
         return "no value"
     number = int(value)

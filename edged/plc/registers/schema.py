@@ -1,4 +1,4 @@
-"""What the map is made of: kinds of registers, blocks, and the meaning of bits and codes."""
+"""Vocabulary of the map: kinds of registers, blocks, and the meaning of bits and codes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TABLE_ROWS = 16
 ROW_WORDS = 20
 JOB_ROWS = 16
 NAME_WORDS = 15
-"""Of a job's name, two characters each."""
+"""Words of a job's name, two characters each."""
 
 WordOrder = Literal["high", "low"]
 Number = int | float
@@ -137,7 +137,7 @@ class Warn(enum.IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One named value of the map; address is that of its first word."""
+    """One named value of the map; address : of its first word."""
 
     name: str
     address: int
@@ -148,9 +148,9 @@ class Register:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Registers without gaps between them; each is one object, which is equal to itself only.
+    """Registers without gaps between them; blocks compare by identity.
 
-    high_first : the word order setting does not apply, the high word comes first.
+    high_first : the high word comes first, whatever word order is set.
     """
 
     name: str
