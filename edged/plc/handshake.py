@@ -116,7 +116,7 @@ class ShownResult(Generic[Payload]):
 class PartList(Generic[Payload]):
     """Parts that NEXT_PART can still give: the further parts of the newest measurement.
 
-    client : that asked for the measurement. job : number of the measured job. exposed_s : as in `ShownResult`.
+    client : that asked for it. job : number of the measured job. exposed_s : as in `ShownResult`.
     """
 
     client: int

@@ -4,8 +4,8 @@ The schema of `[modbus.socket]`, as `edged.plc.registers` is that of the registe
 and the clients in the robots' languages are written from it.
 
 A request may begin with the brand of its robot: `kuka,7,LOCATE,0`. Its flange is read, and its answer
-written, in that maker's convention of poses; without a brand, in the configured one. Every generated program names its
-brand, as angles of another maker's convention look like any others.
+written, in that maker's convention of poses; without a brand, in the configured one. Every generated program
+names its brand, as angles of another maker's convention look like any others.
 """
 
 from __future__ import annotations

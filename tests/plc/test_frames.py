@@ -107,7 +107,7 @@ def test_an_answer_with_a_number_that_is_none_is_none() -> None:
     """Infinite or not a number, though the frame is whole."""
     for number in (float("inf"), float("nan")):
         frame = answer_frame(LineAnswer(7, 0, 0, (number,) * 6), Brand.KUKA)
-        with pytest.raises(ValueError, match="none"):
+        with pytest.raises(ValueError, match="not finite"):
             read_answer(frame, Brand.KUKA, 7)
 
 

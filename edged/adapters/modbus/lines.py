@@ -1,16 +1,16 @@
-"""Lines of ASCII, or binary frames, for robots that speak no Modbus: the same registers, said in other ways.
+"""Lines of ASCII, or binary frames, for robots without Modbus, on the same registers.
 
-Responsible for: one request in a line, one answer in a line, poses as the robot's maker writes them. Not for
-what a command is, whose turn it is or how long a result is valid: each line becomes a write and reads of
-`CellRegisters`, as one more of its clients.
+Responsible for: one request in a line, one answer in a line, poses in the convention of the robot's maker.
+Not for commands, turns to write and validity of results: each line becomes a write and reads of
+`CellRegisters`, as of any other client.
 
     7,LOCATE,0                                           sequence, command, job
-    7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    the same with the pose of the flange
-    kuka,7,LOCATE,0                                      the same of a robot that says whose it is
+    7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    with the pose of the flange
+    kuka,7,LOCATE,0                                      with the robot's brand
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.LineAnswer`
 
-A line that came twice, because its answer was lost, is carried out once: the sequence is the same. What
-begins with the first byte of a frame (`edged.plc.frames`) is read and answered as one.
+A line that is repeated after its answer was lost has the same sequence, and is carried out once. A message
+that begins with the first byte of a frame (`edged.plc.frames`) is read and answered as a frame.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ from edged.vision.geometry.rigid import transform
 
 MAX_CLIENTS = 8
 TIMEOUT_S = 10.0
-"""Of a command; then the cell answers NACK, TIMEOUT."""
+"""Time-out of a command; then the cell answers NACK, TIMEOUT."""
 LOOK_S = 0.05
-"""Waiting for the end of a command, look so often whether it came by time alone."""
+"""Poll period while waiting for the end of a command, which may come by time alone."""
 READ = ("GRASP", "APPROACH")
-"""What is asked of the part that was given last: no commands."""
+"""Queries about the part that was given last."""
 QUALITY = ("RMS", "HELD_OUT", "LIMIT")
-"""Lengths that the answer to a command of a registration begins with, where others have X, Y, Z."""
+"""Lengths in the answer to a registration command, in place of X, Y, Z."""
 FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP
 END_OF_LINE = re.compile(rb"[\r\n]")
 LINE_FEED_S = 0.05
-"""So long after the first carriage return of a connection its answer waits for a line feed, to end alike: a
-robot that sends the two one by one may hold the second back until the first is acknowledged, which Linux does
-within 40 ms (TCP_DELACK_MIN in include/net/tcp.h)."""
+"""The answer to the first carriage return of a connection waits so long for a line feed, to end alike: a
+robot that sends the two one by one may hold the second back until the first is acknowledged, which Linux
+does within 40 ms (TCP_DELACK_MIN in include/net/tcp.h)."""
 SEND_S = 5.0
-"""A robot that does not read its answer for so long is hung up on."""
+"""A robot that does not read its answer for so long is disconnected."""
 
 
 class _Refused(Exception):
@@ -73,10 +73,10 @@ class _Refused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class LineRequest:
-    """A line that was understood.
+    """A decoded line or frame.
 
-    brand : whose robot asks. flange : robot_from_flange (4, 4) in mm, None when it was not said; shown : its
-    numbers. tries_all : the job was "*".
+    brand : of the robot. flange : robot_from_flange (4, 4) in mm, None if not given; shown : its numbers.
+    tries_all : the job was "*".
     """
 
     brand: Brand
@@ -93,7 +93,7 @@ BRAND_WORDS = {str(brand): brand for brand in Brand}
 
 
 def parse(line: bytes, configured: Brand) -> LineRequest:
-    """Raises `BadRequest`. configured : the brand of a request that names none."""
+    """Decode a line. configured : brand of a request without one. Raises `BadRequest`."""
     fields = [field.strip(BLANKS) for field in line.decode("ascii", "replace").split(",")]
     brand = BRAND_WORDS.get(fields[0].lower())
     try:
@@ -108,7 +108,7 @@ def parse(line: bytes, configured: Brand) -> LineRequest:
 
 
 def _request(fields: list[str], brand: Brand) -> LineRequest:
-    """The fields behind the brand. Raises ValueError, OverflowError."""
+    """Decode the fields after the brand. Raises ValueError, OverflowError."""
     if len(fields) < 2:
         raise ValueError("expected a sequence and a command")
     sequence, command = whole(fields[0]), fields[1].upper()
@@ -125,7 +125,7 @@ def _request(fields: list[str], brand: Brand) -> LineRequest:
 
 
 def parse_frame(frame: bytes, configured: Brand) -> LineRequest:
-    """Raises `BadRequest`. configured : the brand of a request that names none."""
+    """Decode a frame. configured : brand of a request without one. Raises `BadRequest`."""
     asked = read_request(frame, configured)
     brand = asked.brand or configured
     try:
@@ -138,10 +138,10 @@ def parse_frame(frame: bytes, configured: Brand) -> LineRequest:
 
 
 class Robot:
-    """What one connection asks, and what it was given last.
+    """The requests of one connection.
 
-    _sequence : CMD_SEQ of its newest command. _asked : the robot's own number of it, and whether it is NEXT.
-    _located : the robot's number of the command before all NEXT. _given : the numbers of all since.
+    _sequence : CMD_SEQ of its newest command. _asked : the robot's number of it, and whether it is NEXT.
+    _located : the robot's number of the command before all NEXT. _given : its numbers since then.
     """
 
     def __init__(
@@ -157,9 +157,9 @@ class Robot:
         self._given: set[int] = set()
 
     async def answer(self, message: bytes) -> tuple[LineAnswer, Brand]:
-        """Carry one line, or one frame, out. Never raises for what a robot sent.
+        """Carry out a line or frame; returns the answer and the brand to write it for.
 
-        The brand is the one whose convention the answer is written in.
+        Never raises for what a robot sent.
         """
         read = parse_frame if message.startswith(MAGIC[:1]) else parse
         request: LineRequest | BadRequest
@@ -187,7 +187,7 @@ class Robot:
 
     async def _carry_out(self, request: LineRequest) -> LineAnswer:
         if request.command == "ACK":
-            # who fetches several parts and then says that the picture was used means the one on display, too
+            # an acknowledgement of the picture after several NEXT includes the part on display
             used = self._sequence if request.sequence in self._given else request.sequence
             self._write("ACK_SEQ", [used])
             return LineAnswer(request.sequence, LineStatus.OK)
@@ -212,20 +212,20 @@ class Robot:
         return LineAnswer(request.sequence, LineStatus.OK)
 
     async def _locate(self, request: LineRequest) -> None:
-        """Any command but NEXT: its number is the robot's."""
+        """Carry out any command but NEXT, under the robot's number."""
         shown = self._read(reg.STATUS)["CMD_SEQ_ECHO"]
         if self._asked != (request.sequence, False) or shown != self._sequence:
             if shown == request.sequence:
-                # another client's number, or one of NEXT: what was answered then is no answer to this
+                # a number of another client, or of NEXT, whose answer is no answer to this command
                 self._write("CMD_SEQ", [0])
             self._begin(request, request.sequence)
             self._located, self._given = request.sequence, {request.sequence}
         await self._end()
 
     async def _next(self, request: LineRequest) -> LineAnswer:
-        """The next part of the picture; its number is the cell's: none of the robot's can be in the way.
+        """Give the next part of the picture, under a number of the cell's that cannot clash with the robot's.
 
-        With the number of the LOCATE each line is another request, with one of its own it may be said again.
+        With the number of the LOCATE each line is a new request; with a number of its own it may be repeated.
         """
         shown = int(self._read(reg.STATUS)["CMD_SEQ_ECHO"])
         if self._sequence == 0 or shown != self._sequence:
@@ -241,7 +241,7 @@ class Robot:
         return self._part(request, LineStatus.NO_FURTHER)
 
     async def _register(self, request: LineRequest) -> LineAnswer:
-        """A command of a registration: how far it is, instead of a pose, also where it was refused."""
+        """Carry out a registration command; the answer has its state instead of a pose, also when refused."""
         status: int = LineStatus.OK
         try:
             await self._locate(request)
@@ -252,8 +252,8 @@ class Robot:
             raise _Refused(status)
         to_unit = 1e-6 if request.brand is Brand.UR else 1e-3  # from µm
         lengths = (float(state[f"H_{name}"]) for name in QUALITY)
-        told = [length * to_unit if length != reg.INT32_MIN else UNKNOWN for length in lengths]
-        numbers = (*told, float(state["H_USED"]), float(state["H_WORST"]))
+        known = [length * to_unit if length != reg.INT32_MIN else UNKNOWN for length in lengths]
+        numbers = (*known, float(state["H_USED"]), float(state["H_WORST"]))
         blank = (0.0,) * (len(POSE_NAMES[request.brand]) - len(numbers))
         sigmas = self._sigma(state, "H_SIGMA", request.brand)
         return LineAnswer(request.sequence, status, int(state["H_SAMPLES"]), (*numbers, *blank), sigmas)
@@ -282,7 +282,7 @@ class Robot:
         raise _Refused(LineStatus.TAKEN_OVER)
 
     def _command(self, request: LineRequest, sequence: int) -> list[int]:
-        """The command block. ONCE: a line is sent on purpose, none of a block that is written for ever."""
+        """Words of the command block. ONCE: a line is not written cyclically."""
         values: dict[str, reg.Number] = {
             "COMMAND": CommandKind[request.command],
             "JOB": request.job,
@@ -300,12 +300,12 @@ class Robot:
         return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
 
     def _part(self, request: LineRequest, otherwise: LineStatus) -> LineAnswer:
-        """The part on display. otherwise : the status where it may not be used any more."""
+        """Answer with the part on display. otherwise : status if it is no longer valid."""
         result = self._usable(otherwise)
         return self._answer(request, result, [result[axis] for axis in "XYZABC"], "SIGMA")
 
     def _tool(self, request: LineRequest) -> LineAnswer:
-        """Where the tool takes the part on display, or from where it comes."""
+        """Answer with the grasp or approach of the part on display."""
         result, grasp = self._usable(LineStatus.NOT_VALID), self._read(reg.GRASP)
         if not int(grasp["G_FLAGS"]) & reg.Flag.VALID:
             raise _Refused(LineStatus.NO_GRASP)
@@ -314,7 +314,7 @@ class Robot:
         return self._answer(request, {**result, **grasp}, pose, "G_SIGMA")
 
     def _usable(self, otherwise: LineStatus) -> dict[str, reg.Number]:
-        """The result that a robot may move by."""
+        """The result on display, if a robot may move by it."""
         result = self._read(reg.RESULT)
         flags = int(result["FLAGS"])
         if self._sequence == 0 or result["SEQ_HEAD"] != self._sequence or not flags & reg.Flag.VALID:
@@ -332,7 +332,7 @@ class Robot:
         numbers: Sequence[reg.Number],
         sigma: str,
     ) -> LineAnswer:
-        """numbers : X Y Z A B C as in the registers. sigma : how the names of theirs begin."""
+        """numbers : X Y Z A B C as in the registers. sigma : prefix of their sigmas' names."""
         x, y, z, a, b, c = (float(number) / 1000 for number in numbers)
         robot_from_pose = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
         pose = pose_of(request.brand, robot_from_pose)
@@ -341,7 +341,7 @@ class Robot:
         return LineAnswer(request.sequence, LineStatus.OK, remaining, pose, sigmas, age_s)
 
     def _sigma(self, result: Mapping[str, reg.Number], name: str, brand: Brand) -> tuple[float, ...]:
-        """Of X, Y, Z in the brand's unit."""
+        """Sigmas of X, Y, Z in the brand's unit."""
         to_unit = 1e-7 if brand is Brand.UR else 1e-4  # from 0.1 µm
         known = (float(result[f"{name}_{axis}"]) for axis in "XYZ")
         return tuple(sigma * to_unit if sigma != reg.UINT16_MAX else UNKNOWN for sigma in known)
@@ -355,24 +355,23 @@ class Robot:
 
 
 class Messages:
-    """What a robot sends, one after the other: lines that end with CR, LF, or both, and frames.
+    """Splits a robot's bytes into frames, and lines that end with CR, LF, or both.
 
-    Of both bytes the second may come in a packet of its own: it ends nothing any more. A program that sends a
-    line feed, and whose controller adds its own end of line, has ended one line.
+    The second of both bytes may come in a packet of its own, and ends no further line; nor does the end of
+    line that a controller adds to a program's line feed.
     """
 
     def __init__(self, reader: asyncio.StreamReader) -> None:
         self._reader = reader
         self._buffer = bytearray()
         self._before = b""  # the byte before the buffer, of a line
-        self._is_open = False  # the newest line ended with CR, and perhaps that is not all
-        self._end = b""  # with what the robot ends its lines, where that is known
+        self._is_open = False  # the newest line ended with CR, and LF may follow
+        self._end = b""  # the robot's end of line, once known
         self._heard_s = 0.0
 
     async def next(self) -> bytes:
-        """A line with the first byte of its end, or a whole frame; b"" at the end of the connection.
-
-        So it is where only half a message came. Raises ConnectionError for a line that is too long.
+        """A line with the first byte of its end, or a whole frame; b"" at the end of the connection, also
+        after half a message. Raises ConnectionError for a line that is too long.
         """
         while True:
             message = self._taken()
@@ -383,7 +382,7 @@ class Messages:
                 return b""
 
     async def end(self) -> bytes:
-        """With what the newest line ended, all of it; so ends its answer."""
+        """The whole end of the newest line, for its answer."""
         if self._before == b"\n":
             return b"\n"
         with contextlib.suppress(TimeoutError):
@@ -396,7 +395,7 @@ class Messages:
         return self._end
 
     def _taken(self) -> bytes:
-        """A message that has come as a whole, taken out of the buffer; b"" when there is none."""
+        """Take a complete message out of the buffer; b"" without one."""
         while self._buffer:
             if self._buffer.startswith(MAGIC[:1]):
                 self._before = b""
@@ -445,7 +444,7 @@ class LineServer:
         self._refusals = refusals
         self._log = LogLimit(__name__)
         self._tasks: set[asyncio.Task[None]] = set()
-        # who is silent is hung up on where its lines are read
+        # silent connections are closed where lines are read
         self._listener = TcpListener("modbus.socket", self._protocol, self._admits, idle_s=math.inf)
 
     @property
@@ -463,7 +462,7 @@ class LineServer:
             raise ListenError(f"modbus.socket: cannot listen on {place}: {why}") from error
 
     async def close(self) -> None:
-        """Stop listening and hang up on every robot."""
+        """Stop listening and close every connection."""
         self._listener.shut()
         for task in self._tasks:
             task.cancel()
@@ -500,9 +499,9 @@ class LineServer:
     def _admits(self, newcomer: TcpClient) -> bool:
         """Whether a robot may stay.
 
-        When all places are taken one that may write makes a stranger go, or else who is silent longest: what
-        it left behind itself when it lost its power; or another robot, whose right to write has lapsed. A
-        stranger displaces silent strangers only: it would be told nothing but that it may not write.
+        When all places are taken, a robot that may write displaces a stranger, else the longest silent of its
+        own connections (left behind when it lost power), or of robots whose right to write has lapsed. A
+        stranger displaces silent strangers only: it may not write anyway.
         """
         settings, peer = self._settings, newcomer.peer
         if settings.readers and not contains((*settings.readers, *settings.writers), peer):
@@ -549,4 +548,4 @@ class LineServer:
                 await writer.drain()
             client.touch()
             if is_frame and answer.status == LineStatus.NOT_UNDERSTOOD and answer.sequence == 0:
-                return  # where the next frame begins is not known
+                return  # the begin of the next frame is unknown

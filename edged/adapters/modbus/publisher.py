@@ -57,7 +57,7 @@ class ModbusPublisher:
 
     @property
     def line_port(self) -> int:
-        """TCP port of the lines for robots; 0 when there are none."""
+        """TCP port of the lines for robots; 0 without them."""
         return self._lines.port if self._lines is not None else 0
 
     @property
@@ -66,7 +66,7 @@ class ModbusPublisher:
         return self._tcp.port
 
     def values(self) -> list[tuple[Register, Number]]:
-        """Every register with the value that a client would read now, but of empty rows of jobs."""
+        """Every register with the value that a client would read now, except empty rows of jobs."""
         settings, found = self._settings, list[tuple[Register, Number]]()
         for block in BLOCKS:
             words = self._cell.read(settings.base_address + block.address, block.words)
@@ -78,13 +78,13 @@ class ModbusPublisher:
 
     @property
     def valid_until_s(self) -> float:
-        """When the coordinates on display fall by time alone, by `clock_s`; 0: there are none."""
+        """When the coordinates on display expire, by `clock_s`; 0 without valid coordinates."""
         return self._cell.valid_until_s
 
     def write(self, client: int, values: Mapping[str, Number]) -> None:
         """Write registers of the command block that follow each other, as a client of its own.
 
-        client : a number of its caller's that no connection has. Raises `CommandRefused`: another's turn.
+        client : a number that no connection has. Raises `CommandRefused` during another client's turn.
         """
         data = encode(COMMAND, values, self._settings.word_order)
         written = [register for register in COMMAND.registers if register.name in values]
@@ -96,11 +96,11 @@ class ModbusPublisher:
             raise CommandRefused("another client holds the right to write") from error
 
     def leave(self, client: int) -> None:
-        """A client of `write` is no more: its right to write ends."""
+        """End a client of `write`, and its right to write."""
         self._cell.gone(client)
 
     def watch(self, changed: Callable[[], None] | None) -> None:
-        """Call this after each write and event, on the event loop; None: nobody any more."""
+        """Set a callback for each write and event, on the event loop; None: remove it."""
         self._cell.changed = changed or (lambda: None)
 
     @property
@@ -110,23 +110,23 @@ class ModbusPublisher:
 
     @property
     def owner(self) -> str:
-        """Who holds the right to write: an address, or a word for who has none; "" for nobody."""
+        """Holder of the right to write: an address, or the kind of client; "" without one."""
         owner = self._cell.owner
         return "" if owner is None else self._tcp.peer(owner) or "serial line, robot or OPC UA"
 
     @property
     def settings(self) -> ModbusSettings:
-        """What it runs by."""
+        """The settings in use."""
         return self._settings
 
     @property
     def exchanges(self) -> list[Exchange]:
-        """The last commands and what became of them, the youngest first."""
+        """The last commands and their outcome, newest first."""
         return self._cell.ladder.exchanges
 
     @property
     def refused_writers(self) -> tuple[str, ...]:
-        """Addresses that wrote and may not, since the start."""
+        """Addresses whose writes were refused, since the start."""
         return self._refusals.addresses
 
     async def start(self) -> None:

@@ -1,4 +1,4 @@
-"""Who wrote and may not: said once of each address, however often it tries."""
+"""Addresses that wrote without the right to: logged once each."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ log = logging.getLogger(__name__)
 
 
 class Refusals:
-    """The addresses, in their order, since the start."""
+    """The refused addresses since the start, in order."""
 
     def __init__(self) -> None:
         self._named: dict[str, None] = {}
 
     @property
     def addresses(self) -> tuple[str, ...]:
-        """Those that were named."""
+        """The logged addresses."""
         return tuple(self._named)
 
     def note(self, address: Address | None, why: str) -> None:
-        """Say it, unless it was said. why : "it is not in modbus.writers"."""
+        """Log a refusal, once per address. why : "it is not in modbus.writers"."""
         peer = str(address)  # not as the socket writes it: ::ffff:192.168.10.2, fe80::1%eth0
         if peer in self._named or len(self._named) >= NAMED_PEERS:
             return

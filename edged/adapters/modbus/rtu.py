@@ -28,7 +28,7 @@ from edged.plc.registers import CRC_START, crc16
 log = logging.getLogger(__name__)
 
 OPEN_ERRORS = (OSError, ValueError, termios.error)
-"""What opening a line raises; `termios.error`, which is no `OSError`, of an adapter that re-enumerates."""
+"""Errors of opening a line; `termios.error`, which is no `OSError`, comes from a re-enumerating adapter."""
 
 OPEN_S = 5.0
 """The requests that set up an adapter, each of which Linux gives 5 s: USB_CTRL_SET_TIMEOUT, linux/usb.h."""
@@ -40,7 +40,7 @@ PARITY = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.P
 
 
 def split_frames(data: bytes) -> list[bytes]:
-    """Cut what arrived between two silences into frames with a good CRC; what is left over is dropped.
+    """Cut the bytes between two silences into frames with a good CRC; the rest is dropped.
 
     Mostly it is one frame. A busy machine can hand over a request to another slave, the answer and the
     next request in one piece: the CRC of a frame followed by its own checksum is 0, so its end shows.
@@ -87,7 +87,7 @@ class RtuServer:
         self._timer: asyncio.TimerHandle | None = None
 
     async def start(self) -> None:
-        """Open the line. Raises `ListenError`; a line that gets lost later is opened again by itself."""
+        """Open the line. Raises `ListenError`; a line that is lost later is reopened automatically."""
         what = f"modbus: opening {self._settings.device}"
         try:
             self._take(await bounded(self._opened, OPEN_S, what, lambda line: line.close()))
@@ -181,7 +181,7 @@ class RtuServer:
             if frame[0] == BROADCAST:
                 respond(frame[1:-2], self._view, may_write=True)
             elif frame[0] == self._unit_id and is_last:
-                # an earlier one has been given up by its master, who has already sent another
+                # the master has given up earlier requests when it sends another
                 self._send(self._framer.encode(respond(frame[1:-2], self._view, may_write=True), frame[0], 0))
 
     def _send(self, data: bytes) -> None:

@@ -34,7 +34,7 @@ def server_context(settings: TlsSettings) -> ssl.SSLContext:
 def certificate_role(der: bytes) -> str | None:
     """The role in a certificate (DER) whose signature TLS has already checked; None if it has none.
 
-    Only the extension counts: whoever asks for a certificate chooses its public key and name, byte by byte.
+    Only the extension counts: the applicant chooses public key and name, byte by byte.
     """
     from cryptography import x509  # a cell without TLS starts quicker
 

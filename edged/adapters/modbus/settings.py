@@ -1,4 +1,4 @@
-"""What can be set of the Modbus server."""
+"""Settings of the Modbus server."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ MAP_END = max(block.address + block.words for block in BLOCKS)
 class TlsSettings:
     """Modbus/TCP Security: both sides show a certificate.
 
-    certificate, key : PEM, ours. authority : PEM, whoever signs the clients' certificates.
-    writer_roles : roles (extension 1.3.6.1.4.1.50316.802.1) that may write; every other one may read.
+    certificate, key : PEM, ours. authority : PEM, of the signer of the clients' certificates.
+    writer_roles : roles (extension 1.3.6.1.4.1.50316.802.1) that may write; all others may read.
     """
 
     certificate: Path
@@ -56,7 +56,7 @@ class SerialSettings:
 class LineSettings:
     """Lines of text for robots, on the same registers; host and networks are the server's.
 
-    brand : how poses are written. allow_simulated : poses of a virtual cell are given, too.
+    brand : convention of poses. allow_simulated : give poses of a virtual cell, too.
     """
 
     port: int
@@ -103,7 +103,7 @@ class ModbusSettings:
 
 @lru_cache(1024)
 def address_of(host: str) -> Address | None:
-    """A peer's address; IPv4 inside IPv6 counts as IPv4. None for what is none."""
+    """A peer's address; IPv4 inside IPv6 counts as IPv4. None if it is not an address."""
     try:
         address = ip_address(host.partition("%")[0])
     except ValueError:

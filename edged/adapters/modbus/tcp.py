@@ -35,7 +35,7 @@ WRITE_BUFFER_BYTES = 16 * 1024
 STRANGERS_PER_S = (
     20.0  # TLS handshakes, each of which takes milliseconds of the loop; the PLC's are not counted
 )
-SILENT_S = 3.0  # no PLC polls as slowly as that; whoever lost its power is, and looks alive
+SILENT_S = 3.0  # no PLC polls so slowly; a client that lost its power does, though its connection looks alive
 
 
 class TcpServer:
@@ -96,18 +96,18 @@ class TcpServer:
         self.cell.clients += 1
 
     def peer(self, number: int) -> str | None:
-        """The address of a client; None: it is none of these connections."""
+        """The address of a client; None if it is not one of these connections."""
         return next((client.peer for client, one in self._connections.items() if one.number == number), None)
 
     def _left(self, client: TcpClient) -> None:
-        """A client has gone: its place is free, and so is the right to write, at once."""
+        """Free the place of a closed connection, and its right to write, at once."""
         connection = self._connections.pop(client, None)
         if connection is not None:
             self.cell.clients -= 1
             self.cell.gone(connection.number)
 
     def _admit(self, newcomer: TcpClient) -> bool:
-        """Whether a new connection may stay; a handshake takes a place, memory and time, so before that."""
+        """Whether a new connection may stay; checked before its handshake, which takes memory and time."""
         settings, peer = self.settings, newcomer.peer
         if settings.readers and not contains((*settings.readers, *settings.writers), peer):
             self.log.warning("modbus: %s is not in the list of networks, closed", peer)
@@ -126,7 +126,7 @@ class TcpServer:
         return self._listener.clients if self._listener is not None else ()
 
     def _has_room(self, peer: str) -> bool:
-        """Whether a place is free that is not kept for somebody else."""
+        """Whether a place is free that is not reserved for another address."""
         clients, own = self._clients, address_of(peer)
         here = Counter(address_of(client.peer) for client in clients)
         kept = sum(
@@ -137,12 +137,12 @@ class TcpServer:
         return len(clients) + kept < self.settings.max_clients
 
     def _make_room(self, newcomer: TcpClient, *, is_known: bool) -> bool:
-        """Whoever has not shown yet who it is makes room: the one of them that came first.
+        """Close a connection for a newcomer: first of those in their handshake, the longest idle one.
 
-        A known PLC also displaces the stranger that is idle longest, or else the longest silent connection.
-        Its own: what a PLC leaves behind that loses power looks alive. Or one of whoever has many; or of
-        anybody whose right to write has lapsed. A stranger displaces silent strangers only: a PLC may be
-        silent between two commands, and must not lose its connection to a scan of the network.
+        A known PLC also displaces the stranger that is idle longest, or else the longest silent connection of
+        its own address (left behind when a PLC loses power), of an address with many, or of one whose right
+        to write has lapsed. A stranger displaces silent strangers only: a PLC may be silent between two
+        commands, and must not lose its connection to a scan of the network.
         """
         clients, writers = self._clients, self.settings.writers
         strangers = [client for client in clients if not contains(writers, client.peer)]
@@ -206,7 +206,7 @@ class ModbusConnection(asyncio.Protocol):
         self._is_choked = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Look at who it is."""
+        """Determine whether the client may write."""
         if not isinstance(transport, asyncio.Transport):
             raise TypeError("a stream transport was expected")
         self._transport = transport
@@ -221,7 +221,7 @@ class ModbusConnection(asyncio.Protocol):
         self._server.entered(self)
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002  (asyncio's signature)
-        """Answer nothing any more."""
+        """Stop answering."""
         if self._turn is not None:
             self._turn.cancel()
         self._transport = None
@@ -233,13 +233,13 @@ class ModbusConnection(asyncio.Protocol):
             self._serve()
 
     def pause_writing(self) -> None:
-        """The client does not read: leave its requests where they are."""
+        """Stop reading while the client does not read its answers."""
         self._is_choked = True
         if self._transport is not None:
             self._transport.pause_reading()
 
     def resume_writing(self) -> None:
-        """It reads again."""
+        """Go on reading."""
         self._is_choked = False
         if self._transport is not None:
             self._transport.resume_reading()

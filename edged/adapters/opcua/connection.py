@@ -1,7 +1,7 @@
 """One TCP connection of a client: framing, limits, turns.
 
-asyncua buffers whatever is announced and logs a trace for whatever it cannot read; here a frame is bounded
-before it is kept, and whoever sends what is none is hung up on (OPC 10000-6, 7.1: Connection Protocol).
+asyncua buffers any announced size and logs a trace for any malformed frame; here the size is checked before
+buffering, and a client that sends no OPC UA is disconnected (OPC 10000-6, 7.1: Connection Protocol).
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ MAX_MESSAGE_BYTES, MAX_CHUNKS = 256 * 1024, 8
 KINDS = frozenset({b"HEL", b"OPN", b"MSG", b"CLO"})
 CHUNKS = frozenset(b"FCA")
 ACTIVATE_S = 10.0
-"""From connecting to a user that is logged in; who only looks for endpoints is done long before."""
+"""From connecting to a logged-in user; discovery of endpoints is done long before."""
 SEND_S = 10.0
 MAX_UNSENT_BYTES = 2 * 1024 * 1024
 WAITING = 16
-"""Frames of one client that wait for their turn, then it is not read from."""
+"""Waiting frames of one client; with more, reading pauses."""
 REQUESTS_PER_S = 200.0
 STRANGERS_PER_S = 20.0
 """Channels opened by all clients together: each costs a private key's operation."""
@@ -39,7 +39,7 @@ NONE_URI = "http://opcfoundation.org/UA/SecurityPolicy#None"
 
 
 class ConnectionRefused(Exception):
-    """The connection ends. status : what it is told."""
+    """The connection ends. status : sent to the client."""
 
     def __init__(self, status: int, why: str) -> None:
         self.status = status
@@ -47,7 +47,7 @@ class ConnectionRefused(Exception):
 
 
 class OpcUaConnection(asyncio.Protocol):
-    """The protocol of one client."""
+    """The protocol of one connection."""
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class OpcUaConnection(asyncio.Protocol):
         return self._processor is not None and self._processor.is_active
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """The client is in."""
+        """Start to serve."""
         if not isinstance(transport, asyncio.Transport):
             raise TypeError("a stream transport was expected")
         self._transport = transport
@@ -92,7 +92,7 @@ class OpcUaConnection(asyncio.Protocol):
         self._task = loop.create_task(self._work(self._processor), name="opcua-connection")
 
     def connection_lost(self, _exc: Exception | None) -> None:
-        """The client has left."""
+        """Drop all that waits."""
         for timer in self._timers.values():
             timer.cancel()
         if self._task is not None:
@@ -101,7 +101,7 @@ class OpcUaConnection(asyncio.Protocol):
         self._received.clear()
 
     async def ended(self) -> None:
-        """Wait until nothing of it is left."""
+        """Wait for the end of its task."""
         if self._task is not None:
             await asyncio.wait({self._task})
 
@@ -126,12 +126,12 @@ class OpcUaConnection(asyncio.Protocol):
             self._transport.pause_reading()
 
     def pause_writing(self) -> None:
-        """It does not read its answers: it may take its time, but not for ever."""
+        """Limit the time during which it does not read its answers."""
         loop = asyncio.get_running_loop()
         self._timers["send"] = loop.call_later(SEND_S, self._client.abort)
 
     def resume_writing(self) -> None:
-        """It reads."""
+        """It reads its answers again."""
         self._timers.pop("send").cancel()
 
     def _must_be_active(self) -> None:
@@ -149,7 +149,7 @@ class OpcUaConnection(asyncio.Protocol):
                     break
                 if not self._frames and self._transport is not None and not self._transport.is_closing():
                     self._transport.resume_reading()
-                # others get their turn, and at once while it keeps within its rate
+                # yield to others, and slow down beyond the rate
                 await asyncio.sleep(0 if self._rate.take() else 1 / REQUESTS_PER_S)
         except ConnectionRefused as refused:
             self._refuse(refused)
@@ -161,7 +161,7 @@ class OpcUaConnection(asyncio.Protocol):
             await processor.close()
 
     async def _answer(self, processor: Processor, frame: bytes) -> bool:
-        """Carry one frame out; False: the client has said good-bye."""
+        """Carry out a frame; False after the client's last one."""
         self._check(frame)
         buffer = Buffer(frame)
         header = header_from_binary(buffer)
@@ -174,7 +174,7 @@ class OpcUaConnection(asyncio.Protocol):
         return goes_on
 
     def _check(self, frame: bytes) -> None:
-        """What asyncua does not look at before it works, or at all. Raises `ConnectionRefused`."""
+        """Check what asyncua checks too late, or not at all. Raises `ConnectionRefused`."""
         if frame.startswith(b"HEL") == self._is_greeted:
             raise ConnectionRefused(
                 ua.StatusCodes.BadTcpMessageTypeInvalid, "it begins with HEL, and says it once"

@@ -1,4 +1,4 @@
-"""Methods that clients call: each becomes a write of the registers, or is answered from the picture.
+"""Methods for clients: each becomes a write of the registers, or is answered from the picture.
 
 What a cell cannot do answers BadNotSupported. `Error` is 0, or minus the NACK_REASON of the handshake; below
 -100 it is minus a status of the lines for robots (OPC 40100-1: below 0 is the application's own).
@@ -50,21 +50,21 @@ Handler = Callable[..., Awaitable[MethodAnswer]]
 
 
 class CommandWriter(Protocol):
-    """The cell's handshake, on whose event loop the answer is made; each session is one of its clients."""
+    """Writes to the cell's handshake, on the cell's event loop; each session is a client of it."""
 
     async def command(
         self, session: ua.NodeId, values: Mapping[str, Number]
     ) -> tuple[int, int, RegisterPicture]:
-        """Write a command; its sequence, 0 or minus the reason of its refusal, and the registers after it."""
+        """Write a command; returns its sequence, 0 or minus the NACK_REASON, and the registers after it."""
         ...
 
     async def write(self, session: ua.NodeId, values: Mapping[str, Number]) -> int:
-        """Write other words of the command block; 0 or minus the reason of the refusal."""
+        """Write other words of the command block; returns 0 or minus the NACK_REASON."""
         ...
 
 
 class Methods:
-    """Of one cell."""
+    """The methods of one cell."""
 
     def __init__(self, server: Server, space: Space, handshake: CommandWriter) -> None:
         self._server = server
@@ -72,7 +72,7 @@ class Methods:
         self._handshake = handshake
 
     def install(self) -> None:
-        """Give every method of the address space its meaning."""
+        """Bind every method of the address space."""
         self._build_handshake()
         meanings: dict[str, tuple[Handler, int]] = {
             f"{MACHINE}.SelectModeAutomatic": (self._select_automatic, 0),
@@ -246,7 +246,7 @@ class Methods:
     # --- results -----------------------------------------------------------------------------
 
     def _current(self) -> ResultDataType | None:
-        """The result on display; none once it may not be used any more."""
+        """The result on display; None once it has expired."""
         picture = self._space.picture
         if picture is None or picture.result is None or self._space.is_overdue:
             return None
@@ -261,30 +261,30 @@ class Methods:
     async def _result_components(self, identifier: object, _timeout: object) -> MethodAnswer:
         data = self._current()
         is_it = data is not None and text_of(data.ResultId) == text_of(identifier)
-        one = data if data is not None and is_it else ResultDataType()
+        found = data if data is not None and is_it else ResultDataType()
         boolean, none = ua.VariantType.Boolean, ua.Variant(None)
         return [
             ua.Variant(False, boolean),
             _handle(),
-            ua.Variant(one.IsPartial, boolean),
-            ua.Variant(bool(one.IsSimulated), boolean),
-            ua.Variant(one.ResultState, ua.VariantType.Int32),
+            ua.Variant(found.IsPartial, boolean),
+            ua.Variant(bool(found.IsSimulated), boolean),
+            ua.Variant(found.ResultState, ua.VariantType.Int32),
             *(
                 none if value is None else structure(value)
                 for value in (
-                    one.MeasId,
-                    one.PartId,
-                    one.ExternalRecipeId,
-                    one.InternalRecipeId,
-                    one.ProductId,
-                    one.ExternalConfigurationId,
-                    one.InternalConfigurationId,
-                    one.JobId,
+                    found.MeasId,
+                    found.PartId,
+                    found.ExternalRecipeId,
+                    found.InternalRecipeId,
+                    found.ProductId,
+                    found.ExternalConfigurationId,
+                    found.InternalConfigurationId,
+                    found.JobId,
                 )
             ),
-            ua.Variant(one.CreationTime, ua.VariantType.DateTime),
-            none if one.ProcessingTimes is None else structure(one.ProcessingTimes),
-            ua.Variant(one.ResultContent or [], ua.VariantType.Variant, is_array=True),
+            ua.Variant(found.CreationTime, ua.VariantType.DateTime),
+            none if found.ProcessingTimes is None else structure(found.ProcessingTimes),
+            ua.Variant(found.ResultContent or [], ua.VariantType.Variant, is_array=True),
             _error(0 if is_it else UNKNOWN_RESULT),
         ]
 
@@ -304,7 +304,7 @@ class Methods:
                 data.JobId,
             )
             pairs = zip(filters, fields, strict=True)
-            found = [data] if all(text_of(one) in ("", text_of(other)) for one, other in pairs) else []
+            found = [data] if all(text_of(wanted) in ("", text_of(field)) for wanted, field in pairs) else []
         some, is_complete = _page(found, most, start)
         return [
             ua.Variant(is_complete, ua.VariantType.Boolean),
@@ -320,7 +320,7 @@ async def _unsupported(*_arguments: object) -> MethodAnswer:
 
 
 def _who() -> OpcUaSession | None:
-    """Who calls, if it may command."""
+    """The calling session, if it may command; else None."""
     session = caller.get()
     return session if session is not None and session.may_command else None
 
@@ -330,7 +330,7 @@ def _error(number: int) -> ua.Variant:
 
 
 def _handle() -> ua.Variant:
-    """Nothing is kept for a client that it would have to release."""
+    """A handle of 0: there is nothing for the client to release."""
     return ua.Variant(0, ua.VariantType.UInt32)
 
 

@@ -39,7 +39,7 @@ SCALARS: dict[str, tuple[ua.VariantType, Callable[[str], Any]]] = {
 
 @dataclass(frozen=True, slots=True)
 class ModelRow:
-    """A node of the table. parent, type_definition, data_type : "0:58", "1:1017"; "" where there is none."""
+    """A node of the table. parent, type_definition, data_type : "0:58", "1:1017"; "" without one."""
 
     number: int
     kind: str
@@ -176,7 +176,7 @@ def _value_of(row: ModelRow) -> ua.Variant | None:
 
 
 IDENTIFIER_FIELDS = "Id 1:3017,Version? 1:3017,Hash? 0:15,HashAlgorithm? 0:12,Description? 0:21"
-"""Of BinaryIdBaseDataType, whose subtypes have no fields of their own."""
+"""Fields of BinaryIdBaseDataType, whose subtypes have no fields of their own."""
 
 
 def _definition_of(row: ModelRow) -> Any:
@@ -224,7 +224,7 @@ class Instances:
         *,
         events: bool = False,
     ) -> ua.NodeId:
-        """An object of a type with all that is mandatory, and of the optional parts those that are named."""
+        """Build an object of a type with all mandatory parts and the named optional ones."""
         node = self._nodes.object(path, name, parent, ua.NodeId(type_number, VISION), events=events)
         self.fill(type_number, path, node, optional)
         return node

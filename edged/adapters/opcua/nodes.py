@@ -63,10 +63,10 @@ class Nodes:
         """References (source, type, target), seen from both ends."""
         items = []
         for source, kind, target in references:
-            for one, other, forward in ((source, target, True), (target, source, False)):
-                if one in self._server.aspace and other in self._server.aspace:
+            for start, end, forward in ((source, target, True), (target, source, False)):
+                if start in self._server.aspace and end in self._server.aspace:
                     item = ua.AddReferencesItem()
-                    item.SourceNodeId, item.TargetNodeId = one, other
+                    item.SourceNodeId, item.TargetNodeId = start, end
                     item.ReferenceTypeId, item.IsForward = kind, forward
                     items.append(item)
         self._server.node_mgt_service.add_references(items)
@@ -110,7 +110,7 @@ class Nodes:
         is_property: bool = False,
         description: str = "",
     ) -> ua.NodeId:
-        """A variable or property of the cell that clients may read. value None: there is none yet."""
+        """A variable or property of the cell that clients may read. value None: not yet known."""
         attributes = variable_attributes(data_type, rank, value)
         attributes.Description = ua.LocalizedText(description)
         return self.add(
@@ -151,7 +151,7 @@ class Nodes:
 
 
 def variable_attributes(data_type: ua.NodeId, rank: int, value: ua.Variant | None) -> ua.VariableAttributes:
-    """Attributes of a variable that nobody may write."""
+    """Attributes of a read-only variable."""
     attributes = ua.VariableAttributes()
     attributes.DataType, attributes.ValueRank = data_type, rank
     attributes.AccessLevel = attributes.UserAccessLevel = ua.AccessLevel.CurrentRead.mask

@@ -1,4 +1,4 @@
-"""What travels from the cell's event loop to the server's thread: immutable, complete, one moment."""
+"""Immutable copies of the registers, from the cell's event loop to the server's thread."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from edged.plc.registers import Number
 class ResultRecord:
     """The result on display.
 
-    epoch, sequence : START_EPOCH and SEQ_HEAD. cell, started_ns : as messages over Zenoh say where they come
-    from. is_silent : nobody gets numbers of it, as after VERIFY.
+    epoch, sequence : START_EPOCH and SEQ_HEAD. cell, started_ns : origin, as in messages over Zenoh.
+    is_silent : without numbers, as after VERIFY.
     """
 
     epoch: int
@@ -31,14 +31,14 @@ class ResultRecord:
         return job_name(self.epoch, self.sequence)
 
     def content(self) -> str:
-        """The message as `edged.payload` writes it; "" when there is nothing to say."""
+        """The message as `edged.payload` writes it; "" if silent."""
         if self.is_silent:
             return ""
         return encode(message("target", self.cell, self.started_ns, snapshot_to_json(self.snapshot))).decode()
 
 
 def job_name(epoch: int, sequence: int) -> str:
-    """Id of an execution: no other of this cell has it."""
+    """Unique id of an execution."""
     return f"{epoch}-{sequence}"
 
 
@@ -47,8 +47,8 @@ class RegisterPicture:
     """All registers at one moment.
 
     values : by name, those of the status, the command and the result. numbers : by address, all.
-    valid_until_s : monotonic clock; from then on no coordinate may be shown. 0: there are none.
-    jobs : number and name. result : what is on display and was measured, None when there is nothing.
+    valid_until_s : monotonic clock; from then on no coordinate may be shown. 0: without coordinates.
+    jobs : number and name. result : on display, None without one.
     """
 
     values: Mapping[str, Number]

@@ -26,12 +26,12 @@ from edged.plc import registers as reg
 from edged.plc.answers import NackReason
 
 TICK_S = 0.1
-"""Of HEARTBEAT and RESULT_AGE; everything else is shown when it changes."""
+"""Period of HEARTBEAT and RESULT_AGE; everything else is shown when it changes."""
 CALL_S = 5.0
 NAMED = frozenset(
     register.address for block in (reg.RESULT, reg.COMMAND, reg.STATUS) for register in block.registers
 )
-"""What a cell's state is told by; names of other blocks may be the same and mean something else."""
+"""Registers with the cell's state; other blocks may use the same names for other things."""
 T = TypeVar("T")
 
 
@@ -44,29 +44,29 @@ class RegisterSource(Protocol):
 
     @property
     def valid_until_s(self) -> float:
-        """When the coordinates on display fall, on the monotonic clock; 0: there are none."""
+        """When the coordinates on display expire, on the monotonic clock; 0 without valid coordinates."""
         ...
 
     def write(self, client: int, values: Mapping[str, reg.Number]) -> None:
         """Write words of the command block that follow each other.
 
-        Raises `CommandRefused` while it is another client's turn.
+        Raises `CommandRefused` during another client's turn.
         """
         ...
 
     def leave(self, client: int) -> None:
-        """A client is no more."""
+        """End a client, and its right to write."""
         ...
 
     def watch(self, changed: Callable[[], None] | None) -> None:
-        """Be told of each change that is not time passing."""
+        """Set a callback for each write and event; None: remove it."""
         ...
 
 
 class OpcUaPublisher:
     """Publishes one cell over OPC UA and takes its commands (`edged.ports.Publisher`).
 
-    registers : those that are served now, None while they are exchanged. jobs : (number, name) of each.
+    registers : served now, None while they are exchanged. jobs : (number, name) of each.
     Both are called on the event loop. identity : so that files need not be read again.
     """
 
@@ -110,7 +110,7 @@ class OpcUaPublisher:
         self._tick()
 
     def announce(self, event: Event) -> None:
-        """Take note of an event; shown when the registers have taken note of it, too."""
+        """Take note of an event; shown after the registers have taken note of it."""
         if self._is_closed:
             return
         if isinstance(event, Snapshot):
@@ -118,7 +118,7 @@ class OpcUaPublisher:
         self._show_soon()
 
     async def close(self) -> None:
-        """Hang up on every client and end the thread."""
+        """Disconnect every client and end the thread."""
         self._is_closed = True
         if self._ticking is not None:
             self._ticking.cancel()
@@ -137,7 +137,7 @@ class OpcUaPublisher:
             self._ticking = self._loop.call_later(TICK_S, self._tick)
 
     def _show_soon(self) -> None:
-        """With the next turn of the loop: by then every publisher knows of the event."""
+        """Show in the next turn of the loop, when every publisher knows of the event."""
         if self._loop is not None and not self._is_due and not self._is_closed:
             self._is_due = True
             self._loop.call_soon(self._show)
@@ -150,7 +150,7 @@ class OpcUaPublisher:
 
     def _picture(self) -> RegisterPicture | None:
         registers = self._registers()
-        if registers is not self._watched:  # exchanged by a reload: its clients are none of the new one
+        if registers is not self._watched:  # exchanged by a reload, with its clients
             self._clients.clear()
             self._watched = registers
             if registers is not None:
@@ -165,7 +165,7 @@ class OpcUaPublisher:
         )
 
     def _displayed(self, values: Mapping[str, reg.Number]) -> ResultRecord | None:
-        """The result on display, unless it was good and may not be used any more."""
+        """The result on display; None without one, or when a good one is no longer valid."""
         snapshot = self._snapshot
         if snapshot is None or not values["SEQ_HEAD"] or values["CYCLE"] != snapshot.cycle & reg.UINT32_MAX:
             return None
@@ -235,7 +235,7 @@ class OpcUaPublisher:
         return 0
 
     def _nudge(self) -> None:
-        """A result has fallen on the server's thread: show what there is now."""
+        """A result has expired on the server's thread: show the present registers."""
         self._from_thread(self._show_soon)
 
     def _session_gone(self, session: ua.NodeId) -> None:

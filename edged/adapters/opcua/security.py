@@ -1,4 +1,4 @@
-"""Who the server is, which clients it trusts, and who may command.
+"""The server's identity, trusted clients, and users.
 
 A client is trusted when its own certificate lies in the folder `trusted`: no authority vouches for others.
 One that is not is written to the folder `rejected` beside it, from where it can be moved.
@@ -38,14 +38,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ServerIdentity:
-    """What the server shows to clients. certificate : None without an encrypted endpoint."""
+    """Certificate and key of the server. certificate : None without an encrypted endpoint."""
 
     certificate: x509.Certificate | None = None
     key: RSAPrivateKey | None = None
 
 
 def identity_of(settings: OpcUaSettings) -> ServerIdentity:
-    """Certificate and key, read and judged. Raises `ListenError` for files that do not fit."""
+    """Read and check certificate and key. Raises `ListenError` for files that do not fit."""
     if settings.certificate is None or settings.key is None:
         return ServerIdentity()
     place = f"opcua: {settings.certificate}, {settings.key}"
@@ -72,7 +72,7 @@ def identity_of(settings: OpcUaSettings) -> ServerIdentity:
 
 
 class TrustList:
-    """The certificates in the folder, as they were at the start."""
+    """The trusted certificates in the folder, read at the start."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
@@ -88,7 +88,7 @@ class TrustList:
             is_pem = data.startswith(b"-----BEGIN")
             certificate = (x509.load_pem_x509_certificate if is_pem else x509.load_der_x509_certificate)(data)
         except (OSError, ValueError) as error:
-            log.warning("opcua: %s is no certificate, nobody is trusted for it: %s", file, error)
+            log.warning("opcua: %s is no certificate, no client is trusted by it: %s", file, error)
             return
         self._trusted[hashlib.sha256(certificate.public_bytes(Encoding.DER)).digest()] = certificate
 
@@ -96,7 +96,7 @@ class TrustList:
         return len(self._trusted)
 
     def why_not(self, chain: bytes) -> str:
-        """Why a client is not trusted that shows this certificate, DER, others may follow; "" if it is."""
+        """Why a client with this certificate (DER, others may follow) is not trusted; "" if it is."""
         der = first_certificate(chain)
         certificate = self._trusted.get(hashlib.sha256(der).digest())
         if certificate is None:
@@ -126,7 +126,7 @@ class TrustList:
 
 
 def first_certificate(chain: bytes) -> bytes:
-    """The first of several DER certificates, each a SEQUENCE of known length; all of it where it is none."""
+    """The first of several DER certificates, each a SEQUENCE of known length; unchanged if it is not one."""
     if len(chain) < 4 or chain[0] != 0x30:
         return chain
     length, start = chain[1], 2
@@ -137,7 +137,7 @@ def first_certificate(chain: bytes) -> bytes:
 
 
 class Users:
-    """Who may command: asyncua's `UserManager`. peer, is_encrypted : of the client that logs in now."""
+    """Checks users (asyncua's `UserManager`). peer, is_encrypted : of the client that logs in now."""
 
     def __init__(self, settings: OpcUaSettings, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._settings = settings
@@ -155,7 +155,7 @@ class Users:
         password: str | None = None,
         certificate: bytes | None = None,  # noqa: ARG002  # the channel's was looked at before
     ) -> User | None:
-        """A user with a name may command, one without may look; None: not even that."""
+        """A named user may command, an anonymous one may read; None: refused."""
         if username is None and password is None:
             return User(UserRole.User) if self._settings.anonymous else None
         if not self.is_encrypted or not self._settings.password_hash:

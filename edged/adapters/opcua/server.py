@@ -1,4 +1,4 @@
-"""The server on a thread and an event loop of its own: what clients ask costs the cell's loop nothing.
+"""The server on a thread and an event loop of its own, so that clients do not load the cell's loop.
 
 Pictures come in through `post`; commands go out through `CommandWriter`, whose calls end on the cell's loop.
 """
@@ -52,13 +52,13 @@ LIMITS = (
     ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxMonitoredItemsPerCall,
 )
 
-# what it says of each frame that it cannot read is for its sender to choose; the lines that count are ours
+# clients could choose what it logs about malformed frames; the lines that matter are ours
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 log = logging.getLogger(__name__)
 
 
 class ServerThread:
-    """Owns the thread. gone : called on it for each session that has ended, with its id."""
+    """Owns the thread. gone : called on it with the id of each ended session."""
 
     def __init__(
         self,
@@ -102,7 +102,7 @@ class ServerThread:
                 ready.set_result(None) if error is None else ready.set_exception(error)
 
         def done(error: BaseException | None) -> None:
-            with contextlib.suppress(RuntimeError):  # nobody waits any more: the loop is closed
+            with contextlib.suppress(RuntimeError):  # the loop is closed
                 loop.call_soon_threadsafe(tell, error)
 
         self._thread = threading.Thread(target=self._main, args=(done,), name="opcua", daemon=True)
@@ -115,7 +115,7 @@ class ServerThread:
             raise TookTooLong(f"opcua on {place}: it has not started within {START_S:g} s") from error
 
     def post(self, picture: RegisterPicture) -> None:
-        """Show a picture soon; one that comes before it was shown replaces it."""
+        """Show a picture soon; a newer one replaces it."""
         self._newest = picture
         loop = self._loop
         if loop is not None:
@@ -123,7 +123,7 @@ class ServerThread:
                 loop.call_soon_threadsafe(self._shown.set)
 
     async def stop(self) -> None:
-        """Hang up on everybody and end the thread."""
+        """Disconnect every client and end the thread."""
         self._is_given_up = True
         loop, thread = self._loop, self._thread
         if loop is not None:
@@ -209,7 +209,7 @@ class ServerThread:
             raise ListenError(f"opcua: cannot listen on {settings.host}:{settings.port}: {why}") from error
 
     async def _prepare(self, server: Server) -> None:
-        """The standard's own nodes, with what is to be said of this server."""
+        """Fill the standard's own nodes for this server."""
         high = asyncua.Server(iserver=server)
         await high.init()
         await high.set_application_uri(self._settings.application_uri)
@@ -268,7 +268,7 @@ class ServerThread:
         self, server: Server, policies: list[Any], trust: TrustList, client: TcpClient
     ) -> OpcUaConnection:
         connection = OpcUaConnection(server, policies, trust, self._channels, client, self._log)
-        # one that had to go while it came in has left already, and nobody would forget it
+        # a connection that was aborted at its start has left already, and would stay in the dict
         if self._listener is not None and self._listener.client(client.name) is client:
             self._connections[client] = connection
         return connection
@@ -309,7 +309,7 @@ class ServerThread:
                 self._watch(space, picture.valid_until_s)
 
     def _watch(self, space: Space, until_s: float) -> None:
-        """Be there when the result on display falls."""
+        """Set the timer for the expiry of the result on display."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -319,7 +319,7 @@ class ServerThread:
             self._timer = loop.call_later(delay_s, lambda: self._keep(loop.create_task(self._fall(space))))
 
     def _keep(self, task: asyncio.Task[None]) -> None:
-        self._falling = task  # a task that nobody holds may be collected before it has ended
+        self._falling = task  # without a reference the task may be collected before its end
 
     async def _fall(self, space: Space) -> None:
         if space.is_overdue:
@@ -327,12 +327,12 @@ class ServerThread:
             self._fallen()
 
     async def _before_read(self) -> None:
-        """A read that comes before the timer's turn must not see what has fallen."""
+        """Hide an expired result before a read that comes ahead of the timer."""
         if self._space is not None and self._space.is_overdue:
             await self._space.fall()
 
     async def _tick(self, server: Server) -> None:
-        """The server's own clock, which clients look at to see that it lives."""
+        """Update the server's clock, by which clients see that it lives."""
         node, status = (
             server.aspace[base(number)].attributes[ua.AttributeIds.Value]
             for number in (

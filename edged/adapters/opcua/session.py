@@ -1,4 +1,4 @@
-"""asyncua's sessions and requests; what it leaves open is closed: whose a subscription is, how many of each.
+"""asyncua's sessions and requests, with the missing checks: owners of subscriptions, and limits.
 
 Responsible for: which services there are, who may use them, how much one session may hold. Not for what is
 sent over the line (`connection`) nor for what the nodes show (`space`).
@@ -36,7 +36,7 @@ DISCOVERY = frozenset(
         _S.CloseSecureChannelRequest_Encoding_DefaultBinary,
     }
 )
-"""What anybody may ask, also without encryption: which endpoints there are."""
+"""Services without a session, also without encryption: discovery of endpoints."""
 OPENING = frozenset(
     {
         _S.CreateSessionRequest_Encoding_DefaultBinary,
@@ -64,7 +64,7 @@ SERVICES = frozenset(
         _S.RepublishRequest_Encoding_DefaultBinary,
     }
 )
-"""What a session may ask. No node can be written: commands are methods."""
+"""Services of a session. No node can be written: commands are methods."""
 
 NOBODY = User(role=UserRole.Anonymous)
 
@@ -77,7 +77,7 @@ async def _nothing() -> None:
 
 
 class Server(InternalServer):
-    """asyncua's server without its socket. max_sessions : at a time. gone : told of each that has ended."""
+    """asyncua's server without its socket. max_sessions : at a time. gone : called for each ended session."""
 
     def __init__(
         self, users: Users, max_sessions: int, gone: Callable[[ua.NodeId], None], *, anonymous: bool
@@ -89,7 +89,7 @@ class Server(InternalServer):
         self.max_sessions = max_sessions
         self.gone = gone
         self.sessions: dict[ua.NodeId, OpcUaSession] = {}
-        self.refresh: Callable[[], Awaitable[None]] = _nothing  # before values are looked at
+        self.refresh: Callable[[], Awaitable[None]] = _nothing  # called before values are read
         self.max_session_timeout_ms = SESSION_MS
         self.max_unacked_messages_per_subscription = MAX_UNACKNOWLEDGED
         self.max_monitored_item_queue_size = MAX_QUEUE
@@ -115,7 +115,7 @@ class Server(InternalServer):
         return session
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> None:
-        """A session ends with its connection: nobody takes up another's."""
+        """None: a session ends with its connection, and no other takes it up."""
 
 
 class OpcUaSession(InternalSession):
@@ -158,7 +158,7 @@ class OpcUaSession(InternalSession):
         return await super().translate_browsepaths_to_nodeids(params)
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """Methods, which learn here who calls."""
+        """Call methods, which read `caller`."""
         if len(params) > 1:  # one command a request: the second would overtake the answer of the first
             raise ServiceError(ua.StatusCodes.BadTooManyOperations)
         caller.set(self)
@@ -167,11 +167,11 @@ class OpcUaSession(InternalSession):
     async def create_subscription(
         self, params: ua.CreateSubscriptionParameters, callback: Any, request_callback: Any = None
     ) -> ua.CreateSubscriptionResult:
-        """A subscription at a rate that the server bears."""
+        """Create a subscription, at a limited rate."""
         if len(self._own()) >= MAX_SUBSCRIPTIONS:
             raise ServiceError(ua.StatusCodes.BadTooManySubscriptions)
         interval_ms = params.RequestedPublishingInterval
-        if not MIN_PUBLISHING_MS <= interval_ms <= MAX_PUBLISHING_MS:  # also for one that is no number
+        if not MIN_PUBLISHING_MS <= interval_ms <= MAX_PUBLISHING_MS:  # also for NaN
             interval_ms = MIN_PUBLISHING_MS if not interval_ms > MAX_PUBLISHING_MS else MAX_PUBLISHING_MS
         params.RequestedPublishingInterval = interval_ms
         return await super().create_subscription(params, callback, request_callback)
@@ -184,7 +184,7 @@ class OpcUaSession(InternalSession):
         _limit(params.ItemsToCreate)
         for item in params.ItemsToCreate:
             if item.ItemToMonitor.AttributeId == ua.AttributeIds.Value:
-                # a coordinate that waits in a queue while another follows it has fallen meanwhile
+                # a coordinate that waits in a queue while another follows has expired
                 item.RequestedParameters.QueueSize = 1
         if isinstance(self.iserver, Server):
             await self.iserver.refresh()
@@ -218,7 +218,7 @@ class OpcUaSession(InternalSession):
         return await super().set_monitoring_mode(params)
 
     async def set_publishing_mode(self, params: ua.SetPublishingModeParameters) -> list[ua.StatusCode]:
-        """Of its subscriptions."""
+        """Mode of its own subscriptions."""
         self._check(*params.SubscriptionIds)
         return await super().set_publishing_mode(params)
 
@@ -297,7 +297,7 @@ class Processor(UaProcessor):
         return await super()._process_message(typeid, requesthdr, seqhdr, body)
 
     async def close(self) -> None:
-        """The connection is no more, and its session with it."""
+        """Close the session with its connection."""
         await super().close()
         if self.session is not None:
             await self.session.close_session(True)

@@ -1,4 +1,4 @@
-"""What can be set of the OPC UA server."""
+"""Settings of the OPC UA server."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class OpcUaSettings:
 
     certificate, key : PEM, ours; None: there is no encrypted endpoint. trusted : folder with the certificates
     of the clients that may connect, PEM or DER. user, password_hash : who may command.
-    anonymous : anybody may look, also without encryption. readers : networks that may connect; empty: all.
+    anonymous : anyone may read, also without encryption. readers : networks that may connect; empty: all.
     """
 
     cell: str
@@ -33,5 +33,5 @@ class OpcUaSettings:
 
     @property
     def application_uri(self) -> str:
-        """What clients know this server by; the certificate must hold the same."""
+        """Identity of this server for clients; its certificate must have the same."""
         return f"urn:edged:{self.cell}"

@@ -1,8 +1,8 @@
 """The address space of a cell: a vision system of OPC 40100-1, and beside it every register as a variable.
 
-`show` replaces a picture by the next: all values first, then subscriptions are told, then events go out.
-Nothing else runs between the first value and the last one, so no read sees halves of two results. A
-coordinate that may not be used has no value and the status BadNoData, from the same moment on as its flag.
+`show` replaces a picture by the next: first all values, then notifications to subscriptions, then events.
+Nothing else runs between the first and the last value, so no read sees halves of two results. A coordinate
+that may not be used has no value and the status BadNoData, from the same moment on as its flag.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ OPTIONAL = frozenset(
         "PartId",
     }
 )
-"""What a cell has of the specification's optional parts."""
+"""Optional parts of the specification that a cell has."""
 LASTING_BLOCKS = (reg.CONSTANTS, reg.COMMAND, reg.STATUS, reg.COUNTERS, *reg.JOBS)
-"""Every other one shows a result, and is hidden when that falls."""
+"""Every other block shows a result, and is hidden when it expires."""
 VARIANTS = {
     reg.Kind.U16: ua.VariantType.UInt16,
     reg.Kind.I32: ua.VariantType.Int32,
@@ -90,7 +90,7 @@ Asked = tuple[object, object, object, object]  # MeasId, PartId, RecipeId, Produ
 
 
 class CellEvent(Event):
-    """An event; a client is given the fields that it has, and nothing else of the object."""
+    """An event; clients get its fields, and nothing else of the object."""
 
     def to_event_fields(self, select_clauses: list[ua.SimpleAttributeOperand]) -> list[ua.Variant]:
         """The fields that a client selected, by the last name of their path."""
@@ -200,7 +200,7 @@ class Space:
             await self._emit(event)
 
     async def fall(self) -> None:
-        """The result may not be used any more, and the next picture is not here yet: show none."""
+        """Hide an expired result before the next picture arrives."""
         if self._fallen or self.picture is None:
             return
         self._fallen = True
@@ -286,7 +286,7 @@ class Space:
     # --- recipes and results -----------------------------------------------------------------
 
     def _exchange_recipes(self, picture: RegisterPicture) -> None:
-        """Jobs came, or have gone: their objects with them."""
+        """Add and remove the objects of jobs."""
         wanted = {name for _, name in picture.jobs}
         variables, methods = self.instances.variables, self.instances.methods
         for name in [name for name in self._modified if name not in wanted]:
@@ -318,7 +318,7 @@ class Space:
         self.recipe_added(place)
 
     def job_number(self, recipe: object) -> int | None:
-        """Number of the job that a recipe's id names, by name or number; 0 for an empty id, None for none."""
+        """Number of the job of a recipe's id (name or number); 0 for an empty id, None if unknown."""
         text = text_of(recipe)
         if not text:
             return 0
@@ -326,7 +326,7 @@ class Space:
         return next((number for number, name in jobs if text in (name, str(number))), None)
 
     def remember(self, job: str, asked: Asked) -> None:
-        """What a client called its job, for the job's result."""
+        """Remember a client's names of its job, for the job's result."""
         while len(self._asked) >= MAX_ASKED:
             del self._asked[next(iter(self._asked))]
         self._asked[job] = asked
@@ -455,7 +455,7 @@ class Space:
             try:
                 await self._server.subscription_service.trigger_event(event)
             except Exception as error:  # noqa: BLE001  # one client's filter must not silence the others
-                self._log.warning("opcua: an event did not reach everybody: %s", type(error).__name__)
+                self._log.warning("opcua: an event did not reach all clients: %s", type(error).__name__)
 
 
 RESULT_KINDS: dict[str, ua.VariantType] = {
@@ -466,11 +466,11 @@ RESULT_KINDS: dict[str, ua.VariantType] = {
     "CreationTime": ua.VariantType.DateTime,
     "ResultContent": ua.VariantType.Variant,
 }
-"""How a field of a result travels that is no structure."""
+"""Types of the fields of a result that are no structures."""
 
 
 def is_unknown(register: reg.Register, value: reg.Number) -> bool:
-    """Whether a register of a result holds the number that stands for none."""
+    """Whether a register of a result holds the number for "unknown"."""
     if register.kind is reg.Kind.I32:
         return value == reg.INT32_MIN
     if register.kind is reg.Kind.F32:
@@ -480,7 +480,7 @@ def is_unknown(register: reg.Register, value: reg.Number) -> bool:
 
 
 def unit_of(unit: str) -> ua.EUInformation:
-    """The unit of a register; one that UNECE has no code for has its text only."""
+    """The unit of a register; text only where UNECE has no code."""
     found = ua.EUInformation()
     found.NamespaceUri = "http://www.opcfoundation.org/UA/units/un/cefact"
     found.UnitId = int.from_bytes(UNITS[unit].encode(), "big") if unit in UNITS else -1
@@ -493,5 +493,5 @@ def _time(utc_ns: int) -> Any:
 
 
 def _boolean(*, value: bool) -> Any:
-    """asyncua's class of this name is none for a type checker."""
+    """A bool as asyncua's Boolean, which type checkers do not take for one."""
     return value

@@ -1,4 +1,4 @@
-"""States of OPC 40100-1 as the registers show them: derived each time and kept nowhere.
+"""States of OPC 40100-1, derived from the registers each time.
 
 Source: OPC 40100-1, 8.2.6 (VisionStateMachineType) and 8.3.5 (VisionAutomaticModeStateMachineType).
 """
@@ -33,7 +33,7 @@ class Top(enum.Enum):
 
 
 class Automatic(enum.Enum):
-    """States of the AutomaticModeStateMachine: the same."""
+    """States of the AutomaticModeStateMachine: state number and the number of the state's node."""
 
     INITIALIZED = (5, 5056, "Initialized")
     READY = (6, 5057, "Ready")
@@ -43,16 +43,16 @@ class Automatic(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class VisionState:
-    """Where both machines are. automatic : None outside of Operational."""
+    """States of both machines. automatic : None outside of Operational."""
 
     top: Top
     automatic: Automatic | None
 
 
 def vision_state(values: Mapping[str, Number], *, free_running: bool) -> VisionState:
-    """The state that registers stand for. free_running : the cell measures without being asked."""
+    """The state by the registers. free_running : the cell measures without commands."""
     state, bits = int(values["STATE"]), int(values["STATUS_BITS"])
-    if state in (CellStates.STARTING, CellStates.SETUP):  # started, and people have to do something first
+    if state in (CellStates.STARTING, CellStates.SETUP):  # people have to do something first
         return VisionState(Top.PREOPERATIONAL, None)
     if state == CellStates.STOPPING:
         return VisionState(Top.HALTED, None)

@@ -33,12 +33,12 @@ class BinaryIdBaseDataType:
 
 @dataclass
 class RecipeIdExternalDataType(BinaryIdBaseDataType):
-    """What the plant calls a recipe."""
+    """The plant's name of a recipe."""
 
 
 @dataclass
 class RecipeIdInternalDataType(BinaryIdBaseDataType):
-    """What the cell calls a recipe: the name of a job."""
+    """The cell's name of a recipe: the name of a job."""
 
 
 @dataclass
@@ -48,21 +48,21 @@ class ConfigurationIdDataType(BinaryIdBaseDataType):
 
 @dataclass
 class JobIdDataType:
-    """One execution, in the specification's words a job."""
+    """Id of an execution, a "job" of the specification."""
 
     Id: ua.String = NO_TEXT
 
 
 @dataclass
 class ResultIdDataType:
-    """One result."""
+    """Id of a result."""
 
     Id: ua.String = NO_TEXT
 
 
 @dataclass
 class MeasIdDataType:
-    """What the client calls a measurement."""
+    """The client's name of a measurement."""
 
     Encoding: ua.UInt32 = field(default=NOTHING, repr=False, init=False, compare=False)
     Id: ua.String = NO_TEXT
@@ -71,7 +71,7 @@ class MeasIdDataType:
 
 @dataclass
 class PartIdDataType:
-    """What the client calls a part."""
+    """The client's name of a part."""
 
     Encoding: ua.UInt32 = field(default=NOTHING, repr=False, init=False, compare=False)
     Id: ua.String = NO_TEXT
@@ -80,7 +80,7 @@ class PartIdDataType:
 
 @dataclass
 class ProductIdDataType:
-    """What the client calls a product."""
+    """The client's name of a product."""
 
     Encoding: ua.UInt32 = field(default=NOTHING, repr=False, init=False, compare=False)
     Id: ua.String = NO_TEXT
@@ -143,7 +143,7 @@ for _structure, (_number, _encoding) in IDS.items():
 
 
 def text_of(identifier: object) -> str:
-    """Id of one of the structures that a client sent; "" when there is none."""
+    """Id in a structure that a client sent; "" without one."""
     return str(getattr(identifier, "Id", None) or "")
 
 
