@@ -85,7 +85,7 @@ class _CurrentStderr(logging.StreamHandler[TextIO]):
 
     @property
     def stream(self) -> TextIO:  # type: ignore[override]  # an attribute there, looked up anew here
-        """Of this moment."""
+        """The present stderr."""
         return sys.stderr
 
 
@@ -116,10 +116,10 @@ class JournalHandler(logging.Handler):
         self._lost = 0
 
     def emit(self, record: logging.LogRecord) -> None:
-        """One entry, or one more that is lost."""
+        """Send an entry, or count it as lost."""
         try:
             entry = encode(self._entry(record))
-        except Exception:  # noqa: BLE001 - as every handler of logging does: a bad log call is told, not raised
+        except Exception:  # noqa: BLE001 - as every handler of logging does: a bad log call is reported, not raised
             self.handleError(record)
             return
         try:

@@ -34,17 +34,17 @@ from edged.logs import FaultMemory
 log = logging.getLogger(__name__)
 
 QUEUE_GOOD = 2
-"""So many waiting writes, and a good cycle is left out: it would only delay the bad one that follows."""
+"""With so many waiting writes a good cycle is left out: it would only delay the next bad one."""
 QUEUE_BAD = 8
 MAX_GAP = 0.1
-"""Of `max_age_days`. A weekend counts in full; a clock a month ahead, or a month's rest, as three days."""
+"""Longest step of the age. A weekend counts in full; a clock a month ahead, or a month off, as three days."""
 DAY_S = 86400.0
 MIB = 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderSettings:
-    """How much is kept; whatever is exceeded first removes the oldest good cycle, then the oldest bad one.
+    """Limits of what is kept; beyond any of them the oldest good cycles are deleted first, then bad ones.
 
     keep_good, keep_bad : cycles.  min_free_mib : of the disk, which is never filled further.
     max_age_days : as long as the cell runs; a gap counts a tenth of it at most.
@@ -59,7 +59,7 @@ class RecorderSettings:
 
 
 class _Kept(NamedTuple):
-    """A recording on disk. at_s : when, on the clock that ages are counted on."""
+    """A recording on disk. at_s : its time on the clock of ages."""
 
     entry: recording.Entry
     size: int
@@ -68,7 +68,7 @@ class _Kept(NamedTuple):
 
 @dataclass(slots=True)
 class RecorderFigures:
-    """What happened since the start; `problem` is "" while all is well."""
+    """Counts since the start; `problem` is "" while all is well."""
 
     written: int = 0
     left_out: int = 0
@@ -108,7 +108,7 @@ class Recorder:
         self._has_stock = False
 
     async def start(self) -> None:
-        """Repair and count what is there; a folder that cannot be used is reported, the cell starts."""
+        """Repair and count the recordings; the cell starts even if the folder cannot be used."""
         await asyncio.get_running_loop().run_in_executor(self._writer, self._guarded, self._take_stock)
 
     def announce(self, event: Event) -> None:
@@ -134,7 +134,7 @@ class Recorder:
         future.add_done_callback(self._written)
 
     async def close(self) -> None:
-        """Finish the write under way; those that wait are given up."""
+        """Finish the running write, and drop the waiting ones."""
         await asyncio.to_thread(self._writer.shutdown, wait=True, cancel_futures=True)
 
     def _written(self, future: asyncio.Future[None]) -> None:
@@ -184,7 +184,7 @@ class Recorder:
         if not self._make_room(size):
             raise OSError(0, f"less than {settings.min_free_mib} MiB are free, and nothing is left to remove")
         if snapshot.nearest is not None:
-            snapshot.nearest.ask()  # beside its pictures it says why they are kept; nobody waits for it here
+            snapshot.nearest.ask()  # it explains why the pictures are kept, and delays no client here
         if files:
             recording.save_setup(settings.folder, snapshot.fingerprint, files)
         entry = recording.save(settings.folder, self._next, now, snapshot, pair)
@@ -238,7 +238,7 @@ class Recorder:
         return entry.fingerprint
 
     def _forget_setups(self, fingerprints: set[str]) -> None:
-        """A setup goes with the last recording that stands on it."""
+        """Delete a setup without recordings."""
         if not fingerprints:
             return
         used = {entry.fingerprint for ring in self._kept.values() for entry, _, _ in ring}

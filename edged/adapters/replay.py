@@ -40,7 +40,7 @@ class Reel:
         self._taken.add(side)
 
     def resynchronise(self) -> None:
-        """Whoever asks next begins a new exposure."""
+        """End the exposure: the next read begins a new one."""
         self._taken = set(SIDES)
 
     def load(self, side: str, number: int) -> Image:
@@ -54,7 +54,7 @@ class Reel:
 
 
 class ReplayCamera:
-    """One side of a folder of pairs."""
+    """The camera of one side of a folder of pairs."""
 
     def __init__(self, name: str, reel: Reel) -> None:
         if name not in SIDES:

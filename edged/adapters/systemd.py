@@ -1,4 +1,4 @@
-"""The service manager's view of the daemon: readiness, status, watchdog (sd_notify(3)).
+"""The daemon's reports to the service manager: readiness, status, watchdog (sd_notify(3)).
 
 The watchdog is fed by events of the measuring loop and by nothing else: no timer, no thread. When
 the loop hangs, in a camera, in the vision or in a bug, the feeding ends and systemd restarts the
@@ -23,7 +23,7 @@ from edged.domain.events import Event, Snapshot
 log = logging.getLogger(__name__)
 
 FEED_S = 0.5
-"""At most so often: a fast cell need not wake the service manager with every cycle."""
+"""Least time between status lines: a fast cell need not wake the service manager with every cycle."""
 
 START_EXTENSION_S = 60.0
 """Each sign of life before READY buys this much start-up time."""
@@ -133,7 +133,7 @@ def _has_started(state: CellState) -> bool:
 
 
 def _address(path: str) -> str:
-    """Address of the notify socket; "@" marks the abstract name space; "" for what is none (vsock)."""
+    """Address of the notify socket; "@" marks the abstract name space; "" if unsupported (vsock)."""
     if path.startswith("@"):
         return "\0" + path[1:]
     return path if path.startswith("/") else ""

@@ -1,4 +1,4 @@
-"""The demo's view: what was measured next to what is true, live in the terminal.
+"""The demo's view: measurement and truth, live in the terminal.
 
 On a terminal a table that stays in place; elsewhere (a pipe, a CI log) one line per cycle. Writing
 happens on a thread, so that a terminal that is stopped with ctrl-S does not stop the cell.
@@ -79,7 +79,7 @@ class DemoSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TruthComparison:
-    """One measurement against the truth."""
+    """Error of one measurement."""
 
     measured_mm: FloatArray
     true_mm: FloatArray
@@ -161,7 +161,7 @@ class Tally:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """What the table shows: replaced as a whole, so that the drawing thread never sees half of it."""
+    """Content of the table; replaced as a whole, as another thread draws it."""
 
     snapshot: Snapshot
     comparison: TruthComparison | None
@@ -247,7 +247,7 @@ class DemoView:
 
 
 class _Lines:
-    """A thread that prints lines; when nobody reads any more they are dropped."""
+    """A thread that prints lines; they are dropped once the pipe is closed."""
 
     def __init__(self, console: Console) -> None:
         self._queue: queue.Queue[str | None] = queue.Queue(maxsize=1000)
@@ -260,7 +260,7 @@ class _Lines:
             self._queue.put_nowait(line)
 
     def close(self, timeout_s: float) -> None:
-        with contextlib.suppress(queue.Full):  # nobody reads: the thread ends with the process
+        with contextlib.suppress(queue.Full):  # the pipe is closed: the thread ends with the process
             self._queue.put(None, timeout=timeout_s)
         self._thread.join(timeout_s)
 
@@ -270,7 +270,7 @@ class _Lines:
 
 
 def _print(console: Console, what: RenderableType) -> None:
-    """Print, or fall silent when nobody reads any more (`edged demo | head`)."""
+    """Print; silent once the pipe is closed (`edged demo | head`)."""
     try:
         console.print(what, markup=False, highlight=False, soft_wrap=isinstance(what, str))
     except (OSError, SystemExit):  # rich turns a closed pipe into SystemExit
@@ -278,7 +278,7 @@ def _print(console: Console, what: RenderableType) -> None:
 
 
 def _line(scene: _Scene) -> str:
-    """One cycle on one line."""
+    """A cycle as one line."""
     snapshot, comparison = scene.snapshot, scene.comparison
     head = f"cycle {snapshot.cycle:5d}  {snapshot.status:13s}"
     total_ms = snapshot.timing_ms.get("total", float("nan"))

@@ -24,7 +24,7 @@ NAME = "rig.cameras.json"
 
 
 class ChosenCamera(Section):
-    """One camera. None: as it is configured."""
+    """Choice of one camera. None: as configured."""
 
     device: str | None = Field(None, min_length=1, max_length=64)
     serial: str | None = Field(None, max_length=64)
@@ -58,7 +58,7 @@ def chosen_file(rig: Path) -> Path:
 
 
 def read_chosen(rig: Path) -> bytes | None:
-    """What is there; None: nothing was chosen. Raises `ConfigError`."""
+    """Read the choice; None without one. Raises `ConfigError`."""
     file = chosen_file(rig)
     try:
         with file.open("rb") as opened:
@@ -73,11 +73,11 @@ def read_chosen(rig: Path) -> bytes | None:
 
 
 def chosen_of(content: bytes, file: Path) -> ChosenCameras:
-    """What a file states. Raises `ConfigError`."""
+    """Parse a choice. Raises `ConfigError`."""
     try:
         return ChosenCameras.model_validate(json.loads(content))
     except (ValueError, RecursionError) as error:
-        # written by the daemon: whoever sees this has a damaged file, not a typing error
+        # written by the daemon: an error means a damaged file, not a typing error
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "not JSON"
         remedy = "remove it, and the cameras are as they are configured"
         raise ConfigError(str(file), [f"{file.name}: no chosen cameras: {why}; {remedy}"]) from error

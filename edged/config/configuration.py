@@ -76,11 +76,11 @@ class Config(Section):
 
     @property
     def password_hash(self) -> str:
-        """Of the status page; "" for none."""
+        """Password hash of the status page; "" without one."""
         return self.password_hashes().get("web.password_hash", "")
 
     def password_hashes(self) -> dict[str, str]:
-        """Those that are set, by their dotted path."""
+        """The hashes that are set, by their dotted path."""
         found = {
             f"{name}.password_hash": section.password_hash.get_secret_value()
             for name, section in (("web", self.web), ("opcua", self.opcua))

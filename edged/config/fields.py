@@ -1,4 +1,4 @@
-"""What the sections of the file have in common: kinds of values, and no unknown key."""
+"""Common kinds of values of the sections, and their base class, which refuses unknown keys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the file is read, and its mistakes in the words of who writes it."""
+"""Reading of the configuration file, with mistakes explained in its author's terms."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def load(path: Path) -> Config:
 
 
 def read(path: Path) -> bytes:
-    """What is in a configuration file. Raises `ConfigError`."""
+    """Parse a configuration file. Raises `ConfigError`."""
     try:
         if path.stat().st_size > MAX_TOML_BYTES:
             raise ConfigError(str(path), ["larger than 1 MiB: not a configuration"])
@@ -81,7 +81,7 @@ def config_of(content: bytes, path: Path) -> Config:
 
 
 def config_and_choice(content: bytes, path: Path) -> tuple[Config, bytes | None]:
-    """The same, with the cameras that were chosen for its rig: in force, and as they are written."""
+    """The configuration with the cameras chosen for its rig: in force, and as they are written."""
     try:
         data = toml_of(content)
     except UnicodeDecodeError as error:
@@ -116,7 +116,7 @@ def limits_of(content: bytes) -> LimitsSection:
 
 
 def not_utf8(error: UnicodeDecodeError) -> str:
-    """What is wrong with a text file, and where."""
+    """The error of a text file, and its line."""
     line = error.object.count(b"\n", 0, error.start) + 1
     return f"line {line}: not UTF-8 text (a byte 0x{error.object[error.start]:02x}): save it as UTF-8"
 

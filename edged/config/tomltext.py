@@ -16,7 +16,7 @@ _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_KE
 
 
 def toml_of(content: bytes | str) -> dict[str, Any]:
-    """What stands in a file of TOML, with or without a byte order mark.
+    """Parse a TOML file, with or without a byte order mark.
 
     Raises `UnicodeDecodeError`, `tomllib.TOMLDecodeError` with the line, and RecursionError.
     """

@@ -12,7 +12,7 @@ from edged.config.fields import FilePath, Section, is_loopback
 
 INTERNET = ("tcp", "tls", "udp", "quic", "ws")
 PROTOCOLS = (*INTERNET, "serial", "unixsock-stream", "unixpipe", "vsock")
-"""Of Zenoh's endpoints."""
+"""Protocols of Zenoh's endpoints."""
 
 
 def _endpoint(value: str) -> str:
@@ -25,13 +25,13 @@ def _endpoint(value: str) -> str:
 
 
 def tcp_port(endpoint: str) -> int | None:
-    """Of an endpoint that listens on a TCP port."""
+    """The TCP port of a listening endpoint."""
     found = re.match(r"(?:tcp|tls|ws)/[^?#]*:(\d{1,5})(?:[?#]|$)", endpoint)
     return None if found is None else int(found[1])
 
 
 def check_endpoint(endpoint: str) -> None:
-    """Refuse an endpoint that nobody can connect to. Raises `ValueError`."""
+    """Check that an endpoint can be connected to. Raises `ValueError`."""
     _endpoint(endpoint)
     protocol = endpoint.partition("/")[0]
     if protocol not in PROTOCOLS:

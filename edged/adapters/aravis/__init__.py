@@ -5,7 +5,7 @@
     trigger    what starts an exposure: software, free run, line, action command
     clock      the camera's time against the host's
     exposure   exposure time and gain, also while it streams
-    setup      what a camera is told before it is armed, and what is refused
+    setup      settings of a camera before it is armed, and what is refused
     link       how fast it may send
     stream     buffers as images
     session    one connection: everything that talks to the device, on one thread

@@ -40,13 +40,13 @@ REPLY_S = 1.2
 """A command that is not answered by then has been lost twice (Aravis repeats after 0.5 s): no camera."""
 
 BACKLOG = 4
-"""Images that wait to be fetched; of a camera that others trigger too fast the oldest is dropped."""
+"""Images that wait to be fetched; when others trigger too fast the oldest is dropped."""
 
 ADJUST_S = 3.0
 """Some registers are written and read; each command may have to be repeated."""
 
 CLOSE_S = 1.0
-"""A camera that answers is closed within milliseconds; one that does not is left to its thread."""
+"""A camera that answers is closed within milliseconds; without an answer it is left to its thread."""
 
 PREDECESSOR_S = 2.0
 """How long a new connection waits for the old one to give up control of the camera. One that died holds its
@@ -104,7 +104,7 @@ class _Connection:
             except CaptureError as error:
                 log.debug("%s", error, exc_info=True)
                 future.set_exception(_bare(error))
-            except BaseException as error:  # noqa: BLE001  (a bug: handed to whoever waits)
+            except BaseException as error:  # noqa: BLE001  (a bug: raised by the await of the job)
                 future.set_exception(error)
             else:
                 future.set_result(result)
@@ -196,7 +196,7 @@ class AravisCamera:
         self._arrivals.clear()
 
         def fire() -> int:
-            if restart:  # an exposure that nobody waited for is still under way
+            if restart:  # an abandoned exposure is still under way
                 session.restart()
             return session.trigger()
 
@@ -244,7 +244,7 @@ class AravisCamera:
         return made
 
     async def limits(self) -> CameraLimits:
-        """What exposure time and gain can be set to now."""
+        """Limits of exposure time and gain now."""
         connection, session = self._opened()
         return await self._call(connection, session.limits, REPLY_S)
 
@@ -265,7 +265,7 @@ class AravisCamera:
         self._found = {}
 
     def _in_force(self) -> AravisSettings:
-        """As configured, but for what was adjusted or is still to be written back."""
+        """The configured settings, with what was adjusted or is still to be written back."""
         settings = self._settings
         if self._draft == CameraValues():
             return replace(settings, features=(*settings.features, *([self._found] if self._found else [])))
@@ -316,7 +316,7 @@ class AravisCamera:
     async def _call(
         self, connection: _Connection, job: Callable[[], Result], limit_s: float | None
     ) -> Result:
-        """Run a job on the control thread; one that has not begun when the time is up never will."""
+        """Run a job on the control thread; it is dropped if it has not begun when the time is up."""
         try:
             return await asyncio.wait_for(asyncio.wrap_future(connection.submit(job)), limit_s)
         except TimeoutError:
@@ -374,7 +374,7 @@ class AravisCamera:
 
 
 def _stated(values: CameraValues, made: CameraValues) -> CameraValues:
-    """What the camera made of those that were stated."""
+    """The values that the camera took for the stated ones."""
     return CameraValues(
         None if values.exposure_us is None else made.exposure_us,
         None if values.gain_db is None else made.gain_db,
@@ -386,7 +386,7 @@ def _on_loop(action: Callable[..., object]) -> Callable[..., None]:
     loop = asyncio.get_running_loop()
 
     def call(*arguments: object) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has been closed: nobody is interested any more
+        with contextlib.suppress(RuntimeError):  # the loop is closed
             loop.call_soon_threadsafe(action, *arguments)
 
     return call

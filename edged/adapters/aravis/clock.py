@@ -33,7 +33,7 @@ UTC_SLEW = 500e-6
 """The kernel slews the host's UTC by no more than this against its own crystal (adjtimex, MAXFREQ)."""
 
 SLOT_NS = 2_000_000_000
-"""Of the readings within so long only the narrowest is kept."""
+"""Of all readings within this time only the narrowest is kept."""
 
 SLOTS = 16
 """Readings that are kept: half a minute, while the camera is looked after each second."""
@@ -62,7 +62,7 @@ class ClockReading:
 
     @property
     def width_ns(self) -> int:
-        """How much the reading leaves open."""
+        """The uncertainty of the reading."""
         return self.after_ns - self.before_ns
 
 
@@ -88,7 +88,7 @@ class ClockMap:
         self._step_ns = 0
 
     def add(self, reading: ClockReading) -> None:
-        """Take note of one more reading; they come in the order of host time."""
+        """Add a reading; readings come in the order of host time."""
         expected = self.at(reading.device_ns)
         self._step_ns = math.gcd(self._step_ns, reading.device_ns)
         if expected is not None and not _meets(expected, reading, self._step()):
@@ -179,7 +179,7 @@ class RegisterLatch:
     tick_hz: int
 
     def read(self, device: Any) -> ClockReading:
-        """One write, two reads."""
+        """Latch by one write, and read twice."""
         before_ns = host_ns()
         device.write_register(TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
         after_ns = host_ns()
@@ -196,7 +196,7 @@ class NodeLatch:
     tick_hz: int
 
     def read(self, device: Any) -> ClockReading:
-        """One command, one read."""
+        """Latch by one command, and read once."""
         before_ns = host_ns()
         device.execute_command(self.command)
         after_ns = host_ns()

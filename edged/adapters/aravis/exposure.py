@@ -20,7 +20,7 @@ class StreamLocks:
 
 
 def exposure_nodes(camera: str, features: Features, values: CameraValues) -> dict[str, Value]:
-    """What is to be written, automatics off. Raises `CameraSetupError` for what the camera does not have."""
+    """Features to write, automatics off. Raises `CameraSetupError` for a missing one."""
     nodes: dict[str, Value] = {}
     if values.exposure_us is not None:
         node = features.first(*TIME)
@@ -43,12 +43,12 @@ def exposure_nodes(camera: str, features: Features, values: CameraValues) -> dic
 
 
 def values_of(features: Features) -> CameraValues:
-    """What the camera is set to."""
+    """The camera's present values."""
     return CameraValues(*(_number(features, features.first(*names)) for names in (TIME, GAIN)))
 
 
 def limits_of(features: Features) -> CameraLimits:
-    """What it takes now."""
+    """The camera's present limits."""
     nodes = (features.first(*names) for names in (TIME, GAIN))
     return CameraLimits(*(features.bounds(node) if node else None for node in nodes))
 

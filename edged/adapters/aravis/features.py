@@ -55,14 +55,14 @@ class Features:
         return bool(self._device.get_feature(name).get_actual_access_mode() != aravis.GcAccessMode.RO)
 
     def choices(self, name: str) -> list[str]:
-        """What an enumeration may be set to; none for a feature that the camera does not have."""
+        """Entries of an enumeration; empty for a feature that the camera does not have."""
         if not self.exists(name):
             return []
         with translated(self._camera, f"asking for the choices of {name}"):
             return list(self._device.dup_available_enumeration_feature_values_as_strings(name))
 
     def value(self, name: str) -> Value | None:
-        """What the camera holds now; None for what cannot be read."""
+        """The present value; None if it cannot be read."""
         with translated(self._camera, f"reading {name}"):
             return self._read(name)
 
@@ -83,7 +83,7 @@ class Features:
         return float(low), float(high)
 
     def check(self, values: Mapping[str, Value]) -> list[str]:
-        """What is wrong with these settings by name, type and choice; nothing is written."""
+        """Errors of these settings in name, type and choice; nothing is written."""
         return [
             f"{name}: {problem}" for name, value in values.items() if (problem := self._misfit(name, value))
         ]
@@ -183,7 +183,7 @@ class Features:
             device.set_integer_feature_value(name, value)
 
     def _read(self, name: str) -> Value | None:
-        """What the camera holds now; None for a command, and for what can only be written (keys)."""
+        """The present value; None for a command, or a write-only feature."""
         aravis, device = self._library.aravis, self._device
         node = device.get_feature(name)
         if isinstance(node, aravis.GcCommand) or node.get_actual_access_mode() == aravis.GcAccessMode.WO:

@@ -32,7 +32,7 @@ CONTROL_PRIVILEGE_REGISTER = 0x0A00
 """GigE Vision bootstrap register "control channel privilege"."""
 
 CONTROLLED = 0b11
-"""Bits of it: exclusive access, control access. Neither: nobody controls the camera."""
+"""Bits of it: exclusive access, control access. Neither: the camera is not controlled."""
 
 DEVICE_ERRORS: dict[str, type[CaptureError]] = {
     "WRONG_FEATURE": CameraSetupError,
@@ -53,7 +53,7 @@ DEVICE_ERRORS: dict[str, type[CaptureError]] = {
     "PROTOCOL_ERROR_WRITE_PROTECT": CameraSetupError,
     "PROTOCOL_ERROR_BAD_ALIGNMENT": CameraSetupError,
     "PROTOCOL_ERROR_ACCESS_DENIED": CameraBusy,
-    # GVCP status 0x8007: the camera itself has no time now; nobody else holds it
+    # GVCP status 0x8007: the camera itself is busy; no other host holds it
     "PROTOCOL_ERROR_BUSY": CameraUnreachable,
 }
 """`Aravis.DeviceError` by name; GenICam errors (`Aravis.GcError`) are all settings that do not fit."""

@@ -15,7 +15,7 @@ ETHERNET_BYTES = 14 + 4 + 8 + 12
 """Header, check sum, preamble and gap of a packet on the wire, besides its IP packet."""
 
 DEFAULT_BPS = 1e9
-"""Of a link that does not tell its speed: Gigabit Ethernet."""
+"""Assumed speed of a link that does not state it: Gigabit Ethernet."""
 
 SIOCGIFADDR = 0x8915
 """Linux: the IPv4 address of an interface."""

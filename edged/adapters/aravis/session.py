@@ -46,13 +46,13 @@ from edged.logs import LogLimit
 log = logging.getLogger(__name__)
 
 BUFFERS = 4
-"""One that is filled, one that is late, one that is copied, one spare."""
+"""Buffers: being filled, late, being copied, and a spare."""
 
 HEARTBEAT_REGISTER = 0x0938
 """GigE Vision bootstrap register "heartbeat timeout", in ms."""
 
 CLOCK_READINGS = 5
-"""At the start; one more comes with every trigger. The quietest of them counts."""
+"""Clock readings at the start; each trigger adds one. The quietest of them counts."""
 
 REPEAT_S = 0.5
 """Aravis sends a command again when it has had no answer for so long (ARV_GV_DEVICE_GVCP_TIMEOUT_MS)."""
@@ -65,21 +65,21 @@ LOOK_S = 5.0
 
 
 COUNTS = ("n_completed_buffers", "n_failures", "n_resent_packets", "n_missing_packets")
-"""Aravis' names of what a stream counts, in the order of `CameraHealth`."""
+"""Aravis' names of a stream's counts, in the order of `CameraHealth`."""
 
 
-JUMPS_S = 3600.0  # a line about a clock that jumps; one that runs too fast does so more than once a second
+JUMPS_S = 3600.0  # between log lines on a clock that jumps; a clock that runs too fast does so every second
 RESTARTED = "it was restarted, or dropped the connection"
 
 
 @dataclass(frozen=True, slots=True)
 class CameraHealth:
-    """How an open camera is.
+    """Health of an open camera.
 
-    temperature_c : None where it does not tell. clock_bound_ns : of its clock's map, None without one.
+    temperature_c : None if unknown. clock_bound_ns : of its clock's map, None without a clock.
     ptp : its clock is locked to the PTP network. complete, failed : images since it was opened.
-    resent, lost : packets that came on request, and that never came. None: the driver does not count them.
-    gamma : exponent in effect between light and grey value, as the camera says; 1 for a linear one.
+    resent, lost : packets resent on request, and lost. None: not counted by the driver.
+    gamma : exponent between light and grey value, by the camera; 1: linear.
     """
 
     temperature_c: float | None = None
@@ -148,7 +148,7 @@ class CameraSession:
     def trigger(self) -> int:
         """Start an exposure; host time at which the command left.
 
-        Aravis repeats a command that is not answered; when the exposure began is then anybody's guess, and
+        Aravis repeats a command that is not answered; when the exposure began is then unknown, and
         that is a `FrameTimeout`. What is triggered by others has no command: its exposures count from now.
         """
         trigger = self.settings.trigger
@@ -169,7 +169,7 @@ class CameraSession:
         return sent_ns
 
     def _ahead(self, lead_s: float) -> int | None:
-        """A time of the PTP clock so long from now; None for "at once"."""
+        """The PTP time of a scheduled action; None for "at once"."""
         if lead_s == 0:
             return None
         self._look()
@@ -187,7 +187,7 @@ class CameraSession:
             self.clock.add(self._latch.read(self._camera.get_device()))
         if self.clock.jumps > jumps:
             text = (
-                "camera %s: its clock has jumped; one that does so again and again is more than %.0f ppm off"
+                "camera %s: its clock has jumped; a clock that does so repeatedly is more than %.0f ppm off"
             )
             self._jumps.warning(text, self.name, CLOCK_DRIFT * 1e6)
 
@@ -216,17 +216,17 @@ class CameraSession:
         return made
 
     def values(self) -> CameraValues:
-        """What it is set to."""
+        """The present values."""
         with self._talking("reading its settings"):
             return exposure.values_of(self._nodes())
 
     def limits(self) -> CameraLimits:
-        """What it takes now."""
+        """The present limits."""
         with self._talking("asking for its limits"):
             return exposure.limits_of(self._nodes())
 
     def as_found(self) -> dict[str, Value]:
-        """What `adjust` may change, to be written back."""
+        """The values that `adjust` may change, for `restore`."""
         with self._talking("reading its settings"):
             return exposure.as_found(self._nodes())
 
@@ -243,14 +243,14 @@ class CameraSession:
         return self._features
 
     def probe(self) -> None:
-        """Ask whether the camera is there and still ours. Raises `CameraUnreachable` or `CameraBusy`.
+        """Check that the camera answers and is still ours. Raises `CameraUnreachable` or `CameraBusy`.
 
         A write tells whether another host has taken control (it is denied then); but a camera that was
-        restarted belongs to nobody, and may take writes from anybody: hence the read.
+        restarted has no owner, and may take writes of any host: hence the read.
         """
         if not self._camera.is_gv_device():
             self._look()
-            return  # USB tells by itself when it is unplugged
+            return  # USB reports by itself when it is unplugged
         device = self._camera.get_device()
         with self._talking("checking the connection"):
             device.write_register(HEARTBEAT_REGISTER, self._heartbeat_ms)
@@ -261,7 +261,7 @@ class CameraSession:
         self._look()
 
     def _look(self) -> None:
-        """Ask for what changes slowly."""
+        """Read what changes slowly."""
         device, features = self._camera.get_device(), self._features
         self._looked_s = time.monotonic()
         if features is not None:
@@ -271,7 +271,7 @@ class CameraSession:
                     self._temperature_c = float(device.get_float_feature_value("DeviceTemperature"))
 
     def health(self) -> CameraHealth:
-        """How the camera is, as last seen; asks nothing."""
+        """Health of the camera as last read."""
         stream = self._stream
         counts: dict[str, int] = {}
         if stream is not None:
@@ -286,7 +286,7 @@ class CameraSession:
         )
 
     def close(self) -> None:
-        """Take everything down, politely if the camera still answers; never raises."""
+        """Close the connection, in order if the camera still answers; never raises."""
         self._stop_pump.set()
         if self._pump is not None:
             self._pump.join()
@@ -308,7 +308,7 @@ class CameraSession:
 
     @contextlib.contextmanager
     def _talking(self, doing: str) -> Iterator[None]:
-        """Translate errors; after one that means "gone" the camera is not talked to again."""
+        """Translate errors; after an error that means "gone" nothing is sent to the camera any more."""
         try:
             with translated(self.name, doing):
                 yield
@@ -321,7 +321,7 @@ class CameraSession:
             raise
 
     def _belongs_to_nobody(self) -> bool:
-        """Whether the camera that refused a command is controlled by no one: then it forgot us."""
+        """Whether the camera that refused a command has no controlling host: it has restarted."""
         try:
             privilege = self._camera.get_device().read_register(CONTROL_PRIVILEGE_REGISTER)
         except self._library.glib.Error:
@@ -385,7 +385,7 @@ class CameraSession:
         camera.start_acquisition()
 
     def _exposure_check(self) -> ExposureCheck | None:
-        """How an image's own word on its exposure time is compared with what was asked for."""
+        """Checks the exposure time in an image's chunk data against the configured one."""
         if not self.settings.chunks:
             return None
         with self._talking("chunks: asking for the exposure time with each image"):

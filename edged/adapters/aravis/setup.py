@@ -1,4 +1,4 @@
-"""What a camera is told before it is armed: features, exposure, clock, outputs; and what is refused.
+"""Set-up of a camera before it is armed: features, exposure, clock, outputs; and what is refused.
 
 Order: the user's features (all are checked before the first is written), then the geometry they make is
 compared with the calibration, then exposure and gain, PTP, outputs and, last, the trigger.
@@ -29,7 +29,7 @@ NEUTRAL: Mapping[str, Value] = {
     "ReverseX": False,
     "ReverseY": False,
 }
-"""Features that move pixels, as they stand when nobody meant anything."""
+"""Features that move pixels, with their neutral values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Placement:
 
 
 def set_up(name: str, camera: Any, features: Features, settings: AravisSettings) -> Placement | None:
-    """Tell an open camera everything; where its image belongs if that is not the whole one.
+    """Write all settings to an open camera; returns where its image lies unless it is the whole one.
 
     Raises `CameraSetupError` that names what does not fit.
     """
@@ -64,7 +64,7 @@ def set_up(name: str, camera: Any, features: Features, settings: AravisSettings)
 
 
 def gamma_in_effect(features: Features) -> float:
-    """The exponent between light and grey values that the camera states; 1 where it states none."""
+    """The camera's exponent between light and grey values; 1 if it states none."""
     if features.exists("GammaEnable") and features.value("GammaEnable") is False:
         return 1.0
     gamma = features.value("Gamma") if features.exists("Gamma") else None
@@ -116,7 +116,7 @@ def _placement(
     groups: list[dict[str, Value]],
     calibrated: tuple[int, int] | None,
 ) -> Placement | None:
-    """Refuse geometry that nobody meant, or that the calibration does not cover.
+    """Refuse unintended geometry, or geometry that the calibration does not cover.
 
     Another program may have left the camera mirrored or with a region: pictures look alike, measure wrong,
     and no check of a single image would tell. So what is not neutral must stand in the configuration. A

@@ -68,7 +68,7 @@ class FrameCounter:
 
 
 def pump(decoder: Decoder, stream: Any, stop: threading.Event, deliver: Callable[[Arrival], None]) -> None:
-    """Take buffers out of the stream until told to stop; each goes back at once, copied.
+    """Copy buffers out of the stream until stopped; each goes back at once.
 
     Aravis' packet socket hears the whole network interface until its filter is set (`_ring_buffer_loop`,
     Aravis 0.8.26): a stranger's packet gives a buffer that was never filled, and no image of this camera.
@@ -102,7 +102,7 @@ class Decoder:
         return bool(buffer.get_status() != self._aravis.BufferStatus.CLEARED)
 
     def arrival(self, buffer: Any) -> Arrival:
-        """The image in a buffer, or why there is none."""
+        """The image in a buffer, or why it has none."""
         frame_id = self._counter.count(buffer.get_frame_id())
         device_ns = buffer.get_timestamp()
         arrived_ns = host_ns() - (time.time_ns() - buffer.get_system_timestamp())
@@ -149,7 +149,7 @@ class ExposureCheck:
         self._parser, self._error, self.wanted_us = parser, error, wanted_us
 
     def problem(self, buffer: Any) -> str:
-        """What is wrong with the exposure of the image in a buffer, or nothing."""
+        """Why the exposure of the image in a buffer is wrong; "" if it is not."""
         if not buffer.has_chunks():
             # of the extended chunk payload of GigE Vision 1.x Aravis 0.8 reads the image only
             return "no chunk data that could be read: set chunks = false for this camera"

@@ -1,4 +1,4 @@
-"""What starts an exposure: the GenICam settings of each way, and the datagram of an action command.
+"""Triggers of an exposure: their GenICam settings, and the datagram of an action command.
 
 Software    a command to each camera
 FreeRun     the camera's own clock
@@ -189,7 +189,7 @@ def _set_action(trigger: Action, source: str, features: Features) -> None:
 
 
 def _set_or_neutral(features: Features, names: tuple[str, ...], value: Value, neutral: Value) -> None:
-    """Write the first of the names there is; where there is none only the neutral value is not missed."""
+    """Write the first existing name. Raises `CameraSetupError` without one, unless the value is neutral."""
     name = features.first(*names)
     if name or value != neutral:
         features.require({name or names[0]: value})
@@ -226,7 +226,7 @@ def send_action(camera: str, trigger: Action, at_ticks: int | None, request: int
 
 
 def _acknowledged(camera: str, answer: bytes, address: str, request: int) -> str:
-    """The address, when the answer is its acknowledgement; "" for what is none."""
+    """The address whose acknowledgement this is; "" for any other datagram."""
     if len(answer) < 8:
         return ""
     status, kind, _, number = struct.unpack(">HHHH", answer[:8])
@@ -239,5 +239,5 @@ def _acknowledged(camera: str, answer: bytes, address: str, request: int) -> str
 
 
 def trigger_names(values: Mapping[str, Any]) -> list[str]:
-    """Of these feature names, those that belong to the trigger and are not free to be set."""
+    """Those of these feature names that the trigger sets itself."""
     return [name for name in ("TriggerMode", "TriggerSource", "AcquisitionMode") if name in values]

@@ -1,4 +1,4 @@
-"""What a cell shows on Zenoh: every key below `edged/<cell>`, and what a trigger may say."""
+"""Zenoh keys of a cell: every key below `edged/<cell>`, and the parameters of a trigger."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What cells say over Zenoh, for whoever watches them."""
+"""Messages of cells over Zenoh, for `edged watch` and others."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from edged.adapters.zenoh.session import ClientTls, open_session, session_config
 CELL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MAX_MESSAGE_BYTES = 1024 * 1024  # a result is kilobytes
 MAX_DOUBTED = 1000
-"""Cells of which it is known: anybody can publish under any name."""
+"""Most cells remembered: any peer can publish under any name."""
 
 Heard = Callable[[str, str, dict[str, Any]], None]
 """Takes cell, kind and document of a message, on a thread of Zenoh's."""
@@ -29,7 +29,7 @@ Heard = Callable[[str, str, dict[str, Any]], None]
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """links : how many routers and cells are connected now.
+    """links : number of connected routers and cells.
 
     doubts : a sentence on each cell whose messages may not all be its own.
     """
@@ -39,7 +39,7 @@ class Listening:
 
 
 class Doorkeeper:
-    """Lets in what a cell has said; from any thread. key : shared with the cells; None: all is let in."""
+    """Admits genuine messages of cells; from any thread. key : shared with the cells; None: admits all."""
 
     def __init__(self, key: bytes | None) -> None:
         self._verifier = None if key is None else Verifier(key)
@@ -50,7 +50,7 @@ class Doorkeeper:
         self._rivals: dict[str, tuple[str, str]] = {}
 
     def admits(self, cell: str, kind: str, sample: zenoh.Sample) -> bool:
-        """Whether a message is shown. Of a cell that has proved nothing, no life sign is either."""
+        """Whether a message is shown; life signs only of a cell with a proven message."""
         attachment = None if sample.attachment is None else sample.attachment.to_bytes()
         with self._lock:
             if kind == "alive":
@@ -110,7 +110,7 @@ def listening(
             heard(*message)
 
     with ExitStack() as stack:
-        # a peer, because a client connects to one endpoint only and gives up when nobody is there yet
+        # a peer, because a client connects to one endpoint only, and gives up if it is not there yet
         config = session_config("peer", [], connect)
         session = open_session(config if tls is None else with_tls(config, tls))
         stack.callback(session.close)
@@ -128,7 +128,7 @@ def listening(
 
 
 def _read(sample: zenoh.Sample) -> tuple[str, str, dict[str, Any]] | None:
-    """Cell, kind and document, or None for what is no message: anybody can publish anything."""
+    """Cell, kind and document of a message; None if malformed."""
     parts = str(sample.key_expr).split("/")
     if len(parts) != 3 or not CELL_NAME.fullmatch(parts[1]):
         return None

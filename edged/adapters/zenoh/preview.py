@@ -1,4 +1,4 @@
-"""Pictures for people: small JPEGs of both cameras, only while somebody looks.
+"""Pictures for people: small JPEGs of both cameras, only while there are subscribers.
 
 `edged/<cell>/preview/left` and `.../right`, with a JSON attachment that says which exposure it is.
 They have a thread and the lowest priority of their own, and give way whenever there is congestion: a
@@ -68,7 +68,7 @@ class Preview:
 
 
 def _caption(zid: str, cycle: int, frame: Frame) -> dict[str, int | str]:
-    """Whose, and which exposure it is, and the size of the camera's image: a preview may be smaller."""
+    """Cell, exposure, and the size of the camera's image: a preview may be smaller."""
     height_px, width_px = frame.image.shape
     return {
         "session": zid,

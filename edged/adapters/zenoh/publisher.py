@@ -141,7 +141,7 @@ class ZenohPublisher:
         log.info("zenoh: publishing %s, session %s", self._base, session.zid())
 
     def announce(self, event: Event) -> None:
-        """Queue what the event means for others; answer the trigger that asked for it."""
+        """Queue the messages of an event; answer the trigger that asked for it."""
         if self._closed or self._session is None:
             return
         if isinstance(event, Snapshot):
@@ -153,7 +153,7 @@ class ZenohPublisher:
                 event.command, lambda: self._message("target", snapshot_to_json(event), sequence)
             )
         elif isinstance(event, Basis):
-            self._last = None  # what it stood on is no more
+            self._last = None  # its basis was exchanged
         elif isinstance(event, ExposureDone):
             self._exposures.note(event)
             if self._preview is not None:
@@ -166,15 +166,15 @@ class ZenohPublisher:
             document = self._message("job", self._dated({"job_number": event.number, "job": event.name}))
             self._answer_command(event.command, lambda: document)
         elif isinstance(event, Registered) and event.obstacle is None:
-            told = self._message("registration", self._dated(registered_to_json(event)))
-            self._answer_command(event.command, lambda: told)
+            state = self._message("registration", self._dated(registered_to_json(event)))
+            self._answer_command(event.command, lambda: state)
         elif isinstance(event, Registered) and event.obstacle is not None:
             self._settle(event.command, f"{event.obstacle.name}: {event.why}")
         elif isinstance(event, CommandFailed):
             self._settle(event.command, event.reason)
 
     async def close(self) -> None:
-        """Withdraw the cell, answer who waits, stop both threads; bounded in time."""
+        """Withdraw the cell, answer waiting triggers, stop both threads; bounded in time."""
         if self._closed:
             return
         self._closed = True
@@ -198,7 +198,7 @@ class ZenohPublisher:
         return [self._outbox, self._answers, *([self._preview] if self._preview is not None else [])]
 
     def links(self) -> int:
-        """How many other Zenoh nodes this one is connected to now."""
+        """Number of connected Zenoh nodes."""
         if self._session is None:
             return 0
         info = self._session.info
@@ -239,7 +239,7 @@ class ZenohPublisher:
         self._token = session.liveliness().declare_token(f"{self._base}/alive")
 
     def _publish(self, kind: str, body: Callable[[], Json]) -> int:
-        """Queue a message; it is shaped and encoded on the publishing thread. Returns its sequence."""
+        """Queue a message, which is encoded on the publishing thread. Returns its sequence."""
         self._sequences[kind] += 1
         sequence, publisher = self._sequences[kind], self._publishers[kind]
 
@@ -312,7 +312,7 @@ class ZenohPublisher:
 
     def _on_trigger(self, query: zenoh.Query) -> None:
         key = f"{self._base}/trigger"
-        if str(query.key_expr) != key:  # somebody looks around with wildcards: no reason to move anything
+        if str(query.key_expr) != key:  # a query by wildcards must not trigger
             self._reply_error(query, f"a trigger must name its key, {key}")
             return
         try:
@@ -385,7 +385,7 @@ def _on_loop(
     def arrived(query: zenoh.Query) -> None:
         try:
             loop.call_soon_threadsafe(handle, name, query)
-        except RuntimeError:  # the loop is closed: the daemon is gone
+        except RuntimeError:  # the loop is closed
             query.drop()  # type: ignore[no-untyped-call]  # its stub says no type
 
     return arrived

@@ -50,7 +50,7 @@ POSE_WITH_COVARIANCE = MessageType(
 
 @dataclass(frozen=True, slots=True)
 class RosPose:
-    """What a pose message says. position_m (3,), quaternion (4,) x y z w, covariance (6, 6) m, rad."""
+    """A pose message. position_m (3,), quaternion (4,) x y z w, covariance (6, 6) m, rad."""
 
     stamp_ns: int
     frame_id: str
@@ -60,7 +60,7 @@ class RosPose:
 
 
 def pose_of(snapshot: Snapshot, cell: str) -> RosPose | None:
-    """The best usable target of a snapshot for ROS, None where there is none."""
+    """The best usable target of a snapshot for ROS; None without one."""
     if snapshot.status is not Status.OK:
         return None
     if snapshot.command is not None and snapshot.command.kind is CommandKind.VERIFY:
@@ -103,7 +103,7 @@ def _header(pose: RosPose) -> bytes:
 
 
 def attachment(sequence: int, sent_ns: int, gid: bytes) -> bytes:
-    """What rmw_zenoh demands beside each sample: int64 sequence, int64 time, 16 bytes with their length."""
+    """The attachment that rmw_zenoh demands: int64 sequence, int64 time, 16 bytes with their length."""
     return struct.pack("<qqB16s", sequence, sent_ns, len(gid), gid)
 
 

@@ -1,4 +1,4 @@
-"""Which routers the cell is connected to, for the log: a fleet that no longer sees a cell is told by it."""
+"""Log lines on the routers that the cell is connected to, to explain a cell that a fleet does not see."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PATIENCE = 5
 
 
 class Routers:
-    """Says when a router goes and when one is there. endpoints : those that the cell connects to."""
+    """Logs when a router comes or goes. endpoints : that the cell connects to."""
 
     def __init__(self, endpoints: Sequence[str]) -> None:
         self._endpoints = ", ".join(endpoints)

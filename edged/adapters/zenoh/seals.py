@@ -1,6 +1,6 @@
-"""Who said it: each message names the session it comes from, and proves by a shared key that a cell sent it.
+"""Origin of messages: each names its session, and proves by a shared key that a cell sent it.
 
-Whoever is let in by Zenoh may publish under a cell's key. So beside each payload stands an attachment, JSON:
+Any peer that Zenoh admits may publish under a cell's key. So each payload has an attachment, JSON:
 
     {"session": "1b41...", "counter": 1769904000123456789, "mac": "9f86..."}
 
@@ -27,16 +27,16 @@ from edged.payload import encode
 
 LAYOUT = "edged/1"
 MAX_ATTACHMENT_BYTES = 1024
-"""Ours are 200."""
+"""Longest attachment that is read; ours have 200 bytes."""
 MAX_COUNTER = 1 << 63
-"""Of ns, in the year 2262."""
+"""Largest time stamp: the year 2262."""
 KNOWN_SESSIONS = 8
-"""Of a cell, that spoke for it before; a restart is one more."""
+"""Remembered former sessions of a cell; each restart is another session."""
 
 
 @dataclass(frozen=True, slots=True)
 class Seal:
-    """What an attachment says. mac : b"" where the cell has no shared key."""
+    """Content of an attachment. mac : b"" without a shared key."""
 
     session: str
     counter: int
@@ -44,14 +44,14 @@ class Seal:
 
 
 def mac_of(key: bytes, key_expr: str, seal: Seal, parameters: str, payload: bytes) -> bytes:
-    """HMAC-SHA256, 32 bytes; the seal's own is not looked at."""
+    """HMAC-SHA256, 32 bytes, of the seal without its mac."""
     asked = parameters.encode()
     head = f"{LAYOUT}\n{key_expr}\n{seal.session}\n{seal.counter}\n{len(asked)}\n".encode()
     return hmac.digest(key, head + asked + b"\n" + payload, hashlib.sha256)
 
 
 def seal_in(attachment: bytes | None) -> Seal | None:
-    """What an attachment says; None for what is none of ours."""
+    """Decode an attachment; None if it is not an edged one."""
     if attachment is None or len(attachment) > MAX_ATTACHMENT_BYTES:
         return None
     try:
@@ -64,7 +64,7 @@ def seal_in(attachment: bytes | None) -> Seal | None:
 
 
 class Sealer:
-    """Makes the attachments of a session; from any thread. key : shared; None: there is none."""
+    """Makes the attachments of a session; from any thread. key : shared, or None."""
 
     def __init__(self, session: str, key: bytes | None, utc_ns: Callable[[], int]) -> None:
         self.session = session
@@ -74,7 +74,7 @@ class Sealer:
         self._lock = threading.Lock()
 
     def attachment(self, key_expr: str, payload: bytes, parameters: str = "") -> bytes:
-        """Beside a payload. parameters : of the query that it answers."""
+        """The attachment for a payload. parameters : of the query that it answers."""
         with self._lock:
             self._counter = max(self._counter + 1, self._utc_ns())
             seal = Seal(self.session, self._counter, b"")
@@ -85,7 +85,7 @@ class Sealer:
 
 
 class Verifier:
-    """Knows by a shared key what a cell has sent, once."""
+    """Checks by a shared key that a cell has sent a message, and that it is not a repetition."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key
@@ -103,13 +103,13 @@ class Verifier:
 
 
 class Speakers:
-    """Which sessions speak for a cell, by what they say themselves: a restart is another one, once."""
+    """The sessions that claim to be a cell; a restart is a new session."""
 
     def __init__(self) -> None:
         self._sessions: list[str] = []
 
     def heard(self, session: str) -> tuple[str, str] | None:
-        """Take note of a message; two sessions that both speak, where there are."""
+        """Note a message; returns two sessions that are active at once, else None."""
         if not self._sessions or session not in self._sessions:
             self._sessions = [*self._sessions[1 - KNOWN_SESSIONS :], session]
         elif session != self._sessions[-1]:

@@ -18,7 +18,7 @@ Mode = Literal["peer", "client", "router"]
 TLS = "transport/link/tls"
 SIDES = ("listen", "connect")
 MAX_SESSIONS = 64
-"""Of others, three descriptors each; Zenoh's own 1000 leave none for PLC, cameras and recorder."""
+"""Sessions of others, three descriptors each; Zenoh's default of 1000 leaves none for PLC and cameras."""
 ACCEPT_PENDING, ACCEPT_TIMEOUT_MS = 32, 3000
 """Connections that have not said yet who they are, and how long they may take."""
 
@@ -29,7 +29,7 @@ class ZenohSettings:
 
     mode : None is "router" for a cell that connects somewhere and "peer" for one that only listens. A
     Zenoh router does not forward between two peers, and those it introduces to each other may not reach
-    each other; between routers everything is forwarded. A "client" gives up when nobody is there.
+    each other; between routers everything is forwarded. A "client" gives up without a peer.
     listen, connect : endpoints such as "tcp/192.168.1.10:7447". There is no multicast scouting.
     config_file : Zenoh's own configuration (JSON5: TLS, access control, ...); what it says about
     mode, endpoints and scouting wins over the fields here.
@@ -122,7 +122,7 @@ class ClientTls:
 
 
 def with_tls(config: zenoh.Config, tls: ClientTls) -> zenoh.Config:
-    """The same configuration, for endpoints tls/... . Raises `UserError` for files that do not fit."""
+    """The configuration with TLS, for endpoints tls/... . Raises `UserError` for files that do not fit."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     names = "certificate and key"
     try:
@@ -174,10 +174,10 @@ def secret_files(config_file: Path) -> list[Path]:
 def unguarded(
     listen: Sequence[str], connect: Sequence[str], config_file: Path | None = None
 ) -> list[tuple[str, str]]:
-    """Endpoints over which everybody who is there is let in: "listen" or "connect", and where.
+    """Endpoints that admit every peer: "listen" or "connect", and where.
 
     None where access control denies by default, nor any with certificates on both sides. Discovery by
-    multicast connects to whoever answers. Raises `ConfigError` for a file that Zenoh cannot read.
+    multicast connects to every answering peer. Raises `ConfigError` for a file that Zenoh cannot read.
     """
     config = session_config(None, listen, connect, config_file)
     control = json.loads(config.get_json("access_control"))

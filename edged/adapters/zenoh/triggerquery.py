@@ -1,4 +1,4 @@
-"""What a trigger asks for: the parameters of its query, which anybody can write."""
+"""Parameters of a trigger's query, checked as untrusted input."""
 
 from __future__ import annotations
 

@@ -24,8 +24,8 @@ class _Pending(Generic[Query]):
 class PendingTriggers(Generic[Query]):
     """The triggers of one publisher, each answered once.
 
-    A command is known by being the same object, not by its number: a publisher that was made anew by a reload
-    counts from the beginning, and a command of the one before may still be measured.
+    Commands are compared by identity: a publisher that was made anew by a reload counts from the beginning,
+    while a command of the previous one may still be measured.
     """
 
     def __init__(self) -> None:
@@ -45,19 +45,19 @@ class PendingTriggers(Generic[Query]):
         tries_all: bool = False,
         shown: tuple[float, ...] = (),
     ) -> Command:
-        """The command of a trigger, which waits from now on."""
+        """Add a trigger; returns its command."""
         self._count += 1
         command = Command(kind, SOURCE, self._count, job, robot_from_flange, tries_all, shown=shown)
         self._pending[command.sequence] = _Pending(query, command)
         return command
 
     def limit(self, command: Command, timer: asyncio.TimerHandle) -> None:
-        """What ends the wait of a trigger that was just added; an answer cancels it."""
+        """Set the time-out of the newest trigger; an answer cancels it."""
         query = self._pending[command.sequence].query
         self._pending[command.sequence] = _Pending(query, command, timer)
 
     def take(self, command: Command | None) -> Query | None:
-        """Who waits for this command, no longer waiting; None when nobody does."""
+        """Remove and return the query of this command; None without one."""
         pending = self._pending.get(command.sequence) if command is not None else None
         if pending is None or pending.command is not command:
             return None
@@ -67,5 +67,5 @@ class PendingTriggers(Generic[Query]):
         return pending.query
 
     def commands(self) -> list[Command]:
-        """All that wait."""
+        """Remove and return all waiting queries."""
         return [pending.command for pending in self._pending.values()]
