@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import pkgutil
 import re
+import socket
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,10 +13,13 @@ from types import FrameType
 
 import pytest
 from helpers.cells import frame_pair, region_around
+from helpers.livecell import LiveCell
 
 import edged.sim
 import edged.vision
+from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.pipeline import inspect, prepare
+from edged.robot.orientations import Brand
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.vision.teaching.pair import teach
 
@@ -32,6 +36,9 @@ MOST_FILES_ENTERED = 31
 """By `inspect`, today; who reads how a part is found opens as many. Wanted: 20. The joint fit is two of them,
 what is asked and given and how a step is made, as one file of 750 lines would be no shorter a way; what
 broken rims do to it is a third. What a face shows by chance is a file of the search."""
+
+MOST_FILES_OF_A_REQUEST = {"ACK": 10, "GRASP": 10, "LOCATE": 30}
+"""Files entered from a robot's line to its answer, by its command. LOCATE goes through the whole cycle."""
 
 SUPPRESSION = re.compile(
     r"#\s*(?:type: ignore(?:\[[\w, -]+\])?|noqa(?:: [A-Z]+\d+(?:, [A-Z]+\d+)*)?)(?P<reason>.*)"
@@ -152,3 +159,30 @@ def test_the_way_of_a_measurement_is_short() -> None:
     print(f"{len(entered)} files entered:", *sorted(entered))
     assert {"edged/pipeline.py", "edged/vision/part/measure.py"} < entered
     assert len(entered) <= MOST_FILES_ENTERED
+
+
+def test_the_way_of_a_robots_request_is_short() -> None:
+    """From a line on the socket to its answer no more files are entered than today."""
+    settings = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
+    entered: set[str] = set()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_code.co_filename.startswith(str(HOUSE)):
+            entered.add(_name(Path(frame.f_code.co_filename)))
+
+    with (
+        LiveCell(settings) as cell,
+        socket.create_connection(("127.0.0.1", cell.server.line_port), timeout=15) as robot,
+        robot.makefile("rb") as answers,
+    ):
+        robot.sendall(b"1,LOCATE,0\n")  # prepares what is encoded with
+        assert answers.readline().startswith(b"1,")
+        for sequence, (command, most) in enumerate(MOST_FILES_OF_A_REQUEST.items(), 2):
+            entered.clear()
+            cell.call(lambda: sys.setprofile(note))
+            robot.sendall(f"{sequence},{command},0\n".encode())
+            assert answers.readline().startswith(f"{sequence},".encode())
+            cell.call(lambda: sys.setprofile(None))
+            print(f"{command}: {len(entered)} files entered:", *sorted(entered))
+            assert {"edged/adapters/modbus/lines.py", "edged/plc/handshake.py"} <= entered
+            assert len(entered) <= most

@@ -150,20 +150,15 @@ class Register:
 class Block:
     """Registers without gaps between them; blocks compare by identity.
 
-    high_first : the high word comes first, whatever word order is set.
+    words : length. high_first : the high word comes first, whatever word order is set.
     """
 
     name: str
     address: int
     registers: tuple[Register, ...]
+    words: int
     writable: bool = False
     high_first: bool = False
-
-    @property
-    def words(self) -> int:
-        """Length in words."""
-        last = self.registers[-1]
-        return last.address + last.kind.words - self.address
 
 
 def make_block(
@@ -175,15 +170,16 @@ def make_block(
     ['P_X', 'P_Y', 'P_Z']
     """
     registers: list[Register] = []
+    end = address
     for row in re.sub(r"\n {4} *(?=\S)", " ", textwrap.dedent(table).strip("\n")).strip().splitlines():
         first, kind_name, units, text = row.split(maxsplit=3)
         kind, (stem, _, axes) = Kind[kind_name.upper()], first.rstrip("]").partition("[")
         for axis in axes or ("",):
             length_unit, _, angle_unit = units.partition("/")
             unit = (angle_unit if axis in {*"ABC"} else length_unit).replace("_", " ").strip("-")
-            registers.append(Register(stem + axis, address, kind, unit, text))
-            address += kind.words
-    return Block(name, registers[0].address, tuple(registers), writable, high_first)
+            registers.append(Register(stem + axis, end, kind, unit, text))
+            end += kind.words
+    return Block(name, address, tuple(registers), end - address, writable, high_first)
 
 
 def list_bits(flags: type[enum.IntFlag]) -> str:
