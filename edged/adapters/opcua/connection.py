@@ -198,7 +198,7 @@ class OpcUaConnection(asyncio.Protocol):
         if why:
             raise ConnectionRefused(ua.StatusCodes.BadSecurityChecksFailed, why)
 
-    def _refuse(self, refused: Refused) -> None:
+    def _refuse(self, refused: ConnectionRefused) -> None:
         self._log.warning("opcua: %s is hung up on: %s", self._client.peer, refused)
         transport = self._transport
         if transport is not None and not transport.is_closing():
