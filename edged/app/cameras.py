@@ -189,7 +189,7 @@ def camera_gammas(head: StereoHead) -> dict[str, float]:
 
 
 def camera_figures(head: StereoHead) -> dict[str, tuple[str, float]]:
-    """The same for /metrics: name to (help text, value)."""
+    """Figures of the cameras for /metrics: name to (help text, value)."""
     figures: dict[str, tuple[str, float]] = {}
     for camera, health in _healths(head):
         for name, text, value in (

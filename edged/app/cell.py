@@ -19,8 +19,8 @@ from edged.setup.cellfiles import CellFiles, UnfinishedCell, fingerprint, read_a
 from edged.vision.kernels.jit import load_called
 from edged.vision.part.job import Job
 
-ROOMS = tuple(f"edged.vision.{room}" for room in ("shape", "edges", "curves", "part"))
-"""Whose kernels a cycle calls; points in space (`stereo`) are for people."""
+PACKAGES = tuple(f"edged.vision.{package}" for package in ("shape", "edges", "curves", "part"))
+"""Packages whose kernels a cycle calls."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +115,7 @@ def warm_up(loaded: LoadedCell) -> None:
     """Load the kernels that a cycle calls; run every job once on an empty pair: buffers are allocated."""
     if loaded.rig is None:
         return
-    load_called(*ROOMS)
+    load_called(*PACKAGES)
     camera = loaded.rig.rig.left, loaded.rig.rig.right
     blank = [np.zeros((model.height, model.width), np.uint8) for model in camera]
     pair = FramePair(Frame("left", 0, blank[0], 0, 0), Frame("right", 0, blank[1], 0, 0))

@@ -165,7 +165,7 @@ class Daemon:
         return not await self._read_again()
 
     async def _read_again(self) -> str:
-        """The same; returns why it was refused, or ""."""
+        """Read the configuration again; returns why it was refused, or ""."""
         async with self._reloading:
             self._notifier.reloading()
             try:
@@ -199,7 +199,7 @@ class Daemon:
 
     @property
     def loaded(self) -> LoadedCell:
-        """What it measures by."""
+        """The cell as it is loaded."""
         return self._running.loaded
 
     async def register(self, base: object, save: Callable[[], None]) -> Setup:

@@ -68,7 +68,7 @@ class Running:
         return modbus if isinstance(modbus, ModbusPublisher) else None
 
     def rectification(self) -> Rectification:
-        """Of the pictures on the page, which are of cycles: a cell without a rig has measured none."""
+        """Rectification of the pictures on the page. Raises `LookupError` without a rig."""
         if self.loaded.rig is None:
             raise LookupError("a cell without a rig has no pictures")
         return self.loaded.rig.rectification
@@ -233,7 +233,7 @@ class Running:
         )
 
     def _calibration_sigma_um(self) -> tuple[float, float, float] | None:
-        """Of X, Y, Z in the rig's frame, rms over where the jobs' parts were taught; None: not known."""
+        """Sigma of X, Y, Z by the calibration, rig frame, rms over the taught places; None: not known."""
         loaded = self.loaded
         if loaded.rig is None or loaded.rig.rig.covariance is None or not isinstance(loaded.cell, CellFiles):
             return None

@@ -32,7 +32,7 @@ FREE_ATTEMPTS = 5
 LOCKED_S = 30.0
 MAX_REMEMBERED = 1024
 BUSY_S = 1.0
-"""When to come again while another password is checked, which takes a few tenths of it."""
+"""Retry after this while another password is checked, which takes a few tenths of it."""
 
 
 class TooManyAttempts(Exception):
@@ -53,7 +53,7 @@ class _Session:
 
 
 class Access:
-    """Decides for one server.
+    """Log-in, sessions and password checks of one server.
 
     password_hash : of the page; "" : everybody may look. users, invite : None: there are none.
     """
@@ -83,7 +83,7 @@ class Access:
     # --- sessions ----------------------------------------------------------------------------
 
     def visitor(self, cookie: str, address: str) -> Visitor | None:
-        """Whose session a cookie belongs to; None: it is no good, or not any more."""
+        """The session of a cookie; None where it is invalid or has ended."""
         digest = session_of(cookie)
         session, now_s = self._sessions.get(digest), self._clock_s()
         if session is None or session.until_s <= now_s:
@@ -98,7 +98,7 @@ class Access:
         return Visitor(user.name, Role.VIEWER if is_idle else role, address, digest, user.language, is_idle)
 
     def note_activity(self, session: str) -> None:
-        """A sign of the person, not of the page: whoever was idle for too long says the password instead."""
+        """Note that a person did something; a session that was idle too long needs the password instead."""
         found, now_s = self._sessions.get(session), self._clock_s()
         if found is not None and now_s - found.active_s < IDLE_S:
             self._sessions[session] = replace(found, active_s=now_s)
@@ -153,7 +153,7 @@ class Access:
         self._sessions.pop(session_of(cookie), None)
 
     def end_sessions(self, name: str, but: str = "") -> None:
-        """Forget those of a user, with a new password for example; but : not this one."""
+        """End the sessions of a user, after a new password for example; but : except this one."""
         self._sessions = {
             digest: session
             for digest, session in self._sessions.items()
@@ -174,7 +174,7 @@ class Access:
     # --- passwords ---------------------------------------------------------------------------
 
     async def hash(self, password: str) -> str:
-        """For a user. Raises `TooManyAttempts` while another password is being hashed."""
+        """Hash of a user's password. Raises `TooManyAttempts` while another password is being hashed."""
         self._check_is_free()
         check = asyncio.get_running_loop().run_in_executor(None, hash_password, password)
         self._check = check
@@ -191,7 +191,7 @@ class Access:
         return True
 
     async def _guarded(self, address: str, is_right: Callable[[], bool]) -> bool:
-        """Look, in a thread, unless this address guesses. Raises `TooManyAttempts`."""
+        """Check a password in a thread, unless this address guesses. Raises `TooManyAttempts`."""
         count, locked_until_s = self._failures.get(address, (0, 0.0))
         if count >= FREE_ATTEMPTS and self._clock_s() < locked_until_s:
             raise TooManyAttempts("too many wrong passwords", locked_until_s - self._clock_s())

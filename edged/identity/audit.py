@@ -129,7 +129,7 @@ class AuditFile:
         return number + 1, digest
 
     def _note_end(self, number: int, digest: str) -> None:
-        """In the head, which keeps where the chain begins."""
+        """Note the end of the chain in its head."""
         before = self._head() or AuditHead(0, START)
         self._put_head(AuditHead(number, digest, before.first, before.previous))
 
@@ -137,7 +137,7 @@ class AuditFile:
         write_atomically(self._folder / HEAD, head.to_bytes(), mode=0o600, is_state=True)
 
     def _let_go(self, folder: int, file: BinaryIO, number: int, digest: str) -> None:
-        """Of full files, those that are too many; and those of which a crash left the name."""
+        """Delete the oldest full files when there are too many, and those that a crash left behind."""
         head, full = self._head(), _full(folder)
         if head is None:
             return
@@ -233,7 +233,7 @@ class AuditFile:
     def _lines(
         self, full: list[tuple[int, BinaryIO]], first: int, data: bytes | None
     ) -> Iterator[list[bytes]]:
-        """Of each file in its turn, and behind them what has no end: of a full one it is a line, too."""
+        """Lines of each file in turn; the last item is an unfinished line, or b""."""
         for number, file in full:
             if number >= first:  # else it was let go, and a crash left it
                 lines = file.read().split(b"\n")
@@ -290,7 +290,7 @@ def _tail(file: BinaryIO) -> tuple[tuple[int, str] | None, int]:
 
 
 def _short(text: str | None) -> str | None:
-    """Lines are short, whatever somebody gave as a reason."""
+    """Shorten a text to the limit of a line."""
     return None if text is None else text[:MAX_TEXT]
 
 

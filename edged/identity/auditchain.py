@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 START = "0" * 64
-"""What the first line has as the hash before it."""
+"""The previous hash of the first record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +22,12 @@ class AuditHead:
     previous: str = START
 
     def to_bytes(self) -> bytes:
-        """As it is kept."""
+        """The head as its file has it."""
         return json.dumps({name: getattr(self, name) for name in self.__slots__}).encode()
 
 
 def head_in(data: bytes) -> AuditHead | None:
-    """None for what is none."""
+    """None if it is not a valid head."""
     try:
         head = json.loads(data)
         first, previous = int(head.get("first", 1)), str(head.get("previous", START))

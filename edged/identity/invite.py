@@ -1,4 +1,4 @@
-"""A code by which somebody becomes an engineer, once: whoever reads the journal, or is root, hands it out."""
+"""One-time engineer invitation: a code, read from the journal or made by root."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
 
 LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
-"""None that is read as another."""
+"""Letters that are not mistaken for each other."""
 GROUPS, GROUP = 3, 4
 """59 bits: nobody guesses them within a day."""
 VALID_S = 24 * 3600.0
 
 
 class Invite:
-    """The code that holds now, if any: a file with its digest. A new one takes the place of the last."""
+    """The valid code, if any: a file with its digest. A new code replaces the last."""
 
     def __init__(self, folder: Path, utc_s: Callable[[], float] = time.time) -> None:
         self._path = folder / "invite.json"
@@ -46,7 +46,7 @@ class Invite:
             return False
 
     def take(self, code: str) -> bool:
-        """Whether it is the code; then nobody comes in by it again. Raises `OSError`."""
+        """Use the code up; returns whether it was valid. Raises `OSError`."""
         if not self.is_valid(code):
             return False
         try:

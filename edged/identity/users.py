@@ -20,7 +20,7 @@ from edged.files.atomic import make_folders, read_bytes, write_atomically
 MAX_USERS = 64
 MAX_BYTES = 64 * 1024
 MAX_MEMORY_KIB, MAX_PASSES = 256 * 1024, 16
-"""Of a hash that is computed here: one that a stranger wrote must not cost the cell its memory."""
+"""Limits of a hash that is computed here: one from elsewhere must not exhaust memory."""
 
 RoleName = Literal["viewer", "operator", "engineer"]
 
@@ -66,7 +66,7 @@ class _File(BaseModel):
 
 
 class LastEngineer(Exception):
-    """A change would leave nobody who may change anything."""
+    """A change would leave no engineer."""
 
 
 class UserFile:
@@ -92,7 +92,7 @@ class UserFile:
 
     @property
     def has_engineer(self) -> bool:
-        """Whether anybody may set the cell up."""
+        """Whether there is an engineer."""
         return any(user.role == "engineer" for user in self._users.values())
 
     def get(self, name: str) -> User | None:
@@ -100,12 +100,12 @@ class UserFile:
         return self._users.get(name.casefold())
 
     def put(self, user: User) -> None:
-        """Add somebody, or change them. Raises `LastEngineer`, `FileFormatError`, `OSError`."""
+        """Add or change a user. Raises `LastEngineer`, `FileFormatError`, `OSError`."""
         with self._lock:
             self._keep({**self._users, user.name.casefold(): user})
 
     def remove(self, name: str) -> None:
-        """Take somebody out. Raises as `put`."""
+        """Remove a user. Raises as `put`."""
         with self._lock:
             self._keep({key: user for key, user in self._users.items() if key != name.casefold()})
 

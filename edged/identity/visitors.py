@@ -1,4 +1,4 @@
-"""Who asks, and what they may."""
+"""Roles, and the visitor who sends a request."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
 
 
 def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | UnfinishedCell:
-    """The same, but that there is no rig file, or no job at all, is no mistake: the cell is being set up."""
+    """Read a cell as `read_cell`; a missing rig file, or no job at all, is no mistake."""
     # each file is read once: what is recorded is what is measured by, whoever replaces a file meanwhile
     text = read(path)
     try:
@@ -169,7 +169,7 @@ def _unshared(config: Config) -> list[str]:
 
 
 def _problems_of_named_files(text: bytes, path: Path) -> list[str]:
-    """Of the rig and the jobs of a configuration that has mistakes itself, as far as it names them."""
+    """Problems of the rig and the jobs that a faulty configuration names."""
     try:
         cell = toml_of(text).get("cell")
     except (ValueError, RecursionError):
@@ -249,5 +249,5 @@ def fingerprint(config: Config, files: Mapping[str, bytes]) -> str:
 
 
 def _identity(value: object) -> str:
-    """Of what JSON does not know: paths, and secrets."""
+    """Identity of values that JSON lacks: the name of a path; nothing of a secret."""
     return value.name if isinstance(value, Path) else ""

@@ -1,4 +1,4 @@
-"""The routes by which people see what PLC and cell say to each other, and get a client's source."""
+"""The routes of the PLC: its exchanges with the cell, and sources of clients."""
 
 from __future__ import annotations
 

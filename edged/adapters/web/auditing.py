@@ -96,7 +96,7 @@ class Auditor:
         )
 
     async def note_login(self, request: web.Request, name: str, verb: str, outcome: str) -> None:
-        """Somebody came in, or tried to."""
+        """Note a log-in or an attempt."""
         await self.add(AuditEntry(name, "", request.remote or "", verb, "page", outcome))
 
     async def add(self, deed: AuditEntry) -> None:
@@ -108,7 +108,7 @@ class Auditor:
         await asyncio.wait({asyncio.wrap_future(self.post(deed))}, timeout=WAIT_S)
 
     def post(self, deed: AuditEntry) -> Future[None]:
-        """The same, of what nobody waits for; after the end it is in the journal alone."""
+        """Keep a deed without waiting for the disc; after `close` it goes to the journal alone."""
         if self._is_closed:
             log.info("audit: %s", _text(deed))
             done = Future[None]()
@@ -124,7 +124,7 @@ class Auditor:
         self._thread.submit(self._keep_run, self._file, fingerprint)
 
     async def close(self) -> None:
-        """Everything is on the disc."""
+        """Wait until everything is on the disc."""
         self._is_closed = True
         await asyncio.to_thread(self._thread.shutdown, wait=True)
 

@@ -156,7 +156,7 @@ def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
 
 
 async def _fields(request: web.Request) -> dict[str, str]:
-    """Of a form, the first of each name. Raises `HTTPBadRequest`."""
+    """Fields of a form, the first of each name. Raises `HTTPBadRequest`."""
     # not `request.post()`: it fails on what a browser would not send, other character sets for example
     try:
         async with asyncio.timeout(FORM_S):

@@ -15,7 +15,7 @@ from edged.robot.reading import frame_name
 from edged.vision.geometry.rectification import Rectification
 
 OUTLINE_POINTS = 72
-"""Of what is closed: 5° of a circle."""
+"""Points of a closed outline: 5° of a circle."""
 AXIS_MM = 5.0
 """Length of the axes of a part of which no outline is known."""
 TERMS = ("edges", "calibration", "registration", "doubt")

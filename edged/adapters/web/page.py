@@ -39,13 +39,13 @@ HISTORY = 600
 FAULTS = 12
 """Last bad cycles, with their pictures: about 2.5 MB each."""
 FAULT_BYTES = 64 * 1024 * 1024
-"""Of those pictures; with cameras of many megapixels the oldest faults lose theirs."""
+"""Bytes of those pictures; with cameras of many megapixels the oldest faults lose theirs."""
 RECENT, SPARE = 8, 2
 """Last cycles of any kind, with their pictures; and how many more are kept for who asks a moment later."""
 RECENT_BYTES = 32 * 1024 * 1024
-"""Of those; the newest always has its pictures."""
+"""Bytes of those pictures; the newest cycle always has its own."""
 WIDTH_PX = 960
-"""Of the pictures that are sent."""
+"""Width of the pictures that are sent."""
 THUMBNAIL_PX = 200
 QUALITY = 82
 
@@ -173,7 +173,7 @@ class StatusPage:
         return False
 
     def _forget_pictures(self) -> None:
-        """Of the oldest faults, where all of them together would take too much memory."""
+        """Drop the pictures of the oldest faults where all together take too much memory."""
         size = 0
         for index in range(len(self._faults) - 1, -1, -1):
             shown = self._faults[index]
@@ -275,7 +275,7 @@ class StatusPage:
         return None
 
     def rectification(self) -> Rectification:
-        """Of the rig in use."""
+        """Rectification of the rig in use."""
         return self._sources.rectification()
 
     def _picture(self, shown: ShownCycle) -> Json:
@@ -410,7 +410,7 @@ def _size(shown: ShownCycle) -> int:
 
 
 def _fault_key(snapshot: Snapshot) -> tuple[object, ...]:
-    """The same for what is listed once: a fault's number and camera, or the kind and reasons of a miss."""
+    """Key of a fault in the list: its number and camera, or the kind and reasons of a miss."""
     if snapshot.error:
         return snapshot.error_code, snapshot.error.partition(":")[0]
     refused = {target.reject for target in snapshot.targets} | {one.reject for one in snapshot.dismissed}

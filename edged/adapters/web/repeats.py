@@ -21,7 +21,7 @@ HEADER = "Idempotency-Key"
 MAX_LETTERS = 64
 KEPT, KEPT_S = 256, 600.0
 MAX_BYTES = 100_000
-"""Of an answer that is kept; larger ones are those of pictures, which nothing changes."""
+"""Size of an answer that is kept; only pictures are larger, which change nothing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from edged.payload import Json
 
 BASE = "/api/v1"
 LIMIT_BYTES = 4096
-"""Of a body, where the route says nothing else."""
+"""Default limit of a body."""
 WEBSOCKET = "websocket"
 """What a route answers that becomes a WebSocket."""
 _MARK = "_route"
@@ -44,7 +44,7 @@ class Problem(Exception):
         super().__init__(detail)
 
     def response(self) -> web.Response:
-        """As it is answered."""
+        """The response."""
         document: Json = {"status": self.status, "code": self.code, "detail": str(self)}
         if self.field is not None:
             document["field"] = self.field
@@ -151,12 +151,12 @@ class Route:
 
     @property
     def parameters(self) -> list[tuple[str, str]]:
-        """Of the path: name, and the pattern that it fits, or ""."""
+        """Parameters of the path: name, and pattern or ""."""
         return _PARAMETER.findall(self.path)
 
     @property
     def plain_path(self) -> str:
-        """Of the document: parameters without their patterns."""
+        """Path with parameters without their patterns."""
         return BASE + _PARAMETER.sub(r"{\1}", self.path)
 
 

@@ -61,7 +61,7 @@ A refused request takes some 0.3 ms of the loop; a viewer asks for three picture
 page that is opened for some eighty files.
 """
 FLOODED_S = 5.0
-"""Who has sent too much over a socket has no turn for so long."""
+"""After flooding a socket, a client's requests are refused for so long."""
 MAX_FORM_BYTES = 4096
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
@@ -294,7 +294,7 @@ class WebPublisher:
         return displaced is not None
 
     def _client(self, request: web.Request) -> TcpClient | None:
-        """Whose request it is; None when it has gone."""
+        """The client of a request; None when it has gone."""
         transport, listener = request.transport, self._listener
         if transport is None or listener is None:
             return None
@@ -327,7 +327,7 @@ class WebPublisher:
             client.touch()
 
     def _rate(self, request: web.Request) -> Rate:
-        """Of whoever sent it: strangers at an address take nothing from who has logged in there."""
+        """The rate of a session, else of an address: strangers use up none of a session's."""
         visitor = self._visitor(request)
         return self._requests.of(visitor.session if visitor is not None else request.remote or "")
 
@@ -372,7 +372,7 @@ class WebPublisher:
         return bool(header) and await self._access.has_basic(request.remote or "", header)
 
     def _visitor(self, request: web.Request) -> Visitor | None:
-        """Who sent it, if they logged in on the page."""
+        """The session that sent a request, if any."""
         return self._access.visitor(request.cookies.get(COOKIE, ""), request.remote or "")
 
     async def _show_setup(self, _request: web.Request) -> web.Response:

@@ -32,9 +32,9 @@ from edged.pictures.encoding import jpeg
 
 MAX_SOCKETS = 32
 MESSAGE_BYTES = 1024
-"""Of a tab, at most."""
+"""Size of a tab's message."""
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 60.0, 120.0
-"""Of a tab, pings among them. It says one for each live pair: 20 a second (`session.live.PERIOD_S`)."""
+"""Messages of a tab, pings included. It sends one for each live pair: 20 a second (`lease.live.PERIOD_S`)."""
 PERIOD_S = 0.2
 """The state of the cell is told this often at most."""
 PING_S = 15.0
@@ -43,7 +43,7 @@ WRITE_S = 10.0
 CLOSE_S = 0.3
 """For a tab to answer that it has heard of the end."""
 WIDTH_PX = 960
-"""Of the pictures that are sent."""
+"""Width of the pictures that are sent."""
 QUALITY = 75
 LOGGED_OUT = 4401
 """Why a socket is closed whose session has ended: the page asks for the password."""
@@ -221,7 +221,7 @@ class Sockets:
         return socket
 
     async def _hear(self, tab: _Tab) -> None:
-        """Until it goes, says what is no message, or too much."""
+        """Read a tab's messages until it closes, floods, or sends an invalid one."""
         rate = Rate(MESSAGES_PER_S, burst=MESSAGES_AT_ONCE)
         async for message in tab.socket:
             await asyncio.sleep(0)  # what has come already is read without a pause: others get their turn

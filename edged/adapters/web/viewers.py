@@ -28,14 +28,14 @@ WRITE_S = 10.0
 
 @dataclass(eq=False, slots=True)
 class Viewer:
-    """Somebody who watches the page. changed : there is something new for it."""
+    """A browser that watches the page. changed : there is something new for it."""
 
     client: TcpClient
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Viewers:
-    """All of them.
+    """All viewers.
 
     shown : the state of the page. history : points of the trends after a cycle.
     """

@@ -22,11 +22,11 @@ from edged.ports import Head
 from edged.setup.inuse import CellInUse
 
 WAVE_S = 8.0
-"""Somebody walks to the camera, waves, and comes back."""
+"""Time to walk to the camera, wave, and come back."""
 SURE = 2
-"""Pairs one after the other that show the same camera's hand."""
+"""Consecutive pairs that must show a hand before the same camera."""
 VIRTUAL = {"vendor": "edged", "model": "virtual", "serial": "", "address": "", "trouble": None}
-"""A camera in the daemon's own process: it is where it is."""
+"""A camera in the daemon's own process."""
 OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
 
 
@@ -56,7 +56,7 @@ class CameraService:
         await self.judge.close()
 
     def configured(self) -> dict[Side, dict[str, Any]]:
-        """Of each side, as it is configured, and as it is tried."""
+        """Configuration of each side, with what is tried."""
         cameras, changes = self._cell.config.cameras, self._cell.session.camera_changes
         return {
             side: {
@@ -82,7 +82,7 @@ class CameraService:
         return [_described(info, _side_of(info, devices)) for info in cameras]
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
-        """What it can be set to. Raises `SetupRefused`, `CaptureError`."""
+        """Limits of exposure and gain. Raises `SetupRefused`, `CaptureError`."""
         return await self._cell.session.limits(token, side)
 
     async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:

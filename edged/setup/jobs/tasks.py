@@ -1,4 +1,4 @@
-"""Long work that somebody asked for: how far it is, how it ended, and its end before that."""
+"""Long work: its progress, its outcome, and cancelling it."""
 
 from __future__ import annotations
 
@@ -73,14 +73,14 @@ class _Task:
 
 
 class Tasks:
-    """The last of them; used on the event loop only. notices : told of each, "task"."""
+    """Tasks that run, and the last that ended; used on the event loop only. Publishes "task" notices."""
 
     def __init__(self, notices: Notices) -> None:
         self._notices = notices
         self._tasks: OrderedDict[str, _Task] = OrderedDict()
 
     def start(self, what: str, work: Callable[[Progress], Awaitable[None]]) -> str:
-        """Begin; returns its id. work : what it raises on purpose is how it failed."""
+        """Start a task; returns its id. work : an `EdgedError` that it raises is how the task failed."""
         task = _Task(secrets.token_hex(6), what, time.monotonic())
         self._tasks[task.id] = task
         for old in [one for one in self._tasks.values() if one.state != "running"][: len(self._tasks) - KEPT]:
@@ -90,11 +90,11 @@ class Tasks:
         return task.id
 
     def document(self, identity: str) -> TaskDocument:
-        """How it is. Raises `KeyError`."""
+        """State of a task. Raises `KeyError`."""
         return self._tasks[identity].document()
 
     def is_running(self, identity: str | None) -> bool:
-        """Whether there is such a task, and it has not ended."""
+        """Whether there is such a task, and it runs."""
         return identity is not None and identity in self._tasks and self._tasks[identity].state == "running"
 
     async def cancel(self, identity: str) -> None:

@@ -72,7 +72,7 @@ class Worker:
 
     @property
     def pid(self) -> int | None:
-        """Of the process; None while there is none."""
+        """Id of the process; None without one."""
         return None if self._process is None else self._process.pid
 
     @property
@@ -190,12 +190,12 @@ class Worker:
     # --- on the loop -------------------------------------------------------------------------
 
     def _kill(self) -> None:
-        """End it now; the pipe's thread sees that."""
+        """Kill the process; the pipe's thread sees that."""
         if (process := self._process) is not None:
             process.kill()
 
     def _keep(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Let it wait for tasks from now on."""
+        """Restart the time after which an idle process ends."""
         if self._retirement is not None:
             self._retirement.cancel()
         self._retirement = loop.call_later(IDLE_S, self._retire)
@@ -216,7 +216,7 @@ def _received(connection: Connection) -> TaskAnswer:
 
 
 def _user_error(refused: TaskRefused) -> UserError:
-    """As it was raised there; one whose fields do not come through the pipe is a plain one."""
+    """The error as raised there; a plain `UserError` where its fields do not come through the pipe."""
     found = getattr(errors, refused.kind, UserError)
     plain = found.__init__ is UserError.__init__
     error: UserError = (found if plain else UserError)(refused.message, refused.code, **refused.params)

@@ -111,7 +111,7 @@ TaskAnswer = TaskProgress | TaskResult | TaskRefused | TaskBug | OutOfMemory
 
 
 def serve(connection: Connection) -> None:
-    """Carry out one order after the other, until whoever sends them is gone."""
+    """Carry out one order after another, until the daemon has gone."""
     orders: SimpleQueue[TaskOrder] = SimpleQueue()
     all_cpus = sorted(os.sched_getaffinity(0))
 
@@ -152,7 +152,7 @@ def _carry_out(order: TaskOrder, connection: Connection) -> TaskAnswer:
 
 
 def _is_of_memory(error: BaseException | None) -> bool:
-    """Whether it, or what it came of, is that there was none; OpenCV says so by an error of its own."""
+    """Whether an error, or a cause of it, is a lack of memory; OpenCV has an error of its own for that."""
     while error is not None:
         if isinstance(error, MemoryError) or getattr(error, "code", None) == OPENCV_NO_MEMORY:
             return True
@@ -177,7 +177,7 @@ def _stay_on(cpus: list[int]) -> None:
 
 
 def _stand_back() -> None:
-    """Last in turn, first to go."""
+    """Lowest priority, and first to be killed when memory runs out."""
     os.nice(NICENESS)
     score = Path("/proc/self/oom_score_adj")
     with contextlib.suppress(OSError):

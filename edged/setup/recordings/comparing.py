@@ -29,7 +29,7 @@ from edged.setup.recordings.setups import MeasuredBy, Setups
 from edged.vision.geometry.rigid import rotation_vector, skew
 
 APART_SIGMAS = 3.0
-"""Of both: from here on places are told as not the same. One picture's noise is in both: even one is much."""
+"""In units of both sigmas: from here on two places differ. Both share the picture's noise, so one is much."""
 SAME_PART_MM = 20.0
 """Farther apart are two parts, not one that is measured elsewhere."""
 LEVER_MM = 5.0

@@ -18,7 +18,7 @@ from edged.payload import Json
 from edged.setup.frozen import Frozen
 
 MOST = 200
-"""Of one answer."""
+"""Recordings in one answer."""
 NOT_FOUND, CAPTURE = "NOT_FOUND", "CAPTURE"
 """Beside the names of `Reject`: nothing was like the part; the cameras gave no pair."""
 REASONS = (*(str(bit.name) for bit in Reject), NOT_FOUND, CAPTURE)

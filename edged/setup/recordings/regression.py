@@ -55,7 +55,7 @@ def decided(taken: Recording, inspection: PairInspection | None, rig: PreparedRi
 def shown(
     taken: Recording, inspection: PairInspection, rig: PreparedRig, job: Job, *, drifts: bool = True
 ) -> Json:
-    """The same, with what was seen and not measured. drifts : what the rig then was worth counts."""
+    """What an inspection decides and what it saw besides. drifts : refuse where the rig drifted."""
     outcome = judge(inspection)
     drift = taken.snapshot.get("drift")
     if drifts and isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:

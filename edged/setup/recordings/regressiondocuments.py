@@ -14,7 +14,7 @@ from edged.setup.frozen import Frozen
 from edged.setup.recordings.comparing import Compared, CycleComparison, FrameShift, TriedCycle
 
 MOST_LISTED = 200
-"""Of each kind, worst first: whoever has looked at so many looks at the counts."""
+"""Cycles of each kind that are listed, worst first."""
 PLACE = "/api/v1/cycles"
 
 

@@ -36,7 +36,7 @@ FUNCTIONS = {name: f"edged.setup.recordings.work:{name}" for name in ("try_recor
 KEPT = 30
 """The last ones: one has a few hundred kB at most."""
 CHUNK_S = 2.0
-"""Of the worker's time: whoever tries a limit on one cycle meanwhile waits so long."""
+"""Time of one order to the worker: other requests wait so long at most."""
 STAGE = "measuring recorded cycles"
 
 

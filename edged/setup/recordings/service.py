@@ -21,8 +21,8 @@ from edged.pictures.encoding import jpeg
 from edged.setup.frozen import Frozen
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.recorded import CycleFilter, CycleLine, Damaged, Records
+from edged.setup.recordings.recordedparts import PartSight, parts_of, taught_part
 from edged.setup.recordings.setups import Setups, facts_of_jobs, job_of_cycle
-from edged.setup.recordings.sight import PartSight, parts_of, taught_part
 from edged.setup.recordings.whatif import Change, WhatIf
 from edged.setup.teaching.drafts import TAUGHT
 from edged.vision.geometry.camera import StereoRig
@@ -135,7 +135,7 @@ class Cycles:
         return told
 
     async def file(self, number: int) -> Path:
-        """Of a recording. Raises `KeyError`."""
+        """File of a recording. Raises `KeyError`."""
         return await self._on_disc(lambda: self._known().entry(number).path)()
 
     async def close(self) -> None:
@@ -225,7 +225,7 @@ class Cycles:
             return None
 
     def _of_teaching(self, line: CycleLine, folder: str | None, is_same: bool) -> Pictures | None:
-        """Of the pair that the job keeps; one that was taught again keeps another."""
+        """Pictures of the pair that the job was taught from; None for a job that was taught again since."""
         if folder is None or not is_same or not self._taught_file(folder, "left").is_file():
             return None
         left, right = (f"{PLACE}/{line.number}/taught/{side}.jpg" for side in ("left", "right"))

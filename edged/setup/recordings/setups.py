@@ -27,7 +27,7 @@ KEPT = 4
 """Setups in memory: a cell is changed now and then, and buffers of a rig have some MB."""
 RIG, CONFIG = "rig.json", "cell.toml"
 _IDENTITY = re.compile(r"[0-9a-f]{1,64}")
-"""Of a setup: nothing that leads elsewhere."""
+"""A fingerprint; as a name of a folder it leads nowhere else."""
 _OF_ROBOT = {"robot_from_rig", "registration_covariance", "flange_from_rig", "quality"}
 """What of a rig's file moves no place in the rig's own frame."""
 Contents = Mapping[str, bytes]
@@ -49,7 +49,7 @@ class MeasuredBy:
     job_digests: Mapping[int, str]
 
     def number_for(self, snapshot: Json) -> int:
-        """Of the job that a recorded cycle is of. There may be none."""
+        """Number of the job of a recorded cycle; there may be no such job."""
         names = {number: job.name for number, job in self.jobs.items()}
         return _number_of_cycle(names, snapshot["job"], int(snapshot["job_number"]))
 
@@ -69,7 +69,7 @@ class MeasuredBy:
         return is_same_job and self.rig_digest == other.rig_digest and self.bounds == other.bounds
 
     def in_place_of(self, successors: Mapping[int, int]) -> MeasuredBy:
-        """The same with each job under the number of the one that it succeeds, as `successors` tells."""
+        """The setup with each job under the number of the job that it succeeds, see `successors`."""
         known = {old: new for old, new in successors.items() if new in self.jobs}
         return replace(
             self,
@@ -107,7 +107,7 @@ class JobFacts:
 
 
 def facts_of_jobs(contents: Contents) -> list[JobFacts]:
-    """Of all jobs of a setup. Raises `FileFormatError` for one that cannot be read."""
+    """Facts of all jobs of a setup. Raises `FileFormatError` for one that cannot be read."""
     return [_measuring(_files(contents, folder), folder) for folder in _folders(contents)]
 
 
@@ -119,7 +119,7 @@ def job_of_cycle(jobs: Iterable[JobFacts], name: str, number: int) -> JobFacts |
 
 
 def _number_of_cycle(names: Mapping[int, str], name: str, number: int) -> int:
-    """Of a recorded cycle's job: by its name, which stays when the number changes, else by its number.
+    """Number of a recorded cycle's job: by its name, which stays when the number changes, else by its number.
 
     names : of the jobs, by their numbers.
     """
@@ -177,7 +177,7 @@ def _cameras(contents: Contents) -> object:
 
 
 def _folders(contents: Contents) -> list[str]:
-    """Of the jobs of a setup."""
+    """Folders of the jobs of a setup."""
     places = (PurePosixPath(name) for name in sorted(contents))
     return [place.parent.name for place in places if place.match(f"jobs/*/{TEXT}")]
 
@@ -206,7 +206,7 @@ def digest_of(contents: Contents) -> str:
 
 
 class Setups:
-    """Those of the fingerprints met last."""
+    """Setups of recordings; the last used stay in memory."""
 
     def __init__(self) -> None:
         self._loaded: OrderedDict[Path, MeasuredBy] = OrderedDict()

@@ -24,8 +24,8 @@ from edged.pipeline import PairInspection, PreparedRig, inspect
 from edged.setup.frozen import Frozen
 from edged.setup.pairs import Progress, silent
 from edged.setup.recordings.recorded import reasons_of
+from edged.setup.recordings.recordedparts import PartSight, parts_of
 from edged.setup.recordings.regression import shown
-from edged.setup.recordings.sight import PartSight, parts_of
 from edged.vision.part.consistency import vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
@@ -35,7 +35,7 @@ MARGIN = 1.05
 """A limit that is moved lets through what was seen, and not much more."""
 LIGHTS = (1.5, 2.0, 0.7)
 CONTRASTS = (0.5, 0.25)
-"""Of the job's least contrast."""
+"""Shares of the job's least contrast."""
 MIN_CONTRAST = 0.5
 """Grey values per px: below, noise of any camera is edges."""
 Features = dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")], bool]
@@ -167,7 +167,7 @@ def changed_job(job: Job, change: JobChange) -> Job:
 
 
 def _names(job: Job) -> list[str]:
-    """Of all features but corners, which follow from edges."""
+    """Names of all features but corners, which follow from edges."""
     names = [one.name for one in job.circles]
     return names + [one.name for one in job.slots] + [one.name for one in job.edges]
 

@@ -191,7 +191,7 @@ def _collect(
 
 
 def _chosen_member(rig: str) -> str:
-    """Of the cameras that were chosen for a rig."""
+    """Member of the cameras that were chosen for a rig."""
     return chosen_file(Path(rig)).as_posix()
 
 

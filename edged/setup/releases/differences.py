@@ -24,7 +24,7 @@ from edged.vision.part.job import CircleFeature, EdgeFeature, Job, MeasurementSp
 GRID = 7
 """Points across the left picture, at each of `DEPTHS`."""
 DEPTHS = (0.9, 1.0, 1.1)
-"""Of where the job's part lay at teaching."""
+"""Shares of the depth at which the job's part was taught."""
 SAME_MM = 1e-6
 Feature = CircleFeature | EdgeFeature | SlotFeature
 Cell = CellFiles | UnfinishedCell
@@ -92,7 +92,7 @@ def difference(before: Backup, after: Backup) -> ReleaseDifference:
 
 
 def difference_of(before: Cell, after: Cell) -> ReleaseDifference:
-    """The same of cells that were read."""
+    """Differences of two cells that were read."""
     old, new = (_options(cell.config.model_dump()) for cell in (before, after))
     changed = [
         Difference(code="option", name=name, before=old.get(name), after=new.get(name))

@@ -143,7 +143,7 @@ class Jobs:
     async def copy(
         self, job: str, author: str, note: str, signed: str | None, *, name: str, number: int | None
     ) -> Release:
-        """The same job once more, under another name and number. Raises as `change`."""
+        """Copy a job under another name and number. Raises as `change`."""
         folder = self._cell.job_lines().line(job).folder
         wanted = number or self._cell.job_lines().free_number
         self._cell.job_lines().check_free(name, wanted, None)
@@ -154,7 +154,7 @@ class Jobs:
         return await self._activation.activate_jobs(copied, author, note, signed)
 
     async def versions(self, job: str) -> VersionList:
-        """Of a job in use, as far as releases that were active know."""
+        """Versions of a job in use, in releases that were active."""
         folder = self._cell.job_lines().line(job).folder
         releases, active = await self._activation.listed()
         now = next((one.digests.get(folder) for one in releases if one.number == active), None)
@@ -190,7 +190,7 @@ class Jobs:
     async def bring_back(
         self, job: str, author: str, note: str, signed: str | None, *, number: int | None
     ) -> Release:
-        """As it was when it was retired; number : another one than it had. Raises as `change`."""
+        """Bring back a job as it was retired; number : another than it had. Raises as `change`."""
         retired = await asyncio.to_thread(self._kept)
         folder = job if job in retired else {one.name: name for name, one in retired.items()}[job]
         kept = retired[folder]
@@ -246,7 +246,7 @@ class Jobs:
         )
 
     def _files(self, folder: str) -> dict[str, bytes]:
-        """Of a retired job, from the youngest release that has it. Raises `UserError` when none has."""
+        """Files of a retired job, from the youngest release that has it. Raises `UserError` when none has."""
         for release in self._releases.all():
             if folder in release.jobs:
                 try:

@@ -115,7 +115,7 @@ class JobsInUse:
 
 
 def lines_in(contents: Mapping[str, bytes]) -> tuple[JobLine, ...]:
-    """Of the files that a cell has read, by their names in a recording."""
+    """Lines of the jobs among the files that a cell has read, by their names in a recording."""
     texts = {name.split("/")[1]: text for name, text in contents.items() if name.endswith("/job.toml")}
     return tuple(_line(folder, text) for folder, text in texts.items())
 

@@ -1,4 +1,4 @@
-"""Which job is active, and how often each was of use: for who looks after the jobs."""
+"""Which job is active, and how often each was used with success."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from edged.domain.measurement import Status
 
 @dataclass(frozen=True, slots=True)
 class Use:
-    """Of a job since the daemon started. last_ns : UTC, when it measured last; 0: not yet."""
+    """Use of a job since the daemon started. last_ns : UTC of its last cycle; 0: none."""
 
     cycles: int = 0
     good: int = 0
@@ -24,7 +24,7 @@ class Use:
 
 
 class JobUse:
-    """A publisher that publishes nothing. By number: a job that is taught again goes on."""
+    """Counts the cycles of each job, by number, as a `Publisher` that publishes nothing."""
 
     def __init__(self) -> None:
         self._uses: dict[int, Use] = {}
@@ -36,7 +36,7 @@ class JobUse:
         return self._active
 
     def of(self, number: int) -> Use:
-        """Of the job with a number."""
+        """Use of the job with a number."""
         return self._uses.get(number, Use())
 
     async def start(self) -> None:

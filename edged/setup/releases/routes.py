@@ -119,7 +119,7 @@ class ReleaseRoutes:
 
 
 def document_of_release(release: Release, *, is_active: bool) -> ReleaseDocument:
-    """As it is told."""
+    """A release as it is answered."""
     fields = release.model_dump(exclude={"format", "version", "activated", "digests", "pictures"})
     was_active = bool(release.activated) or is_active
     return ReleaseDocument(**{**fields, "jobs": list(release.jobs)}, active=is_active, was_active=was_active)

@@ -72,7 +72,7 @@ class Activation:
 
     @property
     def fingerprint(self) -> str:
-        """Of what the cell runs by."""
+        """Fingerprint of the cell."""
         return self._cell.fingerprint
 
     @property
@@ -89,7 +89,7 @@ class Activation:
         return await asyncio.to_thread(lambda: (self._releases.all(), self.active))
 
     async def archives(self, *numbers: int) -> list[Path]:
-        """Of releases. Raises `KeyError`, `FileFormatError`."""
+        """Archives of releases. Raises `KeyError`, `FileFormatError`."""
         return await asyncio.to_thread(lambda: [self._releases.file(number) for number in numbers])
 
     def check(self, token: str | None) -> None:
@@ -129,7 +129,7 @@ class Activation:
         )
 
     async def activate_again(self, number: int, author: str, reason: str) -> Release:
-        """The same by rig, cameras and jobs of a release; settings stay. Raises `KeyError`, too.
+        """Let the cell run by rig, cameras and jobs of a release; settings stay. Raises `KeyError`, too.
 
         A release of before the first job says nothing of jobs. The way back is never barred: its reason is
         the signature.
@@ -235,12 +235,12 @@ class Activation:
             raise
 
     def _put_back(self, release: Release, former: _Parts, is_new: bool) -> None:
-        """As before, in each byte."""
+        """Restore the files byte for byte."""
         self._write(former, self._there())
         self._withdraw(release, is_new)
 
     def _withdraw(self, release: Release, is_new: bool) -> None:
-        """It never was active."""
+        """Undo that it became active."""
         self._releases.note_underway(None)
         if is_new:
             self._releases.forget(release.number)
@@ -248,7 +248,7 @@ class Activation:
             self._releases.restore(release)
 
     def _write(self, wanted: _Parts, there: _Parts) -> None:
-        """Let the files of rig, cameras and jobs hold this. there : what they hold.
+        """Write the files of rig, cameras and jobs. there : what they hold.
 
         Each by itself is in one step, and every mixture loads: a daemon that starts amid them ends it.
         """
@@ -290,7 +290,7 @@ class Activation:
 
 
 def _rig_id(made: Made) -> str:
-    """Of the calibration."""
+    """Id of the calibration."""
     return rig_of(rig_in(made.backup).rig, Path("the rig of a release")).calibration_id
 
 

@@ -77,13 +77,13 @@ class _Trial:
 
     @property
     def covered_share(self) -> float | None:
-        """Of the places of the map where it can be measured; None while there is no map."""
+        """Share of the measurable places of the map that were visited; None without a map."""
         if self.map is None or not self.map.seen.any():
             return None
         return len(self.visited & set(np.flatnonzero(self.map.seen).tolist())) / int(self.map.seen.sum())
 
     def document(self, *, on: bool) -> TrialDocument:
-        """As it is told."""
+        """The trial as pages get it."""
         tried = self.tried
         return TrialDocument(
             on=on,

@@ -23,7 +23,7 @@ StillVerdict = Literal["honest", "larger", "smaller", "moving", "vanished"]
 """larger, smaller : the scatter than the stated sigma. moving, vanished : the part did: nothing is judged."""
 
 FAR = 12.0
-"""Of the stated sigma: a part that lies so far from where it mostly was has been moved."""
+"""In stated sigmas: a part this far from its median place was moved."""
 DRIFT = 3.0
 """By what factor the variance exceeds that from one picture to the next, of a part that moves on."""
 COVERAGE_SIGMA = 1.96
@@ -31,7 +31,7 @@ REWEIGHED = 1.3
 """What noise leaves in the pose is more, by so much in the mean of several parts, than passes through weights
 that stay: it decides a little, too, which edges count."""
 LEAST_MM2 = 1e-14
-"""Of pictures without noise nothing is to be expected."""
+"""Least variance that counts as noise: pictures without any predict nothing."""
 LEAST, MOST = 5, 200
 """Pictures: with fewer the verdict is open to a factor, and more take minutes."""
 
@@ -136,5 +136,5 @@ def _has_moved(places: FloatArray, stated: FloatArray, explained: FloatArray) ->
 
 
 def _mean_square(gaps: FloatArray, covariance: FloatArray) -> float:
-    """Of vectors (N, 3), in units of a covariance (3, 3), by degree of freedom."""
+    """Mean square of vectors (N, 3), in units of a covariance (3, 3), by degree of freedom."""
     return float(np.sum(gaps * np.linalg.solve(covariance, gaps.T).T) / gaps.size)

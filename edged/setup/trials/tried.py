@@ -25,7 +25,7 @@ from edged.robot.picking import frame_of, picked, within
 from edged.robot.reading import PartReading, frame_name, reading_of
 from edged.setup.frozen import Frozen
 from edged.setup.recordings.recorded import NOT_FOUND
-from edged.setup.recordings.sight import Points, outline_in
+from edged.setup.recordings.recordedparts import Points, outline_in
 from edged.setup.trials.stilltest import Stand, StillResult, judged, noises_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.expected import Scatters, expected_target, scatters_of
@@ -36,7 +36,7 @@ MOST_PARTS = 8
 MOST_WHISKERS = 400
 """In one picture: more cannot be told apart, and each goes over the network."""
 UNKNOWN_DEG = 60.0
-"""Of an angle about an axis that looks the same from all sides, no less is stated."""
+"""A sigma from here on is that of an angle about a symmetry axis: not known."""
 
 
 class PlaceMm(Frozen):
@@ -209,7 +209,7 @@ def _place(reading: PartReading) -> PlaceMm:
 
 
 def sigma_of(sigma_mm: FloatArray) -> SigmaUm:
-    """Of X, Y, Z (3,)."""
+    """Sigma of X, Y, Z (3,), mm, in µm."""
     x, y, z = (round(1e3 * float(value), 3) for value in sigma_mm)
     return SigmaUm(x=x, y=y, z=z)
 

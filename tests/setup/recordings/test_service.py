@@ -30,9 +30,9 @@ from edged.setup.jobs.worker import Worker
 from edged.setup.pairs import silent
 from edged.setup.recordings import work as cyclework
 from edged.setup.recordings.recorded import CycleFilter, Damaged, Records
+from edged.setup.recordings.recordedparts import NOT_FOUND, OUTSIDE, PartSight, parts_of, taught_part
 from edged.setup.recordings.service import FUNCTIONS, Cycles
 from edged.setup.recordings.setups import Setups
-from edged.setup.recordings.sight import NOT_FOUND, OUTSIDE, PartSight, parts_of, taught_part
 from edged.setup.recordings.whatif import Change, LimitChange, WhatIf, changed_job
 from edged.sim.cell import VirtualCell
 from edged.vision.geometry.rigid import apply

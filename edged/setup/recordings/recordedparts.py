@@ -23,7 +23,7 @@ from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
 
 ROUND_POINTS = 72
-"""Of an outline that is told: 5° of a circle, whose chord is off by a thousandth of the radius."""
+"""Points of an outline: 5° of a circle, whose chord is off by a thousandth of the radius."""
 MOST_PARTS = 16
 OUTSIDE, UNSEEN, TOLERANCE, NOT_FOUND = "outside", "unseen", "tolerance", "not_found"
 """Why a feature is not as taught: beyond the picture, not measured, of another size, or there is no part."""
