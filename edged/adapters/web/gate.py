@@ -20,6 +20,8 @@ from typing import Any
 from aiohttp import web
 from pydantic import BaseModel, ValidationError
 
+from edged.adapters.web.auditing import Auditor
+from edged.adapters.web.login import visitor_of
 from edged.adapters.web.repeats import Repeats
 from edged.adapters.web.routes import BASE, Call, Given, Problem, Route, RouteTable
 from edged.domain.numerals import decimal
@@ -37,7 +39,7 @@ from edged.errors import (
     TeachError,
     UserError,
 )
-from edged.identity.access import TooManyAttempts
+from edged.identity.access import Access, TooManyAttempts
 from edged.identity.visitors import Role, Visitor
 from edged.ports import Commissioner
 
@@ -61,32 +63,23 @@ STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
 """What the rooms raise, as it is answered; the first that fits."""
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 
-Note = Callable[[Route, Call[Any], str], Awaitable[None]]
-"""Told of each request to an audited route, with its outcome, "ok" or a code; the body may be none yet."""
-
 
 class Gate:
-    """Serves a table.
-
-    visitor_of : who sent a request; None without a session of the page. note : keeps the audit. active : told
-    of a session in which a person does something.
-    """
+    """Serves a table."""
 
     def __init__(
         self,
         table: RouteTable,
         commissioner: Commissioner,
-        visitor_of: Callable[[web.Request], Visitor | None],
-        note: Note,
-        active: Callable[[str], None] = lambda _session: None,
+        access: Access,
+        auditor: Auditor,
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._repeats = Repeats(clock_s)
-        self._active = active
         self._table = table
         self._commissioner = commissioner
-        self._visitor_of = visitor_of
-        self._note = note
+        self._access = access
+        self._auditor = auditor
 
     def add_to(self, router: web.UrlDispatcher) -> None:
         """Add the table's routes."""
@@ -95,13 +88,13 @@ class Gate:
 
     def _serving(self, route: Route) -> Callable[[web.Request], Awaitable[web.StreamResponse]]:
         async def serve(request: web.Request) -> web.StreamResponse:
-            visitor = self._visitor_of(request) or Visitor("", Role.VIEWER, request.remote or "")
+            visitor = visitor_of(self._access, request) or Visitor("", Role.VIEWER, request.remote or "")
             call: Call[Any] = Call(visitor, None, request)
             outcome = "broken_off"
             try:
                 check_visitor(route, visitor, request)
                 if route.changes and not route.is_by_itself:
-                    self._active(visitor.session)
+                    self._access.note_activity(visitor.session)
                 call = replace(call, body=await _body(route, request))
                 if route.changes:
                     do = partial(self._done, route, call)
@@ -115,7 +108,7 @@ class Gate:
                 response = problem.response()
             finally:
                 if route.audit:
-                    await self._note(route, call, outcome)
+                    await self._auditor.note(route, call, outcome)
             return response
 
         return serve

@@ -18,6 +18,7 @@ from edged.errors import FileFormatError
 from edged.identity.access import Access, TooManyAttempts
 from edged.identity.invite import Invite
 from edged.identity.users import UserFile, UserName
+from edged.identity.visitors import Visitor
 from edged.report.page import render
 
 log = logging.getLogger(__name__)
@@ -30,6 +31,11 @@ REFUSED = {"wrong": "invite-wrong", "differ": "invite-differ", "short": "invite-
 """What the form for a code tells, by what its address says."""
 COMMAND = Markup('<code translate="no">edged web invite</code>')
 _NAME, _PASSWORD = TypeAdapter(UserName), TypeAdapter(Password)
+
+
+def visitor_of(access: Access, request: web.Request) -> Visitor | None:
+    """The session that sent a request, if any."""
+    return access.visitor(request.cookies.get(COOKIE, ""), request.remote or "")
 
 
 class LoginForms:

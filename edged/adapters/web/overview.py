@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable
 
 from aiohttp import web
 from pydantic import Field
 
 from edged.adapters.web.openapi import document_of
-from edged.adapters.web.page import Overview, StatusPage
+from edged.adapters.web.page import PageSources, StatusPage
 from edged.adapters.web.routes import Answer, Call, RouteTable, route
+from edged.adapters.web.setup import SetupRoutes
 from edged.domain.cell import SetupSource
 from edged.domain.numerals import known
 from edged.identity.visitors import Role
@@ -79,21 +79,21 @@ class CellNow(Answer):
 class OverviewRoutes:
     """`cell`, and the document of all routes.
 
-    holder : the session that took the cell last. asked : what events do not tell. table : all routes.
+    sources : what events do not tell. setup : knows the session that took the cell last. table : all routes.
     """
 
     def __init__(
         self,
         cell: str,
         page: StatusPage,
-        asked: Callable[[], Overview],
-        holder: Callable[[], str],
+        sources: PageSources,
+        setup: SetupRoutes,
         table: RouteTable,
     ) -> None:
         self._cell = cell
         self._page = page
-        self._asked = asked
-        self._holder = holder
+        self._sources = sources
+        self._setup = setup
         self._table = table
         self._described = ""
 
@@ -110,14 +110,14 @@ class OverviewRoutes:
 
     def now(self, session: str) -> CellNow:
         """As one session sees it."""
-        asked, state = self._asked(), self._page.state
+        asked, state = self._sources.overview(), self._page.state
         setup = None
         if state is not None and state.setup is not SetupSource.NONE:
             is_person = state.setup is SetupSource.PERSON
             setup = SetupNow(
                 name=state.setup_by or None,
                 unattended=is_person and not state.setup_by,
-                yours=is_person and session != "" and session == self._holder(),
+                yours=is_person and session != "" and session == self._setup.holder,
                 source=state.setup.name.lower(),
             )
         rig = asked.rig

@@ -21,7 +21,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 from edged.adapters.web.assets import modules, read_assets
 from edged.adapters.web.auditing import Auditor, AuditRoutes
 from edged.adapters.web.gate import Gate
-from edged.adapters.web.login import COOKIE, LoginForms, tell_of_users
+from edged.adapters.web.login import LoginForms, tell_of_users, visitor_of
 from edged.adapters.web.manualfiles import FOLDER
 from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.page import PageSources, StatusPage
@@ -205,8 +205,7 @@ class WebPublisher:
         """What sets the cell up: the routes that every cell has, and further ones."""
         table = RouteTable()
         self._taking = setup = SetupRoutes(commissioner, self._drawer)
-        asked = self._sources.overview
-        overview = OverviewRoutes(self._cell, self._page, asked, lambda: setup.holder, table)
+        overview = OverviewRoutes(self._cell, self._page, self._sources, setup, table)
         table.add(setup, overview)
         if self._users is not None:
             table.add(People(self._access, self._users))
@@ -217,9 +216,8 @@ class WebPublisher:
             live,
             self._notices,
             self._drawer,
-            self._visitor,
-            overview.now,
-            self._access.note_activity,
+            self._access,
+            overview,
             self._client,
             lambda request: self._rate(request).forfeit(FLOODED_S),
         )
@@ -228,14 +226,7 @@ class WebPublisher:
         self._setup_page = render(
             "setup.html", __package__, cell=self._cell, modules=modules(self._assets), offers=offers
         )
-        return Gate(
-            table,
-            commissioner,
-            self._visitor,
-            self._auditor.note,
-            active=self._access.note_activity,
-            clock_s=self._clock_s,
-        )
+        return Gate(table, commissioner, self._access, self._auditor, self._clock_s)
 
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""
@@ -373,7 +364,7 @@ class WebPublisher:
 
     def _visitor(self, request: web.Request) -> Visitor | None:
         """The session that sent a request, if any."""
-        return self._access.visitor(request.cookies.get(COOKIE, ""), request.remote or "")
+        return visitor_of(self._access, request)
 
     async def _show_setup(self, _request: web.Request) -> web.Response:
         return html(self._setup_page)

@@ -17,7 +17,8 @@ from typing import Any, Literal
 from aiohttp import WSCloseCode, WSMsgType, web
 from pydantic import Field, ValidationError
 
-from edged.adapters.web.overview import CellNow
+from edged.adapters.web.login import visitor_of
+from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.routes import WEBSOCKET, Body, Call, Problem, Token, route
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
@@ -25,6 +26,7 @@ from edged.cell.tasks import cancel_and_await
 from edged.connections import Rate, TcpClient
 from edged.domain.frames import FramePair
 from edged.errors import SetupRefused
+from edged.identity.access import Access
 from edged.identity.visitors import Role, Visitor
 from edged.logs import LogLimit
 from edged.payload import Json
@@ -87,8 +89,7 @@ class _Tab:
 class Sockets:
     """All of them.
 
-    visitor_of : who sent a request; None when their session has ended. now : the cell, as a session sees it.
-    encoder : where pictures are encoded. active : told of a session in which a person does something.
+    encoder : where pictures are encoded. overview : the cell, as a session sees it.
     client_of : the connection of a request; None when it has gone. flooded : told of who sent too much.
     """
 
@@ -97,20 +98,18 @@ class Sockets:
         live: LivePictures,
         notices: Notices,
         encoder: Executor,
-        visitor_of: Callable[[web.Request], Visitor | None],
-        now: Callable[[str], CellNow],
-        active: Callable[[str], None],
+        access: Access,
+        overview: OverviewRoutes,
         client_of: Callable[[web.Request], TcpClient | None],
         flooded: Callable[[web.Request], None],
     ) -> None:
-        self._active = active
+        self._access = access
         self._client_of = client_of
         self._flooded = flooded
         self._log = LogLimit(__name__)
         self._live = live
         self._encoder = encoder
-        self._visitor_of = visitor_of
-        self._now = now
+        self._overview = overview
         self._tabs: dict[_Tab, None] = {}
         self._newest: tuple[int, FramePair] | None = None
         self._encoding: asyncio.Task[None] | None = None
@@ -236,7 +235,7 @@ class Sockets:
                 await tab.socket.pong(message.data)
             if message.type in (WSMsgType.PING, WSMsgType.PONG):
                 continue
-            visitor = self._visitor_of(tab.request)
+            visitor = visitor_of(self._access, tab.request)
             if visitor is None:
                 await tab.socket.close(code=LOGGED_OUT)
                 return
@@ -254,7 +253,7 @@ class Sockets:
             self._live.seen(tab)
             self._feed()
         if said.active:
-            self._active(tab.session)
+            self._access.note_activity(tab.session)
         if said.live is False:
             self._live.unwant(tab)
         if said.live:
@@ -278,7 +277,7 @@ class Sockets:
             while not self._closing:
                 await tab.wake.wait()
                 tab.wake.clear()
-                if self._visitor_of(tab.request) is None:
+                if visitor_of(self._access, tab.request) is None:
                     await tab.socket.close(code=LOGGED_OUT)
                     return
                 async with asyncio.timeout(WRITE_S):
@@ -291,7 +290,7 @@ class Sockets:
     async def _send(self, tab: _Tab) -> None:
         if tab.is_cell_due:
             tab.is_cell_due = False
-            cell = self._now(tab.session).model_dump()
+            cell = self._overview.now(tab.session).model_dump()
             if cell != tab.cell:
                 tab.cell = cell
                 await tab.socket.send_json({"type": "cell", **cell})
