@@ -60,7 +60,7 @@ STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
     (TaskTooLarge, 422, "task_too_large"),
     (TaskFailed, 503, "task_failed"),
 )
-"""What the rooms raise, as it is answered; the first that fits."""
+"""Errors of services, their statuses and codes; the first that fits."""
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 
 

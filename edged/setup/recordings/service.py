@@ -71,7 +71,7 @@ class PairView(Frozen):
     parts: list[PartSight]
 
 
-class JobLimits(Frozen):
+class RecordedLimits(Frozen):
     """What the job of a cycle allowed then; `contrast` and `min_score` are of its search."""
 
     max_sigma_mm: float
@@ -96,7 +96,7 @@ class CycleDocument(CycleLine):
     trouble_text: str
     reference: str
     folder: str | None
-    limits: JobLimits | None
+    limits: RecordedLimits | None
     now: PairView | None
     taught: PairView | None
     beside: PairView | None
@@ -246,9 +246,9 @@ class Cycles:
         return jpeg(load_image(self._taught_file(folder, side)), JPEG_QUALITY)
 
 
-def _limits(job: Job) -> JobLimits:
+def _limits(job: Job) -> RecordedLimits:
     limits = asdict(job.limits)
-    return JobLimits(
+    return RecordedLimits(
         **{**limits, "depth_mm": list(job.limits.depth_mm)},
         min_score=job.search.min_score,
         contrast=job.search.min_contrast,

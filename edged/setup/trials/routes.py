@@ -29,7 +29,7 @@ class TrialSubject(Body):
         return self
 
     def what(self) -> What:
-        """As the workshop has it."""
+        """The job or draft that is meant."""
         return What(self.job, self.teaching)
 
 
