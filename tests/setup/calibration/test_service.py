@@ -181,9 +181,9 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
         worker = cell.daemon._setup._cell.worker  # noqa: SLF001
         functions = worker._functions  # noqa: SLF001  (as above)
         with monkeypatch.context() as patch:
-            patch.setitem(functions, "keep", "workertasks:vanish")
+            patch.setitem(functions, "keep", "helpers.workertasks:vanish")
             assert (503, "task_failed") == await refused(cell, "POST", f"{place}/views", {"token": token})
-            patch.setitem(functions, "guide", "workertasks:vanish")
+            patch.setitem(functions, "guide", "helpers.workertasks:vanish")
             await cell.ask("DELETE", f"{place}/views/view_003", {})
             draft = await cell.until(place, lambda draft: not draft["guiding"])
             assert "task_failed" == draft["trouble"]["code"]

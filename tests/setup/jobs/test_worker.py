@@ -21,7 +21,7 @@ from edged.setup.jobs.worker import Worker
 from edged.setup.jobs.workerprocess import MIB, NICENESS, OOM_SCORE, TaskLimits, limits_here
 
 TASKS = {
-    name: f"workertasks:{name}"
+    name: f"helpers.workertasks:{name}"
     for name in (
         "about",
         "burn",
