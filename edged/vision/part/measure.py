@@ -29,7 +29,7 @@ from edged.vision.part.job import Job
 from edged.vision.part.measured import Evidence, MeasuredPart
 from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import (
-    PartMotion,
+    InPlaneMotion,
     edge_curve,
     find_motion,
     form_mm,
@@ -363,7 +363,7 @@ def _from_start(
 
 
 def _growth(
-    images: StereoImages, job: Job, fit: PlaneFit, motion: PartMotion, match: Match
+    images: StereoImages, job: Job, fit: PlaneFit, motion: InPlaneMotion, match: Match
 ) -> tuple[float, float]:
     """Relative growth of the features' distances since teaching, and its sigma, the depth's included."""
     if job.calibration_id == images.rig.calibration_id:
@@ -374,7 +374,7 @@ def _growth(
 
 
 def target_from(
-    rectification: Rectification, job: Job, match: Match, fit: PlaneFit, motion: PartMotion
+    rectification: Rectification, job: Job, match: Match, fit: PlaneFit, motion: InPlaneMotion
 ) -> Target:
     """A part without circles where the motion of its features puts it."""
     face = fit.face
@@ -433,7 +433,7 @@ def _row_mismatch_px(fit: PlaneFit, rectification: Rectification) -> float:
     return float(np.sqrt(np.mean(np.square(differences)))) if differences else math.nan
 
 
-def _has_rows(rectification: Rectification, job: Job, face: Face, motion: PartMotion) -> bool:
+def _has_rows(rectification: Rectification, job: Job, face: Face, motion: InPlaneMotion) -> bool:
     """Whether the part, as it lies, has an edge that should tell its row.
 
     Where rows do not meet by more than the search reaches, it is just these edges that are not found, and the

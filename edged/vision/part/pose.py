@@ -67,7 +67,7 @@ def slot_curve(slot: SlotFeature, free_polarity: bool, sign: int = 1) -> Curve:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PartMotion:
+class InPlaneMotion:
     """How the part lies in the fitted face against where the face's axes put it.
 
     shift (2,) mm, turn in rad; covariance (3, 3) of (shift, turn), edge_covariance what of it comes from the
@@ -84,7 +84,7 @@ class PartMotion:
         return np.asarray(rotation_2d(self.turn) @ point + self.shift)
 
 
-def find_motion(job: Job, fit: PlaneFit) -> PartMotion | None:
+def find_motion(job: Job, fit: PlaneFit) -> InPlaneMotion | None:
     """The motion in the face that lays the taught features onto the measured ones; robust.
 
     A feature that lies elsewhere (another edge beside it, a worn corner) loses its weight as a whole.
@@ -96,7 +96,7 @@ def find_motion(job: Job, fit: PlaneFit) -> PartMotion | None:
         return None
     by_edges = solved.excess * (solved.by_fit @ fit.edge_covariance @ solved.by_fit.T + solved.taught)
     by_rig = solved.by_fit @ (fit.covariance - fit.edge_covariance) @ solved.by_fit.T
-    return PartMotion(solved.values[:2], float(solved.values[2]), by_edges + by_rig, by_edges)
+    return InPlaneMotion(solved.values[:2], float(solved.values[2]), by_edges + by_rig, by_edges)
 
 
 def scale_of_features(job: Job, fit: PlaneFit) -> tuple[float, float]:
@@ -110,7 +110,7 @@ def scale_of_features(job: Job, fit: PlaneFit) -> tuple[float, float]:
     return float(solved.values[3]), math.sqrt(max(float(solved.covariance[3, 3]), 0.0))
 
 
-def form_mm(job: Job, fit: PlaneFit, motion: PartMotion) -> float:
+def form_mm(job: Job, fit: PlaneFit, motion: InPlaneMotion) -> float:
     """Farthest that an edge or slot lies from its taught outline, laid there by the motion; at its middle."""
     unknowns = np.append(motion.shift, motion.turn)
     far = [
