@@ -56,35 +56,15 @@ class SetupServices:
         # while the cell measures, one processor is left to it alone
         worker, tasks = Worker(functions, lambda: 2 if cycle.in_setup else 1), Tasks(notices)
         self._cell = cell = CellInUse(running, worker, tasks, notices)
-        self._calibrations = Calibrations(
-            cell.folder / "drafts",
-            worker,
-            tasks,
-            notices,
-            cell.capture,
-            cell.renew,
-            lambda: cell.config.cell.rig,
-            lambda identity: identity == cell.calibration_id,
-        )
+        self._calibrations = Calibrations(cell)
         releases = ReleaseFolder(cell.folder / "releases")
         self._regressions = Regressions(cell)
         self._activation = Activation(releases, cell, self._regressions.check)
-        self._checks = Checks(cell.folder / "check.json", worker, notices, cell.capture, cell.rig, cell.jobs)
+        self._checks = Checks(cell)
         self._cycles = Cycles(cell)
-        self._registrations = Registrations(
-            cell.folder / "registrations", worker, notices, cell.capture, cell.rig, cell.jobs
-        )
+        self._registrations = Registrations(cell)
         self.program = RobotProgram(self._registrations, cell)
-        self._teachings = Teachings(
-            cell.folder / "teachings",
-            worker,
-            tasks,
-            notices,
-            cell.capture,
-            cell.rig,
-            cell.job_lines,
-            self._cycles.file,
-        )
+        self._teachings = Teachings(cell, self._cycles.file)
         self._candidates = CandidateContents(
             cell, releases, self._calibrations.solution, self._teachings.candidate
         )

@@ -1,22 +1,24 @@
-"""What drafts of all kinds keep on disc: a state with its revision, and operations that can be undone."""
+"""Drafts on disc: a folder with a state of counted revisions, operations that can be undone, and pictures."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import re
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from edged.config.reading import problem_of
-from edged.errors import FileFormatError, UserError
+from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.files.rig import read_rig
 
 MOST_OPERATIONS = 2000
 _STATE = "state.json"
@@ -24,6 +26,8 @@ BEGINNING_S = 3600.0
 """Longer than it takes to write the first files of a draft."""
 _IDENTITY = re.compile(r"[0-9]{8}-[0-9]{6}-[0-9a-f]{4}")
 DraftId = Annotated[str, Field(pattern=f"^{_IDENTITY.pattern}$")]
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+"""SHA-256 of a file."""
 Text = Annotated[str, Field(max_length=2000)]
 
 
@@ -38,9 +42,10 @@ O = TypeVar("O", bound=Kept)  # noqa: E741  (an operation)
 
 class History(Kept, Generic[O]):
     """A draft's state. revision : counts every change.  operations : `done` of them hold, the others were
-    undone.
+    undone.  outcome : fields of what came of the operations that hold: None after each step.
     """
 
+    outcome: ClassVar[tuple[str, ...]] = ()
     id: DraftId
     revision: Annotated[int, Field(ge=0)] = 0
     created: Text
@@ -60,94 +65,116 @@ class History(Kept, Generic[O]):
         return self.operations[: self.done]
 
     @property
-    def can_undo(self) -> bool:
-        """Whether an operation holds."""
-        return self.done > 0
-
-    @property
-    def can_redo(self) -> bool:
-        """Whether one was undone, and nothing else done since."""
-        return self.done < len(self.operations)
+    def head(self) -> dict[str, Any]:
+        """The fields of a `DraftHead` that the state alone tells."""
+        fields = {name: getattr(self, name) for name in ("id", "revision", "created", "author")}
+        return {**fields, "can_undo": self.done > 0, "can_redo": self.done < len(self.operations)}
 
     def changed(self, **changes: Any) -> Self:
         """With these fields, checked, one revision later."""
         fields = {name: getattr(self, name) for name in type(self).model_fields}
         return type(self)(**{**fields, **changes, "revision": self.revision + 1})
 
+    def without_outcome(self, **changes: Any) -> Self:
+        """With these fields, and nothing that came of the state before."""
+        return self.changed(**dict.fromkeys(self.outcome), **changes)
+
     def operated(self, operation: O, **changes: Any) -> Self:
         """With one operation more; what was undone is forgotten."""
         done = (*self.holding, operation)
-        return self.changed(operations=done, done=len(done), **changes)
+        return self.without_outcome(operations=done, done=len(done), **changes)
+
+
+def beginning(author: str, now: datetime) -> dict[str, Any]:
+    """The first fields of a new draft's state; ids are in the order of time."""
+    identity = f"{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}"
+    return {"id": identity, "created": now.isoformat(timespec="seconds"), "author": author}
 
 
 S = TypeVar("S", bound=History[Any])
 
 
-class StateFile(Generic[S]):
+class DraftFile(Generic[S]):
     """A draft's folder and state. Each change is on disc when its method returns; it raises `OSError` where
-    that refuses. error : what there is raised for a step that cannot be taken.
+    that refuses. error : raised for a step that cannot be taken.
     """
 
-    def __init__(self, folder: Path, state: S, error: type[UserError]) -> None:
+    error: ClassVar[type[UserError]] = CalibrationError
+
+    def __init__(self, folder: Path, state: S) -> None:
         self.folder = folder
         self._state = state
-        self._error = error
 
     @property
     def state(self) -> S:
-        """As it is on disc."""
+        """The state on disc."""
         return self._state
 
+    @property
+    def pictures(self) -> Path:
+        """The folder of its pictures."""
+        return self.folder / "pictures"
+
+    def small(self, name: str, side: str) -> Path:
+        """The small JPEG of a picture."""
+        return self.folder / "small" / f"{name}_{side}.jpg"
+
     def write(self, state: S) -> None:
-        """Let it be so from now on."""
+        """Replace the state."""
         write_atomically(self.folder / _STATE, state.model_dump_json(indent=1).encode())
         self._state = state
 
-    def step(self, by: Literal[-1, 1], **changes: Any) -> None:
-        """Take the last operation back, or do again what was taken back last."""
+    def undo(self) -> None:
+        """Take the last operation back. Raises `error` when there is none."""
+        self._step(-1, "undo")
+
+    def redo(self) -> None:
+        """Do again what was taken back last. Raises `error` when there is nothing."""
+        self._step(1, "do again")
+
+    def _step(self, by: Literal[-1, 1], what: str) -> None:
         done = self._state.done + by
         if not 0 <= done <= len(self._state.operations):
-            raise self._error(f"there is nothing to {'undo' if by < 0 else 'do again'}")
-        self.write(self._state.changed(done=done, **changes))
+            raise self.error(f"there is nothing to {what}")
+        self.write(self._state.without_outcome(done=done))
 
 
-def new_identity(now: datetime) -> str:
-    """Of a draft; in the order of time."""
-    return f"{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}"
+D = TypeVar("D", bound=DraftFile[Any])
 
 
-class DraftFolders(Generic[S]):
+class DraftFolders(Generic[S, D]):
     """Drafts of one kind, in a folder.
 
-    model : of their state.  error : of theirs.  places : folders inside each.  most : drafts; with one more
-    the oldest goes.  pictures : by the state, the files in "pictures" without which a draft cannot be read.
+    model, draft : the types of their states and files.  places : folders inside each.  most : drafts; with
+    one more the oldest goes.  pictures : by the state, the files in "pictures" without which a draft cannot
+    be read.
     """
 
     def __init__(
         self,
         folder: Path,
         model: type[S],
-        error: type[UserError],
+        draft: Callable[[Path, S], D],
         places: Sequence[str],
         most: int,
         pictures: Callable[[S], Iterable[str]],
     ) -> None:
         self._folder = folder
         self._model = model
-        self._error = error
+        self._draft = draft
         self._places = places
         self._most = most
         self._pictures = pictures
 
     def place(self, identity: str) -> Path:
-        """The folder of one, with those inside it. Raises `OSError`."""
+        """The folder of a draft, with those inside it. Raises `OSError`."""
         for place in self._places:
             make_folders(self._folder / identity / place)
         return self._folder / identity
 
-    def add(self, state: S) -> StateFile[S]:
-        """Begin one, whose other files are in its `place` already; the oldest beyond `most` go."""
-        draft = StateFile(self.place(state.id), state, self._error)
+    def add(self, state: S) -> D:
+        """Begin a draft, whose other files are in its `place` already; the oldest beyond `most` go."""
+        draft = self._draft(self.place(state.id), state)
         draft.write(state)
         for old in self.names()[self._most :]:
             self.clear(old)
@@ -155,7 +182,7 @@ class DraftFolders(Generic[S]):
         return draft
 
     def _sweep(self) -> None:
-        """Forget drafts that were cut off while they began."""
+        """Remove drafts that were cut off while they began."""
         for entry in self._folder.iterdir():
             with contextlib.suppress(OSError):  # somebody else has removed it
                 is_old = time.time() - entry.stat().st_mtime > BEGINNING_S
@@ -163,25 +190,25 @@ class DraftFolders(Generic[S]):
                     shutil.rmtree(entry, ignore_errors=True)
 
     def remove(self, identity: str) -> None:
-        """Forget one. Raises `KeyError` when there is none."""
+        """Remove a draft. Raises `KeyError` when there is none."""
         if identity not in self.names():
             raise KeyError(identity)
         self.clear(identity)
 
     def clear(self, identity: str) -> None:
-        """Leave nothing of one, begun or not; it is none before the first of its other files goes."""
+        """Leave nothing of a draft, begun or not: without its state, which goes first, it is none."""
         (self._folder / identity / _STATE).unlink(missing_ok=True)
         shutil.rmtree(self._folder / identity, ignore_errors=True)
 
     def names(self) -> list[str]:
-        """Of all drafts, the youngest first."""
+        """Ids of all drafts, the youngest first."""
         try:
             return sorted((file.parent.name for file in self._folder.glob(f"*/{_STATE}")), reverse=True)
         except OSError:
             return []
 
-    def load(self, identity: str) -> StateFile[S]:
-        """Read one. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""
+    def load(self, identity: str) -> D:
+        """Read a draft. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""
         if identity not in self.names():
             raise KeyError(identity)
         file = self._folder / identity / _STATE
@@ -195,16 +222,49 @@ class DraftFolders(Generic[S]):
             picture = file.parent / "pictures" / name
             if picture.is_symlink() or not picture.is_file():
                 raise FileFormatError(f"{picture}: a picture of the draft is missing")
-        return StateFile(file.parent, state, self._error)
+        return self._draft(file.parent, state)
 
     def states(self) -> list[tuple[str, S | FileFormatError]]:
-        """Of all drafts, the youngest first: the identity, and the state or what is wrong with it."""
+        """All drafts, the youngest first: the id, and the state or what is wrong with it."""
         found: list[tuple[str, S | FileFormatError]] = []
         for identity in self.names():
             try:
                 found.append((identity, self.load(identity).state))
             except FileFormatError as error:
                 found.append((identity, error))
-            except KeyError:  # forgotten meanwhile
+            except KeyError:  # removed meanwhile
                 continue
         return found
+
+
+# --- rigs that came of drafts ----------------------------------------------------------------------
+
+
+def solved_file(folder: Path, pattern: str, digest: str) -> Path:
+    """Where a file lies that came of a draft. pattern : as "rig-*.json".  digest : SHA-256 of the rig."""
+    return folder / pattern.replace("*", digest[:16])
+
+
+def write_solved(draft: DraftFile[S], state: S, digest: str, files: Mapping[str, bytes]) -> None:
+    """Keep what came of a draft, by the patterns of `solved_file`, then its state; what came before goes."""
+    for pattern, content in files.items():
+        write_atomically(solved_file(draft.folder, pattern, digest), content)
+    draft.write(state)
+    for pattern in files:
+        for file in draft.folder.glob(pattern):
+            if file != solved_file(draft.folder, pattern, digest):
+                file.unlink()
+
+
+def solved_rig(folder: Path, digest: str | None, counted: str) -> bytes:
+    """The rig that came of a draft. digest : by its state.  counted : what it was solved from, in words.
+
+    Raises `CalibrationError` if none has, `FileFormatError` if it was changed.
+    """
+    if digest is None:
+        raise CalibrationError(f"it is not solved, or {counted} came or went since then: solve it first")
+    file = solved_file(folder, "rig-*.json", digest)
+    content = read_rig(file)
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise FileFormatError(f"{file}: is not what it was solved to: solve it again")
+    return content

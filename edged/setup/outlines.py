@@ -37,7 +37,7 @@ def on_face(job: Job, rig: StereoRig, left_px: FloatArray) -> FloatArray:
 
 def seen_at(point_mm: FloatArray, rig: StereoRig) -> tuple[tuple[float, float], tuple[float, float]]:
     """Where a point (3,) of the rig's frame is in both raw pictures."""
-    left, right = (line(one)[0] for one in seen_by(point_mm[None], rig))
+    left, right = (line(points)[0] for points in seen_by(point_mm[None], rig))
     return left, right
 
 

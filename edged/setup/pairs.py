@@ -7,12 +7,18 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Protocol, Self, TypeVar
 
-from edged.domain.arrays import Image, Side
+from edged.domain.arrays import SIDES, Image, Side
+from edged.errors import CalibrationError
+from edged.files.atomic import write_atomically
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair
+from edged.pictures.encoding import jpeg, png
 
+THUMBNAIL_QUALITY = 95
+"""Per cent, of JPEG."""
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
 T = TypeVar("T")
 
@@ -83,3 +89,16 @@ def _pool() -> Iterator[ThreadPoolExecutor]:
         yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def write_pair(folder: Path, name: str, images: tuple[Image, Image], small: tuple[Image, Image]) -> None:
+    """Write a pair to a draft's folder, every grey value, and small JPEGs of it.
+
+    Raises `CalibrationError` for a disc that refuses.
+    """
+    try:
+        for side, image, thumbnail in zip(SIDES, images, small, strict=True):
+            write_atomically(folder / "pictures" / f"{name}_{side}.png", png(image))
+            write_atomically(folder / "small" / f"{name}_{side}.jpg", jpeg(thumbnail, THUMBNAIL_QUALITY))
+    except OSError as error:
+        raise CalibrationError(f"{folder}: the pair cannot be kept: {error.strerror or error}") from error

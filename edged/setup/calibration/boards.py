@@ -39,9 +39,9 @@ def boards_in(
     if isinstance(stated, tuple):
         return stated, ""
     some = _spread(pictures)
-    seen = work_on([partial(_recognise, one) for one in some], "looking for the board", progress)
+    seen = work_on([partial(_recognise, picture) for picture in some], "looking for the board", progress)
     board = _agreed(some, seen)
-    where = f"{sum(one is not None for one in seen)} of {len(some)} pictures looked at"
+    where = f"{sum(found is not None for found in seen)} of {len(some)} pictures looked at"
     if stated is None:
         raise CalibrationError(
             f"--board: the pictures show {in_words(board)} ({where}), but not how large it is. Measure "
@@ -54,8 +54,10 @@ def boards_in(
 def check_board_shown(pictures: Sequence[Picture], board: NominalBoard, progress: Progress = silent) -> None:
     """Raises `CalibrationError` if most pictures in which a board was not found agree on another one."""
     some = _spread(pictures)
-    looked = work_on([partial(_recognise, one) for one in some], "looking for another board", progress)
-    known = [one for one in looked if one is not None]
+    looked = work_on(
+        [partial(_recognise, picture) for picture in some], "looking for another board", progress
+    )
+    known = [found for found in looked if found is not None]
     seen = agreed_board(known) if 2 * len(known) > len(some) else None
     if seen is None or may_be(board, seen):
         return
@@ -83,7 +85,7 @@ def _recognise(picture: Picture) -> NominalBoard | None:
 def may_be(board: NominalBoard, seen: NominalBoard) -> bool:
     """Whether the stated board looks like what is seen."""
     if isinstance(board, Charuco) and isinstance(seen, Charuco):
-        kinds = [one.dictionary.rpartition("_")[0] for one in (board, seen)]
+        kinds = [each.dictionary.rpartition("_")[0] for each in (board, seen)]
         return board.columns == seen.columns and board.rows >= seen.rows and kinds[0] == kinds[1]
     if isinstance(board, CircleGrid) and isinstance(seen, CircleGrid):  # 4x10 and 5x8 are the same circles
         return {2 * board.columns, board.rows} == {2 * seen.columns, seen.rows}
@@ -108,8 +110,8 @@ def _agreed(pictures: Sequence[Picture], seen: Sequence[NominalBoard | None]) ->
     board = agreed_board(known)
     if board is None:
         lines = [
-            f"  {name}: {in_words(one) if one is not None else 'no board recognised'}"
-            for name, one in zip(names, seen, strict=True)
+            f"  {name}: {in_words(found) if found is not None else 'no board recognised'}"
+            for name, found in zip(names, seen, strict=True)
         ]
         raise CalibrationError(
             "--board: the pictures do not agree on one board; state it, or several separated by commas:\n"

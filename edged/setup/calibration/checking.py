@@ -27,7 +27,7 @@ from edged.vision.part.consistency import undoubted
 from edged.vision.part.job import Job
 
 MAX_OFFERED = 12
-"""Lengths of a part that whoever checks is asked for."""
+"""Lengths of a part that can be chosen for a check."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,15 +125,15 @@ def offered_lengths(job: Job) -> list[tuple[str, float | None]]:
     The longest first: they tell a scale best, and of many circles there are more pairs than anybody measures.
     """
     sizes: list[tuple[str, float | None]] = [
-        (one.name, one.nominal)
-        for one in job.measurements
-        if one.kind not in ("angle", "flatness", "radius")  # a circle is asked for by its diameter
+        (spec.name, spec.nominal)
+        for spec in job.measurements
+        if spec.kind not in ("angle", "flatness", "radius")  # a circle is asked for by its diameter
     ]
     taught = [(circle.name, 2 * circle.radius_mm) for circle in job.circles]
     for first, second in itertools.combinations(job.circles, 2):
         distance_mm = float(np.linalg.norm(second.centre_mm - first.centre_mm))
         taught.append((f"{first.name}-{second.name}", distance_mm))
-    taught.sort(key=lambda one: -one[1])
+    taught.sort(key=lambda length: -length[1])
     return [*sizes, *taught][:MAX_OFFERED]
 
 

@@ -5,21 +5,18 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
-from edged.cell.lease.notices import Notices
-from edged.domain.frames import FramePair
-from edged.errors import SetupRefused, UserError
+from edged.errors import UserError
 from edged.files.atomic import make_folders, write_atomically
 from edged.setup.calibration.checking import Finding, Limits, offered_lengths
-from edged.setup.inuse import RigInUse
-from edged.setup.jobs.worker import Worker
+from edged.setup.frozen import Frozen
+from edged.setup.inuse import CellInUse, RigInUse
 from edged.vision.boards.board import NominalBoard
-from edged.vision.calibration.verification import COVERAGE, Verdict
+from edged.vision.calibration.verification import COVERAGE, Length, Verdict
 from edged.vision.part.job import Job
 
 log = logging.getLogger(__name__)
@@ -28,19 +25,17 @@ LIMITS = Limits(epipolar_px=0.3, length_percent=0.1)
 """As `edged verify` judges, where nothing else is stated."""
 
 
-class Rows(BaseModel):
+class Rows(Frozen):
     """How far apart the same mark lies in both pictures across the rows, rms."""
 
-    model_config = ConfigDict(frozen=True)
     measured_px: float
     limit_px: float
     verdict: Verdict
 
 
-class CheckedLength(BaseModel):
+class CheckedLength(Frozen):
     """A known length. spread_percent : to either side, 95 %, from the noise of this pair."""
 
-    model_config = ConfigDict(frozen=True)
     name: str
     true_mm: float
     measured_mm: float
@@ -51,13 +46,12 @@ class CheckedLength(BaseModel):
     verdict: Verdict
 
 
-class CheckDocument(BaseModel):
+class CheckDocument(Frozen):
     """A verdict. reason : why there are no figures, in English; remarks : of the cameras, likewise.
 
     calibration : id of the rig that was judged. board, job : by which; one of them is null.
     """
 
-    model_config = ConfigDict(frozen=True)
     at: str
     by: str
     calibration: str
@@ -70,26 +64,23 @@ class CheckDocument(BaseModel):
     remarks: list[str]
 
 
-class OfferedLength(BaseModel):
+class OfferedLength(Frozen):
     """What a part may be measured by. taught_mm : as the job has it; null: not known."""
 
-    model_config = ConfigDict(frozen=True)
     name: str
     taught_mm: float | None
 
 
-class OfferedPart(BaseModel):
+class OfferedPart(Frozen):
     """A part, by the name of its job."""
 
-    model_config = ConfigDict(frozen=True)
     job: str
     lengths: list[OfferedLength]
 
 
-class Checked(BaseModel):
+class Checked(Frozen):
     """The last check. is_current : it judged the rig that is in use. boards, parts : to check with."""
 
-    model_config = ConfigDict(frozen=True)
     last: CheckDocument | None
     is_current: bool
     boards: list[str] = Field(description="of the last check, and of the calibration in use, as far as known")
@@ -97,66 +88,46 @@ class Checked(BaseModel):
 
 
 class Checks:
-    """Used on the event loop only.
+    """Used on the event loop only; the last verdict is kept on disc."""
 
-    kept : file of the last verdict. capture : an exposure, for the token of who has the cell.
-    rig : the one in use; None without. jobs : by name.
-    """
-
-    def __init__(
-        self,
-        kept: Path,
-        worker: Worker,
-        notices: Notices,
-        capture: Callable[[str], Awaitable[FramePair]],
-        rig: Callable[[], RigInUse | None],
-        jobs: Callable[[], Mapping[str, Job]],
-    ) -> None:
-        self._kept = kept
-        self._worker = worker
-        self._notices = notices
-        self._capture = capture
-        self._rig = rig
-        self._jobs = jobs
+    def __init__(self, cell: CellInUse) -> None:
+        self._cell = cell
+        self._kept = cell.folder / "check.json"
 
     async def by_board(self, token: str, author: str, board: NominalBoard) -> CheckDocument:
         """Take a pair of a board. Raises `SetupRefused`, `CaptureError`, `ImageError`, `OSError`."""
-        rig, pair = await self._seen(token)
-        images = pair.left.image, pair.right.image
-        finding = await self._worker.run("check_board", rig.content, rig.path, images, board, LIMITS)
-        return await self._keep(_document(finding, author, rig, board=str(board)))
+        return await self._check(token, author, "check_board", board, board=str(board))
 
     async def by_part(
         self, token: str, author: str, name: str, known_mm: Mapping[str, float]
     ) -> CheckDocument:
         """Take a pair of a part, whose lengths are known by the names of a job. Raises also `UserError`."""
-        job = self._jobs().get(name)
+        job = self._cell.jobs().get(name)
         if job is None:
             raise UserError(f"there is no job {name}")
-        rig, pair = await self._seen(token)
+        return await self._check(token, author, "check_part", job, known_mm, job=name)
+
+    async def _check(
+        self, token: str, author: str, function: str, *what: object, **named: str
+    ) -> CheckDocument:
+        rig = self._cell.needed_rig("to check")
+        pair = await self._cell.capture(token)
         images = pair.left.image, pair.right.image
-        finding = await self._worker.run("check_part", rig.content, rig.path, images, job, known_mm, LIMITS)
-        return await self._keep(_document(finding, author, rig, job=name))
+        finding = await self._cell.worker.run(function, rig, images, *what, LIMITS)
+        document = _document(finding, author, rig, **named)
+        await asyncio.to_thread(self._write, document)
+        last = (await self.last()).model_dump(mode="json")
+        self._cell.notices.publish("check", {"id": "last", **last})
+        return document
 
     async def last(self) -> Checked:
-        """What is known."""
-        last, rig = await asyncio.to_thread(self._read), self._rig()
+        """The last verdict, and what another check may be made by."""
+        last, rig = await asyncio.to_thread(self._read), self._cell.rig()
         is_current = last is not None and rig is not None and last.calibration == rig.calibration_id
         boards = [] if last is None or last.board is None else [last.board]
         boards += [] if rig is None else rig.boards
-        parts = [_offered(job) for job in self._jobs().values()]
+        parts = [_offered(job) for job in self._cell.jobs().values()]
         return Checked(last=last, is_current=is_current, boards=list(dict.fromkeys(boards)), parts=parts)
-
-    async def _seen(self, token: str) -> tuple[RigInUse, FramePair]:
-        rig = self._rig()
-        if rig is None:
-            raise SetupRefused("there is no calibration to check: calibrate first")
-        return rig, await self._capture(token)
-
-    async def _keep(self, document: CheckDocument) -> CheckDocument:
-        await asyncio.to_thread(self._write, document)
-        self._notices.publish("check", {"id": "last", **(await self.last()).model_dump(mode="json")})
-        return document
 
     def _write(self, document: CheckDocument) -> None:
         make_folders(self._kept.parent)
@@ -181,13 +152,9 @@ def _document(
     finding: Finding, author: str, rig: RigInUse, *, board: str | None = None, job: str | None = None
 ) -> CheckDocument:
     rows = None
-    if math.isfinite(finding.epipolar_rms_px):
-        agree = finding.epipolar_rms_px <= LIMITS.epipolar_px
-        rows = Rows(
-            measured_px=finding.epipolar_rms_px,
-            limit_px=LIMITS.epipolar_px,
-            verdict="OK" if agree else "NOT_OK",
-        )
+    if math.isfinite(px := finding.epipolar_rms_px):
+        limit_px = LIMITS.epipolar_px
+        rows = Rows(measured_px=px, limit_px=limit_px, verdict="OK" if px <= limit_px else "NOT_OK")
     return CheckDocument(
         at=datetime.now(UTC).isoformat(timespec="seconds"),
         by=author,
@@ -197,18 +164,19 @@ def _document(
         verdict=finding.verdict,
         reason=finding.reason,
         rows=rows,
-        lengths=[
-            CheckedLength(
-                name=length.name,
-                true_mm=length.true_mm,
-                measured_mm=length.measured_mm,
-                error_mm=length.error_mm,
-                error_percent=length.error_percent,
-                spread_percent=COVERAGE * 100 * length.sigma_mm / length.true_mm,
-                limit_percent=LIMITS.length_percent,
-                verdict=length.verdict(LIMITS.length_percent),
-            )
-            for length in finding.lengths
-        ],
+        lengths=[_checked(length) for length in finding.lengths],
         remarks=[remark.text for remark in finding.cameras if remark.remedy],
+    )
+
+
+def _checked(length: Length) -> CheckedLength:
+    return CheckedLength(
+        name=length.name,
+        true_mm=length.true_mm,
+        measured_mm=length.measured_mm,
+        error_mm=length.error_mm,
+        error_percent=length.error_percent,
+        spread_percent=COVERAGE * 100 * length.sigma_mm / length.true_mm,
+        limit_percent=LIMITS.length_percent,
+        verdict=length.verdict(LIMITS.length_percent),
     )

@@ -112,9 +112,10 @@ def waits_for(
 
     others (2, 4, 2) : outlines of the views in use.
     """
-    if watched is None or not watched.is_seen:
-        found = [] if watched is None else [one.outline is not None for one in (watched.left, watched.right)]
-        return "no_board" if not any(found) else "no_board_right" if found[0] else "no_board_left"
+    if watched is None or (watched.left.outline is None and watched.right.outline is None):
+        return "no_board"
+    if not watched.is_seen:
+        return "no_board_left" if watched.left.outline is None else "no_board_right"
     if not still:
         return "moving"
     if is_same(watched.outlines, others):

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, JsonValue, model_validator
 
 from edged.errors import CalibrationError
-from edged.setup.history import MOST_OPERATIONS, History, Kept, Text
+from edged.setup.history import MOST_OPERATIONS, Digest, History, Kept, Text
 from edged.vision.boards.board import NominalBoard, parse_boards
 from edged.vision.calibration.lenschoice import LensWish
 
@@ -42,13 +42,14 @@ class Solved(Kept):
     """A rig from the views in use. digest : SHA-256 of its file; figures : what there is to say about it."""
 
     calibration_id: Text
-    digest: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    digest: Digest
     figures: dict[str, JsonValue]
 
 
 class DraftState(History[Operation]):
     """A draft. mm : pitch of a board that is to be recognised."""
 
+    outcome = ("solved",)
     format: Literal["edged-calibration-draft"] = "edged-calibration-draft"
     version: Literal[1] = 1
     boards: Annotated[tuple[Text, ...], Field(max_length=8)]
@@ -71,18 +72,16 @@ class DraftState(History[Operation]):
 
     @property
     def board_models(self) -> tuple[NominalBoard, ...]:
-        """As they were stated; none as long as they are to be recognised."""
+        """The boards as they were stated; none as long as they are to be recognised."""
         return parse_boards(",".join(self.boards)) if self.boards else ()
 
     @property
     def taken(self) -> tuple[str, ...]:
         """Views there are, in the order they came; those that were undone are not."""
-        return tuple(dict.fromkeys(one.view for one in self.holding if one.what == "add"))
+        return tuple(dict.fromkeys(step.view for step in self.holding if step.what == "add"))
 
     @property
     def used(self) -> tuple[str, ...]:
         """Views that nobody left out."""
-        left_out: dict[str, bool] = {}
-        for operation in self.holding:
-            left_out[operation.view] = operation.what == "remove"
-        return tuple(name for name in self.taken if not left_out[name])
+        last = {step.view: step.what for step in self.holding}
+        return tuple(name for name in self.taken if last[name] != "remove")

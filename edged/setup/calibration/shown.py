@@ -89,12 +89,12 @@ def watch(left: Image, right: Image, boards: Sequence[NominalBoard], *, others: 
         recognised = recognise_board(images[0][0])
         boards = () if recognised is None else (recognised,)
     both = work_on([partial(_see, *image, boards) for image in images], "", lambda *_: None)
-    if others and recognised is None and [one.missing for one in both] == ["not_found"] * len(both):
+    if others and recognised is None and [seen.missing for seen in both] == ["not_found"] * len(both):
         recognised = recognise_board(images[0][0])
         if recognised is not None and any(may_be(board, recognised) for board in boards):
             recognised = None
         if recognised is not None:
-            both = [replace(one, missing="other_board") for one in both]
+            both = [replace(seen, missing="other_board") for seen in both]
     return Watched(both[0], both[1], (left.shape[1], left.shape[0]), recognised)
 
 
@@ -142,7 +142,7 @@ def is_new(outlines: FloatArray, others: Sequence[FloatArray]) -> bool:
 
 
 class Stillness:
-    """Whether the board is held still, told by one look after the other."""
+    """Whether the board is held still, by one look after the other."""
 
     def __init__(self) -> None:
         self._looks: deque[tuple[float, FloatArray]] = deque()
@@ -163,7 +163,7 @@ class Stillness:
             self._looks.popleft()
         if at_s - self._looks[0][0] < STILL_S:
             return False
-        where = np.array([one for _, one in self._looks])
+        where = np.array([outlines for _, outlines in self._looks])
         moved = np.linalg.norm(where - where.mean(axis=0), axis=-1)
         return bool(moved.max() <= STILL_SHARE * watched.size[0])
 

@@ -46,7 +46,7 @@ def _figures(solved: Calibrated, former: StereoRig | None) -> dict[str, JsonValu
                 fit.name: {
                     "rms_px": round(fit.rms_px, 4),
                     "heldout_px": next(
-                        (round(one.reprojection_rms_px, 4) for one in solved.held if one.name == fit.name),
+                        (round(view.reprojection_rms_px, 4) for view in solved.held if view.name == fit.name),
                         None,
                     ),
                 }
@@ -60,7 +60,7 @@ def _figures(solved: Calibrated, former: StereoRig | None) -> dict[str, JsonValu
         "lens": choice_in_words(calibration.lenses) if calibration.lenses else None,
         "grade": solved.verdict.grade,
         "verdict": list(solved.verdict.why),
-        "notes": [*calibration.notes, *(one.text for one in solved.found if one.remedy)],
+        "notes": [*calibration.notes, *(finding.text for finding in solved.found if finding.remedy)],
         "sigma_um": None if plan is None else [round(1e3 * float(value), 2) for value in plan.sigma_mm],
         "moved_um": None if former is None else moved_um(calibration, former),
     }
@@ -72,7 +72,7 @@ def moved_um(calibration: Calibration, former: StereoRig) -> dict[str, JsonValue
     rms and max of the distance; mean of X, Y, Z. None for cameras with other pictures.
     """
     rig = calibration.rig
-    sizes = [[(camera.width, camera.height) for camera in (one.left, one.right)] for one in (rig, former)]
+    sizes = [[(camera.width, camera.height) for camera in (of.left, of.right)] for of in (rig, former)]
     points = volume_points(calibration)
     if sizes[0] != sizes[1] or not len(points):
         return None

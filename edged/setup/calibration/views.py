@@ -147,7 +147,7 @@ class Views:
         seen = [not isinstance(view.left, NotDetected) for view in self.found]
         if len(self.boards) > 1 or 2 * sum(seen) > len(seen):
             return
-        missed = [pair.left for pair, one in zip(self.pairs, seen, strict=True) if not one]
+        missed = [pair.left for pair, is_seen in zip(self.pairs, seen, strict=True) if not is_seen]
         check_board_shown(missed, self.boards[0], progress)
 
     @property
@@ -162,12 +162,8 @@ class Views:
         tasks = [
             partial(_remeasure, self._pairs[fit.name][0].side(side), fit, side, rig) for fit, side in keys
         ]
-        done = {
-            (fit.name, side): one
-            for (fit, side), one in zip(
-                keys, work_on(tasks, "measuring the marks and edges", progress), strict=True
-            )
-        }
+        measured = work_on(tasks, "measuring the marks and edges", progress)
+        done = {(fit.name, side): found for (fit, side), found in zip(keys, measured, strict=True)}
         views = [
             replace(view, left=done[view.name, "left"][0], right=done[view.name, "right"][0])
             if (view.name, "left") in done
@@ -224,7 +220,7 @@ def solve(
     verdict = judge_calibration(calibration, held, imaging)
     quality = {
         **quality_figures(calibration, held, views.boards),
-        "imaging": [asdict(one) for one in found],
+        "imaging": [asdict(finding) for finding in found],
         "verdict": {"grade": verdict.grade, "why": list(verdict.why), "add": verdict.add},
     }
     return Calibrated(
@@ -265,7 +261,7 @@ def quality_figures(
         "held_out": _held_out_figures(held),
         "model_error_px": [round(value, 5) for value in calibration.model_error_px],
         "outliers": calibration.outliers,
-        "lenses": {one.name: round(one.weight, 4) for one in calibration.lenses},
+        "lenses": {lens.name: round(lens.weight, 4) for lens in calibration.lenses},
         "notes": list(calibration.notes),
     }
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import UserError
-from edged.files.rig import load_rig, rig_of
 from edged.setup.calibration import checking, drafts, guidance, shown
 from edged.setup.calibration.checking import Finding, Limits
 from edged.setup.calibration.drafts import Looks, Solution, views_of
 from edged.setup.calibration.guidance import Guided
 from edged.setup.calibration.shown import Seen, Watched
 from edged.setup.calibration.solving import solution_of
+from edged.setup.inuse import RigInUse
 from edged.setup.pairs import Progress
 from edged.vision.boards.board import NominalBoard
 from edged.vision.calibration.lenschoice import LensWish
@@ -62,40 +62,32 @@ def solve(
     boards: Boards,
     looks: Mapping[str, Looks],
     lens: LensWish,
-    former: Path,
+    former: RigInUse | None,
     about: Mapping[str, str],
 ) -> Solution:
-    """The rig. former : the one before, if it is there and fit."""
+    """The rig. former : the one in use before."""
     before = None
     with contextlib.suppress(UserError):
-        before = load_rig(former)
+        before = None if former is None else former.stereo()
     return solution_of(views_of(pictures, list(looks), boards, looks), lens, about, before, progress)
 
 
 def check_board(
-    _progress: Progress,
-    rig: bytes,
-    path: Path,
-    images: tuple[Image, Image],
-    board: NominalBoard,
-    limits: Limits,
+    _progress: Progress, rig: RigInUse, images: tuple[Image, Image], board: NominalBoard, limits: Limits
 ) -> Finding:
-    """What a pair of a board says of a rig. rig, path : its file."""
-    used = rig_of(rig, path)
-    checking.check_sizes(used, images, ("the pair", "the pair"))
-    return checking.by_board(used, images, [board], limits)
+    """What a pair of a board says of a rig."""
+    checking.check_sizes(rig.stereo(), images, ("the pair", "the pair"))
+    return checking.by_board(rig.stereo(), images, [board], limits)
 
 
 def check_part(
     _progress: Progress,
-    rig: bytes,
-    path: Path,
+    rig: RigInUse,
     images: tuple[Image, Image],
     job: Job,
     known_mm: Mapping[str, float],
     limits: Limits,
 ) -> Finding:
-    """The same of a pair of a part."""
-    used = rig_of(rig, path)
-    checking.check_sizes(used, images, ("the pair", "the pair"))
-    return checking.by_part(used, images, job, known_mm, limits)
+    """What a pair of a part says of a rig."""
+    checking.check_sizes(rig.stereo(), images, ("the pair", "the pair"))
+    return checking.by_part(rig.stereo(), images, job, known_mm, limits)

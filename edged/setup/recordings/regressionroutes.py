@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from edged.adapters.web.routes import Answer, Body, Call, route
 from edged.identity.visitors import Role
-from edged.setup.calibration.routes import known
+from edged.setup.draftroutes import known
 from edged.setup.recordings.candidates import CandidateContents
 from edged.setup.recordings.regressiondocuments import RegressionDocument, RegressionLine, TriedCandidate
 from edged.setup.recordings.regressions import Regressions

@@ -12,7 +12,7 @@ from edged.adapters.web.routes import Body, Call, route
 from edged.domain.arrays import Side
 from edged.errors import FileFormatError, ImageError
 from edged.identity.visitors import Role
-from edged.setup.calibration.routes import known
+from edged.setup.draftroutes import known
 from edged.setup.recordings.recorded import MOST, CycleFilter
 from edged.setup.recordings.service import CycleDocument, CycleList, Cycles
 from edged.setup.recordings.whatif import Change, Features, LimitChange, WhatIf

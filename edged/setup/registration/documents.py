@@ -1,24 +1,23 @@
-"""A draft of a registration as it is told: over /api/v1, and to every open page."""
+"""The document of a registration's draft: over /api/v1, and to every open page."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.files.rig import rig_of
 from edged.robot.orientations import Brand, transform_of
 from edged.robot.pendant import PENDANTS, READING_CODES, brands_of, mm_per_unit
 from edged.robot.readings import PoseReading
-from edged.setup.calibration.documents import Document
+from edged.setup.documents import DraftHead, DraftSummary
+from edged.setup.frozen import Frozen
 from edged.setup.inuse import RigInUse
-from edged.setup.registration.drafts import Place, RegistrationState
-from edged.setup.registration.pictures import marks_at
-from edged.setup.registration.verdict import Judged, Row, Trouble
+from edged.setup.registration.model import Place, RegistrationState, SkyDocument, TroubleDocument
+from edged.setup.registration.verdict import Judged, Row
+from edged.setup.registration.work import marks_at
 from edged.vision.boards.board import parse_boards
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply
@@ -33,7 +32,7 @@ FLAT_SHARE = 0.05
 MM = ("X", "Y", "Z")
 
 
-class BrandDocument(Document):
+class BrandDocument(Frozen):
     """How a maker's pendant shows a pose: labels, and the unit of each."""
 
     id: Brand
@@ -41,22 +40,14 @@ class BrandDocument(Document):
     units: list[str]
 
 
-class TroubleDocument(Document):
-    """Why there is no good registration yet. text : in English; code and params : for a page."""
-
-    code: str
-    text: str
-    params: dict[str, str | float]
-
-
-class AtRobot(Document):
+class AtRobot(Frozen):
     """Where a place is by the solved registration, as the robot's pendant shows positions."""
 
     numbers: list[float]
     text: str
 
 
-class PlaceDocument(Document):
+class PlaceDocument(Frozen):
     """Something to touch. sample : that touched it in this picture. wanted : the next one had best be it."""
 
     key: str
@@ -70,7 +61,7 @@ class PlaceDocument(Document):
     robot: AtRobot | None
 
 
-class PicturesDocument(Document):
+class PicturesDocument(Frozen):
     """A pair, as paths; places are in px of width and height."""
 
     name: str
@@ -80,7 +71,7 @@ class PicturesDocument(Document):
     height: int
 
 
-class SampleDocument(Document):
+class SampleDocument(Frozen):
     """A point or a pose. why : it does not count: "left_out", "not_seen", "length" (of the board is another),
     "no_numbers", "misfit" (numbers of another brand) or "outlier"; null: it does.
     """
@@ -100,7 +91,7 @@ class SampleDocument(Document):
     pictures: PicturesDocument | None
 
 
-class ReadingDocument(Document):
+class ReadingDocument(Frozen):
     """A way to read the poses. said : it is the stated one."""
 
     code: str
@@ -112,16 +103,7 @@ class ReadingDocument(Document):
     said: bool
 
 
-class SkyDocument(Document):
-    """Where the flange looked at a pose, from the first one."""
-
-    name: str
-    tilt_deg: float
-    azimuth_deg: float
-    turn_deg: float
-
-
-class ConfirmedDocument(Document):
+class ConfirmedDocument(Frozen):
     """A place that was touched after solving. off_mm : robot minus expected, and how far."""
 
     place: str
@@ -130,17 +112,13 @@ class ConfirmedDocument(Document):
     distance_mm: float
 
 
-class RegistrationDocument(Document):
+class RegistrationDocument(DraftHead):
     """A draft. by_program : the robot's own fills it. stale : the cell has another calibration by now.
 
     advice : what to do next, a code. conventions : ranked, best first. missing : turns that the poses lack:
     "all", "tilt", "wrist". good : it may be solved; the figures are of all samples that count.
     """
 
-    id: str
-    revision: int
-    created: str
-    author: str
     by_program: bool
     mount: str
     kind: str
@@ -170,32 +148,24 @@ class RegistrationDocument(Document):
     good: bool
     solved: bool
     confirmed: ConfirmedDocument | None
-    active: bool
-    can_undo: bool
-    can_redo: bool
 
 
-class RegistrationLine(Document):
+class RegistrationLine(DraftSummary):
     """A draft of the list. trouble : why it cannot be read."""
 
-    id: str
     kind: str = ""
     mount: str = ""
     samples: int = 0
-    created: str = ""
-    author: str = ""
-    active: bool = False
-    trouble: str | None = None
 
 
-class RegistrationList(Document):
+class RegistrationList(Frozen):
     """The youngest first. brands : that a draft may be of."""
 
     registrations: list[RegistrationLine]
     brands: list[BrandDocument]
 
 
-class Conventions(Document):
+class Conventions(Frozen):
     """Every way to read the poses, best first; empty before four of them."""
 
     conventions: list[ReadingDocument]
@@ -204,8 +174,8 @@ class Conventions(Document):
 def brands() -> list[BrandDocument]:
     """All that are known."""
     return [
-        BrandDocument(id=brand, labels=list(one.labels), units=list(one.units))
-        for brand, one in PENDANTS.items()
+        BrandDocument(id=brand, labels=list(pendant.labels), units=list(pendant.units))
+        for brand, pendant in PENDANTS.items()
     ]
 
 
@@ -216,35 +186,21 @@ def is_active(state: RegistrationState, rig: RigInUse | None) -> bool:
 
 
 def document_of(
-    state: RegistrationState,
-    judged: Judged,
-    rig: RigInUse | None,
-    solved: StereoRig | None,
-    *,
-    judging: bool,
-    fault: Trouble | None,
+    state: RegistrationState, judged: Judged, rig: RigInUse | None, solved: StereoRig | None, *, judging: bool
 ) -> RegistrationDocument:
-    """As it stands. solved : to which. judging : what is said of its samples is of those of before."""
-    in_use = None if rig is None else rig_of(rig.content, rig.path)
-    trouble = fault or judged.trouble
-    pendant = PENDANTS[state.brand] if state.brand is not None else None
-    size = 3 if state.kind == "touch" else None
-    labels = list(MM) if pendant is None else list(pendant.labels[:size])
+    """A draft as it stands. solved : to which. judging : `judged` is of samples from before a change."""
+    in_use = None if rig is None else rig.stereo()
+    pendant = None if state.brand is None else PENDANTS[state.brand]
+    labels, units = (MM, ("mm",) * 3) if pendant is None else (pendant.labels, pendant.units)
+    shown = 3 if state.kind == "touch" else None
     known = all(map(math.isfinite, judged.sigma))
     places, looked = _places(state, in_use, solved, judged)
     return RegistrationDocument(
-        id=state.id,
-        revision=state.revision,
-        created=state.created,
-        author=state.author,
+        **state.head,
+        **state.model_dump(include={"mount", "kind", "brand", "board", "limit_mm"}),
         by_program=state.author == ROBOT,
-        mount=state.mount,
-        kind=state.kind,
-        brand=state.brand,
-        labels=labels,
-        units=["mm"] * 3 if pendant is None else list(pendant.units[:size]),
-        board=state.board,
-        limit_mm=state.limit_mm,
+        labels=list(labels[:shown]),
+        units=list(units[:shown]),
         calibration=state.calibration_id,
         stale=rig is None or rig.calibration_id != state.calibration_id,
         samples=[_sample(state, name, judged, in_use) for name in state.taken],
@@ -254,21 +210,19 @@ def document_of(
         look_reason=None if state.looked is None else state.looked.reason or None,
         look_length_percent=None if state.looked is None else state.looked.length_percent,
         judging=judging,
-        trouble=None if trouble is None else TroubleDocument(**asdict(trouble)),
+        trouble=judged.trouble,
         culprit=judged.culprit,
         figures={name: value for name, value in judged.figures.items() if math.isfinite(value)},
         sigma_mm=list(judged.sigma[:3]) if known else None,
         sigma_deg=list(judged.sigma[3:]) if known else None,
         conventions=readings_in(judged),
-        sky=[SkyDocument(name=name, **asdict(one)) for name, one in judged.sky.items()],
+        sky=list(judged.sky.values()),
         missing=judged.missing or None,
         advice=_advice(state, judged),
         good=judged.registered is not None,
         solved=state.solved is not None,
         confirmed=_confirmed(state),
         active=is_active(state, rig),
-        can_undo=state.can_undo,
-        can_redo=state.can_redo,
     )
 
 
@@ -280,21 +234,21 @@ def readings_in(judged: Judged) -> list[ReadingDocument]:
     return [_reading(judged.readings[rank], said=rank == judged.said) for rank in shown]
 
 
-def _reading(one: PoseReading, *, said: bool) -> ReadingDocument:
+def _reading(reading: PoseReading, *, said: bool) -> ReadingDocument:
     return ReadingDocument(
-        code=READING_CODES[one.orientation],
-        orientation=one.orientation,
-        length_unit=one.length_unit,
-        mount="fixed" if one.mount == "eye-to-hand" else "flange",
-        brands=list(brands_of(one.orientation, one.length_unit)),
-        rms_mm=one.rms_mm,
+        code=READING_CODES[reading.orientation],
+        orientation=reading.orientation,
+        length_unit=reading.length_unit,
+        mount="fixed" if reading.mount == "eye-to-hand" else "flange",
+        brands=list(brands_of(reading.orientation, reading.length_unit)),
+        rms_mm=reading.rms_mm,
         said=said,
     )
 
 
 def _sample(state: RegistrationState, name: str, judged: Judged, rig: StereoRig | None) -> SampleDocument:
     sample, numbers = state.samples[name], state.numbers.get(name)
-    row = judged.rows.get(name, Row())
+    row, place = judged.rows.get(name, Row()), sample.place
     why, text = None, None
     if name not in state.used:
         why = "left_out"
@@ -306,14 +260,13 @@ def _sample(state: RegistrationState, name: str, judged: Judged, rig: StereoRig 
         why = "misfit"
     elif not row.is_used:
         why = "outlier"
-    place = sample.place
     return SampleDocument(
         name=name,
-        place=None if place is None else place.key,
-        kind=None if place is None else place.kind,
-        rig_mm=None if place is None else list(place.rig_mm),
-        numbers=None if numbers is None else list(numbers),
-        text=_text(state, numbers),
+        place=place and place.key,
+        kind=place and place.kind,
+        rig_mm=place and list(place.rig_mm),
+        numbers=numbers and list(numbers),
+        text=numbers and _text(state, numbers),
         used=why is None,
         why=why,
         why_text=text,
@@ -328,13 +281,11 @@ def _is_whole(state: RegistrationState, numbers: tuple[float, ...]) -> bool:
     return state.brand is None or len(numbers) == len(PENDANTS[state.brand].labels)
 
 
-def _text(state: RegistrationState, numbers: tuple[float, ...] | None) -> str | None:
-    if numbers is None:
-        return None
-    fits = state.brand is not None and len(numbers) <= len(PENDANTS[state.brand].labels)
-    if state.brand is None or not fits:
+def _text(state: RegistrationState, numbers: tuple[float, ...]) -> str:
+    pendant = None if state.brand is None else PENDANTS[state.brand]
+    if pendant is None or len(numbers) > len(pendant.labels):
         return ", ".join(f"{number:g}" for number in numbers)
-    return PENDANTS[state.brand].text(numbers)
+    return pendant.text(numbers)
 
 
 def _pictures(state: RegistrationState, name: str, rig: StereoRig | None) -> PicturesDocument | None:
@@ -361,60 +312,49 @@ def _places(
         robot_from_rig = None if solved is None else solved.robot_from_rig
     elif state.mount == "flange" and solved is not None and state.brand is not None:
         # the board lies still: the last pose shows where
-        name = next((one for one in reversed(state.used) if one in judged.rows), None)
+        name = next((pose for pose in reversed(state.used) if pose in judged.rows), None)
         if name is not None and solved.flange_from_rig is not None:
             view = np.array(state.samples[name].view)
             places = marks_at(rig, parse_boards(state.board)[0], view)
             robot_from_rig = transform_of(state.brand, state.numbers[name]) @ solved.flange_from_rig
     touched = {
-        one.place.key: sample
+        place.key: sample
         for sample in state.used
-        if (one := state.samples[sample]).place is not None and one.look == name
+        if (place := state.samples[sample].place) is not None and state.samples[sample].look == name
     }
     wanted = _wanted(state, places)
     documents = [
         PlaceDocument(
-            key=one.key,
-            kind=one.kind,
-            name=one.name,
-            rig_mm=list(one.rig_mm),
-            left=list(one.left),
-            right=list(one.right),
-            sample=touched.get(one.key),
-            wanted=one.key == wanted,
-            robot=None if robot_from_rig is None else _at_robot(state, robot_from_rig, one),
+            **place.model_dump(),
+            sample=touched.get(place.key),
+            wanted=place.key == wanted,
+            robot=None if robot_from_rig is None else _at_robot(state, robot_from_rig, place),
         )
-        for one in places
+        for place in places
     ]
     return documents, None if name is None else _pictures(state, name, rig)
 
 
 def _at_robot(state: RegistrationState, robot_from_rig: FloatArray, place: Place) -> AtRobot:
-    at_mm = robot_at(robot_from_rig, place)
-    unit_mm = 1.0 if state.brand is None else mm_per_unit(state.brand)
-    x, y, z = (at_mm / unit_mm).tolist()
+    at_mm = apply(robot_from_rig, np.array([place.rig_mm]))[0]
+    x, y, z = (at_mm / (1.0 if state.brand is None else mm_per_unit(state.brand))).tolist()
     if state.brand is None:
         return AtRobot(numbers=[x, y, z], text=f"X {x:.2f}, Y {y:.2f}, Z {z:.2f}")
     return AtRobot(numbers=[x, y, z], text=PENDANTS[state.brand].text((x, y, z)))
 
 
-def robot_at(robot_from_rig: FloatArray, place: Place) -> FloatArray:
-    """(3,) mm of a place in the robot's frame."""
-    return np.asarray(apply(robot_from_rig, np.array([place.rig_mm]))[0])
-
-
-def touched_mm(state: RegistrationState) -> FloatArray:
+def _touched_mm(state: RegistrationState) -> FloatArray:
     """(N, 3) in the rig's frame, of the points that count."""
     places = [state.samples[name].place for name in state.used]
-    return np.array([one.rig_mm for one in places if one is not None]).reshape(-1, 3)
+    return np.array([place.rig_mm for place in places if place is not None]).reshape(-1, 3)
 
 
 def _wanted(state: RegistrationState, places: Sequence[Place]) -> str | None:
     """The place that is farthest from all that was touched: it says most."""
     if not places:
         return None
-    offered = np.array([one.rig_mm for one in places])
-    there = touched_mm(state)
+    offered = np.array([place.rig_mm for place in places])
+    there = _touched_mm(state)
     others = there if len(there) else offered.mean(axis=0)[None]
     distances = np.linalg.norm(offered[:, None] - others, axis=2).min(axis=1)
     return places[int(np.argmax(distances))].key
@@ -424,7 +364,7 @@ def _advice(state: RegistrationState, judged: Judged) -> str | None:
     """What would make it better: "flat" points, turns that are missing, "more"; nothing."""
     if state.kind == "poses" and judged.missing:
         return judged.missing
-    there = touched_mm(state)
+    there = _touched_mm(state)
     if state.kind == "touch" and len(there) >= WANTED["touch"] // 2:
         spread = np.linalg.svd(there - there.mean(axis=0), compute_uv=False)
         if spread[2] < FLAT_SHARE * spread[0]:
@@ -433,14 +373,14 @@ def _advice(state: RegistrationState, judged: Judged) -> str | None:
 
 
 def _confirmed(state: RegistrationState) -> ConfirmedDocument | None:
-    one = state.confirmed
-    if one is None:
+    confirmed = state.confirmed
+    if confirmed is None:
         return None
     return ConfirmedDocument(
-        place=one.place.key,
-        numbers=list(one.numbers),
-        off_mm=list(one.off_mm),
-        distance_mm=math.hypot(*one.off_mm),
+        place=confirmed.place.key,
+        numbers=list(confirmed.numbers),
+        off_mm=list(confirmed.off_mm),
+        distance_mm=math.hypot(*confirmed.off_mm),
     )
 
 

@@ -1,4 +1,4 @@
-"""A registration by the robot's own program, as a draft that people see grow; it waits for none of it."""
+"""A registration by the robot's own program, as a draft that people see grow; the program never waits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edged.domain.frames import FramePair
 from edged.errors import EdgedError
 from edged.robot.orientations import pose_of
 from edged.setup.inuse import CellInUse
-from edged.setup.registration.drafts import Kind, Mount
+from edged.setup.registration.model import Kind, Mount
 from edged.setup.registration.service import Given, Registrations
 
 log = logging.getLogger(__name__)
@@ -52,8 +52,7 @@ class RobotProgram:
 
         async def work() -> None:
             if self._draft is not None:
-                images = pair.left.image, pair.right.image
-                await self._registrations.adopt_pose(self._draft, images, self._shown(robot_from_flange))
+                await self._registrations.adopt_pose(self._draft, pair, self._shown(robot_from_flange))
 
         self._tell(work)
 
@@ -62,9 +61,8 @@ class RobotProgram:
 
         async def work() -> None:
             if self._draft is not None:
-                images = pair.left.image, pair.right.image
                 shown = self._shown(robot_from_tip)
-                await self._registrations.adopt_point(self._draft, images, job, np.asarray(rig_mm), shown)
+                await self._registrations.adopt_point(self._draft, pair, job, np.asarray(rig_mm), shown)
 
         self._tell(work)
 

@@ -61,6 +61,15 @@ class FromPoses:
     good: bool
     registered: Registered
 
+    @property
+    def worst(self) -> int | None:
+        """Index of a pose that was rejected, or, where they do not agree, of the one that agrees least."""
+        held, used = self.found.held_out_mm, self.found.used
+        if self.good and used.all():
+            return None
+        among = np.where(used & (not used.all()), np.nan, held)
+        return int(np.nanargmax(among)) if np.isfinite(among).any() else None
+
 
 @dataclass(frozen=True, slots=True)
 class Readings:
@@ -150,7 +159,6 @@ def which_convention(
     """
     ranked = rank_readings(numbers, views, board.points_mm, READINGS, LENGTH_UNITS_MM)
     best = ranked[0]
-    rival = next((one for one in ranked[1:] if one.rms_mm > 1.0001 * best.rms_mm), None)
     agrees = True
     if stated is not None:
         rms_mm = min(
@@ -159,9 +167,24 @@ def which_convention(
         agrees = rms_mm <= 1.01 * best.rms_mm + 1e-9
     return Readings(
         tuple(ranked),
-        rival is None or rival.rms_mm > DECIDED * best.rms_mm,
-        sum(one.rms_mm <= 1.0001 * best.rms_mm for one in ranked),
+        stands_out(ranked),
+        sum(reading.rms_mm <= 1.0001 * best.rms_mm for reading in ranked),
         agrees,
+    )
+
+
+def stands_out(ranked: Sequence[PoseReading]) -> bool:
+    """Whether the first reading fits so much better than the next that it is the right one."""
+    best_mm = ranked[0].rms_mm
+    rival_mm = next((reading.rms_mm for reading in ranked[1:] if reading.rms_mm > 1.0001 * best_mm), math.inf)
+    return rival_mm > DECIDED * best_mm
+
+
+def in_words(reading: PoseReading) -> str:
+    """How well the poses agree by a reading."""
+    return (
+        f"read as {reading.orientation}, lengths in {reading.length_unit}, {reading.mount}, the poses agree "
+        f"within {reading.rms_mm:.3f} mm"
     )
 
 

@@ -17,7 +17,7 @@ from edged.errors import UserError
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
 
 if TYPE_CHECKING:  # a cell that measures does not load what calibrates
-    from edged.setup.registration.drafts import Kind, Mount
+    from edged.setup.registration.model import Kind, Mount
     from edged.setup.registration.registering import Registered as Solved
     from edged.setup.registration.sampling import Sampling, Step
 

@@ -24,6 +24,7 @@ from edged.setup.registration.registering import (
     Registered,
     from_points,
     from_poses,
+    in_words,
     view_of_board,
     which_convention,
 )
@@ -196,7 +197,7 @@ class Sampling:
             self.method,
             len(self.poses),
             int(found.used.sum()),
-            self._worst_pose(solved),
+            0 if solved.worst is None else solved.worst + 1,
             found.rms_mm,
             solved.held_out_rms_mm,
             self.limit_mm,
@@ -205,14 +206,6 @@ class Sampling:
         if not solved.good and (reading := self._other_reading(solved)):
             return Step(state, Obstacle.OTHER_READING, reading)
         return self._judged(state, solved, f"held out {solved.held_out_rms_mm:.3f} mm")
-
-    def _worst_pose(self, solved: FromPoses) -> int:
-        """A pose that was rejected, or, where they do not agree, the one that agrees least."""
-        held, used = solved.found.held_out_mm, solved.found.used
-        if solved.good and used.all():
-            return 0
-        among = np.where(used & (not used.all()), np.nan, held)
-        return 1 + int(np.nanargmax(among)) if np.isfinite(among).any() else 0
 
     def _other_reading(self, solved: FromPoses) -> str:
         """Which reading of the robot's numbers fits so much better that it is the right one; "" for none."""
@@ -228,10 +221,7 @@ class Sampling:
         best = readings.ranked[0]
         if not readings.stands_out or DECIDED * best.rms_mm > solved.found.rms_mm:
             return ""
-        return (
-            f"read as {best.orientation}, lengths in {best.length_unit}, {best.mount}, the poses agree "
-            f"within {best.rms_mm:.3f} mm; as configured within {solved.found.rms_mm:.3f} mm"
-        )
+        return f"{in_words(best)}; as configured within {solved.found.rms_mm:.3f} mm"
 
     def _judged(self, state: Registration, solved: FromPoints | FromPoses, words: str) -> Step:
         doubts = isinstance(solved, FromPoints) and solved.doubt

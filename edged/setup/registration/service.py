@@ -7,74 +7,52 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from edged.cell.lease.notices import Notices
-from edged.cell.tasks import cancel_and_await
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.errors import CalibrationError, EdgedError, FileFormatError, UserError
 from edged.files.rig import rig_of, rig_text
 from edged.robot.orientations import Brand
 from edged.robot.pendant import PENDANTS, mm_per_unit, numbers_in
-from edged.setup.inuse import RigInUse
-from edged.setup.jobs.worker import Worker
+from edged.setup.documents import DraftHead
+from edged.setup.drafts import Latest, OpenDrafts
+from edged.setup.history import solved_rig
+from edged.setup.inuse import CellInUse, RigInUse
 from edged.setup.registration.documents import (
     ROBOT,
     Conventions,
     RegistrationDocument,
-    RegistrationLine,
-    RegistrationList,
-    brands,
     document_of,
     is_active,
     readings_in,
 )
-from edged.setup.registration.drafts import (
-    Change,
+from edged.setup.registration.drafts import RobotDraft, RobotDrafts
+from edged.setup.registration.model import (
     Confirmed,
     Kind,
     LookState,
     Mount,
     Place,
     RegistrationState,
-    RobotDraft,
-    RobotDrafts,
     SampleState,
+    TroubleDocument,
 )
-from edged.setup.registration.verdict import Judged, Trouble
+from edged.setup.registration.verdict import Judged
 from edged.vision.boards.board import parse_boards
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.part.job import Job
 
 FUNCTIONS = {
     name: f"edged.setup.registration.work:{name}"
     for name in ("marks_to_touch", "features_to_touch", "pose_with_board", "judge_touch", "judge_poses")
 }
-
-
-@dataclass(eq=False, slots=True)
-class _Open:
-    """A draft that is worked on. judged_of : what `judged` was made of. solved : the registered rig."""
-
-    draft: RobotDraft
-    judged: Judged = field(default_factory=Judged)
-    judged_of: tuple[object, ...] = ()
-    judging: asyncio.Task[None] | None = None
-    fault: Trouble | None = None
-    solved: StereoRig | None = None
-    is_gone: bool = False  # discarded: what is still under way for it is told nobody
-
-    def wanted(self, rig: RigInUse | None) -> tuple[object, ...]:
-        """What a verdict depends on."""
-        state = self.draft.state
-        numbers = tuple((name, state.numbers.get(name)) for name in state.used)
-        return numbers, state.brand, state.mount, state.limit_mm, None if rig is None else rig.content
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,38 +63,42 @@ class Given:
     text: str | None = None
 
 
+@dataclass(eq=False, slots=True)
+class OpenRegistration:
+    """A draft that is worked on. judge : what its samples say."""
+
+    draft: RobotDraft
+    judge: Latest[Judged] = field(init=False)
+    is_gone: bool = False
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether its samples are judged."""
+        return self.judge.is_running
+
+    @property
+    def solved(self) -> StereoRig | None:
+        """The registered rig."""
+        solved = self.draft.state.solved
+        return None if solved is None else _solved(self.draft.folder, solved.digest)
+
+
 class Registrations:
-    """All drafts of a cell; used on its event loop.
+    """All drafts of a cell; used on its event loop."""
 
-    capture : an exposure, for the token of who has the cell. rig : the one in use; None without. jobs : by
-    name.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        worker: Worker,
-        notices: Notices,
-        capture: Callable[[str], Awaitable[FramePair]],
-        rig: Callable[[], RigInUse | None],
-        jobs: Callable[[], Mapping[str, Job]],
-    ) -> None:
-        self._drafts = RobotDrafts(folder)
-        self._worker = worker
-        self._notices = notices
-        self._capture = capture
-        self._rig = rig
-        self._jobs = jobs
-        self._open: dict[str, _Open] = {}
-        self._taking = asyncio.Lock()
+    def __init__(self, cell: CellInUse) -> None:
+        self._cell = cell
+        self._worker = cell.worker
+        self._folders = RobotDrafts(cell.folder / "registrations")
+        self.drafts = OpenDrafts("registration", cell.notices, self._folders, self)
 
     async def close(self) -> None:
-        """Nothing is done any more; drafts are on disc."""
-        await cancel_and_await(*(one.judging for one in self._open.values() if one.judging is not None))
+        """End what is under way; drafts are on disc."""
+        await self.drafts.close()
 
     async def begin(
         self, author: str, mount: Mount, kind: Kind, brand: Brand | None, board: str, limit_mm: float
-    ) -> RegistrationDocument:
+    ) -> DraftHead:
         """A new draft. board : "" for the one of the calibration, where poses need one.
 
         Raises `CalibrationError` for what does not fit together, and without a calibration; `OSError`.
@@ -127,101 +109,71 @@ class Registrations:
             if not board:
                 raise CalibrationError("which board does the flange hold? State it")
         about = (author, rig.calibration_id, datetime.now(UTC), mount, kind, brand, board, limit_mm)
-        draft = await asyncio.to_thread(self._drafts.create, *about)
-        self._open = {name: one for name, one in self._open.items() if one.judging is not None}
-        self._open[draft.state.id] = _Open(draft)
-        return self._tell(self._open[draft.state.id])
-
-    async def remove(self, identity: str) -> None:
-        """Discard a draft, and what is under way for it. Raises `KeyError`."""
-        async with self._taking:  # a sample that is being kept is kept before
-            await asyncio.to_thread(self._drafts.remove, identity)
-            one = self._open.pop(identity, None)
-        self._notices.publish("registration", {"id": identity, "gone": True})
-        if one is not None:
-            one.is_gone = True
-            if one.judging is not None:
-                await cancel_and_await(one.judging)
-
-    async def listed(self) -> RegistrationList:
-        """All of them."""
-        states = await asyncio.to_thread(self._drafts.states)
-        return RegistrationList(registrations=[self._line(*one) for one in states], brands=brands())
-
-    async def document(self, identity: str) -> RegistrationDocument:
-        """One of them. Raises `KeyError`, and `FileFormatError` for one that cannot be read."""
-        return self._document(await self._opened(identity))
+        return self.drafts.tell(await self.drafts.begin(partial(self._folders.create, *about)))
 
     async def conventions(self, identity: str) -> Conventions:
-        """How its poses read, as far as it was judged. Raises as `document`."""
-        return Conventions(conventions=readings_in((await self._opened(identity)).judged))
+        """Ways to read its poses, as far as it was judged. Raises as `OpenDrafts.get`."""
+        return Conventions(conventions=readings_in((await self.drafts.get(identity)).judge.value))
 
-    async def draft(self, identity: str) -> RobotDraft:
-        """Raises as `document`."""
-        return (await self._opened(identity)).draft
-
-    async def change(self, identity: str, change: Change) -> RegistrationDocument:
-        """Anything that a draft can. Raises what it raises."""
-        one = await self._opened(identity)
-        async with self._taking:
-            _check_there(one)
-            await asyncio.to_thread(change, one.draft)
-            await self._keep_solved(one)
-        self._judge(one)
-        return self._tell(one)
-
-    async def look(self, identity: str, token: str, job: str | None) -> RegistrationDocument:
+    async def look(self, identity: str, token: str, job: str | None) -> DraftHead:
         """Take a pair, and look for what a tip can touch: marks of the draft's board, or the part of a job.
 
         Raises `SetupRefused`, `CaptureError`, `UserError` for no such job.
         """
-        one = await self._opened(identity)
+        opened = await self.drafts.get(identity)
         self._needed_rig()
-        if job is not None and job not in self._jobs():
+        if job is not None and job not in self._cell.jobs():
             raise UserError(f"there is no job {job}")
-        if job is None and not one.draft.state.board:
+        if job is None and not opened.draft.state.board:
             raise CalibrationError("which board, or which part? State one of them")
-        await self._keep_look(one, await self._images(token), job)
-        return self._tell(one)
+        await self._keep_look(opened, await self._cell.capture(token), job)
+        return self.drafts.tell(opened)
 
-    async def touch(self, identity: str, key: str, given: Given) -> RegistrationDocument:
-        """A place of the last pictures was touched. Raises `CalibrationError`, `UserError`."""
-        one = await self._opened(identity)
-        looked = one.draft.state.looked
-        place = _place(one, key)
-        if one.draft.state.kind != "touch" or looked is None:
+    async def touch(self, identity: str, key: str, given: Given, revision: int | None = None) -> DraftHead:
+        """A place of the last pictures was touched. Raises `CalibrationError`, `UserError`, `StaleDraft`."""
+        opened = await self.drafts.get(identity)
+        self.drafts.check(opened, revision)
+        state = opened.draft.state
+        places = () if state.looked is None else state.looked.places
+        place = next((place for place in places if place.key == key), None)
+        if place is None:
+            raise CalibrationError("there is no such place in the last pictures: take them again")
+        if state.kind != "touch" or state.looked is None:
             raise CalibrationError("this registration is by poses of the flange")
-        sample = SampleState(place=place, look=looked.name)
-        numbers = _read(one.draft, given)
-        return await self.change(identity, lambda draft: draft.add(draft.next_sample, sample, numbers))
+        sample, numbers = SampleState(place=place, look=state.looked.name), _read(state, given)
+        return await self.drafts.change(
+            identity, lambda draft: draft.add(draft.next_sample, sample, numbers), revision
+        )
 
-    async def pose(self, identity: str, token: str, given: Given | None) -> RegistrationDocument:
-        """Take a pair of the board at a pose of the flange. Raises as `look`."""
-        one = await self._opened(identity)
-        if one.draft.state.kind != "poses":
+    async def pose(
+        self, identity: str, token: str, given: Given | None, revision: int | None = None
+    ) -> DraftHead:
+        """Take a pair of the board at a pose of the flange. Raises as `look`, and `StaleDraft`."""
+        opened = await self.drafts.get(identity)
+        self.drafts.check(opened, revision)
+        if opened.draft.state.kind != "poses":
             raise CalibrationError("this registration is by touched points")
-        numbers = None if given is None else _read(one.draft, given)
+        numbers = None if given is None else _read(opened.draft.state, given)
         self._needed_rig()
-        await self._keep_pose(one, await self._images(token), numbers)
-        return self._tell(one)
+        return await self._keep_pose(opened, await self._cell.capture(token), numbers)
 
-    async def write(self, identity: str, name: str, given: Given) -> RegistrationDocument:
-        """Say what the robot showed at a sample. Raises `KeyError`, `UserError`."""
-        numbers = _read((await self._opened(identity)).draft, given)
-        return await self.change(identity, lambda draft: draft.write(name, numbers))
+    async def write(self, identity: str, name: str, given: Given, revision: int | None = None) -> DraftHead:
+        """Say what the robot showed at a sample. Raises `KeyError`, `UserError`, `StaleDraft`."""
+        opened = await self.drafts.get(identity)
+        self.drafts.check(opened, revision)
+        numbers = _read(opened.draft.state, given)
+        return await self.drafts.change(identity, lambda draft: draft.write_numbers(name, numbers), revision)
 
-    async def solve(self, identity: str) -> RegistrationDocument:
+    async def solve(self, identity: str, revision: int | None = None) -> DraftHead:
         """Keep what its samples give. Raises `CalibrationError` where that is not good, with the reason."""
-        one = await self._opened(identity)
-        self._judge(one)
-        if one.judging is not None:
-            await asyncio.shield(one.judging)
-        rig, judged = self._needed_rig(), one.judged
-        trouble = one.fault or judged.trouble
-        if one.judged_of != one.wanted(rig) or (judged.registered is None and trouble is None):
+        opened = await self.drafts.get(identity)
+        self.drafts.check(opened, revision)
+        await opened.judge.wait()
+        rig, judged = self._needed_rig(), opened.judge.value
+        if judged.registered is None and judged.trouble is not None and opened.judge.is_current:
+            raise CalibrationError(judged.trouble.text)
+        if judged.registered is None or not opened.judge.is_current:
             raise CalibrationError("samples came or went meanwhile: solve it again")
-        if judged.registered is None:
-            raise CalibrationError(trouble.text if trouble is not None else "it is not good")
         quality = json.loads(rig.content).get("quality")
         when = datetime.now(UTC).isoformat(timespec="seconds")
         kept = {
@@ -229,41 +181,32 @@ class Registrations:
             "registration": {**judged.registered.how, "when": when},
         }
         solved = rig_text(judged.registered.rig, kept)
-        return await self.change(identity, lambda draft: draft.solve(solved))
+        return await self.drafts.change(identity, lambda draft: draft.solve(solved))
 
-    async def confirm(self, identity: str, key: str, given: Given) -> RegistrationDocument:
-        """A place was touched, to see whether it holds. Raises `CalibrationError`, `UserError`."""
-        one = await self._opened(identity)
-        document = self._document(one)
-        found = next((place for place in document.places if place.key == key), None)
-        if one.solved is None or found is None or found.robot is None:
+    async def confirm(self, identity: str, key: str, given: Given, revision: int | None = None) -> DraftHead:
+        """A place was touched, to see whether it holds. Raises as `touch`."""
+        opened = await self.drafts.get(identity)
+        self.drafts.check(opened, revision)
+        found = next((place for place in self.document(opened).places if place.key == key), None)
+        if found is None or found.robot is None:
             raise CalibrationError(
                 "there is no such place to go to: solve it, and take pictures of the place"
             )
-        numbers = _read(one.draft, given, count=3)
-        unit_mm = 1.0 if one.draft.state.brand is None else mm_per_unit(one.draft.state.brand)
-        off = unit_mm * (np.array(numbers) - np.array(found.robot.numbers))
-        x, y, z = off.tolist()
-        place = Place.model_validate(
-            {
-                **found.model_dump(include={"key", "kind", "name"}),
-                **{name: tuple(getattr(found, name)) for name in ("rig_mm", "left", "right")},
-            }
-        )
+        state = opened.draft.state
+        numbers = _read(state, given, count=3)
+        unit_mm = 1.0 if state.brand is None else mm_per_unit(state.brand)
+        x, y, z = (unit_mm * (np.array(numbers) - np.array(found.robot.numbers))).tolist()
+        place = Place.model_validate_json(found.model_dump_json(include=set(Place.model_fields)))
         confirmed = Confirmed(place=place, numbers=numbers, off_mm=(x, y, z))
-        return await self.change(identity, lambda draft: draft.confirm(confirmed))
+        return await self.drafts.change(identity, lambda draft: draft.confirm(confirmed))
 
     async def solution(self, identity: str) -> bytes:
         """The rig that a draft was solved to. Raises as `RobotDraft.rig`, and for another calibration's."""
-        one = await self._opened(identity)
-        rig = await asyncio.to_thread(one.draft.rig)
-        if self._needed_rig().calibration_id != one.draft.state.calibration_id:
+        draft = (await self.drafts.get(identity)).draft
+        rig = await asyncio.to_thread(draft.rig)
+        if self._needed_rig().calibration_id != draft.state.calibration_id:
             raise CalibrationError("the cell has another calibration by now: register it again")
         return rig
-
-    async def tell(self, identity: str) -> None:
-        """Tell every page how a draft is now: whether it is active is not its own doing."""
-        self._tell(await self._opened(identity))
 
     # --- by the robot's own program ------------------------------------------------------------------
 
@@ -271,18 +214,18 @@ class Registrations:
         """Begin a draft that a robot's program fills; returns its id. Raises as `begin`."""
         return (await self.begin(ROBOT, mount, kind, brand, board, limit_mm)).id
 
-    async def adopt_pose(self, identity: str, images: tuple[Image, Image], given: Given) -> None:
+    async def adopt_pose(self, identity: str, pair: FramePair, given: Given) -> None:
         """A pose of the flange, with its pictures. Raises as `pose`."""
-        one = await self._opened(identity)
-        await self._keep_pose(one, images, _read(one.draft, given))
+        opened = await self.drafts.get(identity)
+        await self._keep_pose(opened, pair, _read(opened.draft.state, given))
 
     async def adopt_point(
-        self, identity: str, images: tuple[Image, Image], job: str, rig_mm: FloatArray, given: Given
+        self, identity: str, pair: FramePair, job: str, rig_mm: FloatArray, given: Given
     ) -> None:
         """A point (3,) that the tip touched, on the part of a job. Raises as `look` and `touch`."""
-        one = await self._opened(identity)
-        await self._keep_look(one, images, job)
-        looked = one.draft.state.looked
+        opened = await self.drafts.get(identity)
+        await self._keep_look(opened, pair, job)
+        looked = opened.draft.state.looked
         if looked is not None and looked.places:
             off = [np.linalg.norm(np.array(place.rig_mm) - rig_mm) for place in looked.places]
             await self.touch(identity, looked.places[int(np.argmin(off))].key, given)
@@ -290,146 +233,104 @@ class Registrations:
     async def adopt_solved(self, identity: str) -> None:
         """The cell runs by what the program has solved."""
         rig = self._needed_rig()
-        await self.change(identity, lambda draft: draft.solve(rig.content))
+        await self.drafts.change(identity, lambda draft: draft.solve(rig.content))
 
-    # --- judging -----------------------------------------------------------------------------------
+    # --- in the worker -------------------------------------------------------------------------------
 
-    def _judge(self, one: _Open) -> None:
-        """See to it that what is said is of the samples that count."""
-        if one.judging is None and one.judged_of != one.wanted(self._rig()):
-            one.judging = asyncio.create_task(self._run_judge(one), name="judge")
-
-    async def _run_judge(self, one: _Open) -> None:
-        try:
-            while one.judged_of != (wanted := one.wanted(rig := self._rig())):
-                judged, fault = Judged(), None
-                try:
-                    judged = await self._judged(one, rig)
-                except EdgedError as error:
-                    fault = Trouble("refused", str(error))
-                one.judged, one.fault, one.judged_of = judged, fault, wanted
-        finally:
-            one.judging = None
-            self._tell(one)
-
-    async def _judged(self, one: _Open, rig: RigInUse | None) -> Judged:
-        state = one.draft.state
-        if rig is None or rig.calibration_id != state.calibration_id:
-            raise CalibrationError("the cell has another calibration by now: begin another registration")
-        arguments: tuple[object, ...]
+    async def _judged(self, opened: OpenRegistration) -> Judged:
+        rig, state = self._cell.rig(), opened.draft.state
         counted = {name: state.samples[name] for name in state.used if name in state.numbers}
+        wanted: tuple[object, ...] = (state.brand, state.limit_mm)
+        seen: dict[str, Any]
         if state.kind == "touch":
-            touched = {
-                name: (np.array(sample.place.rig_mm), state.numbers[name])
-                for name, sample in counted.items()
-                if sample.place is not None
-            }
-            arguments = (touched, state.brand, state.limit_mm)
+            seen = {name: sample.place.rig_mm for name, sample in counted.items() if sample.place is not None}
         else:
-            posed = {
-                name: (np.array(sample.view), state.numbers[name])
-                for name, sample in counted.items()
-                if sample.view is not None
-            }
+            seen = {name: sample.view for name, sample in counted.items() if sample.view is not None}
             mount = "eye-to-hand" if state.mount == "fixed" else "eye-in-hand"
-            arguments = (posed, parse_boards(state.board)[0], state.brand, mount, state.limit_mm)
-        judged: Judged = await self._worker.run(f"judge_{state.kind}", rig.content, rig.path, *arguments)
+            wanted = (parse_boards(state.board)[0], state.brand, mount, state.limit_mm)
+        samples = {name: (np.array(place), state.numbers[name]) for name, place in seen.items()}
+        try:
+            if rig is None or rig.calibration_id != state.calibration_id:
+                raise CalibrationError("the cell has another calibration by now: begin another registration")
+            judged: Judged = await self._worker.run(f"judge_{state.kind}", rig, samples, *wanted)
+        except EdgedError as error:
+            return Judged(trouble=TroubleDocument(code="refused", text=str(error), params={}))
         return judged
 
-    # --- telling -------------------------------------------------------------------------------------
-
-    async def _keep_look(self, one: _Open, images: tuple[Image, Image], job: str | None) -> None:
-        rig, draft = self._needed_rig(), one.draft
-        async with self._taking:
-            _check_there(one)
-            about = (draft.folder, draft.next_look, *images, rig.content, rig.path)
+    async def _keep_look(self, opened: OpenRegistration, pair: FramePair, job: str | None) -> None:
+        rig, draft, worker = self._needed_rig(), opened.draft, self._worker
+        async with self.drafts.changing(opened):
+            order = (draft.folder, draft.next_look, (pair.left.image, pair.right.image), rig)
+            looked: LookState
             if job is None:
-                what = parse_boards(draft.state.board)[0]
-                looked: LookState = await self._worker.run("marks_to_touch", *about, what)
+                looked = await worker.run("marks_to_touch", *order, parse_boards(draft.state.board)[0])
             else:
-                looked = await self._worker.run("features_to_touch", *about, self._jobs()[job])
+                looked = await worker.run("features_to_touch", *order, self._cell.jobs()[job])
             await asyncio.to_thread(draft.look, looked)
 
     async def _keep_pose(
-        self, one: _Open, images: tuple[Image, Image], numbers: tuple[float, ...] | None
-    ) -> None:
-        rig, draft = self._needed_rig(), one.draft
-        async with self._taking:
-            _check_there(one)
+        self, opened: OpenRegistration, pair: FramePair, numbers: tuple[float, ...] | None
+    ) -> DraftHead:
+        rig, draft = self._needed_rig(), opened.draft
+        async with self.drafts.changing(opened):
             name, board = draft.next_sample, parse_boards(draft.state.board)[0]
-            about = (draft.folder, name, *images, rig.content, rig.path, board)
-            sample: SampleState = await self._worker.run("pose_with_board", *about)
+            images = pair.left.image, pair.right.image
+            sample: SampleState = await self._worker.run(
+                "pose_with_board", draft.folder, name, images, rig, board
+            )
             await asyncio.to_thread(draft.add, name, sample, numbers)
-        self._judge(one)
-        self._tell(one)
-
-    async def _images(self, token: str) -> tuple[Image, Image]:
-        pair = await self._capture(token)
-        return pair.left.image, pair.right.image
+        return self.drafts.tell(opened)
 
     def _needed_rig(self) -> RigInUse:
-        rig = self._rig()
+        rig = self._cell.rig()
         if rig is None:
             raise CalibrationError("there is no calibration to register: calibrate first")
         return rig
 
-    async def _opened(self, identity: str) -> _Open:
-        if identity not in self._open:
-            draft = await asyncio.to_thread(self._drafts.load, identity)
-            if identity not in self._open:  # nobody was quicker
-                self._open[identity] = one = _Open(draft)
-                await self._keep_solved(one)
-                self._judge(one)
-        return self._open[identity]
+    # --- the topic of `drafts` -----------------------------------------------------------------------
 
-    async def _keep_solved(self, one: _Open) -> None:
-        one.solved = None
-        if one.draft.state.solved is not None:
-            one.solved = rig_of(await asyncio.to_thread(one.draft.rig), one.draft.folder)
+    def opened(self, draft: RobotDraft) -> OpenRegistration:
+        """Work on a draft."""
+        opened = OpenRegistration(draft)
+        inputs, compute = partial(self._judged_by, opened), partial(self._judged, opened)
+        opened.judge = Latest(Judged(), inputs, compute, partial(self.drafts.tell, opened))
+        return opened
 
-    def _line(self, identity: str, state: RegistrationState | FileFormatError) -> RegistrationLine:
-        if isinstance(state, FileFormatError):
-            return RegistrationLine(id=identity, trouble=str(state))
-        return RegistrationLine(
-            id=identity,
-            kind=state.kind,
-            mount=state.mount,
-            samples=len(state.used),
-            created=state.created,
-            author=state.author,
-            active=is_active(state, self._rig()),
-        )
+    def _judged_by(self, opened: OpenRegistration) -> tuple[object, ...]:
+        """What a verdict depends on."""
+        state, rig = opened.draft.state, self._cell.rig()
+        numbers = tuple((name, state.numbers.get(name)) for name in state.used)
+        return numbers, state.brand, state.mount, state.limit_mm, None if rig is None else rig.content
 
-    def _tell(self, one: _Open) -> RegistrationDocument:
-        document = self._document(one)
-        if not one.is_gone:
-            self._notices.publish("registration", document.model_dump(mode="json"))
-        return document
+    def refresh(self, opened: OpenRegistration) -> None:
+        """Judge the samples that count."""
+        opened.judge.refresh()
 
-    def _document(self, one: _Open) -> RegistrationDocument:
-        judging = one.judging is not None
-        return document_of(
-            one.draft.state, one.judged, self._rig(), one.solved, judging=judging, fault=one.fault
-        )
+    async def stop(self, opened: OpenRegistration) -> None:
+        """Judge no more."""
+        await opened.judge.stop()
+
+    def summary(self, state: RegistrationState) -> dict[str, Any]:
+        """A draft in the list."""
+        about = {"kind": state.kind, "mount": state.mount, "samples": len(state.used)}
+        return {**about, "active": is_active(state, self._cell.rig())}
+
+    def document(self, opened: OpenRegistration) -> RegistrationDocument:
+        """All that is known of a draft."""
+        judge, rig = opened.judge, self._cell.rig()
+        return document_of(opened.draft.state, judge.value, rig, opened.solved, judging=judge.is_running)
 
 
-def _check_there(one: _Open) -> None:
-    """Raises `KeyError` for a draft that was discarded meanwhile."""
-    if one.is_gone:
-        raise KeyError(one.draft.state.id)
+@lru_cache(maxsize=4)
+def _solved(folder: Path, digest: str) -> StereoRig | None:
+    """The rig that a draft was solved to; None where its file was changed since."""
+    with suppress(FileFormatError):
+        return rig_of(solved_rig(folder, digest, "samples"), folder)
+    return None
 
 
-def _place(one: _Open, key: str) -> Place:
-    looked = one.draft.state.looked
-    found = [place for place in ([] if looked is None else looked.places) if place.key == key]
-    if not found:
-        raise CalibrationError("there is no such place in the last pictures: take them again")
-    return found[0]
-
-
-def _read(draft: RobotDraft, given: Given, count: int | None = None) -> tuple[float, ...]:
+def _read(state: RegistrationState, given: Given, count: int | None = None) -> tuple[float, ...]:
     """As many numbers as a point or a pose has. Raises `UserError`."""
-    state = draft.state
     whole = (6, 7) if state.brand is None else (len(PENDANTS[state.brand].labels),)
     is_point = state.kind == "touch" or count == 3
     counts = (3, *whole) if is_point else whole

@@ -1,4 +1,4 @@
-"""What the samples of a registration say, as far as they go: told after each of them, saved by none.
+"""What the samples of a registration say, as far as they go: after each of them, and nothing is saved.
 
 The figures are those of `edged register`: the same functions of the same samples.
 """
@@ -19,13 +19,15 @@ from edged.robot.orientations import LENGTH_UNITS_MM, READINGS, Brand, transform
 from edged.robot.pendant import READING_CODES, brands_of, mm_per_unit
 from edged.robot.readings import PoseReading, rank_readings
 from edged.robot.touch import TWIN_SHARE
+from edged.setup.registration.model import SkyDocument, TroubleDocument
 from edged.setup.registration.registering import (
     DECIDED,
     FromPoints,
-    FromPoses,
     Registered,
     from_points,
     from_poses,
+    in_words,
+    stands_out,
 )
 from edged.setup.registration.sampling import TRIED, sigma_at
 from edged.vision.boards.board import NominalBoard
@@ -41,15 +43,6 @@ _UNITS_MM = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}
 
 
 @dataclass(frozen=True, slots=True)
-class Trouble:
-    """Why there is no good registration yet. code : for the page, which has a sentence with these params."""
-
-    code: str
-    text: str
-    params: dict[str, str | float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
 class Row:
     """One sample: how far it is from the fit of all, and of all others. NaN: not known, as of degrees of
     points. is_used : it is not rejected as an outlier."""
@@ -58,15 +51,6 @@ class Row:
     held_out_mm: float = math.nan
     held_out_deg: float = math.nan
     is_used: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class SkyPoint:
-    """Where a flange looks, from the first one: tilt_deg towards azimuth_deg, then turn_deg about itself."""
-
-    tilt_deg: float
-    azimuth_deg: float
-    turn_deg: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,11 +64,11 @@ class Judged:
     """
 
     rows: Mapping[str, Row] = field(default_factory=dict)
-    trouble: Trouble | None = None
+    trouble: TroubleDocument | None = None
     culprit: str | None = None
     figures: Mapping[str, float] = field(default_factory=dict)
     sigma: tuple[float, ...] = UNKNOWN_6
-    sky: Mapping[str, SkyPoint] = field(default_factory=dict)
+    sky: Mapping[str, SkyDocument] = field(default_factory=dict)
     missing: str = ""
     readings: tuple[PoseReading, ...] = ()
     said: int | None = None
@@ -135,29 +119,23 @@ def judge_points(
 
 def _trouble_of_points(
     solved: FromPoints, culprit: str | None, names: list[str], limit_mm: float
-) -> Trouble | None:
+) -> TroubleDocument | None:
     found = solved.found
     if culprit is not None:
         k = names.index(culprit)
         off, others = float(found.held_out_mm[k]), float(found.others_rms_mm[k])
-        return Trouble(
-            "culprit",
-            f"{culprit} is wrong by {off:.3f} mm: without it the others agree to {others:.3f} mm",
-            {"name": culprit, "mm": off, "others": others},
-        )
+        text = f"{culprit} is wrong by {off:.3f} mm: without it the others agree to {others:.3f} mm"
+        return _trouble("culprit", text, name=culprit, mm=off, others=others)
     if solved.doubt:
         percent = 100 * (found.scale - 1)
-        return Trouble(
-            "scale",
-            f"the robot's lengths differ by {percent:+.2f} %: is the board's length right?",
-            {"percent": percent, "sigma": 100 * found.sigma_scale},
-        )
+        text = f"the robot's lengths differ by {percent:+.2f} %: is the board's length right?"
+        return _trouble("scale", text, percent=percent, sigma=100 * found.sigma_scale)
     return None if solved.good else _disagree(solved.worst_mm, limit_mm)
 
 
 def _of_points(
     error: CalibrationError, names: list[str], rig_mm: FloatArray, robot_mm: FloatArray, unit_mm: float
-) -> Trouble:
+) -> TroubleDocument:
     params: dict[str, str | float] = {}
     if error.code == "other_units":
         ratio = _length_of(robot_mm) / _length_of(rig_mm) / unit_mm
@@ -168,7 +146,7 @@ def _of_points(
         twins = np.argwhere(np.triu(apart < TWIN_SHARE * apart.max(), 1))
         if len(twins) and not params:
             params = {"one": names[twins[0][0]], "two": names[twins[0][1]]}
-    return Trouble(error.code or UNSOLVED, str(error), params)
+    return _trouble(error.code or UNSOLVED, str(error), **params)
 
 
 def _length_of(points: FloatArray) -> float:
@@ -188,28 +166,27 @@ def judge_poses(
 ) -> Judged:
     """Of views (4, 4) of the board, with the pose of the flange as the robot showed it.
 
-    Without a brand only the readings are told.
+    Without a brand only the readings are known.
     """
-    posed = {name: one for name, one in posed.items() if _fits(one[1], brand)}
+    posed = {name: sample for name, sample in posed.items() if _fits(sample[1], brand)}
     readings, said = _ranked(posed, board, brand, mount)
     if brand is None:
-        missing = Trouble("no_brand", "whose robot is it? The poses are not read without")
+        missing = _trouble("no_brand", "whose robot is it? The poses are not read without")
         return Judged(trouble=missing, readings=readings)
     flanges = {name: transform_of(brand, numbers) for name, (_, numbers) in posed.items()}
     other = _other_reading(readings, said)
     known = Judged(readings=readings, said=said)
     if other is None:  # numbers that are read wrongly say nothing of turns
-        turned = dict(zip(flanges, _sky(list(flanges.values())), strict=True))
-        known = replace(known, sky=turned, missing=_missing(list(flanges.values())))
+        known = replace(known, sky=_sky(flanges), missing=_missing(list(flanges.values())))
     if len(posed) < MIN_POSES:
         return replace(known, trouble=_too_few(len(posed), MIN_POSES))
     views = {name: view for name, (view, _) in posed.items()}
     try:
         solved = from_poses(rig, flanges, views, board, mount, limit_mm)
     except CalibrationError as error:
-        return replace(known, trouble=other or Trouble(error.code or UNSOLVED, str(error)))
+        return replace(known, trouble=other or _trouble(error.code or UNSOLVED, str(error)))
     except np.linalg.LinAlgError as error:
-        return replace(known, trouble=other or Trouble(UNSOLVED, str(error)))
+        return replace(known, trouble=other or _trouble(UNSOLVED, str(error)))
     found = solved.found
     rows = {
         name: Row(math.nan, held_mm, math.degrees(held_rad), bool(used))
@@ -224,7 +201,7 @@ def judge_poses(
         known,
         rows=rows,
         trouble=trouble,
-        culprit=_worst_pose(solved, list(views)),
+        culprit=None if solved.worst is None else list(views)[solved.worst],
         figures={"rms_mm": found.rms_mm, "worst_mm": solved.held_out_rms_mm},
         sigma=sigma_at(found.covariance, places.mean(axis=0)),
         registered=solved.registered if trouble is None else None,
@@ -259,21 +236,18 @@ def _ranked(
         return (), None
     said = (
         rank
-        for rank, one in enumerate(ranked)
-        if one.mount == mount and brand in brands_of(one.orientation, one.length_unit)
+        for rank, reading in enumerate(ranked)
+        if reading.mount == mount and brand in brands_of(reading.orientation, reading.length_unit)
     )
     return tuple(ranked), next(said, None)
 
 
-def _other_reading(readings: tuple[PoseReading, ...], said: int | None) -> Trouble | None:
+def _other_reading(readings: tuple[PoseReading, ...], said: int | None) -> TroubleDocument | None:
     """Which reading fits so much better than the stated one that it is the right one."""
     if not readings:
         return None
     best = readings[0]
-    rival = next((one for one in readings[1:] if one.rms_mm > 1.0001 * best.rms_mm), None)
-    if rival is not None and rival.rms_mm <= DECIDED * best.rms_mm:
-        return None
-    if said is not None and readings[said].rms_mm <= DECIDED * best.rms_mm:
+    if not stands_out(readings) or (said is not None and readings[said].rms_mm <= DECIDED * best.rms_mm):
         return None
     brands = brands_of(best.orientation, best.length_unit)
     params: dict[str, str | float] = {
@@ -283,20 +257,7 @@ def _other_reading(readings: tuple[PoseReading, ...], said: int | None) -> Troub
         "brand": brands[0].value if brands else "",
         "mm": best.rms_mm,
     }
-    text = (
-        f"read as {best.orientation}, lengths in {best.length_unit}, {best.mount}, the poses agree within "
-        f"{best.rms_mm:.3f} mm"
-    )
-    return Trouble("other_reading", text, params)
-
-
-def _worst_pose(solved: FromPoses, names: list[str]) -> str | None:
-    """A pose that was rejected, or, where they do not agree, the one that agrees least."""
-    held, used = solved.found.held_out_mm, solved.found.used
-    if solved.good and used.all():
-        return None
-    among = np.where(used & (not used.all()), np.nan, held)
-    return names[int(np.nanargmax(among))] if np.isfinite(among).any() else None
+    return _trouble("other_reading", in_words(best), **params)
 
 
 def _missing(flanges: list[FloatArray]) -> str:
@@ -310,26 +271,32 @@ def _missing(flanges: list[FloatArray]) -> str:
     return "tilt" if abs(turns.axis[2]) > WRIST_SHARE else "wrist"
 
 
-def _sky(flanges: list[FloatArray]) -> list[SkyPoint]:
+def _sky(flanges: Mapping[str, FloatArray]) -> dict[str, SkyDocument]:
     """Each flange's own axis, seen from the first one, and how far it is turned about it."""
-    points = []
-    for flange in flanges:
-        turn = flanges[0][:3, :3].T @ flange[:3, :3]
+    points = {}
+    first = next(iter(flanges.values()), np.eye(4))
+    for name, flange in flanges.items():
+        turn = first[:3, :3].T @ flange[:3, :3]
         tilt = math.acos(max(-1.0, min(1.0, float(turn[2, 2]))))
         azimuth = math.atan2(turn[1, 2], turn[0, 2]) if tilt > 1e-9 else 0.0
         # swing and twist: the twist is about z, and what is left turns z alone
         twist = 2 * math.atan2(turn[1, 0] - turn[0, 1], 1 + turn[0, 0] + turn[1, 1] + turn[2, 2])
-        points.append(SkyPoint(math.degrees(tilt), math.degrees(azimuth), math.degrees(twist)))
+        tilt_deg, azimuth_deg, turn_deg = map(math.degrees, (tilt, azimuth, twist))
+        points[name] = SkyDocument(name=name, tilt_deg=tilt_deg, azimuth_deg=azimuth_deg, turn_deg=turn_deg)
     return points
 
 
 # --- both -----------------------------------------------------------------------------------------
 
 
-def _too_few(there: int, least: int) -> Trouble:
-    return Trouble("too_few", f"{there}, at least {least} are needed", {"count": there, "least": least})
+def _trouble(code: str, text: str, **params: str | float) -> TroubleDocument:
+    return TroubleDocument(code=code, text=text, params=params)
 
 
-def _disagree(mm: float, limit_mm: float) -> Trouble:
+def _too_few(there: int, least: int) -> TroubleDocument:
+    return _trouble("too_few", f"{there}, at least {least} are needed", count=there, least=least)
+
+
+def _disagree(mm: float, limit_mm: float) -> TroubleDocument:
     text = f"they disagree by {mm:.3f} mm, the limit is {limit_mm:g} mm"
-    return Trouble("disagree", text, {"mm": mm, "limit": limit_mm})
+    return _trouble("disagree", text, mm=mm, limit=limit_mm)

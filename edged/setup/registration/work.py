@@ -1,79 +1,163 @@
-"""What the worker process can do for registrations: by name, with a `Progress` before the arguments."""
+"""What the worker process computes for registrations: by name, with a `Progress` before the arguments.
+
+Pictures are kept, and looked at: what a tip can touch in them, or where the flange holds the board.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
-from edged.files.rig import rig_of
-from edged.robot.handeye import Mount
-from edged.robot.orientations import Brand
-from edged.setup.pairs import Progress
-from edged.setup.registration import pictures as robotpictures
-from edged.setup.registration import verdict as robotverdict
-from edged.setup.registration.drafts import LookState, SampleState
-from edged.setup.registration.verdict import Judged
-from edged.vision.boards.board import NominalBoard
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Reject, Target
+from edged.pipeline import locate, prepare
+from edged.setup.inuse import RigInUse
+from edged.setup.outlines import seen_at
+from edged.setup.pairs import Pair, Progress, write_pair
+from edged.setup.registration import verdict
+from edged.setup.registration.model import LookState, Place, SampleState
+from edged.setup.registration.sampling import SeenBoard, see_board
+from edged.setup.registration.verdict import Judged, judge_points
+from edged.vision.boards.board import NominalBoard, NotDetected
+from edged.vision.calibration.calibrate import marks_in_both
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import apply
 from edged.vision.part.job import Job
+
+Images = tuple[Image, Image]
+ACROSS = 3
+"""Marks of a board that are offered along each side: its corners, the middle, and between them."""
+LENGTH_PERCENT = 0.3
+"""A board that is longer or shorter by more is another one, or the calibration's board was."""
+SAME_MM = 0.05
+"""A reference point that is nearer to a feature is that feature."""
+WIDEST_PX = 640
+"""Of the small pictures."""
 
 
 def marks_to_touch(
-    _progress: Progress,
-    folder: Path,
-    name: str,
-    left: Image,
-    right: Image,
-    rig: bytes,
-    path: Path,
-    board: NominalBoard,
+    _progress: Progress, folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard
 ) -> LookState:
-    """Marks of a board, for a registration's draft. rig, path : the file of the one in use."""
-    return robotpictures.marks_to_touch(folder, name, left, right, rig_of(rig, path), board)
+    """Keep a pair, and look for marks of a board in it. Raises `CalibrationError` as `_keep`, `UserError`."""
+    seen = _see_board(folder, name, images, rig, board)
+    if not isinstance(seen, SeenBoard):
+        return LookState(name=name, **seen)
+    ids, _, _ = marks_in_both(seen.view)
+    return LookState(name=name, places=marks_at(rig.stereo(), board, seen.rig_from_board, ids.tolist()))
 
 
 def features_to_touch(
-    _progress: Progress, folder: Path, name: str, left: Image, right: Image, rig: bytes, path: Path, job: Job
+    _progress: Progress, folder: Path, name: str, images: Images, rig: RigInUse, job: Job
 ) -> LookState:
-    """The same of a part."""
-    return robotpictures.features_to_touch(folder, name, left, right, rig_of(rig, path), job)
+    """Keep a pair, and look for the one part in it. Raises as `marks_to_touch`."""
+    _keep(folder, name, images)
+    left, right = images
+    pair = FramePair(Frame("left", 0, left, 0, 0), Frame("right", 0, right, 0, 0))
+    outcome = locate(pair, job, prepare(rig.stereo()))
+    good = [target for target in outcome.targets if target.reject == Reject.NONE]
+    if len(good) != 1:
+        what = f"{len(good)} parts: leave one of them there" if good else f"no good part: {outcome.status}"
+        return LookState(name=name, reason=what)
+    return LookState(name=name, places=tuple(_features(rig.stereo(), good[0])))
 
 
 def pose_with_board(
-    _progress: Progress,
-    folder: Path,
-    name: str,
-    left: Image,
-    right: Image,
-    rig: bytes,
-    path: Path,
-    board: NominalBoard,
+    _progress: Progress, folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard
 ) -> SampleState:
-    """A pose of the flange, for a registration's draft."""
-    return robotpictures.pose_with_board(folder, name, left, right, rig_of(rig, path), board)
+    """Keep a pair of the board at one pose of the flange. Raises as `marks_to_touch`."""
+    seen = _see_board(folder, name, images, rig, board)
+    if not isinstance(seen, SeenBoard):
+        return SampleState(**seen)
+    return SampleState.model_validate({"view": tuple(map(tuple, seen.rig_from_board.tolist()))})
 
 
-def judge_touch(
-    _progress: Progress,
-    rig: bytes,
-    path: Path,
-    touched: Mapping[str, tuple[FloatArray, tuple[float, ...]]],
-    brand: Brand | None,
-    limit_mm: float,
-) -> Judged:
-    """What touched points say."""
-    return robotverdict.judge_points(rig_of(rig, path), touched, brand, limit_mm)
+def judge_touch(_progress: Progress, rig: RigInUse, *samples: Any) -> Judged:
+    """`judge_points` of the rig in use."""
+    return judge_points(rig.stereo(), *samples)
 
 
-def judge_poses(
-    _progress: Progress,
-    rig: bytes,
-    path: Path,
-    posed: Mapping[str, tuple[FloatArray, tuple[float, ...]]],
-    board: NominalBoard,
-    brand: Brand | None,
-    mount: Mount,
-    limit_mm: float,
-) -> Judged:
-    """What poses say."""
-    return robotverdict.judge_poses(rig_of(rig, path), posed, board, brand, mount, limit_mm)
+def judge_poses(_progress: Progress, rig: RigInUse, *samples: Any) -> Judged:
+    """`verdict.judge_poses` of the rig in use."""
+    return verdict.judge_poses(rig.stereo(), *samples)
+
+
+def _see_board(
+    folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard
+) -> SeenBoard | dict[str, Any]:
+    """Keep a pair; the board in it, or the fields that say why it is not used."""
+    _keep(folder, name, images)
+    seen = see_board(rig.stereo(), Pair.of_images(name, *images), board)
+    if isinstance(seen, NotDetected):
+        return {"reason": seen.reason}
+    size = seen.check.size
+    if size.verdict(LENGTH_PERCENT) != "NOT_OK":
+        return seen
+    reason = (
+        f"by the calibration the board measures {size.measured_mm:.2f} mm from corner to corner, its mm say "
+        f"{size.true_mm:.2f}: one of them is wrong"
+    )
+    return {"reason": reason, "length_percent": size.error_percent}
+
+
+def marks_at(
+    rig: StereoRig, board: NominalBoard, rig_from_board: FloatArray, seen: Sequence[int] | None = None
+) -> tuple[Place, ...]:
+    """Marks of a board that are offered, of those that are seen, by index; None: all of them."""
+    ids = range(len(board.points_mm)) if seen is None else seen
+    places = []
+    for (row, column), index in _spread(board.points_mm, ids).items():
+        at = apply(rig_from_board, board.points_mm[index][None])[0]
+        places.append(_place(rig, f"mark-{row}-{column}", "mark", f"{column}/{row}", at))
+    return tuple(places)
+
+
+def _keep(folder: Path, name: str, images: Images) -> None:
+    """Write a pair to a draft. Raises as `write_pair`."""
+    left, right = map(_small, images)
+    write_pair(folder, name, images, (left, right))
+
+
+def _features(rig: StereoRig, target: Target) -> list[Place]:
+    found = [("circle", circle.name, circle.centre_mm) for circle in target.circles]
+    found += [("slot", slot.name, slot.centre_mm) for slot in target.slots]
+    found += [("corner", corner.name, corner.position_mm) for corner in target.corners]
+    places = [_place(rig, f"{kind}-{name}", kind, name, at) for kind, name, at in found]
+    reference = target.position_mm
+    if all(np.linalg.norm(reference - at) > SAME_MM for _, _, at in found):
+        places.append(_place(rig, "reference", "reference", "", reference))
+    return places
+
+
+def _place(rig: StereoRig, key: str, kind: str, name: str, at_mm: FloatArray) -> Place:
+    left, right = seen_at(at_mm, rig)
+    rig_mm = tuple(at_mm.tolist())
+    return Place.model_validate(
+        {"key": key, "kind": kind, "name": name, "rig_mm": rig_mm, "left": left, "right": right}
+    )
+
+
+def _spread(points_mm: FloatArray, seen: Sequence[int]) -> dict[tuple[int, int], int]:
+    """The marks nearest to an even grid over all that are seen: index by row and column, from 1."""
+    marks = points_mm[list(seen), :2]
+    low, high = marks.min(axis=0), marks.max(axis=0)
+    found: dict[tuple[int, int], int] = {}
+    for row in range(ACROSS):
+        for column in range(ACROSS):
+            wanted = low + (high - low) * np.array([column, row]) / (ACROSS - 1)
+            index = int(seen[int(np.argmin(np.linalg.norm(marks - wanted, axis=1)))])
+            if index not in found.values():
+                found[row + 1, column + 1] = index
+    return found
+
+
+def _small(image: Image) -> Image:
+    height, width = image.shape
+    if width <= WIDEST_PX:
+        return image
+    size = WIDEST_PX, round(height * WIDEST_PX / width)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))

@@ -6,7 +6,7 @@ from pydantic import model_validator
 
 from edged.adapters.web.routes import Body, Call, Problem, Token, route
 from edged.identity.visitors import Role
-from edged.setup.calibration.routes import Nothing, known
+from edged.setup.draftroutes import Nothing, known
 from edged.setup.releases.jobs import JobList, Jobs, VersionList
 from edged.setup.releases.routes import Reason
 from edged.setup.releases.service import Activation

@@ -16,7 +16,7 @@ from edged.domain.events import Command, CommandKind
 from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
 from edged.ports import Commander, Publisher
-from edged.setup.calibration.documents import Document
+from edged.setup.frozen import Frozen
 from edged.setup.history import Kept, Text
 from edged.setup.inuse import CellInUse
 from edged.setup.releases.jobsfolder import Jobs as Files
@@ -31,7 +31,7 @@ from edged.setup.teaching.model import JobName, Number
 log = logging.getLogger(__name__)
 
 
-class JobDocument(Document):
+class JobDocument(Frozen):
     """A job. active : the one that is measured by now.  last_used, cycles, ok_share : since the start.
 
     editable : it keeps the pair that it was taught from.  retired : it is kept in a release, and not used.
@@ -51,13 +51,13 @@ class JobDocument(Document):
     retired_at: str | None
 
 
-class JobList(Document):
+class JobList(Frozen):
     """By their numbers; those that are retired after the others."""
 
     jobs: list[JobDocument]
 
 
-class VersionDocument(Document):
+class VersionDocument(Frozen):
     """A release in which a job was another than in the one before. active : it is now as it was then."""
 
     release: int
@@ -67,7 +67,7 @@ class VersionDocument(Document):
     active: bool
 
 
-class VersionList(Document):
+class VersionList(Frozen):
     """The youngest first."""
 
     versions: list[VersionDocument]

@@ -8,8 +8,8 @@ from pydantic import AfterValidator, StringConstraints
 
 from edged.adapters.web.routes import Answer, Body, Call, Token, route
 from edged.identity.visitors import Role
-from edged.setup.calibration.routes import DRAFT, known
 from edged.setup.calibration.service import Calibrations
+from edged.setup.draftroutes import DRAFT, known
 from edged.setup.jobs.worker import Worker
 from edged.setup.releases.differences import ReleaseDifference
 from edged.setup.releases.releasefolder import Release, Tested
@@ -73,7 +73,12 @@ class ReleaseRoutes:
         self._activation = activation
         self._worker = worker
 
-    @route("POST", f"{DRAFT}/activate", "Let the cell run by what the draft was solved to", audit=True)
+    @route(
+        "POST",
+        f"/calibrations{DRAFT}/activate",
+        "Let the cell run by what the draft was solved to",
+        audit=True,
+    )
     async def _activate(self, call: Call[Activating]) -> ReleaseDocument:
         self._activation.check(call.body.token)
         _, rig = await known(self._calibrations.solution(call.part("id")))
@@ -81,7 +86,7 @@ class ReleaseRoutes:
         signed = signature(call)
         release = await self._activation.activate(rig, call.visitor.name, call.body.note, signed)
         call.trail.after = release.fingerprint
-        await self._calibrations.tell(call.part("id"))
+        await self._calibrations.drafts.tell_again(call.part("id"))
         return document_of_release(release, is_active=True)
 
     @route(

@@ -16,7 +16,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-import cv2
 from pydantic import JsonValue, ValidationError
 
 from edged.config.reading import problem_of
@@ -24,7 +23,8 @@ from edged.domain.arrays import SIDES, Image
 from edged.errors import FileFormatError, TeachError
 from edged.files.atomic import read_bytes, write_atomically
 from edged.files.images import load_image
-from edged.setup.history import DraftFolders, Kept, StateFile, new_identity
+from edged.pictures.encoding import jpeg, png
+from edged.setup.history import DraftFile, DraftFolders, Kept, beginning
 from edged.setup.teaching.model import Content, TeachOperation, TeachState
 
 KEPT = 20
@@ -32,8 +32,8 @@ KEPT = 20
 TAUGHT = "taught"
 """The folder in a job's folder."""
 _CONTENT = "content.json"
-_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
-_FOR_PEOPLE = (cv2.IMWRITE_JPEG_QUALITY, 90)
+JPEG_QUALITY = 90
+"""Per cent, of the pictures for people."""
 
 
 class KeptContent(Kept):
@@ -53,58 +53,37 @@ class KeptPair:
     content: Content | None = None
 
 
-class TeachingDraft:
-    """One draft. Each change is on disc when its method returns; it raises `OSError` where that refuses."""
+class TeachingDraft(DraftFile[TeachState]):
+    """A draft of a job."""
 
-    def __init__(self, file: StateFile[TeachState]) -> None:
-        self._file = file
-
-    @property
-    def state(self) -> TeachState:
-        """As it is on disc."""
-        return self._file.state
-
-    @property
-    def folder(self) -> Path:
-        """Where all of it is."""
-        return self._file.folder
+    error = TeachError
 
     def picture(self, side: str, suffix: str = "png") -> Path:
         """A raw picture; as "jpg" for people."""
-        return self.folder / "pictures" / f"{side}.{suffix}"
+        return self.pictures / f"{side}.{suffix}"
 
     def propose(self, shapes: list[JsonValue]) -> None:
         """The region that is proposed before anybody says another."""
-        self._file.write(self.state.changed(start=self.state.start.with_({"shapes": shapes})))
+        self.write(self.state.changed(start=self.state.start.with_({"shapes": shapes})))
 
-    def operate(
-        self, what: Literal["region", "tap", "features", "about", "drawing"], sets: Mapping[str, JsonValue]
-    ) -> None:
+    def operate(self, what: str, sets: Mapping[str, JsonValue]) -> None:
         """One step. Raises `TeachError` for what cannot be."""
         try:
-            operation = TeachOperation(what=what, sets=dict(sets))
+            operation = TeachOperation.model_validate({"what": what, "sets": dict(sets)})
         except ValidationError as error:
             raise TeachError(problem_of(error.errors()[0], Content)) from error
         try:
-            self._file.write(self.state.operated(operation, activated=None))
+            self.write(self.state.operated(operation))
         except ValidationError as error:
             raise TeachError("too many steps: activate it, and edit the job") from error
 
-    def undo(self) -> None:
-        """Take the last operation back. Raises `TeachError` when there is none."""
-        self._file.step(-1, activated=None)
-
-    def redo(self) -> None:
-        """Do again what was taken back last. Raises `TeachError` when there is nothing."""
-        self._file.step(1, activated=None)
-
     def note_activated(self, digest: str | None) -> None:
         """A job is to come of it, by the SHA-256 of its text; None: none is after all."""
-        self._file.write(self.state.changed(activated=digest))
+        self.write(self.state.changed(activated=digest))
 
     def note_job(self, folder: str) -> None:
         """The job in this folder has come of it: from now on it is that one's draft."""
-        self._file.write(self.state.changed(job=folder, is_same_pair=True))
+        self.write(self.state.changed(job=folder, is_same_pair=True))
 
     def kept(self) -> dict[str, bytes]:
         """What stays with the job, by its name in the job's folder."""
@@ -113,53 +92,30 @@ class TeachingDraft:
         return {**pictures, f"{TAUGHT}/{_CONTENT}": content}
 
 
-class TeachingDrafts:
+class TeachingDrafts(DraftFolders[TeachState, TeachingDraft]):
     """All drafts of jobs of a cell, in a folder."""
 
     def __init__(self, folder: Path) -> None:
-        self._folders = DraftFolders(folder, TeachState, TeachError, ("pictures",), KEPT, _pictures)
+        super().__init__(folder, TeachState, TeachingDraft, ("pictures",), KEPT, _pictures)
 
     def create(
         self, author: str, start: Content, pair: KeptPair, now: datetime, job: str | None = None
     ) -> TeachingDraft:
         """Begin one with a pair; the oldest beyond `KEPT` go. job : the folder that it replaces."""
-        images = pair.left, pair.right
         height, width = pair.left.shape
-        state = TeachState(
-            id=new_identity(now),
-            created=now.isoformat(timespec="seconds"),
-            author=author,
-            job=job,
-            width=width,
-            height=height,
-            start=start,
-            is_same_pair=pair.content is not None,
+        about = {"job": job, "width": width, "height": height, "start": start}
+        state = TeachState.model_validate(
+            {**beginning(author, now), **about, "is_same_pair": pair.content is not None}
         )
         try:
-            place = self._folders.place(state.id) / "pictures"
-            for side, image in zip(SIDES, images, strict=True):
-                write_atomically(place / f"{side}.png", _encoded(".png", image, _QUICK))
-                write_atomically(place / f"{side}.jpg", _encoded(".jpg", image, _FOR_PEOPLE))
-            return TeachingDraft(self._folders.add(state))
+            place = self.place(state.id) / "pictures"
+            for side, image in zip(SIDES, (pair.left, pair.right), strict=True):
+                write_atomically(place / f"{side}.png", png(image))
+                write_atomically(place / f"{side}.jpg", jpeg(image, JPEG_QUALITY))
+            return self.add(state)
         except OSError:  # a disc that is full is not filled further
-            self._folders.clear(state.id)
+            self.clear(state.id)
             raise
-
-    def names(self) -> list[str]:
-        """Of all drafts, the youngest first."""
-        return self._folders.names()
-
-    def states(self) -> list[tuple[str, TeachState | FileFormatError]]:
-        """Of all drafts, the youngest first: the identity, and the state or what is wrong with it."""
-        return self._folders.states()
-
-    def remove(self, identity: str) -> None:
-        """Forget one. Raises `KeyError` when there is none."""
-        self._folders.remove(identity)
-
-    def load(self, identity: str) -> TeachingDraft:
-        """Read one. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""
-        return TeachingDraft(self._folders.load(identity))
 
 
 def _pictures(_state: TeachState) -> list[str]:
@@ -185,8 +141,3 @@ def kept_pair(folder: Path) -> KeptPair:
         raise FileFormatError(f"{place / _CONTENT}: {problem_of(error.errors()[0], KeptContent)}") from error
     left, right = (load_image(place / f"{side}.png") for side in SIDES)
     return KeptPair(left, right, kept.content)
-
-
-def _encoded(suffix: str, image: Image, options: tuple[int, ...]) -> bytes:
-    _, data = cv2.imencode(suffix, image, list(options))
-    return data.tobytes()

@@ -12,7 +12,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.picking import Grasp
 from edged.errors import FileFormatError, TeachError
 from edged.files.jobs import check_text
-from edged.setup.teaching.model import Content, Gripping, Mark, Size, nearest
+from edged.setup.teaching.model import Content, Gripping, GripWanted, Mark, Size, nearest
 from edged.vision.geometry.rigid import invert, transform
 from edged.vision.part.job import Job, MeasurementSpec, known_radius, nominal_size, usual_limits
 
@@ -32,7 +32,7 @@ def edited(
     """The job that is wanted. marks : of the taught job's features, by name.  pixel_mm : at its depth.
 
     moved : as `lying` has it.
-    What nobody asked for stays as taught. Raises `TeachError` for what no job can be.
+    Everything else stays as taught. Raises `TeachError` for what no job can be.
     """
     left_out = {name for mark in content.left_out if (name := nearest(mark, marks)) is not None}
     job = _without(taught, left_out) if left_out else taught
@@ -54,11 +54,13 @@ def edited(
 
 def _without(job: Job, left_out: set[str]) -> Job:
     """Without some features, and without what is of them. Raises `TeachError` when nothing remains."""
-    circles = tuple(one for one in job.circles if one.name not in left_out)
-    slots = tuple(one for one in job.slots if one.name not in left_out)
-    edges = tuple(one for one in job.edges if one.name not in left_out)
-    gone = left_out & {one.name for one in job.edges}
-    corners = tuple(one for one in job.corners if one.name not in left_out and not gone & set(one.edges))
+    circles = tuple(circle for circle in job.circles if circle.name not in left_out)
+    slots = tuple(slot for slot in job.slots if slot.name not in left_out)
+    edges = tuple(edge for edge in job.edges if edge.name not in left_out)
+    gone = left_out & {edge.name for edge in job.edges}
+    corners = tuple(
+        corner for corner in job.corners if corner.name not in left_out and not gone & set(corner.edges)
+    )
     places = [circle.name for circle in circles] + [slot.name for slot in slots]
     places += [corner.name for corner in corners]
     if not places:
@@ -84,7 +86,7 @@ def _referred_to(job: Job, reference: str, pixel_mm: float) -> Job:
         raise TeachError(f"{reference}: a circle, a slot or a corner can be the reference")
     if np.any(job.place_of(reference)):
         job = _moved(job, job.place_of(reference))
-    of_witness = {one.of for one in job.measurements if one.name == job.witness}
+    of_witness = {size.of for size in job.measurements if size.name == job.witness}
     is_circle = job.kind_of(reference) == "circle"
     if reference == job.reference and (of_witness == {(reference,)} or not is_circle):
         return job
@@ -95,13 +97,13 @@ def _referred_to(job: Job, reference: str, pixel_mm: float) -> Job:
         form_tolerance_mm=usual.form_tolerance_mm,
     )
     sizes, witness = known_radius(job.circles, reference)
-    stated = {one.name: one for one in job.measurements}
-    others = tuple(one for one in job.measurements if one.name not in {witness, job.witness})
+    stated = {size.name: size for size in job.measurements}
+    others = tuple(size for size in job.measurements if size.name not in {witness, job.witness})
     return replace(
         job,
         reference=reference,
         limits=limits,
-        measurements=(*(stated.get(one.name, one) for one in sizes), *others),
+        measurements=(*(stated.get(size.name, size) for size in sizes), *others),
         witness=witness,
     )
 
@@ -109,14 +111,14 @@ def _referred_to(job: Job, reference: str, pixel_mm: float) -> Job:
 def _moved(job: Job, place: FloatArray) -> Job:
     """The same part at the same place, in a frame with its origin at a place (3,) of the former one."""
     there = transform(np.eye(3), -place)
-    grasps = tuple(replace(one, part_from_tcp=there @ one.part_from_tcp) for one in job.picking.grasps)
+    grasps = tuple(replace(grasp, part_from_tcp=there @ grasp.part_from_tcp) for grasp in job.picking.grasps)
     model = None if job.part_from_model is None else there @ job.part_from_model
     return replace(
         job,
-        circles=tuple(replace(one, centre_mm=one.centre_mm - place) for one in job.circles),
-        slots=tuple(replace(one, centre_mm=one.centre_mm - place) for one in job.slots),
+        circles=tuple(replace(circle, centre_mm=circle.centre_mm - place) for circle in job.circles),
+        slots=tuple(replace(slot, centre_mm=slot.centre_mm - place) for slot in job.slots),
         edges=tuple(
-            replace(one, start_mm=one.start_mm - place, end_mm=one.end_mm - place) for one in job.edges
+            replace(edge, start_mm=edge.start_mm - place, end_mm=edge.end_mm - place) for edge in job.edges
         ),
         rig_from_part=job.rig_from_part @ transform(np.eye(3), place),
         picking=replace(job.picking, grasps=grasps),
@@ -126,7 +128,7 @@ def _moved(job: Job, place: FloatArray) -> Job:
 
 def _with_sizes(job: Job, sizes: tuple[Size, ...], marks: Mapping[str, Mark]) -> Job:
     """With these sizes, and that which the rig is watched by; without those of features that are gone."""
-    known = [one for one in job.measurements if one.name == job.witness]
+    known = [spec for spec in job.measurements if spec.name == job.witness]
     found: list[MeasurementSpec] = []
     for size in sizes:
         of = tuple(name for mark in size.of if (name := nearest(mark, marks)) is not None)
@@ -137,7 +139,7 @@ def _with_sizes(job: Job, sizes: tuple[Size, ...], marks: Mapping[str, Mark]) ->
             nominal = spec.nominal if size.nominal is not None else known[0].nominal
             known = [replace(known[0], nominal=nominal, tolerance=spec.tolerance)]
             continue
-        if spec.name in {one.name for one in (*known, *found)}:
+        if spec.name in {other.name for other in (*known, *found)}:
             raise TeachError(f"sizes: two have the name {spec.name}")
         found.append(spec)
     return replace(job, measurements=(*known, *found))
@@ -175,8 +177,9 @@ def grasp_of(gripping: Gripping, job: Job, moved: FloatArray | None = None) -> G
     )
 
 
-def gripping_at(job: Job, position_mm: FloatArray, rotation: FloatArray, base: Gripping) -> Gripping:
+def gripping_at(job: Job, position_mm: FloatArray, rotation: FloatArray, wanted: GripWanted) -> Gripping:
     """A gripping point in the frame of a job's part. position_mm (3,), rotation (3, 3) : of the tool."""
-    x, y, z = (float(value) for value in job.rig_from_part[:3, :3] @ position_mm + job.rig_from_part[:3, 3])
-    a, b, c = (job.rig_from_part[:3, :3] @ rotation).tolist()
-    return base.model_copy(update={"position_mm": (x, y, z), "rotation": (tuple(a), tuple(b), tuple(c))})
+    x, y, z = (job.rig_from_part[:3, :3] @ position_mm + job.rig_from_part[:3, 3]).tolist()
+    a, b, c = map(tuple, (job.rig_from_part[:3, :3] @ rotation).tolist())
+    same = wanted.model_dump(include={"name", "approach_mm", "retreat_mm", "symmetry"})
+    return Gripping(position_mm=(x, y, z), rotation=(a, b, c), **same)

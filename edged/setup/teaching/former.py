@@ -53,6 +53,6 @@ def picking_of(former: FormerFiles, taught: Job, moved: FloatArray | None) -> Pi
     else:
         there = invert(lying(taught, moved).rig_from_part) @ was.rig_from_part
     grasps = tuple(
-        replace(one, part_from_tcp=np.round(there @ one.part_from_tcp, 9)) for one in was.picking.grasps
+        replace(grasp, part_from_tcp=np.round(there @ grasp.part_from_tcp, 9)) for grasp in was.picking.grasps
     )
     return replace(was.picking, grasps=grasps)

@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, JsonValue, model_validator
+from pydantic import ConfigDict, Field, JsonValue, model_validator
 
 from edged.domain.arrays import Image
 from edged.errors import TeachError
-from edged.setup.history import History, Kept, Text
+from edged.setup.history import Digest, History, Kept, Text
 from edged.vision.part.job import MAX_TILT_DEG, MeasurementKind
 from edged.vision.teaching.region import (
     MAX_BRUSH_PX,
@@ -41,6 +41,8 @@ Length = Annotated[float, Field(gt=0, le=1e6)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 Point = tuple[Pixels, Pixels]
 Row = tuple[float, float, float]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Way = Annotated[float, Field(ge=0, le=2000)]
 MOST_DRAWN_POINTS = 20_000
 MOST_OUTLINES = 500
 """Of a drawing: a face of one part."""
@@ -151,7 +153,7 @@ class Drawing(Kept):
 
     @model_validator(mode="after")
     def _is_of_one_part(self) -> Self:
-        if sum(len(one) for one in self.outlines) > MOST_DRAWN_POINTS:
+        if sum(len(outline) for outline in self.outlines) > MOST_DRAWN_POINTS:
             raise ValueError(f"more than {MOST_DRAWN_POINTS} points")
         return self
 
@@ -197,6 +199,7 @@ class TeachState(History[TeachOperation]):
     activated : SHA-256 of the job's text that came of it, as long as nothing was changed since.
     """
 
+    outcome = ("activated",)
     format: Literal["edged-teaching-draft"] = "edged-teaching-draft"
     version: Literal[1] = 1
     job: Text | None
@@ -204,7 +207,7 @@ class TeachState(History[TeachOperation]):
     height: Annotated[int, Field(ge=1, le=100_000)]
     start: Content
     is_same_pair: bool = False
-    activated: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    activated: Digest | None = None
 
     @property
     def content(self) -> Content:
@@ -215,6 +218,53 @@ class TeachState(History[TeachOperation]):
         return self.start.with_(sets) if sets else self.start
 
 
+# --- parts of requests: features by the names that they have now --------------------------------------
+
+
+class Stated(Kept):
+    """A part of a request."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+
+
+class TapPlace(Stated):
+    """Where the left picture was tapped, raw px."""
+
+    x: Pixels
+    y: Pixels
+
+
+class GripWanted(Stated):
+    """Where a tool takes the part: in the part's frame, angles about its fixed x, y, z; or at, a point of its
+    face, raw px of the left picture.
+    """
+
+    at: Point | None = None
+    x_mm: Millimetres = 0.0
+    y_mm: Millimetres = 0.0
+    z_mm: Millimetres = 0.0
+    a_deg: Angle = 0.0
+    b_deg: Angle = 0.0
+    c_deg: Angle = 0.0
+    approach_mm: Way = 50.0
+    retreat_mm: Way | None = None
+    symmetry: Annotated[int, Field(ge=0, le=360)] = 1
+    name: FeatureName = "grip"
+
+
+class SizeWanted(Stated):
+    """A size of features; nominal and tolerance in mm, of an angle in degrees. key : its name."""
+
+    key: FeatureName | None = None
+    kind: MeasurementKind
+    of: Annotated[tuple[FeatureName, ...], Field(max_length=2)] = ()
+    nominal: Millimetres | None = None
+    tolerance: Length | None = None
+
+
+# --- shapes and places ----------------------------------------------------------------------------
+
+
 def region_of(shapes: Sequence[AnyShape], width: int, height: int) -> tuple[Area | None, list[Area]]:
     """Shapes as a region, and what is left out of it; None: the whole picture.
 
@@ -223,25 +273,25 @@ def region_of(shapes: Sequence[AnyShape], width: int, height: int) -> tuple[Area
     """
     if not shapes:
         return None, []
-    if sum(one.add for one in shapes) == 1 and shapes[0].add:
-        return shapes[0].area(), [one.area() for one in shapes[1:]]
-    if not any(one.add for one in shapes):
-        return None, [one.area() for one in shapes]
+    if sum(shape.add for shape in shapes) == 1 and shapes[0].add:
+        return shapes[0].area(), [shape.area() for shape in shapes[1:]]
+    if not any(shape.add for shape in shapes):
+        return None, [shape.area() for shape in shapes]
     mask: Image = np.zeros((height, width), np.uint8)
-    for one in shapes:
-        mask[one.area().painted(width, height) > 0] = 255 if one.add else 0
+    for shape in shapes:
+        mask[shape.area().painted(width, height) > 0] = 255 if shape.add else 0
     if not mask.any():
         raise TeachError("region: all of it is erased", "small_region")
     return Painted(mask), []
 
 
 def nearest(wanted: Mark, marks: Mapping[str, Mark]) -> str | None:
-    """The name of the feature that lies where one was; None: none does."""
+    """The name of the feature that lies at a mark; None without one."""
     reach = max(3.0, 0.02 * wanted.size)
     apart = {
-        name: math.dist((one.x, one.y, one.size), (wanted.x, wanted.y, wanted.size))
-        for name, one in marks.items()
-        if one.kind == wanted.kind
+        name: math.dist((mark.x, mark.y, mark.size), (wanted.x, wanted.y, wanted.size))
+        for name, mark in marks.items()
+        if mark.kind == wanted.kind
     }
     best = min(apart, key=lambda name: apart[name], default=None)
     return best if best is not None and apart[best] <= reach else None

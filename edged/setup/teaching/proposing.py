@@ -12,13 +12,13 @@ import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray
 from edged.domain.frames import Frame, FramePair
-from edged.domain.measurement import Reject, Target
+from edged.domain.measurement import Measurement, Reject, Target
 from edged.errors import TeachError
 from edged.files.images import load_image
-from edged.files.rig import rig_of
 from edged.pictures.captions import reasons
 from edged.pictures.evidence import features_of, missing_outlines, taught_outlines
 from edged.pipeline import PreparedRig, inspect, prepare
+from edged.setup.inuse import RigInUse
 from edged.setup.outlines import (
     EDGE_POINTS,
     OUTLINE_POINTS,
@@ -30,12 +30,23 @@ from edged.setup.outlines import (
     thinned,
 )
 from edged.setup.pairs import Progress, silent
+from edged.setup.teaching.documents import (
+    ContoursDocument,
+    FeatureDocument,
+    Outline,
+    PredictedDocument,
+    ReferenceDocument,
+    RivalDocument,
+    SigmaAbc,
+    SigmaXyz,
+    SizeDocument,
+    WarningDocument,
+)
 from edged.setup.teaching.editing import edited, lying
 from edged.setup.teaching.former import FormerFiles, picking_of, with_tolerances
 from edged.setup.teaching.model import (
     Content,
     Drawing,
-    FeatureKind,
     Mark,
     Shapes,
     region_of,
@@ -60,84 +71,35 @@ NOT_AS_DRAWN = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Order:
-    """What is to be learnt. pictures : folder of the pair.  rig, rig_path : its file.
-
-    former : the job that it replaces.
-    """
+    """What is to be learnt. pictures : folder of the pair.  former : the job that it replaces."""
 
     pictures: Path
     content: Content
-    rig: bytes
-    rig_path: Path
+    rig: RigInUse
     former: FormerFiles | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FeatureSeen:
-    """A feature. size_mm : by name of each of its sizes, as measured in this pair, else as taught.
-
-    sigma_um : of them; of an edge or a corner of its place.  left, right : outlines, raw px.
-    why : it was not measured: a code, or "".
-    """
-
-    name: str
-    kind: FeatureKind
-    size_mm: Mapping[str, float]
-    sigma_um: float | None
-    left: Line
-    right: Line
-    why: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SizeSeen:
-    """A size of the job, as measured in this pair; NaN where it was not. Angles in degrees.
-
-    ok : within its tolerance; None without one.
-    """
-
-    name: str
-    kind: str
-    of: tuple[str, ...]
-    nominal: float | None
-    tolerance: float | None
-    value: float
-    sigma: float
-    is_witness: bool
-    ok: bool | None
-
-
-@dataclass(frozen=True, slots=True)
-class Said:
-    """A warning. at : where in the raw left image, or None."""
-
-    code: str
-    text: str
-    at: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A draft's job, and what its pair shows of it.
+    """A draft's job, and what its pair shows of it, as a `TeachingDocument` has that.
 
-    taught : with every feature.  job : as wanted.  marks : of the taught job's features.  contours : of the
-    model, left and right.  sigma : (6,) of the pose in this pair, mm and rad; NaN where it is not known.
+    taught : with every feature.  job : as wanted.  marks : of the taught job's features.
     moved : (4, 4) in the rig's frame, from where the job has the part to where it lies in this pair; None: it
-    was taught there.
+    was taught there.  features : all of them, as if every one was taken.
     """
 
     taught: Job
     job: Job
     marks: Mapping[str, Mark]
     pixel_mm: float
-    features: tuple[FeatureSeen, ...]
-    contours: tuple[tuple[Line, ...], tuple[Line, ...]]
-    reference: tuple[tuple[float, float], tuple[float, float]]
-    sizes: tuple[SizeSeen, ...]
-    rivals: tuple[tuple[float, float], ...]
-    warnings: tuple[Said, ...]
-    sigma: tuple[float, ...] | None
-    moved: FloatArray | None = None
+    moved: FloatArray | None
+    features: list[FeatureDocument]
+    outlines: ContoursDocument
+    reference: ReferenceDocument
+    sizes: list[SizeDocument]
+    rivals: list[RivalDocument]
+    warnings: list[WarningDocument]
+    predicted: PredictedDocument | None
 
 
 def propose_region(pictures: Path) -> Line | None:
@@ -151,13 +113,7 @@ def see(order: Order, progress: Progress = silent) -> Seen:
     content, former = order.content, order.former
     progress("learn", 0, 2)
     known = _learnt(
-        order.pictures,
-        content.shapes or (),
-        content.drawing,
-        content.tilt_deg,
-        order.rig,
-        order.rig_path,
-        former,
+        order.pictures, content.shapes or (), content.drawing, content.tilt_deg, order.rig, former
     )
     taught = replace(known.proposal.job, name=content.name, number=content.number)
     if former is not None:
@@ -166,29 +122,33 @@ def see(order: Order, progress: Progress = silent) -> Seen:
     job = edited(taught, content, known.marks, known.pixel_mm, known.moved)
     if content.reference is not None and former is not None:
         job = with_tolerances(job, former.job())
-    prepared = _prepared(order.rig, order.rig_path)
+    prepared = _prepared(order.rig)
     found = known.found if _is_measured_alike(job, taught) else _measured(known.pair, job, prepared)
     target = None if found is None else found.target
     there = lying(job, known.moved).rig_from_part
+    left, right = seen_at(apply(there, job.place_of(job.reference)), prepared.rig)
     return Seen(
         taught=taught,
         job=job,
         marks=known.marks,
         pixel_mm=known.pixel_mm,
-        features=known.features,
-        contours=known.contours,
-        reference=seen_at(apply(there, job.place_of(job.reference)), prepared.rig),
-        sizes=_sizes(job, target),
-        rivals=tuple((math.degrees(angle), 100 * alike) for angle, alike in known.proposal.inspection.rivals),
-        warnings=(*known.warnings, *_doubts(found)),
-        sigma=None if target is None else _sigma(target),
         moved=known.moved,
+        features=known.features,
+        outlines=known.outlines,
+        reference=ReferenceDocument(key=job.reference, left=left, right=right),
+        sizes=_sizes(job, target),
+        rivals=[
+            RivalDocument(angle_deg=round(math.degrees(angle), 1), alike_percent=round(100 * alike, 1))
+            for angle, alike in known.proposal.inspection.rivals
+        ],
+        warnings=[*known.warnings, *_doubts(found)],
+        predicted=None if target is None else _predicted(target),
     )
 
 
-def _is_measured_alike(one: Job, other: Job) -> bool:
+def _is_measured_alike(job: Job, other: Job) -> bool:
     """Whether two jobs of one teaching measure the same of a part."""
-    return (_taught_sizes(one), one.reference, one.measurements) == (
+    return (_taught_sizes(job), job.reference, job.measurements) == (
         _taught_sizes(other),
         other.reference,
         other.measurements,
@@ -209,16 +169,16 @@ class _Learnt:
     proposal: Proposal
     pixel_mm: float
     found: MeasuredPart | None
-    features: tuple[FeatureSeen, ...]
+    features: list[FeatureDocument]
     marks: Mapping[str, Mark]
-    contours: tuple[tuple[Line, ...], tuple[Line, ...]]
-    warnings: tuple[Said, ...]
+    outlines: ContoursDocument
+    warnings: list[WarningDocument]
     moved: FloatArray | None
 
 
 @lru_cache(maxsize=1)
-def _prepared(rig: bytes, path: Path) -> PreparedRig:
-    return prepare(rig_of(rig, path))
+def _prepared(rig: RigInUse) -> PreparedRig:
+    return prepare(rig.stereo())
 
 
 @lru_cache(maxsize=4)
@@ -227,18 +187,17 @@ def _learnt(
     shapes: Shapes,
     drawing: Drawing | None,
     tilt_deg: float | None,
-    rig: bytes,
-    rig_path: Path,
+    rig: RigInUse,
     former: FormerFiles | None,
 ) -> _Learnt:
     """A step that leaves the region alone teaches nothing new."""
-    prepared = _prepared(rig, rig_path)
+    prepared = _prepared(rig)
     rectification = prepared.rectification
     left, right = (load_image(pictures / f"{side}.png") for side in SIDES)
     replaced = None if former is None else former.job()
     wanted = Wanted("draft", 1, tilt_deg=tilt_deg, former=replaced)
     if drawing is not None:
-        outlines_mm = [np.array(one) for one in drawing.outlines]
+        outlines_mm = [np.array(outline) for outline in drawing.outlines]
         proposal = propose_from_drawing(outlines_mm, rectification, drawing.depth_mm, wanted)
     else:
         region, exclude = region_of(shapes, left.shape[1], left.shape[0])
@@ -253,14 +212,15 @@ def _learnt(
     asked = _asked_for_all(job)
     shown = found if asked is job else _measured(pair, asked, prepared)
     features = _features(lying(job, moved), shown, prepared.rig)
+    left_lines, right_lines = contours_of(job, rectification, moved)
     return _Learnt(
         pair=pair,
         proposal=proposal,
         pixel_mm=float(job.rig_from_part[2, 3]) / rectification.focal_px,
         found=found,
         features=features,
-        marks={one.name: _mark(one) for one in features},
-        contours=contours_of(job, rectification, moved),
+        marks={feature.key: _mark(feature) for feature in features},
+        outlines=ContoursDocument(left=list(left_lines), right=list(right_lines)),
         warnings=_warnings(proposal),
         moved=moved,
     )
@@ -271,7 +231,7 @@ def _measured(pair: FramePair, job: Job, prepared: PreparedRig) -> MeasuredPart 
     there = job.rig_from_part[:3, 3]
     return min(
         inspect(pair, job, prepared).measured,
-        key=lambda one: float(np.linalg.norm(one.target.position_mm - there)),
+        key=lambda part: float(np.linalg.norm(part.target.position_mm - there)),
         default=None,
     )
 
@@ -280,7 +240,7 @@ def _asked_for_all(job: Job) -> Job:
     """The job, asking for a size that takes all its features: where circles say everything, only they are
     measured.
     """
-    edges, slots = [one.name for one in job.edges], [one.name for one in job.slots]
+    edges, slots = [edge.name for edge in job.edges], [slot.name for slot in job.slots]
     of: tuple[MeasurementKind, tuple[str, ...]]
     if not job.circles or not (edges or slots):
         return job
@@ -293,42 +253,47 @@ def _asked_for_all(job: Job) -> Job:
     return replace(job, measurements=(*job.measurements, MeasurementSpec("all", *of)))
 
 
-def _warnings(proposal: Proposal) -> tuple[Said, ...]:
+def _warnings(proposal: Proposal) -> list[WarningDocument]:
     inspection, cuts = proposal.inspection, proposal.taught.cuts
-    said = [*zip(inspection.codes, inspection.warnings, strict=True)]
-    places = [one.place_px for one in cuts] + [None] * len(said)
-    return tuple(Said(code, text, at) for (code, text), at in zip(said, places, strict=False))
+    places = [cut.place_px for cut in cuts] + [None] * len(inspection.codes)
+    said = zip(inspection.codes, inspection.warnings, places, strict=False)
+    return [WarningDocument(code=code, text=text, at=at) for code, text, at in said]
 
 
-def _doubts(found: MeasuredPart | None) -> tuple[Said, ...]:
+def _doubts(found: MeasuredPart | None) -> list[WarningDocument]:
     """What the cell would say of this very part."""
     if found is None:
-        return (Said("not_found", "The part is not found in the pair that it was taught from."),)
+        text = "The part is not found in the pair that it was taught from."
+        return [WarningDocument(code="not_found", text=text, at=None)]
     reject = found.target.reject
-    said = [(bit, text) for bit in Reject if reject & bit for text in reasons(bit)]
-    return tuple(
-        Said(str(bit.name).lower(), f"In this pair it would be refused: {text}.") for bit, text in said
-    )
+    return [
+        WarningDocument(
+            code=str(bit.name).lower(), text=f"In this pair it would be refused: {text}.", at=None
+        )
+        for bit in Reject
+        if reject & bit
+        for text in reasons(bit)
+    ]
 
 
 # --- features ----------------------------------------------------------------------------------
 
 
-def _features(job: Job, found: MeasuredPart | None, rig: StereoRig) -> tuple[FeatureSeen, ...]:
+def _features(job: Job, found: MeasuredPart | None, rig: StereoRig) -> list[FeatureDocument]:
     """Every feature of a job: as measured, and where it was not, as taught."""
     outlines: dict[str, FloatArray] = {}
     sizes: dict[str, tuple[dict[str, float], float]] = {}
     if found is not None:
-        outlines = {one.name: one.outline_mm for one in features_of(found)}
+        outlines = {feature.name: feature.outline_mm for feature in features_of(found)}
         outlines |= missing_outlines(job, found.target)
         sizes = _measured_sizes(found.target)
     taught = {name: apply(job.rig_from_part, outline) for name, outline in taught_outlines(job).items()}
     outlines = {**taught, **outlines}
     for corner in job.corners:
         outlines[corner.name] = apply(job.rig_from_part, job.place_of(corner.name)[None])
-    kinds: dict[str, FeatureKind] = {one.name: "circle" for one in job.circles}
-    kinds |= {one.name: "slot" for one in job.slots}
-    kinds |= {one.name: "edge" for one in job.edges}
+    kinds = {circle.name: "circle" for circle in job.circles}
+    kinds |= {slot.name: "slot" for slot in job.slots}
+    kinds |= {edge.name: "edge" for edge in job.edges}
     seen = []
     for name, size_mm in _taught_sizes(job).items():
         kind = kinds.get(name, "corner")
@@ -336,74 +301,86 @@ def _features(job: Job, found: MeasuredPart | None, rig: StereoRig) -> tuple[Fea
         measured, sigma_um = sizes.get(name, (size_mm, math.nan))
         left, right = seen_by(points, rig)
         seen.append(
-            FeatureSeen(
-                name,
-                kind,
-                {**size_mm, **measured},
-                sigma_um if math.isfinite(sigma_um) else None,
-                line(left),
-                line(right),
-                "" if name in sizes else "not_seen",
+            FeatureDocument(
+                key=name,
+                kind=kind,
+                taken=True,
+                size={which: round(value, 5) for which, value in {**size_mm, **measured}.items()},
+                sigma_um=_known(sigma_um),
+                outline=Outline(left=line(left), right=line(right)),
+                why=None if name in sizes else "not_seen",
             )
         )
-    return tuple(seen)
+    return seen
 
 
 def _taught_sizes(job: Job) -> dict[str, dict[str, float]]:
     """Sizes of every feature, mm, by its name."""
-    found = {one.name: {"diameter_mm": 2 * one.radius_mm} for one in job.circles}
-    found |= {one.name: {"length_mm": one.length_mm, "width_mm": one.width_mm} for one in job.slots}
-    found |= {one.name: {"length_mm": one.length_mm} for one in job.edges}
-    return {**found, **{one.name: {} for one in job.corners}}
+    found = {circle.name: {"diameter_mm": 2 * circle.radius_mm} for circle in job.circles}
+    found |= {slot.name: {"length_mm": slot.length_mm, "width_mm": slot.width_mm} for slot in job.slots}
+    found |= {edge.name: {"length_mm": edge.length_mm} for edge in job.edges}
+    return {**found, **{corner.name: {} for corner in job.corners}}
 
 
 def _measured_sizes(target: Target) -> dict[str, tuple[dict[str, float], float]]:
     """The same as measured, and their sigma, µm; of an edge or a corner that of its place."""
     found = {
-        one.name: ({"diameter_mm": 2 * one.radius_mm}, 2e3 * one.sigma_radius_mm) for one in target.circles
+        circle.name: ({"diameter_mm": 2 * circle.radius_mm}, 2e3 * circle.sigma_radius_mm)
+        for circle in target.circles
     }
     for slot in target.slots:
         sigma_mm = math.sqrt(float(np.diag(slot.covariance)[3:].max()))
         found[slot.name] = ({"length_mm": slot.length_mm, "width_mm": slot.width_mm}, 1e3 * sigma_mm)
-    found |= {one.name: ({}, 1e3 * math.sqrt(float(one.covariance[0, 0]))) for one in target.edges}
+    found |= {edge.name: ({}, 1e3 * math.sqrt(float(edge.covariance[0, 0]))) for edge in target.edges}
     for corner in target.corners:
         found[corner.name] = ({}, 1e3 * math.sqrt(float(np.diag(corner.covariance).max())))
     return found
 
 
-def _mark(seen: FeatureSeen) -> Mark:
-    points = np.array(seen.left)
+def _mark(seen: FeatureDocument) -> Mark:
+    points = np.array(seen.outline.left)
     middle = points.mean(axis=0)
     size = float(np.linalg.norm(points - middle, axis=1).max())
     x, y = (float(value) for value in np.round(middle, 2))
-    return Mark(kind=seen.kind, x=x, y=y, size=round(size, 2))
+    return Mark.model_validate({"kind": seen.kind, "x": x, "y": y, "size": round(size, 2)})
 
 
-def _sizes(job: Job, target: Target | None) -> tuple[SizeSeen, ...]:
-    measured = {} if target is None else {one.name: one for one in target.measurements}
-    seen = []
-    for spec in job.measurements:
-        scale = math.degrees(1.0) if spec.kind == "angle" else 1.0
-        one = measured.get(spec.name)
-        seen.append(
-            SizeSeen(
-                spec.name,
-                spec.kind,
-                spec.of,
-                None if spec.nominal is None else spec.nominal * scale,
-                None if spec.tolerance is None else spec.tolerance * scale,
-                math.nan if one is None else one.value,
-                math.nan if one is None else one.sigma,
-                spec.name == job.witness,
-                None if one is None else one.ok,
-            )
-        )
-    return tuple(seen)
+def _sizes(job: Job, target: Target | None) -> list[SizeDocument]:
+    """All sizes of the job, as measured in this pair; angles in degrees."""
+    measured = {} if target is None else {found.name: found for found in target.measurements}
+    return [
+        _size(spec, measured.get(spec.name), witness=spec.name == job.witness) for spec in job.measurements
+    ]
 
 
-def _sigma(target: Target) -> tuple[float, ...]:
-    """(6,) of a pose, mm and rad about the rig's axes; NaN for a rotation that nothing tells."""
+def _size(spec: MeasurementSpec, found: Measurement | None, *, witness: bool) -> SizeDocument:
+    scale = math.degrees(1.0) if spec.kind == "angle" else 1.0
+    return SizeDocument(
+        key=spec.name,
+        kind=spec.kind,
+        of=list(spec.of),
+        nominal=None if spec.nominal is None else round(spec.nominal * scale, 5),
+        tolerance=None if spec.tolerance is None else round(spec.tolerance * scale, 5),
+        measured=None if found is None else _known(found.value, 5),
+        sigma=None if found is None else _known(found.sigma, 5),
+        unit="deg" if spec.kind == "angle" else "mm",
+        witness=witness,
+        ok=None if found is None else found.ok,
+    )
+
+
+def _predicted(target: Target) -> PredictedDocument | None:
+    """Sigma of a pose; without that of a rotation that nothing tells."""
     sigma = np.sqrt(np.diag(target.covariance))
     if target.free_axis is not None:
         sigma[3 + int(np.argmax(np.abs(target.free_axis)))] = math.nan
-    return tuple(sigma.tolist())
+    if not np.isfinite(sigma[:3]).all():
+        return None
+    x, y, z = (round(1e3 * value, 3) for value in sigma[:3].tolist())
+    a, b, c = (_known(math.degrees(value), 5) for value in sigma[3:].tolist())
+    return PredictedDocument(sigma_um=SigmaXyz(x=x, y=y, z=z), sigma_deg=SigmaAbc(a=a, b=b, c=c))
+
+
+def _known(value: float, digits: int = 3) -> float | None:
+    """None instead of NaN and infinity, which JSON does not have."""
+    return round(value, digits) if math.isfinite(value) else None

@@ -6,30 +6,18 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from edged.domain.frames import FramePair
-from edged.errors import SetupRefused, TeachError
+from edged.errors import TeachError
 from edged.files.recording import load
-from edged.setup.inuse import RigInUse
-from edged.setup.releases.jobsinuse import JobLine, JobsInUse
+from edged.setup.inuse import CellInUse
+from edged.setup.releases.jobsinuse import JobLine
 from edged.setup.teaching.drafts import KeptPair, kept_pair
 
 
 class Sources:
-    """capture : an exposure, for the token of who has the cell.  rig, jobs : those in use.
+    """recorded : the file of a recorded cycle; raises `KeyError`."""
 
-    recorded : the file of a recorded cycle; raises `KeyError`.
-    """
-
-    def __init__(
-        self,
-        capture: Callable[[str], Awaitable[FramePair]],
-        rig: Callable[[], RigInUse | None],
-        jobs: Callable[[], JobsInUse],
-        recorded: Callable[[int], Awaitable[Path]],
-    ) -> None:
-        self._capture = capture
-        self._rig = rig
-        self._jobs = jobs
+    def __init__(self, cell: CellInUse, recorded: Callable[[int], Awaitable[Path]]) -> None:
+        self._cell = cell
         self._recorded = recorded
 
     async def take(self, token: str | None, cycle: int | None, replaced: JobLine | None) -> KeptPair:
@@ -39,16 +27,15 @@ class Sources:
         that there is not.
         """
         if cycle is not None:
-            file, rig = await self._recorded(cycle), self._rig()
-            if rig is None:
-                raise SetupRefused("there is no calibration: calibrate first")
+            file = await self._recorded(cycle)
+            rig = self._cell.needed_rig()
             return await asyncio.to_thread(recorded_pair, file, rig.calibration_id)
         if token is not None:
-            pair = await self._capture(token)
+            pair = await self._cell.capture(token)
             return KeptPair(pair.left.image, pair.right.image)
         if replaced is None:
             raise TeachError("a job is taught from a fresh pair, a recorded one, or that which a job keeps")
-        return await asyncio.to_thread(kept_pair, self._jobs().folder / replaced.folder)
+        return await asyncio.to_thread(kept_pair, self._cell.job_lines().folder / replaced.folder)
 
 
 def recorded_pair(file: Path, calibration_id: str) -> KeptPair:

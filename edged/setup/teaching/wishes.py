@@ -1,4 +1,4 @@
-"""What people want of a draft of a job, in the words of the page, and as the draft keeps it."""
+"""What people want of a draft of a job: in the words of requests and pages, and as the draft keeps it."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ import numpy as np
 from pydantic import JsonValue
 
 from edged.domain.arrays import FloatArray
-from edged.robot.orientations import matrix_fixed_xyz
-from edged.setup.outlines import Line, on_face
-from edged.setup.teaching.editing import gripping_at, lying
-from edged.setup.teaching.model import Gripping, Mark, Shape, Size, region_of
+from edged.robot.orientations import fixed_xyz, matrix_fixed_xyz
+from edged.setup.outlines import Line, on_face, seen_at
+from edged.setup.teaching.documents import GrippingDocument
+from edged.setup.teaching.editing import grasp_of, gripping_at, lying
+from edged.setup.teaching.model import (
+    Gripping,
+    GripWanted,
+    Mark,
+    Shape,
+    Size,
+    SizeWanted,
+    TapPlace,
+    region_of,
+)
 from edged.setup.teaching.proposing import Seen
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.part.job import MeasurementKind
 from edged.vision.teaching.region import Region, painted_region
-
-
-@dataclass(frozen=True, slots=True)
-class Tapped:
-    """Where somebody has tapped the left picture, raw px."""
-
-    x: float
-    y: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,30 +41,6 @@ class Drawn:
     depth_mm: float | None = None
     unit: str | None = None
     layers: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Grip:
-    """A gripping point in the part's frame; at : on the part's face instead. Angles about fixed x, y, z."""
-
-    at: Tapped | None = None
-    position_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    approach_mm: float = 50.0
-    retreat_mm: float | None = None
-    symmetry: int = 1
-    name: str = "grip"
-
-
-@dataclass(frozen=True, slots=True)
-class WantedSize:
-    """A size by the names of its features."""
-
-    kind: MeasurementKind
-    of: tuple[str, ...]
-    name: str | None = None
-    nominal: float | None = None
-    tolerance: float | None = None
 
 
 def check_region(shapes: Sequence[Shape], width: int, height: int) -> None:
@@ -82,7 +59,7 @@ def kept(mark: Mark) -> JsonValue:
     return mark.model_dump(mode="json")
 
 
-def tapped_feature(seen: Seen, place: Tapped) -> str:
+def tapped_feature(seen: Seen, place: TapPlace) -> str:
     """The smallest circle or slot around a point, else the feature that is nearest to it."""
     apart = {
         name: math.hypot(mark.x - place.x, mark.y - place.y)
@@ -95,28 +72,46 @@ def tapped_feature(seen: Seen, place: Tapped) -> str:
     )
 
 
-def kept_size(seen: Seen, wanted: WantedSize) -> Size:
+def kept_size(seen: Seen, wanted: SizeWanted) -> JsonValue:
     """A size, as the draft keeps it. Raises `KeyError` for a feature that there is not."""
     marks = tuple(seen.marks[name] for name in wanted.of)
-    return Size(
-        kind=wanted.kind, of=marks, name=wanted.name, nominal=wanted.nominal, tolerance=wanted.tolerance
-    )
+    fields = wanted.model_dump(include={"kind", "nominal", "tolerance"})
+    return Size(**fields, of=marks, name=wanted.key).model_dump(mode="json")
 
 
-def kept_grip(seen: Seen, rig: StereoRig, wanted: Grip) -> Gripping:
-    """A gripping point where the part lies in the pair."""
-    base = Gripping(
-        name=wanted.name,
-        position_mm=(0.0, 0.0, 0.0),
-        rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        approach_mm=wanted.approach_mm,
-        retreat_mm=wanted.retreat_mm,
-        symmetry=wanted.symmetry,
-    )
+def kept_grip(seen: Seen, rig: StereoRig, wanted: GripWanted) -> JsonValue:
+    """A gripping point where the part lies in the pair, as the draft keeps it."""
     job = lying(seen.job, seen.moved)
-    position_mm: FloatArray = np.array(wanted.position_mm)
+    position_mm: FloatArray = np.array([wanted.x_mm, wanted.y_mm, wanted.z_mm])
     if wanted.at is not None:
-        there = on_face(job, rig, np.array([[wanted.at.x, wanted.at.y]]))[0]
+        there = on_face(job, rig, np.array([wanted.at]))[0]
         position_mm = job.rig_from_part[:3, :3].T @ (there - job.rig_from_part[:3, 3])
-    w, p, r = (math.radians(angle) for angle in wanted.rotation_deg)
-    return gripping_at(job, position_mm, matrix_fixed_xyz(w, p, r), base)
+    w, p, r = map(math.radians, (wanted.a_deg, wanted.b_deg, wanted.c_deg))
+    gripping = gripping_at(job, position_mm, matrix_fixed_xyz(w, p, r), wanted)
+    return gripping.model_dump(mode="json")
+
+
+def gripping_in(wanted: Gripping | None, seen: Seen, rig: StereoRig) -> GrippingDocument | None:
+    """How a tool takes the part: as people want it, else as the job that is replaced has it."""
+    grasps = seen.job.picking.grasps
+    if wanted is None and not grasps:
+        return None
+    grasp = grasps[0] if wanted is None else grasp_of(wanted, seen.job, seen.moved)
+    x, y, z = (round(float(value), 6) for value in grasp.part_from_tcp[:3, 3])
+    a, b, c = (round(value, 6) for value in fixed_xyz(grasp.part_from_tcp[:3, :3]))
+    there = lying(seen.job, seen.moved).rig_from_part
+    left, right = seen_at((there @ grasp.part_from_tcp)[:3, 3], rig)
+    return GrippingDocument(
+        name=grasp.name,
+        x_mm=x,
+        y_mm=y,
+        z_mm=z,
+        a_deg=a,
+        b_deg=b,
+        c_deg=c,
+        approach_mm=grasp.approach_mm,
+        retreat_mm=grasp.retreat_mm,
+        symmetry=grasp.symmetry,
+        left=left,
+        right=right,
+    )

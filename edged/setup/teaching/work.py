@@ -23,7 +23,7 @@ def propose_region(_progress: Progress, pictures: Path) -> Line | None:
 
 def regions_at(_progress: Progress, pictures: Path, x: float, y: float) -> tuple[Line, ...]:
     """Around each thing that a point of the left picture is inside of, the largest first."""
-    return tuple(line(one) for one in parts_at(load_image(pictures / "left.png"), x, y))
+    return tuple(line(outline) for outline in parts_at(load_image(pictures / "left.png"), x, y))
 
 
 def read_drawing(
@@ -45,7 +45,7 @@ def read_drawing(
         raise TeachError(
             f"{name}: more than {MOST_OUTLINES} outlines: not the drawing of one part", "drawing_large"
         )
-    return tuple(tuple((float(x), float(y)) for x, y in one) for one in outlines)
+    return tuple(tuple((float(x), float(y)) for x, y in outline) for outline in outlines)
 
 
 def see_part(progress: Progress, order: Order) -> proposing.Seen:

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from edged.domain.numerals import known
-from edged.setup.calibration.documents import Trouble
+from edged.setup.documents import Trouble
 from edged.setup.frozen import Frozen
 from edged.setup.trials.sigmamap import SigmaMap
 from edged.setup.trials.stilltest import StillResult, StillVerdict

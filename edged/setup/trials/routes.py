@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from edged.adapters.web.routes import Body, Call, Leased, Name, route
 from edged.identity.visitors import Role
-from edged.setup.calibration.routes import Begun, known
+from edged.setup.draftroutes import Begun, known
 from edged.setup.trials.documents import MapDocument, Stills, TrialDocument
 from edged.setup.trials.service import Trials, What
 from edged.setup.trials.stilltest import LEAST, MOST

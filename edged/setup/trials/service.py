@@ -22,7 +22,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError, SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
-from edged.setup.calibration.documents import trouble_in
+from edged.setup.drafts import trouble_in
 from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress
 from edged.setup.trials.documents import (

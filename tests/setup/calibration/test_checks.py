@@ -8,18 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.cellinuse import StillCell
 from helpers.smallcell import SmallCell, pictures
 from helpers.stagecell import Newcomer, run
 
-from edged.cell.lease.notices import Notices
 from edged.commands.stage import USER
 from edged.domain.frames import Frame, FramePair
 from edged.errors import UserError
 from edged.files.jobs import load_job
-from edged.files.rig import rig_text, save_rig
+from edged.files.rig import save_rig
 from edged.setup.calibration.checks import CheckDocument, Checked, Checks, OfferedLength
 from edged.setup.calibration.service import FUNCTIONS
-from edged.setup.inuse import RigInUse
 from edged.setup.jobs.worker import Worker
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, transform
@@ -119,26 +118,17 @@ def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None
     relation = true.right_from_left.copy()
     relation[:3, 3] *= 1.01
     wide = replace(true, right_from_left=relation, calibration_id="wide")
-    in_use = [true]
-
-    async def capture(token: str) -> FramePair:
-        assert "theirs" == token
-        return pair
+    running = StillCell(cell.config)
+    running.session.pair = pair
 
     async def checked() -> list[CheckDocument]:
-        worker, kept = Worker(FUNCTIONS), tmp_path / "state" / "check.json"
-        checks = Checks(
-            kept,
-            worker,
-            Notices(),
-            capture,
-            lambda: RigInUse(in_use[-1].calibration_id, rig_text(in_use[-1]), tmp_path / "rig.json"),
-            lambda: {job.name: job},
-        )
+        in_use = running.in_use(worker := Worker(FUNCTIONS))
+        checks, kept = Checks(in_use), in_use.folder / "check.json"
         found = []
         try:
             for rig in (true, wide):
-                in_use.append(rig)
+                save_rig(in_use.config.cell.rig, rig)
+                await in_use.reload()
                 found.append(await checks.by_part("theirs", "Anna", job.name, {"c0": 28.0}))
                 known = await checks.last()
                 assert Checked(last=found[-1], is_current=True, boards=[], parts=known.parts) == known

@@ -203,7 +203,7 @@ def test_a_kept_pair_is_found_again(tmp_path: Path) -> None:
     assert (left.digest, right.digest) == (found[0].digest, found[1].digest)
     assert np.array_equal(left.results[0].pixels, found[0].results[0].pixels)
     assert seen_left.outline is not None
-    assert draft.thumbnail("view_001", "left").is_file()
+    assert draft.small("view_001", "left").is_file()
 
 
 def test_a_disc_that_refuses_costs_the_pair_alone(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from helpers.flatparts import DISC, PLATE
 
 from edged.errors import TeachError
 from edged.files.rig import rig_text
+from edged.setup.inuse import RigInUse
 from edged.setup.teaching.drafts import KeptPair, TeachingDraft, TeachingDrafts
 from edged.setup.teaching.model import Content
 from edged.setup.teaching.proposing import Order, Seen, propose_region, see
@@ -41,7 +42,7 @@ def drafted(folder: Path, part: Part) -> TeachingDraft:
 
 def seen(draft: TeachingDraft) -> Seen:
     """What it teaches."""
-    return see(Order(draft.folder / "pictures", draft.state.content, rig(), Path("rig.json")))
+    return see(Order(draft.pictures, draft.state.content, RigInUse("cal", rig(), Path("rig.json"))))
 
 
 def kept(one: Seen, name: str) -> Any:
@@ -59,26 +60,27 @@ def test_every_feature_is_measured_also_where_circles_say_everything(tmp_path: P
     """Slots beside circles have sizes and sigmas of this pair, and they fit the truth."""
     draft = drafted(tmp_path, DISC)
     first = seen(draft)
-    found = {one.name: one for one in first.features}
+    found = {one.key: one for one in first.features}
     truth = {"c0": {"diameter_mm": 26.0}, "c1": {"diameter_mm": 6.0}, "c2": {"diameter_mm": 3.0}}
     truth["s0"] = {"length_mm": 9.0, "width_mm": 4.0}
     assert truth.keys() == found.keys()
     for name, sizes in truth.items():
         one = found[name]
-        assert ("", sizes.keys()) == (one.why, one.size_mm.keys())
+        assert (None, sizes.keys()) == (one.why, one.size.keys())
         for key, value in sizes.items():
-            assert value == pytest.approx(one.size_mm[key], abs=5e-3 * one.sigma_um + 0.02), (name, key)
-    assert ["radius_c0"] == [size.name for size in first.sizes], "the job was asked for more than people want"
+            assert value == pytest.approx(one.size[key], abs=5e-3 * one.sigma_um + 0.02), (name, key)
+    assert ["radius_c0"] == [size.key for size in first.sizes], "the job was asked for more than people want"
 
     draft.operate("about", {"reference": kept(first, "s0")})
     moved = seen(draft)
     assert "s0" == moved.job.reference
-    assert np.abs(np.array(moved.reference[0]) - left_px(4, -4)).max() < 0.3
+    assert np.abs(np.array(moved.reference.left) - left_px(4, -4)).max() < 0.3
     assert np.abs(moved.job.place_of("s0")).max() < 1e-9
     draft.operate("features", {"left_out": [kept(first, "s0"), kept(first, "c0")]})
     without = seen(draft)
     assert ("c1", ["c1", "c2"]) == (without.job.reference, [one.name for one in without.job.circles])
-    assert np.all(np.array(without.sigma[:3]) > 0)
+    assert without.predicted is not None
+    assert min(without.predicted.sigma_um.model_dump().values()) > 0
     draft.operate("features", {"left_out": [kept(first, name) for name in found]})
     with pytest.raises(TeachError, match="a job needs a circle, a slot or two edges"):
         seen(draft)
@@ -90,7 +92,7 @@ def test_a_part_of_edges_alone_has_corners_for_a_reference(tmp_path: Path) -> No
     first = seen(draft)
     kinds = [one.kind for one in first.features]
     assert (5, 5) == (kinds.count("edge"), kinds.count("corner"))
-    names = {one.name: one.left[0] for one in first.features if one.kind == "corner"}
+    names = {one.key: one.outline.left[0] for one in first.features if one.kind == "corner"}
     tips = [left_px(x, y) for x, y in PLATE.outline.points_mm]
     for name, place in names.items():
         assert min(np.linalg.norm(tip - place) for tip in tips) < 0.5, name

@@ -1,0 +1,163 @@
+"""HTTP of drafts: what the routes of all topics have in common."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from aiohttp import web
+from pydantic import Field
+
+from edged.adapters.web.routes import Answer, Body, Call, Given, Problem, RouteTable
+from edged.files.atomic import read_bytes
+from edged.identity.visitors import Role
+from edged.setup.documents import DraftHead
+from edged.setup.drafts import OpenDrafts, StaleDraft
+
+DRAFT = "/{id:[0-9]{8}-[0-9]{6}-[0-9a-f]{4}}"
+Revision = Annotated[int, Field(ge=0, description="of the draft as it was seen: 412 for an older one")]
+T = TypeVar("T")
+B = TypeVar("B")
+
+
+class Nothing(Body):
+    """All that is to be said is in the path."""
+
+
+class Revised(Body):
+    """A change of a draft as it was seen; where it is another by now, the answer is 412 with that."""
+
+    revision: Revision | None = None
+
+
+class Begun(Answer):
+    """Long work: ask for it by its id."""
+
+    task: str
+
+
+def unknown(what: str = "there is no such thing, or not any more") -> Problem:
+    """The answer about something that there is not."""
+    return Problem(404, "unknown", what)
+
+
+async def known(asked: Awaitable[T]) -> T:
+    """Await an answer; raises `Problem` for a `KeyError`, and for a draft that was changed since."""
+    try:
+        return await asked
+    except KeyError:
+        raise unknown() from None
+    except StaleDraft as stale:
+        newer = stale.document.model_dump(mode="json")
+        params = {"document": newer, "revision": newer["revision"]}
+        raise Problem(412, "stale", str(stale), params=params) from stale
+
+
+class DraftRoutes:
+    """The routes of one topic's drafts, below a path.
+
+    answer : what most of them answer.  body : of undo, redo and discarding.
+    """
+
+    def __init__(
+        self,
+        table: RouteTable,
+        path: str,
+        drafts: OpenDrafts[Any, Any, Any],
+        answer: type[DraftHead],
+        body: type[Body] = Revised,
+    ) -> None:
+        self._table = table
+        self._path = path
+        self._drafts = drafts
+        self._answer = answer
+        self._body = body
+
+    def add(
+        self,
+        method: str,
+        path: str,
+        handler: Callable[[str, Call[B]], Awaitable[Given]],
+        what: str,
+        body: type[B] | None = None,
+        **more: Any,
+    ) -> None:
+        """A route of a draft, as `RouteTable.route` has it; the handler is given the draft's id, too."""
+
+        async def handle(call: Call[B]) -> Given:
+            return await known(handler(call.part("id"), call))
+
+        answer = more.pop("answer", self._answer)
+        self._table.route(
+            method, f"{self._path}{DRAFT}{path}", handle, what, body=body, answer=answer, **more
+        )
+
+    def add_usual(
+        self, listed: type[Answer] | type[Any], field: str, words: Mapping[str, str], **about: Any
+    ) -> None:
+        """List, see, discard, undo, redo. field : of the list.  words : by "GET all", "GET", "DELETE".
+
+        about : other fields of the list.
+        """
+
+        async def listing(_call: Call[None]) -> Given:
+            return listed.model_validate({field: await self._drafts.summaries(), **about})
+
+        async def discard(identity: str, call: Call[Any]) -> None:
+            await self._drafts.remove(identity, getattr(call.body, "revision", None))
+
+        see = Role.VIEWER
+        self._table.route("GET", self._path, listing, words["GET all"], role=see, answer=listed)
+        self.add("GET", "", lambda draft, _: self._drafts.document(draft), words["GET"], role=see)
+        self.add("DELETE", "", discard, words["DELETE"], self._body, answer=None, audit=True)
+        self.add_change("POST", "/undo", lambda draft, _: draft.undo(), "Take the last step back", self._body)
+        self.add_change("POST", "/redo", lambda draft, _: draft.redo(), "Take it again", self._body)
+
+    def add_change(
+        self,
+        method: str,
+        path: str,
+        change: Callable[[Any, Call[B]], object],
+        what: str,
+        body: type[B],
+        **more: Any,
+    ) -> None:
+        """A route that changes a draft's files. change : in a thread, with the draft."""
+
+        def handle(identity: str, call: Call[B]) -> Awaitable[DraftHead]:
+            revision = getattr(call.body, "revision", None)
+            return self._drafts.change(identity, lambda draft: change(draft, call), revision)
+
+        self.add(method, path, handle, what, body, **more)
+
+    def add_begin(self, begin: Callable[[Call[B]], Awaitable[DraftHead]], what: str, body: type[B]) -> None:
+        """The route that begins a draft."""
+
+        async def handle(call: Call[B]) -> DraftHead:
+            draft = await known(begin(call))
+            call.trail.object = draft.id
+            return draft
+
+        self._table.route(
+            "POST", self._path, handle, what, body=body, answer=self._answer, status=201, audit=True
+        )
+
+    def add_file(
+        self,
+        path: str,
+        file: Callable[[Any, Call[None]], Path | None],
+        what: str,
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        """The route of a JPEG. file : of the draft; None: there is none."""
+
+        async def handle(identity: str, call: Call[None]) -> web.Response:
+            found = file((await self._drafts.get(identity)).draft, call)
+            if found is None:
+                raise unknown()
+            data = await asyncio.to_thread(read_bytes, found, "a picture")
+            return web.Response(body=data, content_type="image/jpeg", headers=headers)
+
+        self.add("GET", path, handle, what, role=Role.VIEWER, answer="image/jpeg")
