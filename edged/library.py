@@ -25,7 +25,7 @@ from edged.robot.picking import frame_of, picked
 from edged.setup.calibration.boards import boards_in, stated_boards
 from edged.setup.calibration.views import Calibrated, Views, solve
 from edged.setup.pairs import Pair
-from edged.setup.teaching.proposal import Wanted, check_name, check_tilt, propose_from_pair
+from edged.setup.teaching.proposal import WantedJob, check_name, check_tilt, propose_from_pair
 from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
@@ -126,7 +126,7 @@ def teach(
         left,
         right,
         _prepared(rig).rectification,
-        Wanted(name, number, tilt_deg=tilt_deg),
+        WantedJob(name, number, tilt_deg=tilt_deg),
         region=area,
         exclude=exclude,
     )

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from edged.domain.cell import Calibrated, DriftState
+from edged.domain.cell import CalibrationHealth, DriftState
 from edged.domain.measurement import Outcome, Reject, Status, Target
 
 WEIGHT = 0.05
@@ -84,7 +84,7 @@ class DriftMonitor:
     limits: DriftLimits
     _rows: _Mean = field(default_factory=_Mean)
     _lengths: dict[str, _Length] = field(default_factory=dict)
-    _verdict: Calibrated = Calibrated.HOLDS
+    _verdict: CalibrationHealth = CalibrationHealth.HOLDS
 
     def add(self, target: Target, witness: str | None) -> None:
         """Note a located part. witness : name of its measurement of known nominal size.
@@ -103,8 +103,8 @@ class DriftMonitor:
                 length.mean.add(100 * (one.value / one.nominal - 1))
         found = self._judged()
         # hysteresis: after INVALID, results are given again only when nothing drifts any more
-        held = self._verdict is Calibrated.INVALID and found is Calibrated.DRIFTS
-        self._verdict = Calibrated.INVALID if held else found
+        held = self._verdict is CalibrationHealth.INVALID and found is CalibrationHealth.DRIFTS
+        self._verdict = CalibrationHealth.INVALID if held else found
 
     def state(self) -> DriftState:
         """The verdict now, the mean row difference, and the mean of the length that is worst."""
@@ -112,7 +112,7 @@ class DriftMonitor:
         lengths = [length.mean.mean for length in self._lengths.values()]
         return DriftState(self._verdict, rows, max(lengths, key=abs, default=math.nan))
 
-    def _judged(self) -> Calibrated:
+    def _judged(self) -> CalibrationHealth:
         """The worst verdict of all witnesses."""
         limits = self.limits
         verdicts = [self._beyond(self._rows, limits.warn_rows_px, limits.invalid_rows_px)]
@@ -124,13 +124,13 @@ class DriftMonitor:
                 verdicts.append(self._beyond(length.mean, warn + length.allowed, invalid + length.allowed))
         return max(verdicts)
 
-    def _beyond(self, mean: _Mean, warn: float, invalid: float) -> Calibrated:
+    def _beyond(self, mean: _Mean, warn: float, invalid: float) -> CalibrationHealth:
         if mean.number < self.limits.min_cycles:
-            return Calibrated.HOLDS
+            return CalibrationHealth.HOLDS
         certain = abs(mean.mean) - CERTAIN * mean.error
         if certain > invalid:
-            return Calibrated.INVALID
-        return Calibrated.DRIFTS if certain > warn else Calibrated.HOLDS
+            return CalibrationHealth.INVALID
+        return CalibrationHealth.DRIFTS if certain > warn else CalibrationHealth.HOLDS
 
 
 def refused(outcome: Outcome) -> Outcome:

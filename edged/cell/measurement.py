@@ -10,7 +10,7 @@ from edged.cell.announcements import log
 from edged.cell.context import CellContext
 from edged.cell.drift import refused
 from edged.cell.loaded import LoadedJob
-from edged.domain.cell import Calibrated
+from edged.domain.cell import CalibrationHealth
 from edged.domain.events import Command, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status
@@ -109,7 +109,7 @@ class CycleRun:
         """The outcome with good results refused while the calibration is known to be wrong."""
         for target in outcome.targets:
             self.cell.drift.add(target, job.witness)
-        return refused(outcome) if self.cell.drift.state().verdict is Calibrated.INVALID else outcome
+        return refused(outcome) if self.cell.drift.state().verdict is CalibrationHealth.INVALID else outcome
 
     def _exposed(self, job: LoadedJob, pair: FramePair, outcome: Outcome) -> Snapshot:
         return replace(

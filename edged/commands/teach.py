@@ -26,7 +26,7 @@ from edged.report.teaching import inspection_to_json, teaching_report
 from edged.setup.teaching.proposal import (
     PartModel,
     Proposal,
-    Wanted,
+    WantedJob,
     check_name,
     check_tilt,
     commit,
@@ -196,7 +196,7 @@ def teach(
     check_outputs({"--report": report}, _inputs(source))
     check_job_folder(output)
     former = former_job(output)
-    wanted = Wanted(name, job_number(output, number, former), params, tilt_deg, former)
+    wanted = WantedJob(name, job_number(output, number, former), params, tilt_deg, former)
     prepared = prepare(load_rig(rig))
     with console.status("learning the part"):
         proposal = _proposal(source, prepared.rectification, wanted)
@@ -245,7 +245,9 @@ def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:
     return {"--left": source.left, "--right": source.right, "--step": source.step}
 
 
-def _proposal(source: PairSource | DrawingSource, rectification: Rectification, wanted: Wanted) -> Proposal:
+def _proposal(
+    source: PairSource | DrawingSource, rectification: Rectification, wanted: WantedJob
+) -> Proposal:
     if isinstance(source, DrawingSource):
         if source.step is not None:
             read = read_model(source.step, source.up or "", source.unit)

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 
-class Calibrated(enum.IntEnum):
+class CalibrationHealth(enum.IntEnum):
     """Whether the calibration holds, by what the parts show."""
 
     HOLDS = 0
@@ -22,7 +22,7 @@ class Calibrated(enum.IntEnum):
 class DriftState:
     """The verdict, the mean row difference (px rms) and the known length's mean deviation; NaN: unknown."""
 
-    verdict: Calibrated = Calibrated.HOLDS
+    verdict: CalibrationHealth = CalibrationHealth.HOLDS
     rows_px: float = math.nan
     length_percent: float = math.nan
 
@@ -68,7 +68,7 @@ class CellState:
     missed_triggers: int
     error: str = ""
     error_code: int = 0
-    calibrated: Calibrated = Calibrated.HOLDS
+    calibrated: CalibrationHealth = CalibrationHealth.HOLDS
     setup: SetupSource = SetupSource.NONE
     setup_by: str = ""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from edged.domain.cell import Calibrated, CellPhase, CellState, SetupSource
+from edged.domain.cell import CalibrationHealth, CellPhase, CellState, SetupSource
 from edged.plc import handshake as hs
 from edged.plc import registers as reg
 from edged.plc.answers import AckState, ResultVerdict
@@ -93,8 +93,8 @@ def _status_bits(
         raised += [
             (reg.StatusBit.READY, cell.ready and len(state.open) < state.limits.queue),
             (reg.StatusBit.ERROR, is_fault or bool(cell.error)),
-            (reg.StatusBit.DRIFT_WARN, cell.calibrated is not Calibrated.HOLDS),
-            (reg.StatusBit.CAL_INVALID, cell.calibrated is Calibrated.INVALID),
+            (reg.StatusBit.DRIFT_WARN, cell.calibrated is not CalibrationHealth.HOLDS),
+            (reg.StatusBit.CAL_INVALID, cell.calibrated is CalibrationHealth.INVALID),
             (reg.StatusBit.CAM_FAULT, is_fault and not cell.cameras_ok),
         ]
     return sum(int(bit) for bit, is_up in raised if is_up)

@@ -19,7 +19,7 @@ _ARRAY = re.compile(r"ARRAY\[(\d+)\.\.(\d+)\] OF (\w+)")
 
 
 @dataclass(frozen=True, slots=True)
-class Variable:
+class DeclaredVariable:
     """One declaration. bounds : of an array, whose elements are of `type`; None for anything else."""
 
     name: str
@@ -34,7 +34,7 @@ class Structure:
     """A data type with its fields."""
 
     name: str
-    fields: tuple[Variable, ...]
+    fields: tuple[DeclaredVariable, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Code:
     returns: str
     comment: str
     declaration: str
-    sections: tuple[tuple[str, tuple[Variable, ...]], ...]
+    sections: tuple[tuple[str, tuple[DeclaredVariable, ...]], ...]
     body: str
 
 
@@ -71,10 +71,10 @@ def codes(source: str) -> tuple[Code, ...]:
     )
 
 
-def _variables(text: str) -> tuple[Variable, ...]:
+def _variables(text: str) -> tuple[DeclaredVariable, ...]:
     variables = []
     for name, kind, initial, comment in _VARIABLE.findall(text):
         array = _ARRAY.fullmatch(kind)
         bounds = (int(array[1]), int(array[2])) if array else None
-        variables.append(Variable(name, array[3] if array else kind, bounds, initial, comment))
+        variables.append(DeclaredVariable(name, array[3] if array else kind, bounds, initial, comment))
     return tuple(variables)

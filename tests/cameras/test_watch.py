@@ -24,7 +24,7 @@ from edged.adapters.zenoh import open_session, session_config
 from edged.adapters.zenoh.cbor import decode_cbor
 from edged.app.fleet import ClientTls, News
 from edged.commands.watch import CellView, WatchOptions, fleet_view, watch
-from edged.domain.cell import Calibrated, DriftState
+from edged.domain.cell import CalibrationHealth, DriftState
 from edged.domain.events import Snapshot
 from edged.domain.measurement import Status
 from edged.errors import UserError
@@ -116,7 +116,7 @@ def test_the_table_shows_state_and_result_of_each_cell():
 @pytest.mark.parametrize("terminal", [False, True])
 def test_a_calibration_that_drifts_is_shown_with_its_figures(terminal):
     """The verdict, the rows and the known length: what to look at before the cell stops by itself."""
-    drifting = replace(make_snapshot(1), drift=DriftState(Calibrated.DRIFTS, 0.31, -0.24))
+    drifting = replace(make_snapshot(1), drift=DriftState(CalibrationHealth.DRIFTS, 0.31, -0.24))
     text = run([drifting] * 3, count=2, terminal=terminal)
     assert "calibration drifts: rows 0.31 px, known length -0.24 %" in " ".join(text.split())
 

@@ -19,7 +19,7 @@ from edged.adapters.modbus.settings import ModbusSettings
 from edged.cell.cycle import Cycle
 from edged.cell.drift import DriftLimits, DriftMonitor
 from edged.cell.loaded import LoadedJob, Setup
-from edged.domain.cell import Calibrated, CellPhase, CellState
+from edged.domain.cell import CalibrationHealth, CellPhase, CellState
 from edged.domain.events import Event
 from edged.domain.measurement import Measurement, Outcome, Reject, Status, Target
 from edged.pipeline import locate, prepare
@@ -42,7 +42,7 @@ def seen(
     return replace(make_target(reject), epipolar_rms_px=rows_px, measurements=(size,))
 
 
-def watch(targets: list[Target], limits: DriftLimits | None = None) -> list[Calibrated]:
+def watch(targets: list[Target], limits: DriftLimits | None = None) -> list[CalibrationHealth]:
     """The verdict after each part."""
     monitor, verdicts = DriftMonitor(limits or DriftLimits()), []
     for target in targets:
@@ -62,15 +62,17 @@ def parts(
 @pytest.mark.slow
 def test_parts_that_differ_raise_no_alarm() -> None:
     """Ten thousand parts with twice the warning limit's spread: not one wrong warning."""
-    assert set(watch(parts(np.random.default_rng(1), 10_000))) == {Calibrated.HOLDS}
+    assert set(watch(parts(np.random.default_rng(1), 10_000))) == {CalibrationHealth.HOLDS}
 
 
-@pytest.mark.parametrize(("bias", "verdict"), [(0.3, Calibrated.DRIFTS), (0.6, Calibrated.INVALID)])
-def test_a_scale_that_is_off_is_seen_through_the_spread(bias: float, verdict: Calibrated) -> None:
+@pytest.mark.parametrize(
+    ("bias", "verdict"), [(0.3, CalibrationHealth.DRIFTS), (0.6, CalibrationHealth.INVALID)]
+)
+def test_a_scale_that_is_off_is_seen_through_the_spread(bias: float, verdict: CalibrationHealth) -> None:
     """Within a hundred parts, although every single part may be as far off by itself."""
     rng = np.random.default_rng(2)
     verdicts = watch([*parts(rng, 200), *parts(rng, 100, bias)])
-    assert verdicts[199] is Calibrated.HOLDS
+    assert verdicts[199] is CalibrationHealth.HOLDS
     assert verdicts[-1] is verdict
 
 
@@ -78,14 +80,14 @@ def test_it_comes_back_when_the_cause_goes() -> None:
     """A warm rig that drifted overnight is good again when it has its temperature."""
     rng = np.random.default_rng(3)
     verdicts = watch([*parts(rng, 60, 0.5), *parts(rng, 150)])
-    assert (verdicts[59], verdicts[-1]) == (Calibrated.INVALID, Calibrated.HOLDS)
+    assert (verdicts[59], verdicts[-1]) == (CalibrationHealth.INVALID, CalibrationHealth.HOLDS)
 
 
 def test_few_parts_are_no_verdict() -> None:
     """Before `min_cycles` nothing is said, however bad they look."""
     bad = [seen(NOMINAL_MM * 1.02) for _ in range(30)]
-    assert watch(bad)[:19] == [Calibrated.HOLDS] * 19
-    assert watch(bad)[-1] is Calibrated.INVALID
+    assert watch(bad)[:19] == [CalibrationHealth.HOLDS] * 19
+    assert watch(bad)[-1] is CalibrationHealth.INVALID
 
 
 def test_rows_count_by_themselves() -> None:
@@ -94,14 +96,18 @@ def test_rows_count_by_themselves() -> None:
     for _ in range(40):
         monitor.add(seen(NOMINAL_MM, rows_px=1.4), None)
     state = monitor.state()
-    assert state.verdict is Calibrated.INVALID
+    assert state.verdict is CalibrationHealth.INVALID
     assert state.rows_px == pytest.approx(1.4)
     assert math.isnan(state.length_percent)
 
 
 def test_a_lot_at_the_end_of_its_tolerance_is_no_drift() -> None:
     """Every part 0.4 % too large is allowed by a tolerance of 0.5 %; 0.3 % more is the rig."""
-    for off, verdict in ((0.4, Calibrated.HOLDS), (0.7, Calibrated.DRIFTS), (0.9, Calibrated.INVALID)):
+    for off, verdict in (
+        (0.4, CalibrationHealth.HOLDS),
+        (0.7, CalibrationHealth.DRIFTS),
+        (0.9, CalibrationHealth.INVALID),
+    ):
         lot = [seen(NOMINAL_MM * (1 + off / 100), tolerance_mm=0.005 * NOMINAL_MM) for _ in range(60)]
         assert watch(lot)[-1] is verdict
 
@@ -109,27 +115,27 @@ def test_a_lot_at_the_end_of_its_tolerance_is_no_drift() -> None:
 def test_a_size_of_unknown_tolerance_warns_and_never_refuses() -> None:
     """The radius of the part that happened to be taught says too little to stop a cell."""
     lot = [seen(NOMINAL_MM * 1.05, tolerance_mm=None) for _ in range(200)]
-    assert watch(lot)[-1] is Calibrated.DRIFTS
+    assert watch(lot)[-1] is CalibrationHealth.DRIFTS
 
 
 def test_one_wild_measurement_is_no_drift() -> None:
     """5 % off once, amid good parts: the mean jumps, and its standard error with it."""
     rng = np.random.default_rng(4)
     good = parts(rng, 400, spread=0.01)
-    assert set(watch([*good[:100], seen(NOMINAL_MM * 1.05), *good[100:]])) == {Calibrated.HOLDS}
+    assert set(watch([*good[:100], seen(NOMINAL_MM * 1.05), *good[100:]])) == {CalibrationHealth.HOLDS}
 
 
 @pytest.mark.parametrize(
     ("reject", "verdict"),
     [
-        (Reject.LEFT_RIGHT_MISMATCH, Calibrated.INVALID),
-        (Reject.TOLERANCE, Calibrated.INVALID),
-        (Reject.FEW_EDGES | Reject.LEFT_RIGHT_MISMATCH, Calibrated.INVALID),
-        (Reject.FEW_EDGES, Calibrated.HOLDS),
-        (Reject.RESIDUAL, Calibrated.HOLDS),
+        (Reject.LEFT_RIGHT_MISMATCH, CalibrationHealth.INVALID),
+        (Reject.TOLERANCE, CalibrationHealth.INVALID),
+        (Reject.FEW_EDGES | Reject.LEFT_RIGHT_MISMATCH, CalibrationHealth.INVALID),
+        (Reject.FEW_EDGES, CalibrationHealth.HOLDS),
+        (Reject.RESIDUAL, CalibrationHealth.HOLDS),
     ],
 )
-def test_parts_that_a_wrong_rig_spoils_count(reject: Reject, verdict: Calibrated) -> None:
+def test_parts_that_a_wrong_rig_spoils_count(reject: Reject, verdict: CalibrationHealth) -> None:
     """A camera so far off that no part is good any more is the rig's fault; a part half seen is not."""
     assert watch([seen(NOMINAL_MM, rows_px=3.0, reject=reject) for _ in range(40)])[-1] is verdict
 
@@ -138,8 +144,8 @@ def test_a_verdict_does_not_come_and_go_at_a_limit() -> None:
     """Results that were refused stay so until nothing drifts any more."""
     wrong, between, right = (seen(NOMINAL_MM * (1 + off / 100)) for off in (0.4, 0.25, 0.0))
     verdicts = watch([*[wrong] * 60, *[between] * 300, *[right] * 300])
-    assert set(verdicts[59:360]) == {Calibrated.INVALID}
-    assert verdicts[-1] is Calibrated.HOLDS
+    assert set(verdicts[59:360]) == {CalibrationHealth.INVALID}
+    assert verdicts[-1] is CalibrationHealth.HOLDS
 
 
 def test_what_is_not_finite_says_nothing() -> None:
@@ -147,7 +153,7 @@ def test_what_is_not_finite_says_nothing() -> None:
     monitor = DriftMonitor(DriftLimits())
     for _ in range(40):
         monitor.add(seen(math.nan, math.nan), "r")
-    assert monitor.state().verdict is Calibrated.HOLDS
+    assert monitor.state().verdict is CalibrationHealth.HOLDS
 
 
 @pytest.mark.slow
@@ -187,7 +193,7 @@ def test_a_turned_camera_is_seen_by_the_rows() -> None:
     monitor = DriftMonitor(DriftLimits(warn_rows_px=0.2, invalid_rows_px=0.5))
     for _ in range(20):
         monitor.add(target, job.witness)
-    assert monitor.state().verdict is Calibrated.INVALID
+    assert monitor.state().verdict is CalibrationHealth.INVALID
 
 
 def test_a_wrong_calibration_takes_the_coordinates_away() -> None:

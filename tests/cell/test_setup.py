@@ -219,12 +219,12 @@ def test_no_tick_is_made_up_for_after_setup() -> None:
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         token = await cycle.session.enter_setup("Anna")
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(0.7)
         cycle.session.leave_setup(token)
         await until(lambda: len(ear.snapshots()) >= 2)
         assert 0 == latest(ear).missed_triggers
 
-    drive(make_setup(period_s=0.02), script)
+    drive(make_setup(period_s=0.3), script)
 
 
 def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:

@@ -351,7 +351,7 @@ def test_exposures_that_are_apart_are_no_pair(name: str) -> None:
         bench.side(name).faults.skew_s = 0.0
         await bench.head.capture()
 
-    run(script, Bench(max_skew_s=0.05))
+    run(script, Bench(max_skew_s=0.05, timeout_s=10.0))
 
 
 class Scripted:

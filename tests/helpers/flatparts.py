@@ -22,7 +22,11 @@ METAL = Surface(albedo=0.62, contrast=0.12, feature_mm=0.5, seed=1)
 PLATE = Part("plate", PolygonShape(((-12, -8), (10, -8), (13, 2), (2, 9), (-12, 6))), METAL)
 
 
-HOLES = (Hole("slot", Slot(4, -4, 9, 4, 0.5)), Hole("bore", Disc(-6, 3, 3)), Hole("pin", Disc(4, 6, 1.5)))
+HOLES = (
+    Hole("slot", Slot(4, -4, 9, 4, 0.5)),
+    Hole("bore", Disc(-6, 3, 3)),
+    Hole("pin", Disc(4, 6, 1.5)),
+)
 
 
 DISC = Part("disc", Disc(0, 0, 13), METAL, HOLES)

@@ -252,7 +252,7 @@ def test_zenohs_own_file_guards_commands_or_the_cell_does_not_start(
 @pytest.mark.parametrize("name", ["zenoh-acl-example.json5", "zenoh-router-example.json5"])
 def test_the_example_files_guard_commands(name: str, folder: Path) -> None:
     """They are the remedy that the message names."""
-    config, examples = folder / "cell.toml", Path(__file__).parents[1] / "config"
+    config, examples = folder / "cell.toml", Path(__file__).parents[2] / "config"
     shutil.copy(examples / name, folder)
     config.write_text(config.read_text().replace("[zenoh]", f'[zenoh]\nconfig_file = "{name}"'))
 

@@ -19,7 +19,7 @@ from edged import errors
 from edged.adapters.zenoh.keys import KEYS, TRIGGER_PARAMETERS
 from edged.cli.main import app
 from edged.config.configuration import Config
-from edged.domain.cell import Calibrated
+from edged.domain.cell import CalibrationHealth
 from edged.domain.events import CommandKind
 from edged.domain.measurement import Reject, Status
 from edged.files.jobs.schema import JobFile
@@ -36,7 +36,7 @@ from referencepages.markdown import ROOT, member_docs
 from referencepages.pages import PAGES, current, main
 
 CODES: tuple[type[enum.Enum], ...] = (
-    *(Status, Reject, CommandKind, Calibrated, NackReason, Convention),
+    *(Status, Reject, CommandKind, CalibrationHealth, NackReason, Convention),
     *(ResultCode, StatusBit, Flag, Option, Warn),
 )
 
@@ -190,7 +190,7 @@ def test_every_error_fault_and_reason_is_there() -> None:
                 assert f"| {kind.code} | `{name}` |" in text
     for reason in Reject:
         assert f"| `{reason.name}` | {REASONS[reason]} |" in text
-    for one in (*Status, *Calibrated):
+    for one in (*Status, *CalibrationHealth):
         assert f"| `{one.name}` |" in text
 
 

@@ -481,7 +481,7 @@ def test_a_cell_that_was_started_anew_is_spoken_to_as_before(make: type[Any]) ->
     """While it is down a command fails; afterwards the same program goes on, also with a used sequence."""
     with running(make) as (cell, side):
         port = cell.server.line_port
-        assert side.locate() is not None
+        assert until(side.locate)
     if make is not Doosan:
         assert (None, Failure.NO_LINK) == (side.locate(), side.error())
     with running(make, line_port=port) as (cell, fresh):

@@ -35,7 +35,7 @@ from edged.adapters.web.marks import outlines
 from edged.adapters.web.page import FAULTS, HISTORY, RECENT, SPARE, THUMBNAIL_PX, StatusPage, picture
 from edged.adapters.web.server import FREE
 from edged.commands.status import status
-from edged.domain.cell import Calibrated, CellPhase, CellState, DriftState, SetupSource
+from edged.domain.cell import CalibrationHealth, CellPhase, CellState, DriftState, SetupSource
 from edged.domain.events import ExposureDone, Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Reject, Status
@@ -426,7 +426,7 @@ def test_a_page_in_fault_knows_since_when_there_is_no_picture() -> None:
 def test_trends_are_of_what_can_get_worse() -> None:
     """Sigma, rows and drift of good cycles; a fault has its status and nothing that looks measured."""
     page = StatusPage("cell", sources())
-    page.take(replace(make_snapshot(1), drift=DriftState(Calibrated.HOLDS, 0.05, math.nan)))
+    page.take(replace(make_snapshot(1), drift=DriftState(CalibrationHealth.HOLDS, 0.05, math.nan)))
     measure(page, 2, Status.CAPTURE_FAULT, "cable")
     good, bad = page.history()
 

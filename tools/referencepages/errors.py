@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from edged.domain.cell import Calibrated
+from edged.domain.cell import CalibrationHealth
 from edged.domain.measurement import Status
 from edged.errors import CaptureError, EdgedError
 from referencepages.markdown import code, first_line, member_docs, table
@@ -53,10 +53,10 @@ def statuses() -> str:
 
 def calibration() -> str:
     """What is said of the calibration."""
-    docs = member_docs(Calibrated)
+    docs = member_docs(CalibrationHealth)
     return table(
         ("value", "name", "meaning"),
-        ((one.value, code(one.name), docs[one.name]) for one in Calibrated),
+        ((one.value, code(one.name), docs[one.name]) for one in CalibrationHealth),
         numbers=1,
     )
 

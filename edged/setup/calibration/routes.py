@@ -23,7 +23,7 @@ REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; s
 Goal = Annotated[float, Field(gt=0, le=1e6, description="µm: none of the sigmas of X, Y, Z beyond it")]
 
 
-class Beginning(Body):
+class CalibrationBeginning(Body):
     """Which board: as `edged calibrate --board` takes it; or the one that the cameras see, and its pitch."""
 
     boards: Annotated[tuple[Annotated[str, Field(max_length=100)], ...], Field(max_length=8)] = ()
@@ -33,7 +33,7 @@ class Beginning(Body):
     lens: LensWish = "auto"
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Beginning:
+    def _one_of_both(self) -> CalibrationBeginning:
         if self.recognise == bool(self.boards) or self.recognise != (self.mm is not None):
             raise ValueError('expected either boards, or "recognise": true with mm')
         return self
@@ -64,7 +64,7 @@ class CalibrationRoutes:
         routes = DraftRoutes(table, "/calibrations", ours.drafts, DraftDocument, Nothing)
         words = {"GET all": "All drafts, the youngest first", "GET": "A draft as it stands"}
         routes.add_usual(DraftList, "calibrations", {**words, "DELETE": "Discard a draft"})
-        routes.add_begin(self._begin, "Begin a draft", Beginning)
+        routes.add_begin(self._begin, "Begin a draft", CalibrationBeginning)
         routes.add_change(
             "PUT", "", lambda draft, call: draft.set_goal(call.body.goal_um), "What is wanted of it", Wanted
         )
@@ -94,7 +94,7 @@ class CalibrationRoutes:
         table.route("GET", task, self._task, "How far long work is", role=see, answer=TaskDocument)
         table.route("DELETE", task, self._cancel, "End long work", body=Nothing, answer=TaskDocument)
 
-    async def _begin(self, call: Call[Beginning]) -> DraftHead:
+    async def _begin(self, call: Call[CalibrationBeginning]) -> DraftHead:
         body = call.body
         return await self._calibrations.begin(
             call.visitor.name, body.boards, body.mm, body.goal_um, body.lens

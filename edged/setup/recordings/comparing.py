@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.domain.cell import Calibrated
+from edged.domain.cell import CalibrationHealth
 from edged.domain.events import CommandKind
 from edged.domain.measurement import Status
 from edged.errors import FileFormatError, UserError
@@ -167,7 +167,7 @@ def _recorded(
     drift = taken.snapshot.get("drift")
     if dict(taken.versions) != recording.versions() or not isinstance(drift, dict):
         return None
-    if drift.get("verdict") == Calibrated.INVALID.name:
+    if drift.get("verdict") == CalibrationHealth.INVALID.name:
         return None  # refused for the cycles before, not for what this pair shows
     try:
         setup = setups.setup_of(entry.path, taken.snapshot)

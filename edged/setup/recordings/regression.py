@@ -12,7 +12,7 @@ import numpy as np
 
 from edged.cell.drift import refused
 from edged.domain.arrays import FloatArray
-from edged.domain.cell import Calibrated
+from edged.domain.cell import CalibrationHealth
 from edged.domain.events import Snapshot
 from edged.domain.measurement import Outcome, Status
 from edged.domain.picking import Picking
@@ -58,7 +58,7 @@ def shown(
     """What an inspection decides and what it saw besides. drifts : refuse where the rig drifted."""
     outcome = judge(inspection)
     drift = taken.snapshot.get("drift")
-    if drifts and isinstance(drift, dict) and drift.get("verdict") == Calibrated.INVALID.name:
+    if drifts and isinstance(drift, dict) and drift.get("verdict") == CalibrationHealth.INVALID.name:
         outcome = refused(outcome)  # that comes from the cycles before, not from this pair
     return _json_of(outcome, rig, job.picking, _robot_from_flange(taken))
 

@@ -24,7 +24,7 @@ from edged.setup.registration.model import (
     Kind,
     LookState,
     Mount,
-    Operation,
+    RegistrationOperation,
     RegistrationState,
     SampleState,
     SolvedState,
@@ -56,7 +56,7 @@ class RobotDraft(DraftFile[RegistrationState]):
 
     def add(self, name: str, sample: SampleState, numbers: tuple[float, ...] | None) -> None:
         """Take note of a sample whose pictures are in the folder."""
-        operation = Operation(what="add", sample=name, numbers=numbers)
+        operation = RegistrationOperation(what="add", sample=name, numbers=numbers)
         self.write(self.state.operated(operation, samples={**self.state.samples, name: sample}))
 
     def write_numbers(self, name: str, numbers: tuple[float, ...]) -> None:
@@ -80,7 +80,7 @@ class RobotDraft(DraftFile[RegistrationState]):
     ) -> None:
         if name not in among:
             raise KeyError(name)
-        self.write(self.state.operated(Operation(what=what, sample=name, numbers=numbers)))
+        self.write(self.state.operated(RegistrationOperation(what=what, sample=name, numbers=numbers)))
 
     def restate(self, **changes: Any) -> None:
         """Brand, mount or limit are others. Raises `CalibrationError` for a mount that does not fit."""

@@ -62,7 +62,7 @@ class SampleState(Kept):
     length_percent: float | None = None
 
 
-class Operation(Kept):
+class RegistrationOperation(Kept):
     """Something that can be undone. numbers : as the robot shows them, of what is added or written."""
 
     what: Literal["add", "write", "remove", "restore"]
@@ -84,7 +84,7 @@ class Confirmed(Kept):
     off_mm: Point
 
 
-class RegistrationState(History[Operation]):
+class RegistrationState(History[RegistrationOperation]):
     """A draft. calibration_id : of the rig that it was begun with. board : as `parse_boards` takes it, or "".
 
     looked : the last pair of places. brand : None: not said.

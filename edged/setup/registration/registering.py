@@ -28,7 +28,7 @@ DECIDED = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registered:
+class RegisteredRig:
     """A rig that knows the robot, not saved yet. how : what the rig file keeps of the way it was found."""
 
     rig: StereoRig
@@ -49,7 +49,7 @@ class FromPoints:
     checked: bool
     good: bool
     doubt: bool
-    registered: Registered
+    registered: RegisteredRig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +59,7 @@ class FromPoses:
     found: HandEye
     held_out_rms_mm: float
     good: bool
-    registered: Registered
+    registered: RegisteredRig
 
     @property
     def worst(self) -> int | None:
@@ -188,7 +188,7 @@ def in_words(reading: PoseReading) -> str:
     )
 
 
-def save(source: Path, registered: Registered, output: Path) -> Path | None:
+def save(source: Path, registered: RegisteredRig, output: Path) -> Path | None:
     """Write the registered rig; what stood there before is kept beside it. Returns that copy.
 
     source : the rig file that was registered, for what it keeps of its calibration.
@@ -200,6 +200,6 @@ def save(source: Path, registered: Registered, output: Path) -> Path | None:
     return kept
 
 
-def _known(rig: StereoRig, covariance: FloatArray, how: Mapping[str, object]) -> Registered:
+def _known(rig: StereoRig, covariance: FloatArray, how: Mapping[str, object]) -> RegisteredRig:
     known = covariance if np.isfinite(covariance).all() else None
-    return Registered(replace(rig, registration_covariance=known), how)
+    return RegisteredRig(replace(rig, registration_covariance=known), how)

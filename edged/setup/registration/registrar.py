@@ -18,8 +18,8 @@ from edged.setup.cellfiles import CellFiles, UnfinishedCell
 
 if TYPE_CHECKING:  # a cell that measures does not load what calibrates
     from edged.setup.registration.model import Kind, Mount
-    from edged.setup.registration.registering import Registered as Solved
-    from edged.setup.registration.sampling import Sampling, Step
+    from edged.setup.registration.registering import RegisteredRig as Solved
+    from edged.setup.registration.sampling import RegistrationSampling, Step
 
 
 class Witness(Protocol):
@@ -75,7 +75,7 @@ class CellRegistrar:
     def __init__(self, cell: RegistrableCell) -> None:
         self._cell = cell
         self._base: Loaded | None = None
-        self._sampling: Sampling | None = None
+        self._sampling: RegistrationSampling | None = None
         self._solved: Solved | None = None
         self.witness: Witness | None = None
 
@@ -93,13 +93,13 @@ class CellRegistrar:
 
     def begin(self, command: Command) -> Registered:
         """Forget what was taken before."""
-        from edged.setup.registration.sampling import Sampling
+        from edged.setup.registration.sampling import RegistrationSampling
 
         self._base, self._solved = self._cell.loaded, None
         allowed, rig = self._base.cell.config.registration, self._base.cell.rig
         assert allowed is not None and rig is not None  # `problem` was asked; without a rig it is in SETUP
         is_touch = command.kind is CommandKind.TOUCH_START
-        self._sampling = Sampling(
+        self._sampling = RegistrationSampling(
             rig,
             Method.TOUCH if is_touch else Method.HAND_EYE,
             "eye-in-hand" if allowed.mount == "flange" else "eye-to-hand",
@@ -159,7 +159,7 @@ class CellRegistrar:
         return setup
 
     @property
-    def _under_way(self) -> tuple[Sampling, Loaded]:
+    def _under_way(self) -> tuple[RegistrationSampling, Loaded]:
         assert self._sampling is not None and self._base is not None  # the loop begins first
         return self._sampling, self._base
 

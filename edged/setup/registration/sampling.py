@@ -21,7 +21,7 @@ from edged.setup.registration.registering import (
     DECIDED,
     FromPoints,
     FromPoses,
-    Registered,
+    RegisteredRig,
     from_points,
     from_poses,
     in_words,
@@ -53,7 +53,7 @@ class Step:
     registration: Registration
     obstacle: Obstacle | None = None
     why: str = ""
-    registered: Registered | None = None
+    registered: RegisteredRig | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +89,7 @@ def see_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> SeenBoard | No
 
 
 @dataclass(slots=True, eq=False)
-class Sampling:
+class RegistrationSampling:
     """One registration under way.
 
     board : of HAND_EYE. poses : of the flange, or of the tip that touched. views : rig_from_board of each, or

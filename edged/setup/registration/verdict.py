@@ -23,7 +23,7 @@ from edged.setup.registration.model import SkyDocument, TroubleDocument
 from edged.setup.registration.registering import (
     DECIDED,
     FromPoints,
-    Registered,
+    RegisteredRig,
     from_points,
     from_poses,
     in_words,
@@ -72,7 +72,7 @@ class Judged:
     missing: str = ""
     readings: tuple[PoseReading, ...] = ()
     said: int | None = None
-    registered: Registered | None = None
+    registered: RegisteredRig | None = None
 
 
 # --- by touched points ----------------------------------------------------------------------------

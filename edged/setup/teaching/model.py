@@ -64,7 +64,7 @@ class Rectangle(Kept):
         return Region(self.x, self.y, self.width, self.height)
 
 
-class Disc(Kept):
+class DiscRegion(Kept):
     """x, y : its centre."""
 
     kind: Literal["circle"]
@@ -103,7 +103,7 @@ class Brush(Kept):
         return Stroke(np.array(self.points, dtype=np.float64), self.radius)
 
 
-AnyShape = Rectangle | Disc | Corners | Brush
+AnyShape = Rectangle | DiscRegion | Corners | Brush
 Shape = Annotated[AnyShape, Field(discriminator="kind")]
 Shapes = Annotated[tuple[Shape, ...], Field(max_length=MOST_SHAPES)]
 

@@ -30,7 +30,7 @@ MAX_CUTS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wanted:
+class WantedJob:
     """What the job is to be, wherever it is learnt from.
 
     number : on the PLC. params : of the model; None: automatic.
@@ -70,7 +70,7 @@ def propose_from_pair(
     left: Image,
     right: Image,
     rectification: Rectification,
-    wanted: Wanted,
+    wanted: WantedJob,
     *,
     region: Area | None = None,
     exclude: Sequence[Area] = (),
@@ -93,7 +93,7 @@ def propose_from_pair(
 
 
 def propose_from_drawing(
-    outlines_mm: Sequence[FloatArray], rectification: Rectification, depth_mm: float, wanted: Wanted
+    outlines_mm: Sequence[FloatArray], rectification: Rectification, depth_mm: float, wanted: WantedJob
 ) -> Proposal:
     """Learn from a drawn face at its nominal distance; each outline (N, 2). Raises `TeachError`."""
     job, picture = teach_drawing(
@@ -103,7 +103,7 @@ def propose_from_drawing(
 
 
 def propose_from_model(
-    model: CadModel, shown: PartModel, rectification: Rectification, depth_mm: float, wanted: Wanted
+    model: CadModel, shown: PartModel, rectification: Rectification, depth_mm: float, wanted: WantedJob
 ) -> Proposal:
     """Learn from a CAD model alone, its main face at a nominal distance. Raises `TeachError`."""
     job, picture = teach_model(
@@ -185,7 +185,7 @@ def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
     return [*said, f"It cuts {more} more edges."] if more > 0 else said
 
 
-def _proposal(job: Job, taught: Taught, wanted: Wanted) -> Proposal:
+def _proposal(job: Job, taught: Taught, wanted: WantedJob) -> Proposal:
     if wanted.tilt_deg is not None:
         job = replace(job, tilt_rad=math.radians(wanted.tilt_deg))
     carried: tuple[str, ...] = ()

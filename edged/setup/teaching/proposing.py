@@ -53,7 +53,7 @@ from edged.setup.teaching.model import (
 )
 from edged.setup.teaching.proposal import (
     Proposal,
-    Wanted,
+    WantedJob,
     propose_from_drawing,
     propose_from_pair,
 )
@@ -70,7 +70,7 @@ NOT_AS_DRAWN = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Order:
+class LearningOrder:
     """What is to be learnt. pictures : folder of the pair.  former : the job that it replaces."""
 
     pictures: Path
@@ -80,7 +80,7 @@ class Order:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class JobSeen:
     """A draft's job, and what its pair shows of it, as a `TeachingDocument` has that.
 
     taught : with every feature.  job : as wanted.  marks : of the taught job's features.
@@ -108,7 +108,7 @@ def propose_region(pictures: Path) -> Line | None:
     return None if found is None else line(found)
 
 
-def see(order: Order, progress: Progress = silent) -> Seen:
+def see(order: LearningOrder, progress: Progress = silent) -> JobSeen:
     """Learn the job that is wanted, and look at it. Raises `TeachError`, `ImageError`, `FileFormatError`."""
     content, former = order.content, order.former
     progress("learn", 0, 2)
@@ -127,7 +127,7 @@ def see(order: Order, progress: Progress = silent) -> Seen:
     target = None if found is None else found.target
     there = lying(job, known.moved).rig_from_part
     left, right = seen_at(apply(there, job.place_of(job.reference)), prepared.rig)
-    return Seen(
+    return JobSeen(
         taught=taught,
         job=job,
         marks=known.marks,
@@ -162,7 +162,7 @@ def _is_measured_alike(job: Job, other: Job) -> bool:
 class _Learnt:
     """What does not depend on what people take of it. found : the part with all its features.
 
-    moved : as `Seen` has it.
+    moved : as `JobSeen` has it.
     """
 
     pair: FramePair
@@ -195,7 +195,7 @@ def _learnt(
     rectification = prepared.rectification
     left, right = (load_image(pictures / f"{side}.png") for side in SIDES)
     replaced = None if former is None else former.job()
-    wanted = Wanted("draft", 1, tilt_deg=tilt_deg, former=replaced)
+    wanted = WantedJob("draft", 1, tilt_deg=tilt_deg, former=replaced)
     if drawing is not None:
         outlines_mm = [np.array(outline) for outline in drawing.outlines]
         proposal = propose_from_drawing(outlines_mm, rectification, drawing.depth_mm, wanted)

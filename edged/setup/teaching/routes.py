@@ -34,7 +34,7 @@ DRAWING_BYTES = 2 * 1024 * 1024
 """Of a DXF file: a face of one part."""
 
 
-class Beginning(Body):
+class TeachingBeginning(Body):
     """token : take a fresh pair. cycle : take that of a recorded cycle. job : the folder of a job that is to
     be replaced; without token or cycle from the pair that it keeps. name : left out: one that is free.
     """
@@ -45,7 +45,7 @@ class Beginning(Body):
     name: JobName | None = None
 
     @model_validator(mode="after")
-    def _from_something(self) -> Beginning:
+    def _from_something(self) -> TeachingBeginning:
         if self.token is not None and self.cycle is not None:
             raise ValueError("expected token or cycle, not both")
         if self.token is None and self.cycle is None and self.job is None:
@@ -72,7 +72,7 @@ class Taking(Revised):
     features: Annotated[dict[FeatureName, bool], Field(min_length=1, max_length=1000)]
 
 
-class Drawing(Revised):
+class DrawingUpload(Revised):
     """A DXF drawing, in base64, from which the job is learnt instead of a region. depth_mm : of its face from
     the left camera; left out: as the pair shows it. unit : where the drawing does not say it. layers : only
     these; none: all that are switched on.
@@ -116,7 +116,7 @@ class TeachingRoutes:
         routes = DraftRoutes(table, "/teachings", self._teachings.drafts, TeachingDocument)
         words = {"GET all": "All drafts of jobs, the youngest first", "GET": "A draft of a job as it stands"}
         routes.add_usual(TeachingList, "teachings", {**words, "DELETE": "Forget a draft"})
-        routes.add_begin(self._begin, "Begin a draft of a job", Beginning)
+        routes.add_begin(self._begin, "Begin a draft of a job", TeachingBeginning)
         routes.add("PUT", "", self._wish, "What the job is to be", Wishing)
         routes.add_file(
             "/{side:left|right}.jpg",
@@ -125,14 +125,16 @@ class TeachingRoutes:
             {"Cache-Control": "private, max-age=86400, immutable"},  # a pair never changes
         )
         routes.add("PUT", "/region", self._region, "Where the part is", Regional, limit_bytes=REGION_BYTES)
-        routes.add("POST", "/dxf", self._draw, "Learn from a drawing", Drawing, limit_bytes=2 * DRAWING_BYTES)
+        routes.add(
+            "POST", "/dxf", self._draw, "Learn from a drawing", DrawingUpload, limit_bytes=2 * DRAWING_BYTES
+        )
         routes.add("POST", "/tap", self._tap, "What was tapped is the part", Tap)
         what = "Take features, or leave them"
         routes.add("PUT", "/features", self._take, what, Taking, limit_bytes=64 * 1024)
         what = "Let the cell have the job"
         routes.add("POST", "/activate", self._activate, what, Activating, answer=ReleaseDocument, audit=True)
 
-    async def _begin(self, call: Call[Beginning]) -> DraftHead:
+    async def _begin(self, call: Call[TeachingBeginning]) -> DraftHead:
         return await self._teachings.begin(call.visitor.name, **dict(call.body))
 
     async def _region(self, draft: str, call: Call[Regional]) -> DraftHead:
@@ -142,7 +144,7 @@ class TeachingRoutes:
         body = call.body
         return await self._teachings.tap(draft, body.revision, TapPlace(x=body.x, y=body.y))
 
-    async def _draw(self, draft: str, call: Call[Drawing]) -> DraftHead:
+    async def _draw(self, draft: str, call: Call[DrawingUpload]) -> DraftHead:
         return await self._teachings.draw(draft, call.body.revision, call.body.drawn())
 
     async def _take(self, draft: str, call: Call[Taking]) -> DraftHead:

@@ -35,7 +35,7 @@ from edged.setup.teaching.model import (
     TeachState,
     nearest,
 )
-from edged.setup.teaching.proposing import Order, Seen
+from edged.setup.teaching.proposing import JobSeen, LearningOrder
 from edged.setup.teaching.sources import Sources
 from edged.setup.teaching.wishes import (
     Drawn,
@@ -67,7 +67,7 @@ class OpenTeaching:
     """A draft that is worked on. seen : what `seen_of` teaches; trouble : why that is nothing."""
 
     draft: TeachingDraft
-    seen: Seen | None = None
+    seen: JobSeen | None = None
     seen_of: tuple[object, ...] = ()
     trouble: EdgedError | None = None
     task: str | None = None
@@ -258,7 +258,7 @@ class Teachings:
         state, rig = opened.draft.state, self._cell.rig()
         return state.content, None if rig is None else rig.content, self._line(folder=state.job)
 
-    async def _seen(self, opened: OpenTeaching) -> Seen:
+    async def _seen(self, opened: OpenTeaching) -> JobSeen:
         """What is wanted, as it is seen. Raises `TeachError` that says why it is not."""
         self.refresh(opened)
         await opened.ended.wait()
@@ -303,11 +303,11 @@ class Teachings:
                 await asyncio.to_thread(opened.draft.propose, shapes)
         self.drafts.tell(opened)
 
-    async def _looked(self, opened: OpenTeaching, progress: Progress) -> Seen:
+    async def _looked(self, opened: OpenTeaching, progress: Progress) -> JobSeen:
         rig, draft = self._cell.needed_rig(), opened.draft
         former = await asyncio.to_thread(self._former, draft)
-        order = Order(draft.pictures, draft.state.content, rig, former)
-        seen: Seen = await self._worker.run("see_part", order, progress=progress)
+        order = LearningOrder(draft.pictures, draft.state.content, rig, former)
+        seen: JobSeen = await self._worker.run("see_part", order, progress=progress)
         return seen
 
     def _former(self, draft: TeachingDraft) -> FormerFiles | None:

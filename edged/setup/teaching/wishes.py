@@ -24,7 +24,7 @@ from edged.setup.teaching.model import (
     TapPlace,
     region_of,
 )
-from edged.setup.teaching.proposing import Seen
+from edged.setup.teaching.proposing import JobSeen
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.teaching.region import Region, painted_region
 
@@ -59,7 +59,7 @@ def kept(mark: Mark) -> JsonValue:
     return mark.model_dump(mode="json")
 
 
-def tapped_feature(seen: Seen, place: TapPlace) -> str:
+def tapped_feature(seen: JobSeen, place: TapPlace) -> str:
     """The smallest circle or slot around a point, else the feature that is nearest to it."""
     apart = {
         name: math.hypot(mark.x - place.x, mark.y - place.y)
@@ -72,14 +72,14 @@ def tapped_feature(seen: Seen, place: TapPlace) -> str:
     )
 
 
-def kept_size(seen: Seen, wanted: SizeWanted) -> JsonValue:
+def kept_size(seen: JobSeen, wanted: SizeWanted) -> JsonValue:
     """A size, as the draft keeps it. Raises `KeyError` for a feature that there is not."""
     marks = tuple(seen.marks[name] for name in wanted.of)
     fields = wanted.model_dump(include={"kind", "nominal", "tolerance"})
     return Size(**fields, of=marks, name=wanted.key).model_dump(mode="json")
 
 
-def kept_grip(seen: Seen, rig: StereoRig, wanted: GripWanted) -> JsonValue:
+def kept_grip(seen: JobSeen, rig: StereoRig, wanted: GripWanted) -> JsonValue:
     """A gripping point where the part lies in the pair, as the draft keeps it."""
     job = lying(seen.job, seen.moved)
     position_mm: FloatArray = np.array([wanted.x_mm, wanted.y_mm, wanted.z_mm])
@@ -91,7 +91,7 @@ def kept_grip(seen: Seen, rig: StereoRig, wanted: GripWanted) -> JsonValue:
     return gripping.model_dump(mode="json")
 
 
-def gripping_in(wanted: Gripping | None, seen: Seen, rig: StereoRig) -> GrippingDocument | None:
+def gripping_in(wanted: Gripping | None, seen: JobSeen, rig: StereoRig) -> GrippingDocument | None:
     """How a tool takes the part: as people want it, else as the job that is replaced has it."""
     grasps = seen.job.picking.grasps
     if wanted is None and not grasps:

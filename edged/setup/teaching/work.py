@@ -12,7 +12,7 @@ from edged.setup.outlines import Line, line
 from edged.setup.pairs import Progress
 from edged.setup.teaching import proposing
 from edged.setup.teaching.model import MOST_DRAWN_POINTS, MOST_OUTLINES
-from edged.setup.teaching.proposing import Order
+from edged.setup.teaching.proposing import LearningOrder
 from edged.vision.teaching.foreground import parts_at
 
 
@@ -48,6 +48,6 @@ def read_drawing(
     return tuple(tuple((float(x), float(y)) for x, y in outline) for outline in outlines)
 
 
-def see_part(progress: Progress, order: Order) -> proposing.Seen:
+def see_part(progress: Progress, order: LearningOrder) -> proposing.JobSeen:
     """What a draft's pair and region teach."""
     return proposing.see(order, progress)

@@ -13,7 +13,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.registration import Method, Obstacle
 from edged.robot.orientations import Convention, rotation_of
-from edged.setup.registration.sampling import Sampling
+from edged.setup.registration.sampling import RegistrationSampling
 from edged.vision.boards.board import parse_boards
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, transform
 
@@ -23,9 +23,9 @@ FLANGE_FROM_BOARD = make_transform((0.2, 0.1, -0.5), (12.0, 5.0, 80.0))
 NOTHING = (Obstacle.TOO_FEW, Obstacle.TURN_MORE, Obstacle.NOT_GOOD, Obstacle.OTHER_READING)
 
 
-def sampling(method: Method = Method.HAND_EYE) -> Sampling:
+def sampling(method: Method = Method.HAND_EYE) -> RegistrationSampling:
     """Cameras that stand still."""
-    return Sampling(make_rig(), method, "eye-to-hand", BOARD, 0.1)
+    return RegistrationSampling(make_rig(), method, "eye-to-hand", BOARD, 0.1)
 
 
 def boards(number: int, seed: int = 1) -> list[FloatArray]:

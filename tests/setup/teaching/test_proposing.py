@@ -17,7 +17,7 @@ from edged.files.rig import rig_text
 from edged.setup.inuse import RigInUse
 from edged.setup.teaching.drafts import KeptPair, TeachingDraft, TeachingDrafts
 from edged.setup.teaching.model import Content
-from edged.setup.teaching.proposing import Order, Seen, propose_region, see
+from edged.setup.teaching.proposing import JobSeen, LearningOrder, propose_region, see
 from edged.sim.render.scene import Part
 
 NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
@@ -40,12 +40,12 @@ def drafted(folder: Path, part: Part) -> TeachingDraft:
     return draft
 
 
-def seen(draft: TeachingDraft) -> Seen:
+def seen(draft: TeachingDraft) -> JobSeen:
     """What it teaches."""
-    return see(Order(draft.pictures, draft.state.content, RigInUse("cal", rig(), Path("rig.json"))))
+    return see(LearningOrder(draft.pictures, draft.state.content, RigInUse("cal", rig(), Path("rig.json"))))
 
 
-def kept(one: Seen, name: str) -> Any:
+def kept(one: JobSeen, name: str) -> Any:
     """A feature's place, as the page's backend keeps it."""
     return one.marks[name].model_dump(mode="json")
 

@@ -19,7 +19,7 @@ from edged.files.recording import Recording, decode, encode
 from edged.files.rig import save_rig
 from edged.pipeline import locate, prepare
 from edged.setup.recordings.regression import COMPARED, compare, remeasure
-from edged.setup.teaching.proposal import Proposal, Wanted, commit, former_job, propose_from_pair
+from edged.setup.teaching.proposal import Proposal, WantedJob, commit, former_job, propose_from_pair
 from edged.vision.teaching.region import Region
 
 QUIET = Console(quiet=True)
@@ -45,7 +45,7 @@ def folder(flat: cells.Flange, tmp_path_factory: pytest.TempPathFactory) -> Path
     return folder
 
 
-def proposal(flat: cells.Flange, wanted: Wanted) -> Proposal:
+def proposal(flat: cells.Flange, wanted: WantedJob) -> Proposal:
     """The same of the pictures in memory."""
     area: Region = flat.region
     rectification = prepare(flat.rig).rectification
@@ -61,7 +61,7 @@ def test_the_same_pair_gives_the_same_job_to_the_last_byte(
     flat: cells.Flange, folder: Path, tmp_path: Path
 ) -> None:
     """From files by the command, from memory here; a proposal alone writes nothing."""
-    proposed = proposal(flat, Wanted("flange", 1))
+    proposed = proposal(flat, WantedJob("flange", 1))
     assert [] == list(tmp_path.iterdir())
     commit(tmp_path / "flange", proposed)
 
@@ -80,7 +80,7 @@ def test_what_people_changed_in_the_former_job_is_proposed_again(
     assert former is not None
     assert former.search.min_score > 0.9
 
-    proposed = proposal(flat, Wanted("flange", former.number, former=former))
+    proposed = proposal(flat, WantedJob("flange", former.number, former=former))
 
     assert former.search.min_score == proposed.job.search.min_score
     assert any(line.startswith("kept: search.min_score") for line in proposed.carried)

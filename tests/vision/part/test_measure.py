@@ -59,7 +59,10 @@ def test_curves_of_a_plane_are_recovered_from_a_poor_start() -> None:
     """Circle, slot and an edge, 0.1 mm off: to 8 µm, and within four of their sigmas."""
     rig = small_rig()
     part = Part(
-        "p", RoundedBox(0, 0, 24, 16), METAL, (Hole("s", Slot(4, 2, 9, 4, 0.5)), Hole("c", Disc(-6, -3, 3)))
+        "p",
+        RoundedBox(0, 0, 24, 16),
+        METAL,
+        (Hole("s", Slot(4, 2, 9, 4, 0.5)), Hole("c", Disc(-6, -3, 3))),
     )
     where = pose(turn_deg=25.0, tilt_deg=6.0)
     start = [
@@ -314,7 +317,10 @@ def test_an_ambiguous_rotation_is_refused() -> None:
 def test_circles_do_not_decide_what_the_search_could_not() -> None:
     """All holes in their places, one of them odd: on a face full of edges that may be chance; refused."""
     holes = tuple(
-        Hole(f"h{k}", Disc(8 * math.cos(k * math.pi / 2), 8 * math.sin(k * math.pi / 2), 1.5 if k else 1.1))
+        Hole(
+            f"h{k}",
+            Disc(8 * math.cos(k * math.pi / 2), 8 * math.sin(k * math.pi / 2), 1.5 if k else 1.1),
+        )
         for k in range(4)
     )
     part, rig = Part("odd", Disc(0, 0, 13), METAL, holes), small_rig()

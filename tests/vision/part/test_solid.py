@@ -121,7 +121,10 @@ def test_a_round_part_is_not_turned(turn_deg: float) -> None:
 def test_a_turn_that_search_and_curves_see_differently_is_refused() -> None:
     """One of four holes is odd: turned by 90°, most curves agree as well, and by chance all of them may."""
     holes = tuple(
-        Hole(f"h{k}", Disc(8 * math.cos(k * math.pi / 2), 8 * math.sin(k * math.pi / 2), 1.5 if k else 1.1))
+        Hole(
+            f"h{k}",
+            Disc(8 * math.cos(k * math.pi / 2), 8 * math.sin(k * math.pi / 2), 1.5 if k else 1.1),
+        )
         for k in range(4)
     )
     rig, where = prepare(small_rig()), pose()
