@@ -66,7 +66,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], RecordingCell
     def made() -> RecordingCell:
         one = RecordingCell(folder / f"cell{next(number)}", small.config.parent, folder / "recordings", pairs)
         draft = Drafts(one.state / "drafts").create(
-            "Anna", ("chessboard:11x8:4",), None, "brown", datetime.now(UTC), None
+            "Anna", ("chessboard:11x8:4",), None, "brown", datetime.now(UTC)
         )
         figures = {
             "stereo_rms_px": 0.1,

@@ -60,7 +60,7 @@ def beside(recorded: Recorded, folder: Path, test: Callable[[RecordingCell], Awa
 def solved(cell: RecordingCell, rig: StereoRig) -> str:
     """The id of a draft that was solved to a rig."""
     draft = Drafts(cell.state / "drafts").create(
-        "Anna", ("chessboard:11x8:4",), None, "brown", datetime.now(UTC), None
+        "Anna", ("chessboard:11x8:4",), None, "brown", datetime.now(UTC)
     )
     figures = {"stereo_rms_px": 0.1, "held_out": None, "sigma_um": None, "grade": "good"}
     draft.solve(Solution(rig.calibration_id, rig_text(rig), b"<html>", {**figures, "moved_um": None}))
