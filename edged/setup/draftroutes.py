@@ -38,9 +38,9 @@ class Begun(Answer):
     task: str
 
 
-def unknown(what: str = "there is no such thing, or not any more") -> Problem:
+def unknown() -> Problem:
     """The answer about something that there is not."""
-    return Problem(404, "unknown", what)
+    return Problem(404, "unknown", "there is no such thing, or not any more")
 
 
 async def known(asked: Awaitable[T]) -> T:

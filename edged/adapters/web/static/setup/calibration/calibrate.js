@@ -3,7 +3,7 @@ import { html, signal, useEffect, useRef, useState } from "../../vendor/ui.js";
 import { startRegression } from "../recordings/regression.js";
 import { Releasing } from "../releases/releasing.js";
 import { ask, attempt, glance, sentence } from "../shared/api.js";
-import { BoardFields, isPitched, SIZE, specOf } from "../shared/board.js";
+import { BoardFields, PitchField, SIZE, specOf } from "../shared/board.js";
 import { Begun, Discard, discard, putAside, unfinished } from "../shared/drafts.js";
 import {
   draft,
@@ -107,10 +107,7 @@ function Board() {
     </div>
     ${isStated && html`<${BoardFields} size=${size} onSize=${setSize} />`}
     <div class="row">
-      <${NumberField}
-        label=${t(isPitched(size) ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001}
-        high=${10000} value=${mm} onValue=${setMm} name="mm"
-      />
+      <${PitchField} size=${size} mm=${mm} onMm=${setMm} />
       <${NumberField}
         label=${t("board-goal")} unit="µm" digits=${1} low=${0.1} high=${1000} value=${goal}
         onValue=${setGoal} name="goal"

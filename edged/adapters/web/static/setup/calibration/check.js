@@ -1,7 +1,7 @@
 // The check: whether the calibration in use still holds, by one pair of a known board or part.
 import { html, useState } from "../../vendor/ui.js";
 import { ask, attempt, glance } from "../shared/api.js";
-import { BoardFields, isPitched, SIZE, specOf } from "../shared/board.js";
+import { BoardFields, PitchField, SIZE, specOf } from "../shared/board.js";
 import { cell, checked, holds, lookAtCheck, sign, token } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
 import { NumberField, Shape, say, useKept } from "../shared/pieces.js";
@@ -221,10 +221,7 @@ export default function Check() {
         choice === OTHER &&
         html`<${BoardFields} size=${size} onSize=${setSize} />
           <div class="row">
-            <${NumberField}
-              label=${t(isPitched(size) ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001}
-              high=${10000} value=${mm} onValue=${setMm} name="mm"
-            />
+            <${PitchField} size=${size} mm=${mm} onMm=${setMm} />
           </div>`
       }
       ${!part && html`<p class="hint">${t("check-proof")}</p>`}

@@ -2,11 +2,11 @@
 import { effect, html, useEffect, useState } from "../../vendor/ui.js";
 import { Releasing } from "../releases/releasing.js";
 import { ask, attempt, glance } from "../shared/api.js";
-import { BoardFields, isPitched, SIZE, specOf } from "../shared/board.js";
+import { BoardFields, PitchField, SIZE, specOf } from "../shared/board.js";
 import { Begun, Discard } from "../shared/drafts.js";
 import { cell, checked, holds, look, mayTake, newest, sign, token, useFresh } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
-import { NumberField, Shape, say, useKept } from "../shared/pieces.js";
+import { Shape, say, useKept } from "../shared/pieces.js";
 import { dashed, number, t } from "../shared/texts.js";
 import { Shown } from "./numbers.js";
 import { More, Places, titleOf } from "./places.js";
@@ -107,10 +107,7 @@ function Begin() {
         choice === OTHER &&
         html`<${BoardFields} size=${size} onSize=${setSize} />
           <div class="row">
-            <${NumberField}
-              label=${t(isPitched(size) ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001}
-              high=${10000} value=${mm} onValue=${setMm} name="mm"
-            />
+            <${PitchField} size=${size} mm=${mm} onMm=${setMm} />
           </div>`
       }
     </fieldset>

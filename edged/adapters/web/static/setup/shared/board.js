@@ -1,4 +1,4 @@
-// The kind of board and its number of marks; their size is asked separately.
+// The kind of board and its number of marks; their size has a field of its own.
 import { html } from "../../vendor/ui.js";
 import { NumberField } from "./pieces.js";
 import { t } from "./texts.js";
@@ -7,7 +7,7 @@ export const KINDS = ["chessboard", "charuco", "dots", "circles"];
 export const SIZE = { kind: KINDS[0], columns: 11, rows: 8, marker: 3, dictionary: "5X5_250" };
 export const specOf = ({ kind, columns, rows, marker, dictionary }, mm) =>
   [kind, `${columns}x${rows}`, mm, ...(kind === "charuco" ? [marker, dictionary] : [])].join(":");
-export const isPitched = ({ kind }) => kind === "dots" || kind === "circles";
+const isPitched = ({ kind }) => kind === "dots" || kind === "circles";
 
 export function BoardFields({ size, onSize }) {
   const set = (values) => onSize({ ...size, ...values });
@@ -41,3 +41,8 @@ export function BoardFields({ size, onSize }) {
     }
   </div>`;
 }
+
+export const PitchField = ({ size, mm, onMm }) => html`<${NumberField}
+  label=${t(isPitched(size) ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001} high=${10000}
+  value=${mm} onValue=${onMm} name="mm"
+/>`;
