@@ -95,7 +95,7 @@ async def calibrate(page: Browser, ask: Ask, goal_um: float) -> int:
     await page.type("[name=mm]", SQUARE_MM)
     await page.type("[name=goal]", f"{goal_um:g}")
     await press(page, "Begin")
-    await press(page, "Take views by itself")
+    await press(page, "Take views automatically")
     begun_s = time.monotonic()
     last, held_s = "", 0.0
     while not await page.value('/reached/.test(document.querySelector(".big.figure")?.innerText ?? "")'):

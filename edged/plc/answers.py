@@ -19,7 +19,7 @@ class NackReason(enum.IntEnum):
     NONE = 0
     """The last command ended in ACK, or there was none."""
     UNKNOWN_COMMAND = 1
-    """COMMAND holds a number that is none."""
+    """COMMAND holds a number that is no command."""
     REFUSED = 2
     """No such job, no pose of the flange for a rig that the robot carries, stopping."""
     QUEUE_FULL = 3

@@ -72,11 +72,11 @@ def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_best() ->
     [
         (
             "en",
-            "This name or password is not right.",
+            "Wrong name or password.",
             "The two passwords differ.",
-            "a password of 8 characters at least.",
-            "This code is not right, or used up",
-            r"No password is taken for \d+ s",
+            "a password of at least 8 characters.",
+            "This code is wrong, already used",
+            r"No password is accepted for \d+ s",
             "You cannot be made an engineer: .*users.json",
         ),
         (

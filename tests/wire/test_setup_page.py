@@ -87,7 +87,7 @@ def test_whoever_loses_the_cell_is_told_who_has_it() -> None:
         status, _ = await cell.ask("POST", "/api/v1/setup", {"name": "Ben", "take_over": True})
         assert 201 == status
         await page.until(f'{LEASE}.includes("Ben has the cell")')
-        await page.until(said("The cell is no longer yours: the line above says whose it is."))
+        await page.until(said("You no longer have the cell: the line above says who does."))
         await page.until(f'{STATE} === "SETUP by Ben"')
         await page.click(".lease button")
         await page.until(DIALOG)
@@ -259,7 +259,7 @@ def test_everybody_has_a_password_of_their_own() -> None:
         await page.type(".own [autocomplete=current-password]", "wrong")
         await page.type(".own [autocomplete=new-password]", "another horse")
         await press(page, "Change it")
-        await page.until(said("This is not the password."))
+        await page.until(said("Wrong password."))
         page.complaints.clear()  # of the refusal
         await press(page, "Understood")
         await page.value('document.querySelector(".own [autocomplete=current-password]").select()')
@@ -282,7 +282,7 @@ def test_a_keyboard_is_enough() -> None:
 
     async def test(page: Browser, cell: Cell) -> None:
         await key(page, "Tab", 9)
-        assert "To the content" == await page.value(focused)
+        assert "Skip to content" == await page.value(focused)
         for _ in range(40):
             if "Take the cell" == await page.value(focused):
                 break
@@ -309,7 +309,7 @@ def test_a_page_that_does_not_come_says_so() -> None:
         await page.ask("Network.enable")
         await page.ask("Network.setBlockedURLs", urls=["*/cell/system.js"])
         await page.value('location.hash = "#/system"')
-        await page.until(said("This page could not be fetched."))
+        await page.until(said("This page could not be loaded."))
         await go(page, "welcome")
         page.complaints.clear()  # of the page that was kept away
 
@@ -322,7 +322,7 @@ def test_a_page_without_its_cell_says_so() -> None:
     async def test(page: Browser, cell: Cell) -> None:
         await page.until(f'{STATE} === "READY"')
         await cell.web.close()
-        await page.until(said("No connection to the cell"))
+        await page.until(said("Connection to the cell lost"))
         page.complaints.clear()  # of the connection
 
     on_the_page(test)

@@ -165,7 +165,7 @@ def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
         await page.until('[...document.querySelectorAll(".changed img")].some((e) => e.naturalWidth === 320)')
         await press(page, "Use it")
         await page.until(DIALOG)
-        assert await page.value(said(f"{GOOD} recorded cycles that were good become bad by it."))
+        assert await page.value(said(f"{GOOD} recorded cycles that were good would become bad."))
         await page.type("dialog[open] [name=note]", "another board")
         assert await page.value('document.querySelector("dialog[open] .primary").disabled')
         await page.type("dialog[open] [name=signed]", "these parts are gone")
@@ -179,7 +179,7 @@ def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
 
         await go(page, "cycles")
         await look(page, "OK")
-        await page.until(said("another calibration than the present one measured it"))
+        await page.until(said("it was measured with another calibration than the present one"))
         button = (
             '[...document.querySelectorAll("button")].find((e) => e.innerText === "Teach from this cycle")'
         )

@@ -113,7 +113,7 @@ def test_the_page_tells_what_is_swapped_shows_the_ladder_and_gives_the_cell_back
             await page.until(said("The cell is READY: it measures for the plant."))
             modbus.write(CLIENT, {"CMD_SEQ": 0})
             modbus.write(CLIENT, {"COMMAND": 256, "JOB": 0, "CMD_SEQ": 8})
-            await page.until(said("Your bytes are swapped"))
+            await page.until(said("The bytes are swapped"))
             modbus.write(CLIENT, {"COMMAND": 1, "JOB": 0, "CMD_SEQ": 9})
             await page.until(said("EXPOSURE_DONE: the robot may leave the picture"))
             await page.until(said("result: no part found."))
@@ -142,7 +142,7 @@ async def check_probes(page: Browser) -> None:
         str(MAP_VERSION << 16 | 0x0102): "The address is one too low",
         str(0x0102): "That is one word of two",
         "12": "That is something else",
-        "abc": "A number, as",
+        "abc": "A number, such as",
     }
     for text, sentence in shown.items():
         await page.type("[name=shows]", text)
@@ -153,6 +153,6 @@ async def check_probes(page: Browser) -> None:
     )
     (whole,) = struct.unpack(">I", struct.pack(">f", 123.456))
     (other,) = struct.unpack(">f", struct.pack(">I", swapped(whole, words=True, octets=False)))
-    for text, sentence in {"123,456": "Right: words", repr(other): "Your words are swapped"}.items():
+    for text, sentence in {"123,456": "Right: words", repr(other): "The words are swapped"}.items():
         await page.type("[name=shows]", text)
         await page.until(said(sentence))

@@ -305,7 +305,7 @@ def test_a_job_is_learnt_from_a_drawing_instead(stand: Stand, tmp_path: Path) ->
         await stand.open()
         before = await stand.until(lambda now: now["proposing"] is None)
         await choose(page, "open.dxf", is_open)
-        await page.until(said("An outline is open: nothing goes on at x 40.000, y 5.000 mm."))
+        await page.until(said("An outline is open: it ends at x 40.000, y 5.000 mm."))
         page.complaints.clear()  # of the refusal
         await press(page, "Understood")
         await choose(page, "flange.dxf", whole)
@@ -343,7 +343,7 @@ def test_who_was_slower_is_told_and_sees_what_the_other_did(stand: Stand) -> Non
         )
         was = await page.value(CHECKED)
         await page.click(".features-list li:nth-child(4) input")
-        await page.until(said("Somebody else, or another screen, changed this meanwhile"))
+        await page.until(said("This was changed meanwhile"))
         assert was == await page.value(CHECKED)
         assert "older" != await page.value('document.querySelector(".draft-bar strong").textContent')
         page.complaints.clear()  # of the refusal

@@ -158,7 +158,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Walk]:
             await page.ask("Page.addScriptToEvaluateOnNewDocument", source=ASLEEP)
             await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
             await go(page, "teach")
-            await press(page, "Go on")
+            await press(page, "Continue")
         return newcomer, pages[0], pages[1]
 
     with asyncio.Runner() as runner:
@@ -275,7 +275,7 @@ def test_what_was_refused_stays_in_its_field(walk: Walk) -> None:
         faster = {"revision": (await ask("GET", f"teachings/{draft}"))["revision"], "name": "faster"}
         await ask("PUT", f"teachings/{draft}", faster)
         await page.type("[name=number]", "17")
-        await page.until(said("Somebody else, or another screen, changed this meanwhile"))
+        await page.until(said("This was changed meanwhile"))
         assert ("17", "faster") == (
             await page.value(number),
             await page.value('document.querySelector(".draft-bar strong").textContent'),
@@ -326,7 +326,7 @@ def test_whoever_logs_in_again_is_where_they_were(walk: Walk) -> None:
             await page.type("#password", password)
             await page.click("button")
             if password == "wrong":
-                await page.until(said("This name or password is not right."))
+                await page.until(said("Wrong name or password."))
         await page.until(there("robot"))
 
     walk.run(test, "")

@@ -3,23 +3,23 @@
 ## Log in
 login-title = { $cell }: log in
 login-name = Name
-login-name-or-page = Name (left empty: with the password of the status page)
+login-name-or-page = Name (leave empty to use the password of the status page)
 login-password = Password
 login-password-of-page = Password of the status page of { $cell }
 login-button = Log in
 login-code = I have a code
-login-wrong = This name or password is not right.
-login-wrong-password = This password is not right.
-login-wait = No password is taken for { $wait_s } s: too many were wrong, or another one is being checked. Try again then.
+login-wrong = Wrong name or password.
+login-wrong-password = Wrong password.
+login-wait = No password is accepted for { $wait_s } s: there were too many wrong ones, or another one is being checked. Try again then.
 
 ## Come in by a code
 invite-title = { $cell }: code
-invite-what = The code is in the cell's journal, or comes from { $command }. It makes you an engineer, once.
+invite-what = The code is in the cell's journal, or comes from { $command }. It works once, and makes you an engineer.
 invite-code = Code
 invite-name = Your name
-invite-password = A password of { $least } characters at least
-invite-again = The same again
-invite-wrong = This code is not right, or used up, or older than a day. { $command } makes a new one.
+invite-password = Password, { $least } characters or more
+invite-again = Repeat the password
+invite-wrong = This code is wrong, already used, or more than a day old. { $command } makes a new one.
 invite-differ = The two passwords differ.
-invite-short = A name, please, and a password of { $least } characters at least.
+invite-short = Enter a name, and a password of at least { $least } characters.
 invite-storage = You cannot be made an engineer: { $detail }

@@ -69,18 +69,18 @@ run-try-look = look at it
 ## Faults, by the PLC's number
 run-fault-other = A fault of the cell.
 run-fault-100 = A camera did not deliver.
-run-fault-101 = A camera is not found, or does not answer: look at its cable and its power.
+run-fault-101 = A camera is not found, or does not answer: check its cable and its power.
 run-fault-102 = Another computer controls a camera.
 run-fault-103 = A camera refuses a setting.
-run-fault-104 = No image came in time: look at the trigger, the light and the cable.
+run-fault-104 = No image came in time: check the trigger, the light and the cable.
 run-fault-105 = An image came damaged: packets were lost on the network.
-run-fault-106 = Two images are not of one exposure.
+run-fault-106 = Two images are not from the same exposure.
 run-fault-107 = A camera was switched off and on.
-run-fault-108 = This is another camera than the calibrated one: cables or addresses were swapped.
-run-fault-109 = A camera sent an image again.
+run-fault-108 = This is not the camera that was calibrated: cables or addresses were swapped.
+run-fault-109 = A camera sent the same image twice.
 run-fault-110 = A camera sends the same picture again and again.
 run-fault-111 = One camera exposed, and the other did not.
-run-fault-112 = A camera answers, and sends no images.
+run-fault-112 = A camera answers, but sends no images.
 
 ## Result
 run-result = Result
@@ -110,7 +110,7 @@ run-stage-measure = measure
 run-budget = Where the sigma comes from
 run-limit = The job allows { $limit } µm for each of X, Y, Z, without the registration.
 run-limit-far = the limit is { $times } times as long
-run-doubt = Doubt: the rows of both pictures do not meet, or all sizes are wrong alike. A camera was knocked, the part moved between both exposures, or it is another part.
+run-doubt = Doubt: the rows of both pictures do not match, or all sizes are off alike. A camera was knocked, the part moved between both exposures, or it is another part.
 run-bar = { $axis }: { $sigma } µm: { $terms }
 run-bar-over = { $axis }: { $sigma } µm, beyond the limit: { $terms }
 run-rotation = the same of the rotation

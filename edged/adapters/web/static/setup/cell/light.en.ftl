@@ -1,7 +1,7 @@
 # Texts of light.js.
 light-title = Light and focus
-light-what = Make edges sharp and nothing clipped: first the light, then the rings of the lenses, while you look at what it costs.
-light-no-settings = Nothing can be set here: the camera tells no limits, or is not there.
+light-what = Make edges sharp and let nothing clip: first the light, then the rings of the lenses, while you watch what it costs.
+light-no-settings = Nothing can be set here: the camera reports no limits, or is not there.
 light-no-figures = Figures come with the live pictures.
 settings-left = Settings of the left camera
 settings-right = Settings of the right camera
@@ -10,7 +10,7 @@ setting-gain-db = Gain
 light-head = Light
 light-figures = { $clipped } % clipped, { $dark } % too dark, noise { $noise } and contrast { $contrast } grey values
 advice-good = Exposure is good.
-advice-less-light = Something is clipped: less exposure or less light. Nothing can be measured there.
+advice-less-light = Something is clipped, and cannot be measured: less exposure or less light.
 advice-more-light = Too dark: longer exposure, or more light.
 advice-light-for-gain = Noisy: less gain, and longer exposure or more light instead.
 advice-take = Set { $exposure } µs

@@ -1,11 +1,11 @@
 # Texts of welcome.js.
 welcome-title = { $cell }: set up
 welcome-new = Nine steps from unboxed cameras to a picked part. A tick comes from what the cell has, not from what was clicked.
-welcome-complete = The cell has all it needs to measure. Each step can be looked at, and done again.
+welcome-complete = The cell has all it needs to measure. Each step can be looked at, and repeated.
 welcome-done = Nothing is missing here.
 welcome-facts = What the cell has
-welcome-later = Done by commands
-welcome-later-why = These steps are not in the browser yet. The manual tells the commands.
+welcome-later = Done on the command line
+welcome-later-why = These steps are not in the browser yet. The manual has the commands.
 next-cameras = Next: the cameras
 next-light = Next: light and focus
 next-calibrate = Next: calibrate

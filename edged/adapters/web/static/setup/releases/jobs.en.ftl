@@ -1,9 +1,9 @@
 # Texts of the page with the jobs of the cell.
 
 jobs-title = Jobs
-jobs-what = What this cell can measure, each by the number with which the PLC asks for it. Each change is a release of its own, and there is a way back.
-jobs-owned = The PLC chooses the job, for it may write now:
-jobs-in-setup = While somebody sets the cell up, no other job can be chosen: give it back first.
+jobs-what = What this cell can measure, each by the number that the PLC asks for. Every change is a release of its own, and can be undone.
+jobs-owned = The PLC chooses the job, because it has the right to write:
+jobs-in-setup = While the cell is being set up, no other job can be chosen: give it back first.
 jobs-none = There is no job yet.
 jobs-teach = Teach a part
 jobs-active = in use now
@@ -25,13 +25,13 @@ jobs-number = Number on the PLC
 jobs-duplicate = Duplicate
 jobs-duplicate-name = Duplicate { $name }
 jobs-duplicate-title = Duplicate { $name }
-jobs-duplicate-what = The copy is taught on the same pair, and can be changed by itself.
-jobs-duplicate-done = { $name } is there.
+jobs-duplicate-what = The copy is taught on the same pair, and can be changed independently.
+jobs-duplicate-done = { $name } has been made.
 jobs-rename = Name and number
 jobs-rename-name = Name and number of { $name }
 jobs-rename-title = Name and number of { $name }
 jobs-rename-what = The PLC asks by the number: change it there, too.
-jobs-rename-done = It is called { $name } now.
+jobs-rename-done = It is now called { $name }.
 jobs-retire = Retire
 jobs-retire-name = Retire { $name }
 jobs-retire-title = Retire { $name }?
@@ -43,5 +43,5 @@ jobs-restore-title = Bring { $name } back?
 jobs-restore-what = The PLC can ask for it again, by its number.
 jobs-restore-done = { $name } is back.
 jobs-versions = Versions
-jobs-versions-none = It is as it came with the cell.
+jobs-versions-none = Unchanged since it came with the cell.
 jobs-release = Release { $number }
