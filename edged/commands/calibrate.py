@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from edged import __version__
+from edged.commands.boardoption import naming_board_option
 from edged.commands.progress import shown_on
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.atomic import write_file
@@ -48,7 +49,7 @@ def calibrate(
     stated = stated_boards(board)
     check_outputs({"--output": output, "--report": report})
     pairs = [Pair.of_files(pair) for pair in find_pairs(directory)]
-    with shown_on(console) as progress:
+    with shown_on(console) as progress, naming_board_option():
         boards, remark = boards_in(stated, [pair.left for pair in pairs], progress)
         if remark:
             console.print(remark, markup=False, highlight=False, soft_wrap=True)

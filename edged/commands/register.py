@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from edged.commands.boardoption import naming_board_option
 from edged.commands.progress import shown_on
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.errors import CalibrationError, FileFormatError, UserError
@@ -248,7 +249,7 @@ def _transform(brand: Brand, name: str, numbers: tuple[float, ...], path: Path) 
 
 def _board_in(stated: Stated, folder: Path, names: list[str], console: Console) -> NominalBoard:
     """The one board of all poses."""
-    with shown_on(console) as progress:
+    with shown_on(console) as progress, naming_board_option():
         pictures = [] if isinstance(stated, tuple) else [_picture(folder, name, "left") for name in names]
         boards, remark = boards_in(stated, pictures, progress)
     if remark:
@@ -270,7 +271,8 @@ def _views(
             continue
         found[name] = placed
     if not found:
-        check_board_shown([_picture(folder, name, "left") for name in names], board)
+        with naming_board_option():
+            check_board_shown([_picture(folder, name, "left") for name in names], board)
         raise CalibrationError(f"{folder}: the board was seen in no pair")
     return found
 

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from edged.commands.boardoption import naming_board_option
 from edged.errors import UserError
 from edged.files.images import load_image
 from edged.files.jobs import load_job
@@ -50,7 +51,8 @@ def verify(
         if lengths:
             raise UserError("--length belongs to --job; the length of a board is in its specification")
         pictures = [Picture(str(path), partial(load_image, path)) for path in (left, right)]
-        boards, remark = boards_in(stated_boards(board), pictures)
+        with naming_board_option():
+            boards, remark = boards_in(stated_boards(board), pictures)
         if remark and not as_json:
             console.print(remark, markup=False, highlight=False, soft_wrap=True)
         finding = by_board(rig, images, boards, limits)

@@ -176,8 +176,15 @@ def test_a_broken_picture_is_refused(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> None:
     """A board that is in no picture is refused with the one that is, or with the reason of every view."""
-    refused(folder, tmp_path, r"show 8x6 .*, not 12x4.*--board chessboard:8x6:6", board="chessboard:12x4:6")
-    refused(folder, tmp_path, "show a chessboard of 8x6 inner corners: --board", board="dots:8x6:6")
+    refused(
+        folder, tmp_path, r"--board: .*show 8x6 .*, not 12x4.* chessboard:8x6:6", board="chessboard:12x4:6"
+    )
+    refused(
+        folder,
+        tmp_path,
+        "--board: .*a chessboard of 8x6 inner corners, not dots:8x6:6; state chessboard:8x6:",
+        board="dots:8x6:6",
+    )
     for path in folder.glob("*.png"):
         cv2.imwrite(str(path), np.random.default_rng(len(path.name)).integers(0, 9, (480, 640), np.uint8))
     expected = r"0 of 6 pairs(.|\n)*v0: left: no 12x4 inner corners"
@@ -191,7 +198,7 @@ def test_without_a_board_the_pictures_are_asked(folder: Path, tmp_path: Path) ->
         folder,
         tmp_path,
         r"a chessboard of 8x6 inner corners \(6 of 6 .*(.|\n)*Measure the side of a square"
-        r"(.|\n)*--board chessboard:8x6:MM, or --board MM alone",
+        r"(.|\n)*: chessboard:8x6:MM, or MM alone",
         board=None,
     )
 
@@ -222,7 +229,7 @@ def test_pictures_that_disagree_are_listed(folder: Path, tmp_path: Path) -> None
 
 
 def test_pictures_without_a_board_are_named(folder: Path, tmp_path: Path) -> None:
-    """Where nothing is recognised, that is said of these pictures, with an example of --board."""
+    """Where nothing is recognised, that is said of these pictures, with an example of a board."""
     for path in folder.glob("*.png"):
         cv2.imwrite(str(path), np.full((480, 640), 90, np.uint8))
     refused(
@@ -236,7 +243,7 @@ def test_squares_counted_instead_of_corners_are_noticed(folder: Path, tmp_path: 
     refused(
         folder,
         tmp_path,
-        r"show 8x6 inner corners, not 9x7.*--board chessboard:8x6:6",
+        r"show 8x6 inner corners, not 9x7.*state chessboard:8x6:6",
         board="chessboard:9x7:6",
     )
 

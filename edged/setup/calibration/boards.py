@@ -22,7 +22,7 @@ Stated = tuple[NominalBoard, ...] | float | None
 
 
 def stated_boards(text: str | None) -> Stated:
-    """What --board says. Raises `CalibrationError` that names the part that is wrong."""
+    """Boards or a length from what a person wrote. Raises `CalibrationError` that names the wrong part."""
     if text is None:
         return None
     length = _LENGTH.fullmatch(text.strip())
@@ -34,7 +34,7 @@ def boards_in(
 ) -> tuple[tuple[NominalBoard, ...], str]:
     """The stated boards, or the one that the pictures show, and what is to be said of that, or "".
 
-    Raises `CalibrationError`: without a length it says what is seen, and how --board has to be written.
+    Raises `CalibrationError`: without a length it says what is seen, and how to state it.
     """
     if isinstance(stated, tuple):
         return stated, ""
@@ -44,8 +44,9 @@ def boards_in(
     where = f"{sum(found is not None for found in seen)} of {len(some)} pictures looked at"
     if stated is None:
         raise CalibrationError(
-            f"--board: the pictures show {in_words(board)} ({where}), but not how large it is. Measure "
-            f"{_what_to_measure(board)} and state it in mm: --board {_with_mm(board)}, or --board MM alone"
+            f"the pictures show {in_words(board)} ({where}), but not how large it is. Measure "
+            f"{_what_to_measure(board)} and state it in mm: {_with_mm(board)}, or MM alone",
+            "which_board",
         )
     (whole,) = parse_boards(str(of_size(board, stated)))
     return (whole,), f"board {whole}: {in_words(board)} ({where})"
@@ -64,14 +65,14 @@ def check_board_shown(pictures: Sequence[Picture], board: NominalBoard, progress
     fits = of_size(seen, board.pitch_mm)
     if isinstance(board, Chessboard) and isinstance(fits, Chessboard):
         raise CalibrationError(
-            f"--board {board}: the pictures show {fits.columns}x{fits.rows} inner corners, not "
-            f"{board.columns}x{board.rows}; count where four squares meet, not the squares: --board {fits}",
+            f"the pictures show {fits.columns}x{fits.rows} inner corners, not {board.columns}x{board.rows}; "
+            f"count where four squares meet, not the squares, and state {fits}",
             "other_board",
             stated=str(board),
             seen=str(fits),
         )
     raise CalibrationError(
-        f"--board {board}: the pictures show {in_words(seen)}: --board {fits}",
+        f"the pictures show {in_words(seen)}, not {board}; state {fits}",
         "other_board",
         stated=str(board),
         seen=str(fits),
@@ -104,8 +105,9 @@ def _agreed(pictures: Sequence[Picture], seen: Sequence[NominalBoard | None]) ->
     names = [picture.label for picture in pictures]
     if not known:
         raise CalibrationError(
-            f"--board: no board was recognised in {', '.join(names)}; state it, for example "
-            "chessboard:11x8:4.0 (inner corners, square in mm)"
+            f"no board was recognised in {', '.join(names)}; state it, for example "
+            "chessboard:11x8:4.0 (inner corners, square in mm)",
+            "which_board",
         )
     board = agreed_board(known)
     if board is None:
@@ -114,8 +116,9 @@ def _agreed(pictures: Sequence[Picture], seen: Sequence[NominalBoard | None]) ->
             for name, found in zip(names, seen, strict=True)
         ]
         raise CalibrationError(
-            "--board: the pictures do not agree on one board; state it, or several separated by commas:\n"
-            + "\n".join(lines)
+            "the pictures do not agree on one board; state it, or several separated by commas:\n"
+            + "\n".join(lines),
+            "which_board",
         )
     return board
 

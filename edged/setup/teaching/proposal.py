@@ -148,7 +148,7 @@ def job_number(folder: Path, wanted: int | None, former: Job | None) -> int:
     if wanted is None:
         return former.number if former is not None else free
     if wanted in taken:
-        raise UserError(f"--number {wanted}: is that of {taken[wanted]}; {free} is free")
+        raise UserError(f"number {wanted} belongs to {taken[wanted]}; {free} is free")
     return wanted
 
 
@@ -157,7 +157,7 @@ def check_name(name: str) -> None:
     allowed = name and name[0].isalnum() and all(c.isalnum() or c in "_.-" for c in name) and name.isascii()
     if not allowed or len(name) > 64:
         raise TeachError(
-            f"--name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
+            f"name {name!r}: expected up to 64 letters, digits, '_', '.' or '-', "
             "beginning with a letter or digit",
             "name",
         )
@@ -167,16 +167,16 @@ def check_tilt(tilt_deg: float | None) -> None:
     """Raises `TeachError` for a tilt that no job can have."""
     if tilt_deg is not None and not 0 < tilt_deg <= MAX_TILT_DEG:
         raise TeachError(
-            f"--tilt {tilt_deg:g}: expected above 0 and at most {MAX_TILT_DEG:g} degrees, against the line "
-            "amid both cameras"
+            f"tilt {tilt_deg:g}: expected more than 0 and at most {MAX_TILT_DEG:g} degrees, from the "
+            "bisector of the cameras"
         )
 
 
 def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
     """What is cut, one sentence each."""
     said = [
-        f"The region cuts {cut.text}. Only what is inside was learnt. Make it larger, or leave --region out: "
-        "then the whole picture is learnt from."
+        f"The region cuts {cut.text}. Only what is inside was learnt. Make the region larger, or state none "
+        "to learn from the whole picture."
         if cut.by_region
         else f"The picture cuts {cut.text}. Teach from a pair that shows the whole part."
         for cut in cuts[:MAX_CUTS]

@@ -45,7 +45,9 @@ def test_what_looks_like_the_stated_board_is_no_other() -> None:
     check_board_shown(drawn(STATED, 2), parse_board("chessboard:6x8:3"))
     circles = drawn(parse_board("circles:4x6:4"), 1)
     check_board_shown(circles, parse_board("circles:3x8:4"))
-    with pytest.raises(CalibrationError, match=r"an asymmetric plate of 4x6 circles: --board circles:4x6:4"):
+    with pytest.raises(
+        CalibrationError, match=r"plate of 4x6 circles, not circles:4x11:4; state circles:4x6:4"
+    ):
         check_board_shown(circles, parse_board("circles:4x11:4"))
 
 
