@@ -62,7 +62,7 @@ class LogLimit:
         self._tell(logging.WARNING, message, arguments, None)
 
     def error(self, message: str, *arguments: object, exc_info: BaseException | bool) -> None:
-        """The same for what went wrong, with its trace."""
+        """Log an error with its traceback, or count it."""
         self._tell(logging.ERROR, message, arguments, exc_info)
 
     def _tell(
@@ -152,8 +152,8 @@ def _summary(record: logging.LogRecord) -> Callable[[int], logging.LogRecord]:
     text, function = record.getMessage().partition("\n")[0], record.funcName
 
     def summary(held: int) -> logging.LogRecord:
-        told = "%s (%d more lines like this were held back)"
-        return logging.LogRecord(*place, told, (text, held), None, function)
+        template = "%s (%d more lines like this were held back)"
+        return logging.LogRecord(*place, template, (text, held), None, function)
 
     return summary
 

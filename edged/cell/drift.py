@@ -96,11 +96,11 @@ class DriftMonitor:
             return
         if math.isfinite(target.epipolar_rms_px):
             self._rows.add(target.epipolar_rms_px)
-        for one in () if target.reject & torn else target.measurements:
-            if one.name == witness and one.nominal and math.isfinite(one.value):
-                allowed = None if one.tolerance is None else 100 * one.tolerance / abs(one.nominal)
-                length = self._lengths.setdefault(f"{target.job}/{one.name}", _Length(allowed))
-                length.mean.add(100 * (one.value / one.nominal - 1))
+        for size in () if target.reject & torn else target.measurements:
+            if size.name == witness and size.nominal and math.isfinite(size.value):
+                allowed = None if size.tolerance is None else 100 * size.tolerance / abs(size.nominal)
+                length = self._lengths.setdefault(f"{target.job}/{size.name}", _Length(allowed))
+                length.mean.add(100 * (size.value / size.nominal - 1))
         found = self._judged()
         # hysteresis: after INVALID, results are given again only when nothing drifts any more
         held = self._verdict is CalibrationHealth.INVALID and found is CalibrationHealth.DRIFTS
@@ -137,5 +137,5 @@ def refused(outcome: Outcome) -> Outcome:
     """A good outcome as LOW_QUALITY, while the calibration is known to be wrong."""
     if outcome.status is not Status.OK:
         return outcome
-    targets = tuple(replace(one, reject=one.reject | Reject.CALIBRATION) for one in outcome.targets)
+    targets = tuple(replace(target, reject=target.reject | Reject.CALIBRATION) for target in outcome.targets)
     return replace(outcome, status=Status.LOW_QUALITY, targets=targets)

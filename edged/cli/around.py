@@ -183,7 +183,7 @@ def watch(
     options = WatchOptions(
         connect=tuple(connect or WatchOptions().connect),
         cell=cell,
-        states=tuple(one.upper() for one in state or ()),
+        states=tuple(name.upper() for name in state or ()),
         count=count,
         timeout_s=timeout_s,
         as_json=as_json,

@@ -195,8 +195,8 @@ def _stop_signals() -> Iterator[threading.Event]:
     try:
         yield stopped
     finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

@@ -89,7 +89,7 @@ class LimitsSection(Section):
 
     def bounds(self) -> Bounds:
         """The value that is measured by."""
-        return Bounds(tuple(one.box() for one in self.box), tuple(one.box() for one in self.keep_out))
+        return Bounds(tuple(zone.box() for zone in self.box), tuple(zone.box() for zone in self.keep_out))
 
 
 class RegistrationSection(Section):

@@ -46,7 +46,7 @@ def _known_keys(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
             return []
         field = model.model_fields.get(part)
         inner = () if field is None else (field.annotation, *get_args(field.annotation))
-        models = [one for one in inner if isinstance(one, type) and issubclass(one, BaseModel)]
+        models = [kind for kind in inner if isinstance(kind, type) and issubclass(kind, BaseModel)]
         if not models:
             return []
         model = models[0]

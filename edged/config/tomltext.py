@@ -9,8 +9,8 @@ from typing import Any
 MAX_TOML_BYTES = 1024 * 1024
 """A configuration is kilobytes; a job with 256 features of each kind is 700 kB."""
 MAX_KEY_PARTS = 16
-"""Of a key between dots, where ours have four: tomllib keeps a tuple for each beginning of a key, which takes
-2.8 s and 1.5 GB for 20,000 parts (CPython 3.11). Counted in texts and comments, too."""
+"""Parts of a dotted key; ours have four. tomllib keeps a tuple for each prefix of a key: 2.8 s and 1.5 GB for
+20,000 parts (CPython 3.11). Counted in texts and comments, too."""
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}")
 

@@ -34,7 +34,7 @@ def look_at_cameras(config: Config, rig: StereoRig | None) -> Iterator[Check]:
         yield Check("network ports", CheckResult.SKIP, "the command `ip` is missing: apt install iproute2")
     places = list[CameraPort]()
     for side, section in (("left", config.cameras.left), ("right", config.cameras.right)):
-        info = _one(section.device, discovered)
+        info = _configured(section.device, discovered)
         if info is None or info.protocol != "GigEVision" or not ports:
             yield camera(side, section, info, discovered, ports or ())
             continue
@@ -61,7 +61,7 @@ def look_at_cameras(config: Config, rig: StereoRig | None) -> Iterator[Check]:
     yield look_at_firewall(seen if len(seen) == 2 else wires)
 
 
-def _one(device: str, found: Sequence[CameraInfo]) -> CameraInfo | None:
+def _configured(device: str, found: Sequence[CameraInfo]) -> CameraInfo | None:
     return next((info for info in found if device in (info.serial, info.address, info.device_id)), None)
 
 

@@ -95,15 +95,15 @@ def overlaps(interfaces: Sequence[Interface]) -> Iterator[Check]:
         if interface.name != "lo"
         for network in interface.networks
     ]
-    for index, (one, network) in enumerate(ports):
+    for index, (port, network) in enumerate(ports):
         for other, another in ports[index + 1 :]:
-            if one.name != other.name and network.network.overlaps(another.network):
+            if port.name != other.name and network.network.overlaps(another.network):
                 yield Check(
                     "networks of the ports",
                     CheckResult.BAD,
-                    f"{one.name} ({network}) and {other.name} ({another}) are in the same network",
-                    f"what is meant for cameras at {other.name} may be sent through {one.name}",
-                    f"give each port a network of its own: 192.168.10.1/24 {one.name}, "
+                    f"{port.name} ({network}) and {other.name} ({another}) are in the same network",
+                    f"what is meant for cameras at {other.name} may be sent through {port.name}",
+                    f"give each port a network of its own: 192.168.10.1/24 {port.name}, "
                     f"192.168.11.1/24 {other.name}, and the cameras addresses in them",
                 )
 

@@ -31,7 +31,7 @@ class CommandKind(enum.IntEnum):
     HAND_EYE_START = 6
     """Begin to register the rig by poses of the flange and a board; SETUP until REGISTER_SOLVE is good."""
     TOUCH_START = 7
-    """The same by points that the tool's tip touched."""
+    """Begin to register the rig by points that the tool's tip touches; SETUP until then, too."""
     REGISTER_ADD = 8
     """Take a picture for the pose that FLANGE says; a NACK added nothing."""
     REGISTER_SOLVE = 9
@@ -163,8 +163,8 @@ def _seal(value: object) -> None:
         for part in value:
             _seal(part)
     elif is_dataclass(value):
-        for one in fields(value):
-            _seal(getattr(value, one.name))
+        for member in fields(value):
+            _seal(getattr(value, member.name))
 
 
 @dataclass(frozen=True, slots=True)

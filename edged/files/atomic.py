@@ -17,8 +17,8 @@ from edged.files.owners import open_to_read
 
 MAX_FILE_BYTES = 64 * 1024 * 1024  # a model is megabytes: more is a wrong file
 MAX_DOCUMENT_BYTES = 4 * 1024 * 1024
-"""Of JSON: in memory it takes up to 25 times as much (`[{},{},...`, CPython 3.11), and a rig with the figures
-of a hundred views is a tenth of it."""
+"""Size of a JSON file: in memory it takes up to 25 times as much (`[{},{},...`, CPython 3.11), and a rig with
+the figures of a hundred views is a tenth of it."""
 TEMPORARY_NAMES = 100
 """Tried before it is said that all are taken: of 2^32 hardly two ever are, but for who guesses them."""
 
@@ -121,26 +121,26 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
     return in_use
 
 
-def exchange(one: Path, other: Path) -> None:
+def exchange(first: Path, second: Path) -> None:
     """Swap what two names mean, in one step: at no moment is either missing. Raises `OSError`.
 
-    renameat2(2) with RENAME_EXCHANGE, of Linux. File systems of networks may not know it: there it is
-    three steps, and a crash between them leaves `other` beside its name, as `one` with a dash.
+    renameat2(2) with RENAME_EXCHANGE, which is Linux only. Network file systems may lack it: there it takes
+    three steps, and a crash between them leaves `second` under the name of `first` with a dash.
     """
     at_fdcwd, rename_exchange = -100, 2
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.renameat2(at_fdcwd, os.fsencode(one), at_fdcwd, os.fsencode(other), rename_exchange) == 0:
+    if libc.renameat2(at_fdcwd, os.fsencode(first), at_fdcwd, os.fsencode(second), rename_exchange) == 0:
         return
     number = ctypes.get_errno()
     if number not in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
-        raise OSError(number, os.strerror(number), str(one))
-    aside = other.rename(one.with_name(f"{one.name}-"))
+        raise OSError(number, os.strerror(number), str(first))
+    aside = second.rename(first.with_name(f"{first.name}-"))
     try:
-        one.rename(other)
+        first.rename(second)
     except BaseException:
-        aside.rename(other)
+        aside.rename(second)
         raise
-    aside.rename(one)
+    aside.rename(first)
 
 
 def make_folders(folder: Path) -> None:

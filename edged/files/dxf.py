@@ -49,7 +49,7 @@ MAX_POINTS = 500_000
 MAX_ENTITIES = 50_000
 """With what blocks draw again and again: as many times as they are placed."""
 MAX_FIT_POINTS, MAX_ALL_FIT_POINTS = 1000, 20_000
-"""Of a spline that is drawn through its points, and of all: its equations are a matrix of their square, 0.1 s
+"""Fit points of one spline, and of all together: the equations grow with their square, to 0.1 s
 and 23 MiB for a thousand, 43 s and 3.4 GB for twelve thousand. CAD draws through some dozens."""
 MAX_DEPTH = 8
 """Depth of blocks inside blocks."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 MAX_PIXELS = 1 << 26
-"""Of a picture: the largest sensors of cameras for industry have 9344 x 7000 (Gpixel GMAX3265)."""
+"""Pixels of a picture: the largest sensors of industrial cameras have 9344 x 7000 (Gpixel GMAX3265)."""
 MAX_UNPACKED_BYTES = 4 * MAX_PIXELS
 """Colours with transparency of as many pixels, or 16 bits of one; then a picture takes as much once more."""
 PNG, JPEG, BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM"

@@ -14,7 +14,7 @@ CONFIG_GROUP = "edged-config"
 """The daemons' users are in it, and nobody else; tools/install makes it (systemd/edged-sysusers.conf)."""
 OTHERS = 0o007
 MIN_KEY_BYTES, MAX_KEY_BYTES = 32, 4096
-"""Of HMAC-SHA256: as long as what it gives (RFC 2104, section 3)."""
+"""Length of a key for HMAC-SHA256: at least that of its output (RFC 2104, section 3)."""
 
 
 def write_private(path: Path, data: bytes, like: Path | None = None) -> None:

@@ -30,11 +30,11 @@ MIN_READ = 0.9
 MAX_TRIANGLES = 2_000_000
 MAX_SECONDS = 60
 MAX_MEMORY_BYTES = 4 << 30
-"""Of addresses, not of pages: the library alone takes one of these four."""
+"""Address space, not resident pages: the library alone takes 1 GiB of it."""
 MAX_MESH_BYTES = 256 << 20
-"""Of the triangles that it hands over."""
+"""Size of the triangles that the library hands over."""
 TOLERANCE_MM, TOLERANCE_RAD = 0.01, 0.2
-"""Of the triangles, which only tell where faces meet."""
+"""Deviation of the triangles from the surface: they only tell where faces meet."""
 METRES = 1000.0
 
 _SOLIDS = re.compile(
@@ -134,7 +134,7 @@ def _model(glb: bytes) -> CadModel:
 
 
 _TYPES: dict[int, str] = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""Of the glTF 2.0 specification, 3.6.2.2."""
+"""Component types as numpy's (glTF 2.0 specification, 3.6.2.2)."""
 
 
 def _array(document: dict[str, Any], binary: bytes, number: int) -> FloatArray:
@@ -156,7 +156,9 @@ def _placed(document: dict[str, Any], node: int) -> FloatArray:
     while at is not None and at not in seen:
         seen.add(at)
         placed = _own_place(document["nodes"][at]) @ placed
-        at = next((k for k, one in enumerate(document["nodes"]) if at in one.get("children", [])), None)
+        at = next(
+            (k for k, candidate in enumerate(document["nodes"]) if at in candidate.get("children", [])), None
+        )
     return placed
 
 

@@ -17,7 +17,7 @@ MAX_FACETS = 500_000
 """Triangles of one part; a casting meshed to a micrometre has half of them."""
 MAX_SIZE_MM = 1e5
 MAX_OPEN = 0.01
-"""Of all sides of triangles, that may have none or several neighbours: more is a surface, or damaged."""
+"""Share of all edges that may lack a neighbour or have several: beyond it the mesh is open or damaged."""
 HEADER_BYTES, FACET_BYTES = 84, 50
 """80 bytes of anything, the count, and for each facet twelve float32 and two bytes (StereoLithography
 Interface Specification, 3D Systems 1988)."""

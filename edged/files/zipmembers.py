@@ -7,8 +7,8 @@ import zipfile
 from typing import BinaryIO
 
 MAX_DIRECTORY_BYTES = 64 * 1024
-"""Of names and sizes of all members: some hundreds, where the files of edged have thirty. In memory it takes
-ten times as much."""
+"""Size of the directory of all members: room for some hundreds, and files of edged have thirty. In memory it
+takes ten times as much."""
 _END, _END_BYTES = b"PK\5\6", 22
 _END64, _END64_BYTES = b"PK\6\7", 20
 """What ends a ZIP, without a comment, and what stands before that in large ones (APPNOTE.TXT, 4.3.15)."""

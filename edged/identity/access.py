@@ -220,7 +220,7 @@ class Access:
 
     def _open(self, name: str) -> str:
         now_s = self._clock_s()
-        self._sessions = {key: one for key, one in self._sessions.items() if one.until_s > now_s}
+        self._sessions = {key: session for key, session in self._sessions.items() if session.until_s > now_s}
         while len(self._sessions) >= MAX_SESSIONS:
             del self._sessions[next(iter(self._sessions))]
         cookie = secrets.token_urlsafe(32)

@@ -39,7 +39,7 @@ MAX_TEXT = 300
 
 @dataclass(frozen=True, slots=True)
 class AuditEntry:
-    """What somebody did, or tried to.
+    """An action that somebody took or tried to take.
 
     before, after : hash of what was changed, where there is one. outcome : "ok", or why not, as a code.
     """
@@ -57,9 +57,10 @@ class AuditEntry:
 
 @dataclass(frozen=True, slots=True)
 class AuditVerdict:
-    """Of a chain. records : that were wanted.  first, count : numbers of the oldest kept, and of the newest.
+    """Whether a chain holds, and the records that were asked for.
 
-    hash : of the last. problem : "" for one that holds. torn_bytes : of a line that a crash tore, at the end.
+    first, count : numbers of the oldest record kept, and of the newest.  hash : of the newest.
+    problem : "" for a chain that holds.  torn_bytes : length of an incomplete last line, left by a crash.
     """
 
     records: tuple[dict[str, Any], ...]
@@ -146,7 +147,7 @@ class AuditFile:
             last, name = old[-1]
             with os.fdopen(open_plain(name, os.O_RDONLY, folder), "rb") as oldest:
                 found = _tail(oldest)[0]
-            told = AuditEntry(
+            entry = AuditEntry(
                 "",
                 "",
                 "",
@@ -155,7 +156,7 @@ class AuditFile:
                 "ok",
                 reason=f"records {head.first} to {last}: there is no room for all",
             )
-            number, digest = self._write(file, told, number, digest)
+            number, digest = self._write(file, entry, number, digest)
             # first: a file whose records are before the first one counts no more
             self._put_head(AuditHead(number, digest, last + 1, "" if found is None else found[1]))
         for _, name in old:

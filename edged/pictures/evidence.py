@@ -314,7 +314,7 @@ def draw_unrolled(canvas: Canvas, feature: FeatureEvidence, found: Sequence[Resi
     title = f"{feature.name}: edge minus fit, px" + (", from x over y around" if feature.closed else "")
     write(canvas, title, (low, 31), GREY, CHART_TEXT_PX)
     half = (height - 60) // 2
-    for row, (one, name) in enumerate(zip(found, SIDES, strict=True)):
+    for row, (side, name) in enumerate(zip(found, SIDES, strict=True)):
         middle = 52 + row * half + half // 2
         reach = half // 2 - 9
         for value, text in ((-reach_px, ""), (0.0, name), (reach_px, f"{reach_px:+.2f}")):
@@ -324,7 +324,7 @@ def draw_unrolled(canvas: Canvas, feature: FeatureEvidence, found: Sequence[Resi
         for quarter in range(5):
             x = round(low + quarter / 4 * (high - low))
             cv2.line(canvas, (x, middle - reach), (x, middle + reach), LINE, 1)
-        for share, across, good in zip(one.share, one.across_px, one.used, strict=True):
+        for share, across, good in zip(side.share, side.across_px, side.used, strict=True):
             y_px = middle - float(np.clip(across / reach_px, -1, 1)) * reach
             place = np.array([low + share * (high - low), y_px])
             cv2.circle(canvas, _fine(place), 24, MAGENTA if good else RED, -1, cv2.LINE_AA, FRACTION_BITS)

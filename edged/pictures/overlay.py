@@ -88,10 +88,10 @@ def draw_pair(
         draw_missed(views[0], place)
         draw_number(views[0], number, views[0].place(place)[None] - 30, RED)
     blocks = [_part_block(number, job, part) for number, part in enumerate(parts, 1)]
-    blocks += [_missed_block(number, one) for number, one in enumerate(dismissed, len(parts) + 1)]
+    blocks += [_missed_block(number, missed) for number, missed in enumerate(dismissed, len(parts) + 1)]
     if len(blocks) == 1 and any(features):
         chart = _paper(blocks[0].shape[0], WIDTH_PX)
-        chosen = next((k for k, one in enumerate(features[0]) if one.is_reference), 0)
+        chosen = next((k for k, feature in enumerate(features[0]) if feature.is_reference), 0)
         draw_unrolled(chart, features[0][chosen], [side[0][chosen] for side in found])
         blocks.append(chart)
     if nearest is not None:
@@ -145,8 +145,8 @@ def _draw_parts(
     """Draw all evidence, then what is written beside it. found : of each side, part and feature."""
     for view, of_parts in zip(views, found, strict=True):
         for some, of_part in zip(features, of_parts, strict=True):
-            for feature, one in zip(some, of_part, strict=True):
-                draw_feature(view, feature, one, factor)
+            for feature, residual in zip(some, of_part, strict=True):
+                draw_feature(view, feature, residual, factor)
         for number, (part, some) in enumerate(zip(parts, features, strict=True), 1):
             _draw_names(view, job, part.target, some, number if len(parts) > 1 else None)
 

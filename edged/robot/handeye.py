@@ -152,7 +152,7 @@ def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
     shifts = (N[:, :3, 3] @ R.T - M[:, :3, 3]).ravel()
     t, *_ = np.linalg.lstsq(system, shifts, rcond=None)
     Y = transform(R, np.asarray(t, np.float64))
-    each = np.array([told @ Y @ invert(seen) for told, seen in zip(A, B, strict=True)])
+    each = np.array([shown @ Y @ invert(seen) for shown, seen in zip(A, B, strict=True)])
     X = transform(nearest_rotation(each[:, :3, :3].mean(axis=0)), each[:, :3, 3].mean(axis=0))
     return X, Y
 
@@ -168,14 +168,14 @@ def _mismatch(
 ) -> tuple[FloatArray, FloatArray]:
     """Residuals (N, M, 3) A Y m - X B m, and their Jacobian (N, M, 3, 12) by small motions after X and Y."""
     on_flange, seen = apply(Y, marks), np.stack([apply(pose, marks) for pose in B])
-    told = np.stack([apply(pose, on_flange) for pose in A])
+    expected = np.stack([apply(pose, on_flange) for pose in A])
     measured = apply(X, seen)
-    jacobian = np.zeros((*told.shape, 12))
+    jacobian = np.zeros((*expected.shape, 12))
     jacobian[..., :3] = -np.eye(3)
     jacobian[..., 3:6] = skew(measured)
     jacobian[..., 6:9] = A[:, None, :3, :3]
     jacobian[..., 9:12] = -A[:, None, :3, :3] @ skew(on_flange)
-    return told - measured, jacobian
+    return expected - measured, jacobian
 
 
 def _refine(

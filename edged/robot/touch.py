@@ -148,9 +148,9 @@ def _check_spread(name: str, points: FloatArray) -> None:
     apart = np.linalg.norm(points[:, None] - points, axis=2)
     twins = np.argwhere(np.triu(apart < TWIN_SHARE * apart.max(), 1))
     if len(twins):
-        one, two = twins[0] + 1
+        first, second = twins[0] + 1
         raise Undetermined(
-            f"points {one} and {two} are nearly the same place in the {name}'s frame", "same_place"
+            f"points {first} and {second} are nearly the same place in the {name}'s frame", "same_place"
         )
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < FLAT_SHARE * spread[0]:

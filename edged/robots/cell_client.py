@@ -33,7 +33,7 @@ from edged.plc.registers import ADDRESS, MAGIC, MAP_VERSION, Flag, Option, Resul
 from edged.plc.registers import BLOCKS as _BLOCKS
 
 BLOCKS = {
-    block.name: (block.address, tuple((one.name, one.kind.value) for one in block.registers))
+    block.name: (block.address, tuple((register.name, register.kind.value) for register in block.registers))
     for block in _BLOCKS
 }
 HIGH_FIRST = {block.name for block in _BLOCKS if block.high_first}

@@ -45,7 +45,7 @@ MEANINGS = {
     Failure.NO_ANSWER: "what came is no answer",
     Failure.OTHERS: "an answer to another request",
 }
-"""Of the error numbers, beside the NACK reasons, which are 1 to 99."""
+"""Texts of the error numbers; the NACK reasons, 1 to 99, have their own."""
 
 
 def line_values(brand: Brand, first: int) -> dict[str, object]:

@@ -22,11 +22,11 @@ BOARD = (11, 8, 4.0)
 SHARPEST_PX, TURN_PX = 0.6, 3.0
 """Blur of a lens in focus, and what a quarter turn of its ring adds (in quadrature)."""
 STEPS = 12
-"""Of Gauss-Newton, until the board lies on the outline: it starts within a few pixels."""
+"""Gauss-Newton steps until the board lies on the outline: it starts within a few pixels."""
 LAID = 1 << 30
 """Numbers of poses that are no scenes of a running cell."""
 CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
-"""Of the marks of a board, in the order of its outline."""
+"""Corners of the grid of marks, in the order of a board's outline."""
 
 
 def stage_board() -> Plate:

@@ -33,7 +33,7 @@ UTC_SLEW = 500e-6
 """The kernel slews the host's UTC by no more than this against its own crystal (adjtimex, MAXFREQ)."""
 
 SLOT_NS = 2_000_000_000
-"""Of all readings within this time only the narrowest is kept."""
+"""Only the narrowest of all readings within this time is kept."""
 
 SLOTS = 16
 """Readings that are kept: half a minute, while the camera is looked after each second."""

@@ -23,7 +23,7 @@ from edged.adapters.opcua.security import Users
 MAX_NODES = 1000
 """Nodes in one request; the registers are half of it."""
 MAX_SUBSCRIPTIONS, MAX_ITEMS = 4, 2000
-"""Of one session."""
+"""Limits of one session."""
 MIN_PUBLISHING_MS, MAX_PUBLISHING_MS = 10.0, 60_000.0
 MAX_QUEUE, MAX_UNACKNOWLEDGED = 100, 16
 SESSION_MS = 60_000.0

@@ -33,7 +33,7 @@ from edged.vision.shape.params import Polarity, SearchParams, SubPixel
 
 MIN_LENGTH_MM = 1e-3
 MAX_FEATURES = 256
-"""Of each kind; a job is written by people and by teaching, neither of which comes near."""
+"""Features of each kind; neither people nor teaching come near it."""
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -432,19 +432,24 @@ class JobFile(_Section):
             raise ValueError(f"two measurements have one name: {names}")
         if self.witness is not None and self.witness not in names:
             raise ValueError(f"witness {self.witness!r} is none of the measurements {names}")
-        for one in self.measurement:
-            wanted = MEASURES[one.kind]
-            if len(one.of) != len(wanted) or len(set(one.of)) != len(one.of):
+        for measurement in self.measurement:
+            wanted = MEASURES[measurement.kind]
+            if len(measurement.of) != len(wanted) or len(set(measurement.of)) != len(measurement.of):
                 raise ValueError(
-                    f"measurement {one.name!r}: of must name {len(wanted)} features, got {one.of}"
+                    f"measurement {measurement.name!r}: of must name {len(wanted)} features, "
+                    f"got {measurement.of}"
                 )
-            for name, allowed in zip(one.of, wanted, strict=True):
+            for name, allowed in zip(measurement.of, wanted, strict=True):
                 if kinds.get(name) not in allowed:
                     raise ValueError(
-                        f"measurement {one.name!r}: {name!r} is no {' or '.join(allowed)} of this job"
+                        f"measurement {measurement.name!r}: {name!r} is no {' or '.join(allowed)} of this job"
                     )
-            if one.name == self.witness and (one.kind in ("angle", "flatness") or not one.nominal_mm):
-                raise ValueError(f"witness {one.name!r} must be a length with nominal_mm: it tells the scale")
+            if measurement.name == self.witness and (
+                measurement.kind in ("angle", "flatness") or not measurement.nominal_mm
+            ):
+                raise ValueError(
+                    f"witness {measurement.name!r} must be a length with nominal_mm: it tells the scale"
+                )
 
     def job(self, shape: ShapeModel) -> Job:
         """The job that the file describes, with its shape model."""

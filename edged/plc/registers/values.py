@@ -235,7 +235,7 @@ def _score(score: float) -> int:
 
 
 PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_")
-"""Of the registers of each block that shows a result."""
+"""Prefixes of the register names in each block that shows a result."""
 
 
 def result_values(

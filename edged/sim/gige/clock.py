@@ -19,7 +19,7 @@ PTP_STATES = {
 """GenICam PtpStatus; the values are this camera's own, clients know them by name."""
 
 READINGS = 5
-"""Of both clocks of the host; one takes a third of a microsecond."""
+"""Readings of both host clocks to choose from; each takes a third of a microsecond."""
 
 
 class DeviceClock:

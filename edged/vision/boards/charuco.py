@@ -113,10 +113,13 @@ def _lattice(outlines: FloatArray) -> tuple[float, dict[int, tuple[int, int]]]:
     unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]], np.float32)
     maps = [cv2.getPerspectiveTransform(outline.astype(np.float32), unit) for outline in outlines]
     middles = np.array(
-        [cv2.perspectiveTransform(np.zeros((1, 1, 2)), np.linalg.inv(one))[0, 0] for one in maps]
+        [
+            cv2.perspectiveTransform(np.zeros((1, 1, 2)), np.linalg.inv(homography))[0, 0]
+            for homography in maps
+        ]
     )
     # (N, N, 2): places of all markers in the frame of each, in sides of a marker
-    away = np.array([cv2.perspectiveTransform(middles[None], one)[0] for one in maps])
+    away = np.array([cv2.perspectiveTransform(middles[None], homography)[0] for homography in maps])
     off = np.abs(away)
     diagonal = (
         (off.min(axis=2) > 1.0) & (off.max(axis=2) < 3.0) & (np.ptp(off, axis=2) < 0.2 * off.max(axis=2))

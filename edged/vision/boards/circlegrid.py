@@ -308,7 +308,7 @@ def _plate_of(image: Image, places: dict[tuple[int, int], int], blobs: FloatArra
 
 
 def _diameter(lattice: IntArray, blobs: FloatArray) -> float:
-    """Of the marks (N, 5) in steps of their lattice (N, 2), to a hundredth."""
+    """Diameter of the marks (N, 5) in steps of their lattice (N, 2), rounded to a hundredth."""
     design = np.column_stack([lattice, np.ones(len(lattice))])
     map_px = np.linalg.lstsq(design, blobs[:, :2], rcond=None)[0][:2]
     size_px = 2 / np.sqrt(np.median(_inverse_areas(blobs)))

@@ -57,7 +57,7 @@ def agreed_board(seen: Sequence[NominalBoard]) -> NominalBoard | None:
 
 
 def _alike(board: NominalBoard) -> NominalBoard:
-    """The same for all images of one board."""
+    """The board without the values that vary between images of it."""
     if isinstance(board, Charuco):
         return replace(board, rows=0, marker_mm=0.0)
     return board if isinstance(board, Chessboard) else replace(board, diameter_mm=0.0)

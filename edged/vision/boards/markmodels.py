@@ -342,7 +342,7 @@ def correlated(rows: FloatArray, smoothed_px: float) -> FloatArray:
 
 @kernel()
 def product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Of two matrices (9, 9)."""
+    """Matrix product a b of two (9, 9) matrices."""
     result = np.zeros((9, 9))
     for i in range(9):
         for j in range(9):

@@ -43,16 +43,16 @@ class DetectionParams:
     min_aspect: float = 0.25  # derivation: cos 75°; a plate seen more obliquely is of no use
     roundness: float = 0.12  # relative difference between the areas of a blob and of its ellipse
     size_ratio: float = 2.0
-    """Of the dots of one plate, near end to far end; excludes the frame, whose centre is a dot's."""
+    """Largest ratio between dots of one plate, near to far; excludes the frame, whose centre is a dot's."""
     step_tolerance: float = 0.3  # of the grid step, between a neighbour and where it is expected
     dot_window_share: float = 0.45  # of the free ring between a dot and its neighbours
     size_tolerance: float = 0.01  # of the diameter: moves the correction for perspective by less than 0.01 px
     size_rounds: int = 3  # iterations of diameter and correction; each shrinks the change tenfold
     corner_offset: float = 0.62
-    """Of the pitch, outwards from a corner dot: inside the filled corner of the frame."""
+    """Distance outwards from a corner dot, in pitches: inside the filled corner of the frame."""
     min_dots: int = 9  # of a plate of unknown size
     degree: int = 4
-    """Of the polynomial: a saddle, a wave and the corners; more follows the noise of single marks."""
+    """Degree of the polynomial: a saddle, a wave and the corners; more follows the noise of single marks."""
     prior_share: float = 0.02  # sigma of a deformation in pitches: far more than any usable board has
     recentred: int = 2  # times the window is laid anew around the corner, so that what is symmetric cancels
     centred_px: float = 0.2  # a window this well centred needs no second fit

@@ -330,7 +330,7 @@ def _scaled_solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _covariances(normal: _Normal) -> tuple[FloatArray, FloatArray]:
-    """Of the rig's unknowns (G, G) and of each pose (V, 6, 6)."""
+    """Covariance of the rig's unknowns (G, G) and of each pose (V, 6, 6)."""
     eliminated = np.linalg.solve(normal.poses, normal.coupling.transpose(0, 2, 1))
     reduced = normal.rig - np.einsum("vgi,vih->gh", normal.coupling, eliminated)
     rig = _scaled_solve(reduced, np.eye(len(reduced)))

@@ -227,7 +227,7 @@ def _movement_notes(problem: CalibrationProblem) -> tuple[str, ...]:
         return ()
     run = f"calibrated from {problem.views[0].name} to {problem.views[-1].name} alone"
     stale = "; the rig is that of cameras which have moved since: take fresh views"
-    return tuple(f"{one}; {run}{stale if one.since else ''}" for one in problem.movements)
+    return tuple(f"{movement}; {run}{stale if movement.since else ''}" for movement in problem.movements)
 
 
 def fit_of_view(view: StereoView, rig: StereoRig, left_from_board: FloatArray) -> ViewFit:

@@ -26,7 +26,7 @@ _PARTS = tuple(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """Of one image, field by field (ROWS, COLUMNS).
+    """Where marks lay in one image, field by field (ROWS, COLUMNS).
 
     reached : a mark lay there.  common : the other camera sees it too, at some depth of the views; elsewhere
     nothing is measured.
@@ -38,7 +38,7 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """Of the common fields, those that were reached."""
+        """Share of the common fields that were reached."""
         return float(np.mean(self.reached[self.common])) if self.common.any() else 0.0
 
     @property
@@ -78,7 +78,11 @@ def coverage_of(calibration: Calibration, side: Side) -> Coverage:
 
 def coverage_in_words(both: Sequence[Coverage]) -> str:
     """One finding of the left and the right image: of the verdict, and of the report."""
-    left, right = (f"{100 * one.share:.0f} %" for one in both)
-    missed = [f"the {', '.join(one.missed)} of the {one.side} image" for one in both if one.missed]
+    left, right = (f"{100 * coverage.share:.0f} %" for coverage in both)
+    missed = [
+        f"the {', '.join(coverage.missed)} of the {coverage.side} image"
+        for coverage in both
+        if coverage.missed
+    ]
     text = f"marks in {left} of the left and {right} of the right image's common view"
     return text + (f", hardly any in {' and '.join(missed)}" if missed else "")

@@ -127,7 +127,7 @@ def imaging_of(pictures: Sequence[BoardEdges], size: tuple[int, int]) -> Imaging
     if not pictures:
         return UNKNOWN
     edges = BoardEdges(
-        *(np.concatenate([getattr(one, name) for one in pictures]) for name in BoardEdges.__slots__)
+        *(np.concatenate([getattr(picture, name) for picture in pictures]) for name in BoardEdges.__slots__)
     )
     step = edges.bright - edges.dark
     clipped = edges.bright >= DETECTION.white
@@ -169,7 +169,8 @@ def imaging_of(pictures: Sequence[BoardEdges], size: tuple[int, int]) -> Imaging
 def with_response(rig: StereoRig, imaging: tuple[Imaging, Imaging]) -> StereoRig:
     """The rig with the cameras' responses, from which its images are made linear before they are measured."""
     left, right = (
-        replace(camera, gamma=one.gamma) for camera, one in zip((rig.left, rig.right), imaging, strict=True)
+        replace(camera, gamma=measured.gamma)
+        for camera, measured in zip((rig.left, rig.right), imaging, strict=True)
     )
     identity = calibration_identity(left, right, rig.right_from_left)
     return replace(rig, left=left, right=right, calibration_id=identity)
@@ -200,61 +201,62 @@ def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) 
             cost = f"{text}: {cost_um:.1f} µm" + (f"; {remedy}" if telling else "")
             found.append(ImagingFinding(name, cost, cost_um, remedy if telling else ""))
 
-    for side, one in zip(SIDES, imaging, strict=True):
-        if one.gamma != 1.0:
+    for side, camera in zip(SIDES, imaging, strict=True):
+        if camera.gamma != 1.0:
             add(
                 f"{side} response",
-                f"{side} camera, gamma {one.gamma:.2f} instead of 1; left in the images, it costs radii",
-                abs(one.shift_px) * across_um,
+                f"{side} camera, gamma {camera.gamma:.2f} instead of 1; left in the images, it costs radii",
+                abs(camera.shift_px) * across_um,
                 "the calibration takes it out; better set the camera's Gamma to 1 and calibrate again",
                 telling=True,
             )
         else:
             add(
                 f"{side} response",
-                f"{side} camera, edges {one.shift_px:+.3f} px off the lines through their corners; "
+                f"{side} camera, edges {camera.shift_px:+.3f} px off the lines through their corners; "
                 "in a radius this is",
-                abs(one.shift_px) * across_um,
+                abs(camera.shift_px) * across_um,
                 "it is the camera's response, its sharpening, or ink that has spread",
-                telling=abs(one.shift_px) > max(IMAGING.min_shift_px, IMAGING.sure * one.sigma_shift_px),
+                telling=abs(camera.shift_px)
+                > max(IMAGING.min_shift_px, IMAGING.sure * camera.sigma_shift_px),
             )
         add(
             f"{side} blur",
-            f"{side} camera, blur {one.blur_px:.2f} px, {one.least_blur_px:.2f} to {one.largest_blur_px:.2f} "
-            "over the image; at chamfers this may cost in depth",
-            math.sqrt(max(one.largest_blur_px**2 - one.least_blur_px**2, 0.0)) * depth_um,
+            f"{side} camera, blur {camera.blur_px:.2f} px, {camera.least_blur_px:.2f} to "
+            f"{camera.largest_blur_px:.2f} over the image; at chamfers this may cost in depth",
+            math.sqrt(max(camera.largest_blur_px**2 - camera.least_blur_px**2, 0.0)) * depth_um,
             "focus again, or close the aperture",
-            telling=one.largest_blur_px > max(IMAGING.soft_px, 1.5 * one.least_blur_px),
+            telling=camera.largest_blur_px > max(IMAGING.soft_px, 1.5 * camera.least_blur_px),
         )
         add(
             f"{side} asymmetry",
-            f"{side} camera, asymmetry of the blur {one.asymmetry_px:.3f} px; in depth",
-            one.asymmetry_px * depth_um,
+            f"{side} camera, asymmetry of the blur {camera.asymmetry_px:.3f} px; in depth",
+            camera.asymmetry_px * depth_um,
             "close the aperture, or check that lens and filter are seated and clean",
-            telling=one.asymmetry_px > IMAGING.max_asymmetry_px,
+            telling=camera.asymmetry_px > IMAGING.max_asymmetry_px,
         )
         add(
             f"{side} sharpening",
-            f"{side} camera, halos of {100 * one.halo:.0f} % beside edges; an edge may be found "
+            f"{side} camera, halos of {100 * camera.halo:.0f} % beside edges; an edge may be found "
             "displaced by as much of a pixel",
-            one.halo * across_um,
+            camera.halo * across_um,
             "the camera sharpens: switch it off",
-            telling=one.halo > IMAGING.max_halo,
+            telling=camera.halo > IMAGING.max_halo,
         )
         add(
             f"{side} saturation",
-            f"{side} camera, {100 * one.saturated:.0f} % of the edges saturated; in a radius",
-            (0.5 * one.blur_px if math.isfinite(one.blur_px) else 0.5) * one.saturated * across_um,
+            f"{side} camera, {100 * camera.saturated:.0f} % of the edges saturated; in a radius",
+            (0.5 * camera.blur_px if math.isfinite(camera.blur_px) else 0.5) * camera.saturated * across_um,
             "less exposure or light",
-            telling=one.saturated > IMAGING.max_saturated,
+            telling=camera.saturated > IMAGING.max_saturated,
         )
         add(
             f"{side} falloff",
-            f"{side} camera, {100 * one.falloff:.0f} % of the light missing in the darkest corner; "
+            f"{side} camera, {100 * camera.falloff:.0f} % of the light missing in the darkest corner; "
             "by its noise, in depth",
-            IMAGING.noise_px * (1 / math.sqrt(max(1 - one.falloff, 0.01)) - 1) * depth_um,
+            IMAGING.noise_px * (1 / math.sqrt(max(1 - camera.falloff, 0.01)) - 1) * depth_um,
             "open the aperture, or light more evenly",
-            telling=one.falloff > IMAGING.max_falloff,
+            telling=camera.falloff > IMAGING.max_falloff,
         )
     left, right = imaging
     unequal = math.sqrt(abs(left.blur_px**2 - right.blur_px**2))
@@ -347,7 +349,7 @@ def _halo(profile: _Profile) -> float:
 
 def _by_sector(edges: BoardEdges) -> list[BoardEdges]:
     """The edges by their direction from dark to bright; without directions of which there are too few."""
-    return [one for one in _sectors(edges) if len(one.view) >= IMAGING.min_edges]
+    return [sector for sector in _sectors(edges) if len(sector.view) >= IMAGING.min_edges]
 
 
 def _sectors(edges: BoardEdges) -> list[BoardEdges]:
@@ -360,8 +362,8 @@ def _sectors(edges: BoardEdges) -> list[BoardEdges]:
 def _odd_part(edges: BoardEdges, gamma: float) -> float:
     """Mean square of what is not alike at both ends of the profiles, over the directions."""
     squares = []
-    for one in _by_sector(edges) or [edges]:
-        profile = _profile(replace(one, grey=linear_grey(one.grey, gamma)))
+    for sector in _by_sector(edges) or [edges]:
+        profile = _profile(replace(sector, grey=linear_grey(sector.grey, gamma)))
         moved = (
             replace(profile, centre_px=profile.centre_px + step) for step in np.arange(-0.03, 0.031, 0.01)
         )
@@ -372,8 +374,8 @@ def _odd_part(edges: BoardEdges, gamma: float) -> float:
 def _shift_px(edges: BoardEdges, gamma: float) -> float:
     """Displacement of the edges towards the dark, the mean over the directions."""
     centres = [
-        _profile(replace(one, grey=linear_grey(one.grey, gamma))).centre_px
-        for one in _by_sector(edges) or [edges]
+        _profile(replace(sector, grey=linear_grey(sector.grey, gamma))).centre_px
+        for sector in _by_sector(edges) or [edges]
     ]
     return -float(np.mean(centres))
 
@@ -383,7 +385,7 @@ def _response(edges: BoardEdges) -> tuple[float, float, float]:
     shift = _shift_px(edges, 1.0)
     views = [edges.some(edges.view == number) for number in np.unique(edges.view)]
     parts = views if len(views) > 1 else _by_sector(edges)
-    each = [-_profile(one).centre_px for one in parts if len(one.view) >= IMAGING.min_edges]
+    each = [-_profile(part).centre_px for part in parts if len(part.view) >= IMAGING.min_edges]
     sigma = float(np.std(each, ddof=1) / math.sqrt(len(each))) if len(each) > 1 else abs(shift)
     if abs(shift) < max(IMAGING.min_shift_px, IMAGING.sure * sigma):
         return 1.0, shift, sigma
@@ -399,11 +401,11 @@ def _response(edges: BoardEdges) -> tuple[float, float, float]:
 def _asymmetry_px(edges: BoardEdges) -> float:
     """Largest difference between two ends of one blur: opposite directions, the tails of their profiles."""
     skew = []
-    for one in _sectors(edges):
-        if len(one.view) < IMAGING.min_edges // IMAGING.sectors:
+    for sector in _sectors(edges):
+        if len(sector.view) < IMAGING.min_edges // IMAGING.sectors:
             skew.append(math.nan)
             continue
-        profile = _profile(one)
+        profile = _profile(sector)
         skew.append(float(np.sum(profile.at(_HALF) + profile.at(-_HALF) - 1.0)) * IMAGING.bin_px)
     pairs = [0.5 * abs(skew[n] - skew[n + IMAGING.sectors // 2]) for n in range(IMAGING.sectors // 2)]
     known = [value for value in pairs if math.isfinite(value)]

@@ -135,7 +135,7 @@ def _half_turn(board: Board) -> FloatArray:
 
 
 def renumbered(seen: Detection, board: Board) -> Detection:
-    """The same marks counted from the other end of a symmetric board."""
+    """The detection with its marks counted from the other end of a symmetric board."""
     return replace(seen, ids=len(board.points_mm) - 1 - seen.ids)
 
 

@@ -73,7 +73,7 @@ class Choice:
 def choice_in_words(weights: Sequence[LensWeight]) -> str:
     """Which model was chosen, and what speaks for the others."""
     best, *others = weights
-    against = ", ".join(f"{one.name} {100 * one.weight:.0f} %" for one in others)
+    against = ", ".join(f"{other.name} {100 * other.weight:.0f} %" for other in others)
     also = f" ({100 * best.weight:.0f} %; {against})" if others else ""
     return f"lens model chosen by the views: {best.name}{also}"
 
@@ -109,7 +109,7 @@ def choose(views: list[StereoView], state: BundleState, excluded: list[tuple[str
             result = adjust(_bound(begun, freedoms), left, right, *freedoms)
             tried.append((name, freedoms, result))
     # a polynomial may fold the picture where no mark was seen: that is no lens, well as it fits
-    tried = [one for one in tried if can_be_rectified(rig_of(one[2]))] or tried
+    tried = [attempt for attempt in tried if can_be_rectified(rig_of(attempt[2]))] or tried
     aic = _criteria([result for _, _, result in tried], [freedoms for _, freedoms, _ in tried])
     weights = np.exp(-0.5 * aic) / np.exp(-0.5 * aic).sum()
     best = int(np.argmin(aic))
@@ -117,12 +117,14 @@ def choose(views: list[StereoView], state: BundleState, excluded: list[tuple[str
     solution = richest
     if freedoms != richest.freedoms:
         solution = without_outliers(estimate(richest.problem, result.state, freedoms))
-    said = [LensWeight(one[0], float(a), float(w)) for one, a, w in zip(tried, aic, weights, strict=True)]
-    others = [(float(weight), one[2]) for weight, one in zip(weights, tried, strict=True)]
+    said = [
+        LensWeight(name, float(a), float(w)) for (name, *_), a, w in zip(tried, aic, weights, strict=True)
+    ]
+    others = [(float(weight), attempt[2]) for weight, attempt in zip(weights, tried, strict=True)]
     del others[best]
     return Choice(
         solution,
-        tuple(sorted(said, key=lambda one: one.aic)),
+        tuple(sorted(said, key=lambda weight: weight.aic)),
         tuple(other for other in others if other[0] > CALIBRATION.min_weight),
     )
 
@@ -158,8 +160,8 @@ def _candidates(richest: CalibrationSolution) -> list[tuple[str, Freedoms]]:
 
 def _without_tangential(freedoms: Freedoms) -> Freedoms:
     left, right = (
-        replace(one, distortion=tuple(name for name in one.distortion if name not in _TANGENTIAL))
-        for one in freedoms
+        replace(freedom, distortion=tuple(name for name in freedom.distortion if name not in _TANGENTIAL))
+        for freedom in freedoms
     )
     return left, right
 
@@ -167,7 +169,8 @@ def _without_tangential(freedoms: Freedoms) -> Freedoms:
 def _bound(state: BundleState, freedoms: Freedoms) -> BundleState:
     """The state with lenses of these freedoms, and nothing in what they hold back."""
     left, right = (
-        _of_freedom(camera, one) for camera, one in zip((state.left, state.right), freedoms, strict=True)
+        _of_freedom(camera, freedom)
+        for camera, freedom in zip((state.left, state.right), freedoms, strict=True)
     )
     return replace(state, left=left, right=right)
 

@@ -100,9 +100,9 @@ def plan_views(calibration: Calibration, count: int = 3, goal_mm: float | None =
     gains = [1 - design.rms_mm(design.information + added) / before for added in design.added]
     order = sorted(range(len(gains)), key=lambda index: -gains[index])[:count]
     suggestions = tuple(
-        Suggestion(one.where, gains[index], one.code, design.board, one.left_from_board)
+        Suggestion(candidate.where, gains[index], candidate.code, design.board, candidate.left_from_board)
         for index in order
-        for one in (design.candidates[index],)
+        for candidate in (design.candidates[index],)
     )
     sigmas = [design.sigma_mm(design.information + design.added[index]) for index in order]
     return Plan(
@@ -136,13 +136,13 @@ class _Design:
     added: Sequence[FloatArray]
 
     def sigma_mm(self, information: FloatArray) -> FloatArray:
-        """Of X, Y, Z (3,), rms over the points."""
+        """Sigma of X, Y, Z (3,), rms over the points."""
         flat = self.shift.reshape(-1, self.shift.shape[2])
         squares = np.sum((flat @ _inverse(information)) * flat, axis=1).reshape(-1, 3)
         return np.asarray(np.sqrt(squares.mean(axis=0)))
 
     def rms_mm(self, information: FloatArray) -> float:
-        """Of the distance."""
+        """Rms distance between measured and true point."""
         return float(np.linalg.norm(self.sigma_mm(information)))
 
     def views_to(self, goal_mm: float) -> int | None:

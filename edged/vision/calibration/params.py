@@ -33,7 +33,7 @@ class CalibrationParams:
     min_baseline: float = 1e-3  # of the distance: 1 px of disparity, no depth to speak of
     max_scatter: float = 0.25  # of right_from_left between views: rad, and share of the baseline
     min_tilt_spread_deg: float = 3.0
-    """Between board normals; parallel boards are°enerate (Zhang 2000, doi:10.1109/34.888718)."""
+    """Between board normals; parallel boards are degenerate (Zhang 2000, doi:10.1109/34.888718)."""
     release_t: float = 6.0
     """|value| / sigma from which a parameter is real. Not less: neighbouring marks err alike (a bent board);
     square pixels looked oblong by 4 sigma on real boards."""
@@ -41,7 +41,7 @@ class CalibrationParams:
     min_weight: float = 1e-3  # of a lens model that takes part in the stated sigma
     no_noise: float = 1e-6  # of the stated variance of marks: smaller residuals are rounding errors
     blind: float = 1e-7
-    """Of the largest shift of points per unit of a combination of parameters: it moves nothing."""
+    """Share of the largest shift of points per unit; a combination of parameters below it moves nothing."""
 
 
 CALIBRATION = CalibrationParams()
@@ -57,7 +57,7 @@ class GuidanceParams:
     max_views: int = 30  # beyond so many further views their number is not what is missing
     min_visible: float = 0.6  # of the marks of a ChArUco board in either image; other boards need all
     inward: tuple[float, ...] = (1.0, 0.8, 0.6, 0.4, 0.2)
-    """Of the way out, where a board at the border would be cut."""
+    """Shares of the way outwards to try in turn where a board at the border would be cut."""
     edge_px: float = 8.0  # free border around the marks, which a detector's window needs
     hand_share: float = 0.03  # of the image's width by which a hand may misplace the board without losing it
     places: tuple[float, ...] = (0.2, 0.5, 0.8)  # of the image's width and height
@@ -91,7 +91,7 @@ class ImagingParams:
     flat_px: float = 3.2  # from here to the reach the profile of a usable lens is level
     min_step: float = 30.0  # grey values of an edge
     bin_px: float = 0.1
-    """Of the profile: a tenth of a pixel resolves the sharpest lens (0.29 px, the pixel itself)."""
+    """Bins of the profile: a tenth of a pixel resolves the sharpest lens (0.29 px, the pixel itself)."""
     sectors: int = 4
     """Directions from dark to bright that are averaged apart: asymmetric blur cancels in their mean."""
     places: int = 3  # rows and columns of the image that are assessed apart

@@ -56,7 +56,9 @@ def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tup
     views = len(calibration.views)
     findings = [(_grade(-views, -GUIDANCE.good_views, -GUIDANCE.min_views), f"{views} views")]
     # cameras that were moved afterwards do not stand as the rig says
-    findings += [("repeat" if one.since else "usable", str(one)) for one in calibration.movements]
+    findings += [
+        ("repeat" if movement.since else "usable", str(movement)) for movement in calibration.movements
+    ]
     if not held:
         return [("repeat", f"{views} views are too few to hold any of them out"), *findings]
     epipolar_px = _rms([view.epipolar_rms_px for view in held])
@@ -78,7 +80,7 @@ def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tup
         )
     )
     coverage = [coverage_of(calibration, side) for side in SIDES]
-    least = min(one.share for one in coverage)
+    least = min(image.share for image in coverage)
     findings.append(
         (_grade(-least, -GUIDANCE.good_coverage, -GUIDANCE.worst_coverage), coverage_in_words(coverage))
     )
@@ -92,7 +94,7 @@ def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tup
 
 
 def _picture_findings(imaging: Sequence[Imaging]) -> list[tuple[Grade, str]]:
-    """Of cameras that change what they see: places of marks are still right, those of edges are less so."""
+    """Findings on cameras that alter the image: marks stay where they are, edges less so."""
     found = list[tuple[Grade, str]]()
     for side, camera in zip(SIDES, imaging, strict=False):
         if camera.halo > IMAGING.max_halo:

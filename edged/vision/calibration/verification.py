@@ -44,7 +44,7 @@ class Length:
 
     @property
     def error_percent(self) -> float:
-        """Of the true length."""
+        """The error as a percentage of the true length."""
         return 100 * self.error_mm / self.true_mm
 
     def verdict(self, limit_percent: float) -> Verdict:

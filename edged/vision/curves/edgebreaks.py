@@ -75,7 +75,9 @@ def break_shifts(state: State, problem: FitProblem, widths_mm: FloatArray) -> tu
         alike, against = waves[camera][:, :WAVES], BREAKS.against * waves[camera][:, WAVES : 2 * WAVES]
         shapes = np.hstack([sigma * alike, sigma * against, lower[camera][:, None] * lower_mm])
         columns = [
-            np.where(group == one, 1.0, 0.0)[:, None] * shapes for group in groups for one in np.unique(group)
+            np.where(group == number, 1.0, 0.0)[:, None] * shapes
+            for group in groups
+            for number in np.unique(group)
         ]
         sides.append(np.hstack(columns))
     return sides[0], sides[1]

@@ -25,7 +25,7 @@ def edge_noise(sightings: Sequence[Sighting]) -> tuple[float, float] | None:
     """
     counts = np.bincount([points.shape[1] for points, _ in sightings])
     many = int(counts.argmax())
-    same = [one for one in sightings if one[0].shape[1] == many]
+    same = [sighting for sighting in sightings if sighting[0].shape[1] == many]
     if len(same) < FIT.noise_pictures:
         return None
     left, right = (

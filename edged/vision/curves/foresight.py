@@ -134,7 +134,7 @@ def _step(
     columns = state.columns(np.ones(len(counts), bool))
     used = np.unique(columns[columns >= 0])
     dense = np.where(columns < 0, -1, np.searchsorted(used, columns))
-    still, shifts = np.zeros((2, starts[-1])), np.array([one.shift_px for one in scatters])
+    still, shifts = np.zeros((2, starts[-1])), np.array([scatter.shift_px for scatter in scatters])
     samples, priors = samples_of(
         pairs,
         state.with_row_shift(outline, sides),
@@ -154,8 +154,8 @@ def _step(
         still,
         np.ones_like(still),
         np.zeros((2, len(counts))),
-        np.repeat(np.array([one.clipped for one in scatters]).T, counts, axis=1),
-        np.repeat(np.array([one.soft for one in scatters]).T, counts, axis=1),
+        np.repeat(np.array([scatter.clipped for scatter in scatters]).T, counts, axis=1),
+        np.repeat(np.array([scatter.soft for scatter in scatters]).T, counts, axis=1),
     )
     problem = FitProblem(
         samples, solution, pairs, state.face, state.curves, outline, sides, edges, starts, used, True
@@ -193,12 +193,12 @@ def _pairs(
     gain = np.stack([side.gain for side in sides])
     pairs = Pairs(
         np.ones(total, bool),
-        np.repeat([one.share for one in scatters], counts),
+        np.repeat([scatter.share for scatter in scatters], counts),
         np.where(np.abs(gain) > LEAST_GAIN, gain, LEAST_GAIN),
         chosen,
         np.cumsum(lengths),
         np.array(parts),
-        np.array([one.information[0] > 0 for one in scatters]),
+        np.array([scatter.information[0] > 0 for scatter in scatters]),
         np.tile(arcs, len(PARTS))[chosen],
     )
     return pairs, np.array(precision)

@@ -21,7 +21,7 @@ class JointFitParams:
     roughly: float = 0.05  # the same while edges are still measured anew at what comes out
     min_camera_share: float = 0.1  # of either camera in the mean of both
     min_prior_ratio: float = 0.2
-    """Of the prior weights: a clipped edge would spoil the other camera's good one."""
+    """Least ratio of the cameras' prior weights: a clipped edge would spoil the other camera's good one."""
     min_gain: float = 0.05  # of the largest: a camera that looks along the plane tells nothing of the curve
     apart: int = 8  # samples: farther apart along an edge errors are independent, but for systematic shifts
     clip: float = 2.5  # sigmas at which residuals are clipped before correlating
@@ -59,7 +59,7 @@ class JointFitParams:
     min_length_px: float = 3.0  # of an edge
     max_length_px: float = 1000000.0  # beyond it the pose has run away
     runaway: float = 0.5
-    """Of its size: a curve that would move by more in one step stays and does not pull the others."""
+    """Share of its size: a curve that would move by more in one step stays and does not pull the others."""
     max_slope: float = 0.5  # of the plane in one step
     max_rise: float = 0.2  # share of the distance in one step
     growth_sigma: float = 0.01
@@ -108,7 +108,7 @@ class BreakParams:
     glint_slope: float = 0.4  # of a highlight's far side over that of the edge
     min_slope: float = 2.0  # grey values per px of it
     glint_share: float = 0.6
-    """Of all curves in both images beside which the far side runs: one neighbour's edge does not count."""
+    """Share of the curves in both images with a far side beside them: one neighbour's edge does not count."""
 
 
 BREAKS = BreakParams()

@@ -84,7 +84,7 @@ class CurveFit:
 
     @property
     def name(self) -> str:
-        """Of the curve."""
+        """Name of the curve."""
         return self.curve.name
 
     @property
@@ -310,7 +310,9 @@ def _scatter_of(step: FitStep, number: int, arc_px: float) -> Scatter:
         first, last = samples.starts[part : part + 2]
         kind = pairs.rows[first] // len(pairs.both)
         information[kind] = solution.precision[part] * solution.weights[first:last].sum() / arc_px
-    clipped, soft = (one[:, rows].mean(axis=1) > 0.5 for one in (problem.edges.clipped, problem.edges.soft))
+    clipped, soft = (
+        flags[:, rows].mean(axis=1) > 0.5 for flags in (problem.edges.clipped, problem.edges.soft)
+    )
     return Scatter(
         information,
         float(pairs.share[rows].mean()),

@@ -33,7 +33,7 @@ from edged.vision.kernels.jit import for_both
 from edged.vision.kernels.robust import MIN_SAMPLES
 
 RIGID_PARAMETERS = 4
-"""Of a rigid part beyond its plane: shift along u and v, turn, growth."""
+"""Parameters of a rigid part besides its plane: shift along u and v, turn, growth."""
 PROBES_MM = FIT.probe_mm * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """A point and two beside it, for the scale of the image there."""
 WAVES = 5  # columns of `fourier_basis`
@@ -152,13 +152,13 @@ class State:
             fewest = FIT.min_samples_around if curve.closed else FIT.min_samples
             count = min(max(int(size_px / spacing_px), fewest), FIT.max_samples)
             outlines.append(curve.spread(count, FIT.margin_px / scale))
-        starts = np.cumsum([0, *(len(one.points) for one in outlines)])
-        points = np.concatenate([one.points for one in outlines])
-        normals = np.concatenate([one.normals for one in outlines])
+        starts = np.cumsum([0, *(len(outline.points) for outline in outlines)])
+        points = np.concatenate([outline.points for outline in outlines])
+        normals = np.concatenate([outline.normals for outline in outlines])
         common = self.shared - PLANE_PARAMETERS
         speed = np.zeros((starts[-1], common + max(curve.free for curve in self.curves)))
-        for k, one in enumerate(outlines):
-            speed[starts[k] : starts[k + 1], common : common + one.speed.shape[1]] = one.speed
+        for k, outline in enumerate(outlines):
+            speed[starts[k] : starts[k + 1], common : common + outline.speed.shape[1]] = outline.speed
         if self.rigid_mm is not None:
             speed *= self.rigid_mm
             speed[:, :2] = normals
@@ -313,7 +313,7 @@ class State:
         few = np.add.reduceat(base > 0, starts[:-1], axis=1).min(axis=0) < MIN_SAMPLES
         base = np.where(np.repeat(few, counts), 0.0, base)
         return (left, right), CurveEdges(
-            offsets, base, bias, *(np.stack(one) for one in zip(poor_left, poor_right, strict=True))
+            offsets, base, bias, *(np.stack(pair) for pair in zip(poor_left, poor_right, strict=True))
         )
 
     def with_row_shift(

@@ -73,7 +73,7 @@ def shift_basis(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> tup
 
 
 FAMILIES = np.repeat([0, 1], [2 * len(FIT.wave_sigmas), 2])
-"""Of the columns of `shift_basis`: waves, and walls; each is as large as it shows in the picture."""
+"""Family of each column of `shift_basis`: 0 waves, 1 walls; each is as large as it shows in the picture."""
 
 
 def shrunk(expected_px: FloatArray, kinds: npt.NDArray[np.int64]) -> FloatArray:

@@ -13,7 +13,7 @@ from edged.errors import TeachError
 from edged.vision.edges.params import OUTLINES
 
 FINE = 16.0
-"""Of the gradient: a faint edge, smoothed to whole grey values, would be a staircase."""
+"""Gradient steps per grey value: a faint edge, smoothed to whole grey values, would be a staircase."""
 UNIT = 8 * FINE
 AXES = ((1, 0), (0, 1))
 

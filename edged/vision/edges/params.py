@@ -13,19 +13,19 @@ class EdgeParams:
     """
 
     sigma_px: float = 1.2
-    """Of the operator: about sqrt(5) times the blur of a focused lens (0.55 px) is optimal (Canny 1986,
+    """Width of the operator: about sqrt(5) times the blur of a focused lens (0.55 px) is optimal (Canny 1986,
     doi:10.1109/TPAMI.1986.4767851; `tools/bench ablate`)."""
     widths_px: tuple[float, ...] = (0.6, 0.85, 1.2, 1.7)
     """To choose from: beside texture, in between, focused lens with noise, soft or noisy image."""
     fine_step_px: float = 0.5  # sampling of the profile for narrow operators
     hill_share: float = 0.25
-    """Of the extremum that both neighbours of a blurred step exceed at either sampling; below it: texture."""
+    """Share of the extremum that both neighbours of a blurred step exceed at both samplings; else texture."""
     clip_reach_px: float = 2.5  # the plateaus beside an edge begin here, for a blur of up to 1 px
     candidate_step_px: float = 0.5  # of a profile, of which several edges are candidates
     candidate_blur_px: float = 1.0  # of its operator
     candidate_slope: float = 2.0  # grey values per px
     rival_share: float = 0.35
-    """Of a profile's strongest slope, from which another extremum is a candidate, too."""
+    """Share of a profile's strongest slope from which another extremum is a candidate, too."""
 
 
 EDGE = EdgeParams()
@@ -46,7 +46,7 @@ class OutlineParams:
     faintest: float = 0.5  # grey values per px of an edge in a clean picture
     faint: float = 1.0  # in a noisy one
     edge_share: float = 0.5
-    """Of the region's strong edges, reached somewhere along an edge (hysteresis: Canny 1986)."""
+    """Share of the strong edges' slope that an edge reaches somewhere (hysteresis: Canny 1986)."""
     weak_share: float = 0.6  # of that, kept all along it
     outline_share: float = 0.5  # length of a part's strong outline in widths of the region
     strongest_share: float = 0.05  # the same as a share of all edges, where there is little else
@@ -65,7 +65,7 @@ class OutlineParams:
     min_coverage: float = 0.65  # share of the circumference with edges; a bore with a keyway still counts
     min_radius_px: float = 6.0  # of an ellipse: smaller ones are specks
     trials: int = 60
-    """Of RANSAC: finds 6 good points among half with 1 - (1 - 0.5^6)^60 = 61 %, in runs of neighbours far
+    """RANSAC trials: finds 6 good points among half with 1 - (1 - 0.5^6)^60 = 61 %, in runs of neighbours far
     more."""
     inlier_px: float = 1.2  # of a trial, whose points are pixels
     rounds: int = 12  # of reweighting

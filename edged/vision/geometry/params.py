@@ -17,7 +17,7 @@ class RectificationParams:
     size_multiple: int = 16  # four pyramid levels halve the image without a remainder
     max_growth: float = 4.0  # pixels over the raw image's: wide-angle corners beyond it only cost time
     min_shrink: float = 0.5
-    """Of the focal length, to keep within that growth; below it the views hardly overlap."""
+    """Least factor on the focal length that keeps within that growth; below it the views hardly overlap."""
 
 
 RECTIFICATION = RectificationParams()

@@ -52,22 +52,22 @@ class Rectification:
 
     @property
     def maps_left(self) -> Maps:
-        """Of the left image, read-only."""
+        """Rectifying maps of the left image, read-only."""
         return self._left[0]
 
     @property
     def maps_right(self) -> Maps:
-        """Of the right image, read-only."""
+        """Rectifying maps of the right image, read-only."""
         return self._right[0]
 
     @property
     def valid_left(self) -> Image:
-        """Of the left image, read-only."""
+        """Mask of valid pixels of the rectified left image, read-only."""
         return self._left[1]
 
     @property
     def valid_right(self) -> Image:
-        """Of the right image, read-only."""
+        """Mask of valid pixels of the rectified right image, read-only."""
         return self._right[1]
 
     @cached_property

@@ -99,12 +99,12 @@ class _Deferred:
                 self._dispatcher.disable_compile(True)
 
     def _called(self, *_arguments: Any) -> Any:
-        """What numba asks for where it has no code yet: it calls what it gets with the same arguments."""
+        """Load at the first call: numba then calls the dispatcher it gets with the same arguments."""
         self.load()
         return self._dispatcher
 
     def _named(self, arguments: Any, named: Any) -> Any:
-        """The same where another kernel that calls this one is compiled."""
+        """Load when a kernel that calls this one is compiled."""
         self.load()
         return type(self._dispatcher).get_call_template(self._dispatcher, arguments, named)
 
@@ -136,8 +136,8 @@ def load_called(*packages: str) -> None:
 def _python_of(module: ModuleType) -> Iterator[CodeType]:
     """The code of the functions and methods of a module; a kernel's is not Python any more."""
     for value in vars(module).values():
-        for one in vars(value).values() if isinstance(value, type) else (value,):
-            for function in _unwrapped(one):
+        for member in vars(value).values() if isinstance(value, type) else (value,):
+            for function in _unwrapped(member):
                 if function.__module__ == module.__name__:
                     yield function.__code__
 
@@ -154,7 +154,7 @@ def _unwrapped(value: object, deep: int = 2) -> Iterator[FunctionType]:
 def _names(code: CodeType) -> set[str]:
     """What a function names, and what is defined in it."""
     inner = (const for const in code.co_consts if isinstance(const, CodeType))
-    return set(code.co_names).union(*(_names(one) for one in inner))
+    return set(code.co_names).union(*(_names(nested) for nested in inner))
 
 
 def _parsed(signature: str, tuples: Tuples) -> Any:

@@ -81,8 +81,8 @@ def _formats() -> tuple[PixelFormat, ...]:
     return (*mono, *bayer)
 
 
-FORMATS = {one.name: one for one in _formats()}
-BY_CODE = {one.code: one for one in FORMATS.values()}
+FORMATS = {pixel_format.name: pixel_format for pixel_format in _formats()}
+BY_CODE = {pixel_format.code: pixel_format for pixel_format in FORMATS.values()}
 
 
 def grey8(data: npt.NDArray[np.uint8], pixels: PixelFormat, width: int, height: int) -> Image:

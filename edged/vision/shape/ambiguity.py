@@ -281,7 +281,7 @@ def _look_at_each(
 
     Forty rotations of a dozen points each at once take a fifth of the time.
     """
-    level, size = model.levels[0], [len(one) for one in points]
+    level, size = model.levels[0], [len(indices) for indices in points]
     placed = np.empty((sum(size), 4))
     for pose, chosen, end in zip(poses, points, np.cumsum(size), strict=True):
         rows = placed[end - len(chosen) : end]
@@ -312,21 +312,21 @@ def decides(
 
     signs : as in `edges_along_normals`, one for each.  odds : of the part that both are of.
     """
-    one, other = (look(image, model, pose, sign) for pose, sign in zip(poses, signs, strict=True))
-    only_one = ~lies_on(one.placed, other.placed, other.gap_px)
-    only_other = ~lies_on(other.placed, one.placed, one.gap_px)
-    if max(only_one.sum(), only_other.sum()) < ROTATIONS.min_apart:
+    first, second = (look(image, model, pose, sign) for pose, sign in zip(poses, signs, strict=True))
+    only_first = ~lies_on(first.placed, second.placed, second.gap_px)
+    only_second = ~lies_on(second.placed, first.placed, first.gap_px)
+    if max(only_first.sum(), only_second.sum()) < ROTATIONS.min_apart:
         return None
-    light = surroundings(one, min_contrast, odds.chance.thresholds[0])
-    shown, others_shown = light.shows(one), light.shows(other)
-    slopes = np.abs(np.array([one.slope, other.slope]))
-    sets = np.array([only_one, only_other])
+    light = surroundings(first, min_contrast, odds.chance.thresholds[0])
+    first_shown, second_shown = light.shows(first), light.shows(second)
+    slopes = np.abs(np.array([first.slope, second.slope]))
+    sets = np.array([only_first, only_second])
     nats = odds.chance.evidence(sets, slopes, light.strong, odds.chance.shares(sets))
     ahead = _lead(
-        shown[only_one] & (nats[0] - nats[1] >= EVIDENCE),
-        light.denies(one)[only_one],
-        others_shown[only_other],
-        light.denies(other)[only_other],
+        first_shown[only_first] & (nats[0] - nats[1] >= EVIDENCE),
+        light.denies(first)[only_first],
+        second_shown[only_second],
+        light.denies(second)[only_second],
     )
     return ahead >= 0
 
@@ -386,7 +386,7 @@ def turns(model: ShapeModel) -> RivalTurns:
     if not motions:
         none = np.zeros((0, len(level.points)), np.bool_)
         return RivalTurns(np.zeros((0, 3)), none, none)
-    own, foreign = np.array([one for one, _ in flags]), np.array([other for _, other in flags])
+    own, foreign = np.array([own for own, _ in flags]), np.array([foreign for _, foreign in flags])
     best = np.argsort(foreign.sum(axis=1), kind="stable")
     return RivalTurns(np.array(motions)[best], own[best], foreign[best])
 

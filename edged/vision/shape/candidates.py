@@ -210,12 +210,12 @@ def _plan(
     reach = int(np.ceil(farthest * poses[:, 1:].max())) + 2
     rows, columns, pad = scan.map_geometry(height, width, reach)
     offsets = np.empty((len(poses), len(looks[0].points)), np.int64)
-    ends = np.cumsum([len(one) for one in kept])
+    ends = np.cumsum([len(own) for own in kept])
     for look, own, end in zip(looks, kept, ends, strict=True):
         part = offsets[end - len(own) : end]
         scan.pose_offsets(look.points, look.directions, own, rows, columns, pad, part)
     sectors = np.floor(poses[:, 0] * (scan.SECTORS / (2 * np.pi))).astype(np.int64) % scan.SECTORS
-    of_pose = np.repeat(np.arange(len(looks)), [len(one) for one in kept])
+    of_pose = np.repeat(np.arange(len(looks)), [len(own) for own in kept])
     groups = 1
     if views is not None:
         groups = int(views.groups.max()) + 1
@@ -315,12 +315,12 @@ def without_overlap(matches: Iterable[PlacedMatch], params: SearchParams) -> lis
     that better matches of its model explain already.
     """
     kept: list[PlacedMatch] = []
-    for one in sorted(matches, key=lambda p: (-p.match.score, p.match.model, p.match.x_px, p.match.y_px)):
-        if any(_share(one, better) > params.max_overlap for better in kept):
+    for placed in sorted(matches, key=lambda p: (-p.match.score, p.match.model, p.match.x_px, p.match.y_px)):
+        if any(_share(placed, better) > params.max_overlap for better in kept):
             continue
-        if _claimed(one, kept) <= CLIMB.claimed_share * one.match.score:
-            kept.append(one)
-    return [one.match for one in kept[: params.max_matches]]
+        if _claimed(placed, kept) <= CLIMB.claimed_share * placed.match.score:
+            kept.append(placed)
+    return [placed.match for placed in kept[: params.max_matches]]
 
 
 def disc_overlap(distance: float, radius: float) -> float:
@@ -331,19 +331,19 @@ def disc_overlap(distance: float, radius: float) -> float:
     return 2 / math.pi * (math.acos(half) - half * math.sqrt(1 - half**2))
 
 
-def _share(one: PlacedMatch, other: PlacedMatch) -> float:
+def _share(first: PlacedMatch, second: PlacedMatch) -> float:
     """Share of their area, taken as discs about the origins, that two matches have in common."""
-    distance = np.hypot(one.match.x_px - other.match.x_px, one.match.y_px - other.match.y_px)
-    return disc_overlap(float(distance), 0.5 * (one.model.radius_px + other.model.radius_px))
+    distance = np.hypot(first.match.x_px - second.match.x_px, first.match.y_px - second.match.y_px)
+    return disc_overlap(float(distance), 0.5 * (first.model.radius_px + second.model.radius_px))
 
 
-def _claimed(one: PlacedMatch, kept: list[PlacedMatch]) -> float:
+def _claimed(placed: PlacedMatch, kept: list[PlacedMatch]) -> float:
     """Share of a match's points that lie on the outlines of better matches of the same model."""
-    claimed = np.zeros(len(one.outline), np.bool_)
+    claimed = np.zeros(len(placed.outline), np.bool_)
     for better in kept:
-        reach = one.model.radius_px * (one.size + better.size)
-        distance = math.hypot(one.match.x_px - better.match.x_px, one.match.y_px - better.match.y_px)
-        if one.match.model == better.match.model and distance < reach:
+        reach = placed.model.radius_px * (placed.size + better.size)
+        distance = math.hypot(placed.match.x_px - better.match.x_px, placed.match.y_px - better.match.y_px)
+        if placed.match.model == better.match.model and distance < reach:
             gap_px = better.size * rivals.gap_px(better.model)
-            claimed |= rivals.lies_on(one.outline, better.outline, gap_px)
+            claimed |= rivals.lies_on(placed.outline, better.outline, gap_px)
     return float(claimed.mean())

@@ -149,7 +149,7 @@ class ScanParams:
     """
 
     share: float = 0.55
-    """Of min_score that a pose reaches on the grid in the worst case: half a step off in everything."""
+    """Share of min_score that a pose reaches on the grid at worst: half a step off in everything."""
     polished_share: float = 0.62  # the same between the poses of the grid
     large_top: int = 1  # level of a small part's scan, which takes nearly all of a search's time
     large_step_px: float = 3.4  # there: a third of the poses, each up to 0.7 px farther off
@@ -186,7 +186,7 @@ class ClimbParams:
     """Score that refinement may add to a grid pose: quantised directions, half steps in all directions."""
     coarse_share: float = 0.65  # of min_score on coarse levels, where a pose may still be half a pixel off
     near_finest_share: float = 0.8
-    """Of min_score on the last level but one, where a right pose agrees as on the finest."""
+    """Share of min_score on the last level but one, where a right pose agrees as on the finest."""
     nearby_levels: tuple[int, ...] = (1, 2)  # on which places around a pose are tried, too
     clear_score: float = 0.85  # skip the neighbourhood search above it
     rival_margin: tuple[float, ...] = (0.06, 0.12, 0.25)
@@ -202,12 +202,12 @@ class ClimbParams:
     clipped_px: float = 0.5  # displacement of an edge beside clipped pixels
     max_clipped: float = 0.7  # share of all edges that may be left out for it
     decided_share: float = 0.5
-    """Of the expected distance of two nearly symmetric poses, below which the image does not decide."""
+    """Share of the expected difference of two nearly symmetric poses below which the image is undecided."""
     min_loss: float = 0.02  # least of that distance
     max_rivals: int = 12  # rotations tried against one pose; where more are possible it is in doubt
     max_changes: int = 3  # of the rotation that is taken to be the right one
     same_place: float = 0.25
-    """Of the radius: parts farther apart interlock, and are not one part seen in two ways."""
+    """Share of the radius: parts farther apart interlock, and are not one part seen in two ways."""
     scan_error: float = 0.1  # of the scan's score, by the pose's place on the grid
     agrees_px: float = 1.0  # residual up to which an edge is taken for the model's; px of the level
     settled_px: float = 0.5
@@ -218,7 +218,7 @@ class ClimbParams:
     sizes: int = 3  # steps to both sides
     nearby_points: int = 120  # enough to rank poses; they are in random order
     claimed_share: float = 0.5
-    """Of a match's evidence: one that better ones explain so much of is made of their edges."""
+    """Share of a match's evidence; where better matches explain more of it, it is made of their edges."""
 
 
 CLIMB = ClimbParams()
@@ -250,11 +250,11 @@ class RotationParams:
     beside_px: float = 3.0
     """From an edge to the grey values beside it: outside its blur, before the next edge."""
     surface_share: float = 0.35
-    """Of the contrast of the part's weaker edges that its surface may vary by at most."""
+    """Most that the surface may vary by, as a share of the contrast of the part's weaker edges."""
     even_share: float = 0.1  # that it may always vary by
     spreads: float = 4.0  # in between, times its own sigma
     textured_share: float = 0.75
-    """Of that contrast: up to so far from the face's grey value it is texture, beyond another surface."""
+    """Share of that contrast: nearer to the face's grey value it is texture, farther another surface."""
     weaker_percent: int = 25  # percentile of the part's edges that stands for its weaker ones
     mistakes: float = 1e-6  # wanted share of wrong rotations that chance makes look right
     clear_px: float = 4.0  # from every edge of the model: reach and width of the operator

@@ -336,7 +336,7 @@ class _Search:
         """The one rotation at each place that the image speaks for, or the best, which is then in doubt."""
         kept: list[Hypothesis] = []
         for h in hypotheses:
-            index = next((k for k, one in enumerate(kept) if self._same_place(h, 0, one)), None)
+            index = next((k for k, known in enumerate(kept) if self._same_place(h, 0, known)), None)
             if index is None:
                 kept.append(h)
             elif self._is_another(h, kept[index]) and not self._beats(kept[index], h):
@@ -344,11 +344,11 @@ class _Search:
                 kept[index] = better
         return [self._canonical(h) for h in kept]
 
-    def _is_another(self, one: Hypothesis, other: Hypothesis) -> bool:
+    def _is_another(self, first: Hypothesis, second: Hypothesis) -> bool:
         """Whether two poses at one place are distinguishable rotations of the shape."""
-        turn = one.angle - other.angle
+        turn = first.angle - second.angle
         same = self.model.round or any(angle_between(turn, float(row[2])) < 0.1 for row in self._equal())
-        return angle_between(one.angle, other.angle) > 0.1 and not same
+        return angle_between(first.angle, second.angle) > 0.1 and not same
 
     def _equal(self) -> list[FloatArray]:
         """The motions after which the shape looks the same."""
@@ -402,23 +402,23 @@ class _Search:
             best = winner
         return replace(best, ambiguous=True)
 
-    def _beats(self, one: Hypothesis, other: Hypothesis) -> bool:
+    def _beats(self, first: Hypothesis, second: Hypothesis) -> bool:
         """Whether the image favours the first of two rotations at one place."""
-        if abs(one.score - other.score) > CLIMB.rival_margin[1]:
-            return one.score > other.score
+        if abs(first.score - second.score) > CLIMB.rival_margin[1]:
+            return first.score > second.score
         image = self.work.images[0]
-        poses, signs = (one.pose, other.pose), (self._sign(one), self._sign(other))
-        odds = one.odds or other.odds
+        poses, signs = (first.pose, second.pose), (self._sign(first), self._sign(second))
+        odds = first.odds or second.odds
         if odds is None:
             raise ValueError("rotations of a part whose face was not looked at")
         verdict = rivals.decides(image, self.model, poses, signs, self.params.min_contrast, odds)
         if verdict is None:  # they hardly differ: only all edges together can tell
-            return one.score - other.score >= CLIMB.decided_share * self._loss(one, other) * one.score
+            return first.score - second.score >= CLIMB.decided_share * self._loss(first, second) * first.score
         return verdict
 
-    def _loss(self, one: Hypothesis, other: Hypothesis) -> float:
+    def _loss(self, first: Hypothesis, second: Hypothesis) -> float:
         """Share of the score that the wrong one of two rotations lacks, as teaching measured it."""
-        turn = one.angle - other.angle
+        turn = first.angle - second.angle
         known = [1 - row[3] for row in self.model.symmetries if angle_between(turn, float(row[2])) < 0.1]
         return max(*known, CLIMB.min_loss) if known else CLIMB.min_loss
 
