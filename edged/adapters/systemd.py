@@ -47,7 +47,7 @@ class SystemdNotifier:
         self._socket: socket.socket | None = None
         self._is_ready = False
         self._is_stopping = False
-        self._told_s = float("-inf")
+        self._sent_s = float("-inf")
         self._status = ""
         self._state: CellState | None = None
         self._cycles = 0
@@ -71,7 +71,7 @@ class SystemdNotifier:
             self._tell_stopping()
         elif not self._is_ready and self._state is not None and _has_started(self._state):
             self._is_ready = self._tell("READY=1", "WATCHDOG=1", *self._changed_status())
-        elif self._monotonic_s() - self._told_s >= self._feed_s:
+        elif self._monotonic_s() - self._sent_s >= self._feed_s:
             extension = () if self._is_ready else (f"EXTEND_TIMEOUT_USEC={START_EXTENSION_S * 1e6:.0f}",)
             self._tell("WATCHDOG=1", *extension, *self._changed_status())
 
@@ -123,7 +123,7 @@ class SystemdNotifier:
                 log.warning("systemd does not listen at %s: %s", self._address.replace("\0", "@"), error)
             self._complained = True
             return False
-        self._told_s = self._monotonic_s()
+        self._sent_s = self._monotonic_s()
         return True
 
 

@@ -307,6 +307,6 @@ def _show_bug(trying: asyncio.Task[None]) -> None:
         log.error("a server cannot be started by a bug, and is tried no more", exc_info=bug)
 
 
-def _lie_apart(one: WantedServer, other: WantedServer) -> bool:
+def _lie_apart(first: WantedServer, second: WantedServer) -> bool:
     """Whether both can run at once."""
-    return None not in (one.port, other.port) and one.port != other.port
+    return None not in (first.port, second.port) and first.port != second.port

@@ -13,7 +13,7 @@ from edged.vision.geometry.rigid import Plane, apply
 from edged.vision.part.job import Job
 
 OUTLINE_POINTS = 96
-"""Of an outline on a page: a circle of 200 px is then round to 0.1 px."""
+"""Points of an outline on a page: a circle of 200 px is then round to 0.1 px."""
 EDGE_POINTS = 9
 CONTOUR_GAP = 4.0
 """Times the usual distance between neighbours: beyond it another contour begins."""

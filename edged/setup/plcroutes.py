@@ -120,8 +120,8 @@ class PlcRoutes:
         clients = [ClientDocument(kind=kind, file=file) for kind, file in FILES.items()]
         if modbus is None:
             nothing = dict.fromkeys(PlcDocument.model_fields)
-            told = {"listening": False, "connected": 0, "refused": [], "probes": [], "clients": clients}
-            return PlcDocument(**{**nothing, **told})
+            off = {"listening": False, "connected": 0, "refused": [], "probes": [], "clients": clients}
+            return PlcDocument(**{**nothing, **off})
         now = modbus.settings
         known = constant_values(now.convention, 0, 0)
         return PlcDocument(
@@ -151,7 +151,9 @@ class PlcRoutes:
     )
     async def _exchanges(self, _call: Call[None]) -> Exchanges:
         modbus = self._modbus
-        return Exchanges(exchanges=[] if modbus is None else [_document(one) for one in modbus.exchanges])
+        return Exchanges(
+            exchanges=[] if modbus is None else [_document(exchange) for exchange in modbus.exchanges]
+        )
 
     @route(
         "GET",
@@ -170,18 +172,18 @@ class PlcRoutes:
         return web.Response(body=data, content_type="application/octet-stream", headers=headers)
 
 
-def _document(one: Exchange) -> ExchangeDocument:
-    at = datetime.fromtimestamp(one.began_ns / 1e9, UTC)
+def _document(exchange: Exchange) -> ExchangeDocument:
+    at = datetime.fromtimestamp(exchange.began_ns / 1e9, UTC)
     return ExchangeDocument(
-        number=one.number,
+        number=exchange.number,
         at=at.isoformat(timespec="milliseconds"),
-        client=one.client,
-        sequence=one.sequence,
-        code=one.code,
-        command=one.command,
-        job=one.job,
-        hint=one.hint or None,
-        times=one.times,
+        client=exchange.client,
+        sequence=exchange.sequence,
+        code=exchange.code,
+        command=exchange.command,
+        job=exchange.job,
+        hint=exchange.hint or None,
+        times=exchange.times,
         rungs=[
             RungDocument(
                 after_ms=round(1e3 * rung.after_s, 1),
@@ -190,7 +192,7 @@ def _document(one: Exchange) -> ExchangeDocument:
                 detail=rung.detail,
                 valid=rung.valid,
             )
-            for rung in one.rungs
+            for rung in exchange.rungs
         ],
     )
 

@@ -97,7 +97,7 @@ class ClockMap:
             return
         kept = self.readings
         if len(kept) > 1 and reading.before_ns - kept[-2].before_ns < SLOT_NS:
-            kept, reading = kept[:-1], min(kept[-1], reading, key=lambda one: one.width_ns)
+            kept, reading = kept[:-1], min(kept[-1], reading, key=lambda candidate: candidate.width_ns)
         self.readings = (*kept[1 - SLOTS :], reading)
 
     def at(self, device_ns: int) -> Mapped | None:
@@ -107,10 +107,10 @@ class ClockMap:
             return None
         origin_ns = readings[-1].before_ns
         # x: device time from the asked one; low, high: the gate for (host time - x), both from an origin
-        x = np.array([one.device_ns - device_ns for one in readings], dtype=np.float64)
+        x = np.array([reading.device_ns - device_ns for reading in readings], dtype=np.float64)
         doubt = RATE_WANDER * np.abs(x) + step_ns / 2
-        low = np.array([one.before_ns - origin_ns for one in readings]) - x - doubt
-        high = np.array([one.after_ns - origin_ns for one in readings]) - x + doubt
+        low = np.array([reading.before_ns - origin_ns for reading in readings]) - x - doubt
+        high = np.array([reading.after_ns - origin_ns for reading in readings]) - x + doubt
         earliest, latest = _extremes(x, low, high)
         middle = origin_ns + round((earliest + latest) / 2)
         return Mapped(middle, math.ceil((latest - earliest + step_ns) / 2) + 1)

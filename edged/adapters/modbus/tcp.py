@@ -97,7 +97,10 @@ class TcpServer:
 
     def peer(self, number: int) -> str | None:
         """The address of a client; None if it is not one of these connections."""
-        return next((client.peer for client, one in self._connections.items() if one.number == number), None)
+        return next(
+            (client.peer for client, connection in self._connections.items() if connection.number == number),
+            None,
+        )
 
     def _left(self, client: TcpClient) -> None:
         """Free the place of a closed connection, and its right to write, at once."""

@@ -142,7 +142,7 @@ class Auditor:
         before: str | None = None
         with suppress(FileFormatError):  # who reads the audit is told
             runs = file.verify(lambda record: bool(record["verb"] == RUN), last=1).records
-            before = next((one["after"] for one in runs), None)
+            before = next((run["after"] for run in runs), None)
         if before != fingerprint:
             self._keep(AuditEntry("", "", "", RUN, "cell", "ok", before=before, after=fingerprint))
 

@@ -75,17 +75,17 @@ class LoginForms:
         """A form in the language of whoever asks. problem : a text, with its values; "" : there is none."""
         language = language_of(request, self._texts.languages)
         say = self._texts.in_language(language)
-        told = {"command": COMMAND, "least": MIN_LENGTH}
+        common = {"command": COMMAND, "least": MIN_LENGTH}
         text = render(
             form,
             __package__,
             language=language,
             t=say,
             cell=self._cell,
-            problem=say(problem, **told, **values) if problem else "",
+            problem=say(problem, **common, **values) if problem else "",
             users=self._users,
             one=not self._access.is_open,
-            **told,
+            **common,
         )
         return web.Response(text=text, status=status, content_type="text/html", charset="utf-8")
 

@@ -92,8 +92,8 @@ def _query_parameters(model: type[BaseModel]) -> list[Json]:
     schema = model.model_json_schema()
     required = schema.get("required", ())
     return [
-        {"name": name, "in": "query", "required": name in required, "schema": one}
-        for name, one in schema["properties"].items()
+        {"name": name, "in": "query", "required": name in required, "schema": parameter}
+        for name, parameter in schema["properties"].items()
     ]
 
 

@@ -34,7 +34,7 @@ class Plc(Answer):
 
 
 class RigSigma(Answer):
-    """Of a point in the rig's frame, µm."""
+    """Sigma of a point in the rig's frame, µm."""
 
     x: float
     y: float

@@ -198,7 +198,7 @@ class StatusPage:
     def questions(self) -> list[Nearest]:
         """What to ask, away from the loop, so that `status` says why nothing was found."""
         shown = (*self._faults, *([] if self._last is None else [self._last]))
-        return [one for it in shown if (one := it.snapshot.nearest) is not None and one.open]
+        return [nearest for it in shown if (nearest := it.snapshot.nearest) is not None and nearest.open]
 
     def status(self) -> Json:
         """Everything but history, for /status.json and each update of the page."""
@@ -236,7 +236,7 @@ class StatusPage:
 
     def _budget(self, snapshot: Snapshot) -> Json | None:
         """Where the sigma of the first target comes from, good ones first; None where that is not known."""
-        target = min(snapshot.targets, key=lambda one: bool(one.reject), default=None)
+        target = min(snapshot.targets, key=lambda target: bool(target.reject), default=None)
         if target is None:
             return None
         limit_mm = self._sources.limits().get(snapshot.job_number)
@@ -383,8 +383,8 @@ def _why_nothing(dismissed: Sequence[NotMeasured], nearest: NearMiss | None) -> 
     lines = why_nothing(dismissed, nearest)
     if dismissed:
         return [
-            said("SEEN", line, **_place(one.match), reject=reject_names(one.reject))
-            for line, one in zip(lines, dismissed, strict=True)
+            said("SEEN", line, **_place(part.match), reject=reject_names(part.reject))
+            for line, part in zip(lines, dismissed, strict=True)
         ]
     if nearest is not None:
         needed = f"{nearest.needed_score:.2f}"
@@ -413,7 +413,7 @@ def _fault_key(snapshot: Snapshot) -> tuple[object, ...]:
     """Key of a fault in the list: its number and camera, or the kind and reasons of a miss."""
     if snapshot.error:
         return snapshot.error_code, snapshot.error.partition(":")[0]
-    refused = {target.reject for target in snapshot.targets} | {one.reject for one in snapshot.dismissed}
+    refused = {target.reject for target in snapshot.targets} | {part.reject for part in snapshot.dismissed}
     return snapshot.status, snapshot.job, frozenset(refused)
 
 

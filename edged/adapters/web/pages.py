@@ -148,8 +148,8 @@ class PageHandlers:
 
 
 def _ask(questions: Sequence[Nearest]) -> None:
-    for one in questions:
-        one.ask()
+    for question in questions:
+        question.ask()
 
 
 def html(text: str) -> web.Response:

@@ -60,9 +60,9 @@ def _printable(text: str) -> str:
 
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
-"""Of a person or a thing, in one line."""
+"""Name of a person or a thing, one line."""
 Token = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
-"""Of a lease of the cell."""
+"""Token of a lease of the cell."""
 
 
 class Body(BaseModel):

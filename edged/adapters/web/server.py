@@ -55,7 +55,7 @@ IDLE_S = 15.0
 """From the connection to its first whole request, from an answer to the next one, and to fetch an answer."""
 HANDSHAKES_PER_S = 50.0
 REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 1000.0
-"""Of one session, or of all at one address who have not logged in.
+"""Limits of one session, or of all at one address who have not logged in.
 
 A refused request takes some 0.3 ms of the loop; a viewer asks for three pictures of five cycles a second, a
 page that is opened for some eighty files.

@@ -81,8 +81,8 @@ class Doorkeeper:
                 for cell, count in sorted(self._dropped.items())
             ]
             rivals = [
-                f"{cell}: two Zenoh sessions publish for it, {one} and {other}: one of them may be false"
-                for cell, (one, other) in sorted(self._rivals.items())
+                f"{cell}: two Zenoh sessions publish for it, {first} and {second}: one of them may be false"
+                for cell, (first, second) in sorted(self._rivals.items())
             ]
         return dropped + rivals
 

@@ -21,11 +21,11 @@ from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
 SUGGESTED, LOOKED_AT = 3, 12
 FLOOR_PX, FLOOR_VIEWS = 0.01, 3
-"""Of a mark's sigma: few boards are printed, and few lenses are as their model, to less. What so few views
-leave over says too little of that; it is believed the more of them there are, and sigma falls with each."""
+"""Least sigma of a mark, since few boards are printed, and few lenses follow their model, any closer; and the
+views that count for it: residuals are believed the more of them there are, and sigma falls with each."""
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.6, 0.35, 0.8
-"""Of the picture's height, that a board's diagonal fills while nothing is known of the cameras: as where
-somebody holds it at first, between these. What is calibrated is the volume that the boards were held in."""
+"""Share of the picture's height that a board's diagonal fills while nothing is known of the cameras; then as
+somebody holds it at first, between these limits. The volume that the boards were held in is calibrated."""
 _NOMINAL_FOCAL = (
     2.0  # times the picture's width: 16 mm before a sensor of 1/1.8"; outlines hardly depend on it
 )
@@ -132,7 +132,7 @@ def nearness(watched: Watched, ghost: Ghost) -> float:
 
 
 def held_share(watched: Watched) -> float:
-    """Of the picture's height, that the diagonal of the board fills where it is held now."""
+    """Share of the picture's height that the board's diagonal fills where it is held now."""
     if not watched.is_seen:
         return FIRST_SHARE
     left = watched.outlines[0]

@@ -19,7 +19,7 @@ from edged.vision.calibration.lenschoice import LensWish
 
 VIEW = "/views/{name:view_[0-9]{3}}"
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
-"""Of reports: they hold their own style and pictures, and run nothing."""
+"""Content security policy of reports: they hold their own style and pictures, and run nothing."""
 Goal = Annotated[float, Field(gt=0, le=1e6, description="µm: none of the sigmas of X, Y, Z beyond it")]
 
 

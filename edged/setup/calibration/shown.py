@@ -24,17 +24,17 @@ HALVED_FROM_PX = 800
 """Live pictures of this width are looked at in half the size, which takes half the time or less."""
 STILL_S = 0.6
 STILL_SHARE = 1e-3
-"""Of the picture's width: a board that is held by a hand trembles by less, and edges do not smear yet."""
+"""Share of the picture's width: a hand-held board trembles by less, and edges do not smear yet."""
 GAP_S = 1.5
 """Between two looks; after a longer one it is not known what happened meanwhile."""
 GHOST_SHARE = 0.5
-"""Of the outline's diagonal: corners that are off by this much are not in the ghost at all."""
+"""Share of the outline's diagonal: corners that are off by this much are not in the ghost at all."""
 IN_GHOST = 0.6
 """From here on the view is the one that was asked for: corners are off by a fifth of the diagonal at most."""
 NEW_SHARE = 0.35
-"""Of the diagonal, by which corners are off from those of every view: this one is of use all the same."""
+"""Share of the diagonal: a view whose corners are off by more from every other is useful anyway."""
 SAME_SHARE = 0.05
-"""Of the diagonal, by which corners are off at most from those of a view that tells the same."""
+"""Share of the diagonal: a view whose corners are off by no more repeats another one."""
 _WHITE, _CLIPPED_SHARE = 255, 0.01
 _DARK_GREY, _BRIGHT_SHARE = 40, 0.2
 _POINTS_PER_SIDE = 6
@@ -120,7 +120,7 @@ def off_px(outlines: FloatArray, others: FloatArray) -> float:
 
 
 def diagonal_px(outlines: FloatArray) -> float:
-    """Of the smaller outline (S, 4, 2)."""
+    """Diagonal of the smaller outline; outlines (S, 4, 2)."""
     return float(np.linalg.norm(outlines[:, 2] - outlines[:, 0], axis=1).min())
 
 

@@ -132,9 +132,9 @@ class Views:
 
     @property
     def sizes(self) -> Sizes:
-        """Of all images of each camera. Raises `CalibrationError` for images of different sizes."""
+        """Image size of each camera. Raises `CalibrationError` for images of different sizes."""
         left, right = (
-            _one_size(
+            _common_size(
                 [pair.side(side).label for pair in self.pairs],
                 [looked[index].size for _, *looked in self._pairs.values()],
             )
@@ -156,7 +156,7 @@ class Views:
         return {name: (left.small, right.small) for name, (_, left, right) in self._pairs.items()}
 
     def remeasured(self, calibration: Calibration, progress: Progress = silent) -> Remeasured:
-        """The same as `found`, the marks of all views that were used measured with the lenses now known."""
+        """The views of `found`, with the marks of those that were used measured by the lenses now known."""
         rig = calibration.rig
         keys = [(fit, side) for fit in calibration.views for side in SIDES]
         tasks = [
@@ -336,7 +336,7 @@ def _remeasure(
     return marks, None if isinstance(marks, NotDetected) else edges_of(image, board, marks)
 
 
-def _one_size(labels: Sequence[str], sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
+def _common_size(labels: Sequence[str], sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
     if not sizes:
         raise CalibrationError("no pairs")
     usual, _ = Counter(sizes).most_common(1)[0]

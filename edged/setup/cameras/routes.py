@@ -56,14 +56,14 @@ class CameraBounds(Answer):
 
 
 class Both(Answer):
-    """Of both cameras."""
+    """Settings of both cameras."""
 
     left: Settings
     right: Settings
 
 
 class BothLimits(Answer):
-    """Of both cameras."""
+    """Limits of both cameras."""
 
     left: CameraBounds
     right: CameraBounds
@@ -120,7 +120,7 @@ class AdviceNow(Answer):
 
 
 class PictureFigures(Answer):
-    """Of one picture. sigma_z_factor : what its blur costs against a sharp one."""
+    """Light and sharpness of one picture. sigma_z_factor : what its blur costs against a sharp one."""
 
     clipped_share: float
     dark_share: float
@@ -133,7 +133,7 @@ class PictureFigures(Answer):
 
 
 class Quality(Answer):
-    """Of the live pair with this number."""
+    """Figures of the live pair with this number."""
 
     number: int
     left: PictureFigures

@@ -83,7 +83,8 @@ class Tasks:
         """Start a task; returns its id. work : an `EdgedError` that it raises is how the task failed."""
         task = _Task(secrets.token_hex(6), what, time.monotonic())
         self._tasks[task.id] = task
-        for old in [one for one in self._tasks.values() if one.state != "running"][: len(self._tasks) - KEPT]:
+        ended = [old for old in self._tasks.values() if old.state != "running"]
+        for old in ended[: len(self._tasks) - KEPT]:
             del self._tasks[old.id]
         task.running = asyncio.create_task(self._run(task, work), name=f"task {what}")
         self._tell(task)

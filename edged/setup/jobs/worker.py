@@ -89,9 +89,9 @@ class Worker:
         """
         loop = asyncio.get_running_loop()
 
-        def tell(told: TaskProgress) -> None:
+        def tell(news: TaskProgress) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(progress, told.stage, told.done, told.total)
+                loop.call_soon_threadsafe(progress, news.stage, news.done, news.total)
 
         async with self._turn:
             self._keep(loop)

@@ -35,8 +35,8 @@ TELL_S = 0.1
 
 MIB = 1 << 20
 MOST_MEMORY_BYTES = 8192 * MIB
-"""Of addresses: it begins with 1.1 GiB for all libraries, to find boards in 65 megapixels takes 0.3
-more, and 64 bytes a pixel to rectify them, 4 GiB, where their views turn most."""
+"""Address space: all libraries take 1.1 GiB at the start, finding boards in 65 megapixels 0.3 more, and
+rectifying them 64 bytes a pixel, 4 GiB, where their views turn most."""
 LEAST_MEMORY_BYTES = 2048 * MIB
 """On the smallest PC: cameras of 12 megapixels."""
 MOST_CPU_S = 1800
@@ -131,12 +131,12 @@ def serve(connection: Connection) -> None:
 
 
 def _carry_out(order: TaskOrder, connection: Connection) -> TaskAnswer:
-    told_s, told_stage = 0.0, ""
+    sent_s, sent_stage = 0.0, ""
 
     def progress(stage: str, done: int, total: int) -> None:
-        nonlocal told_s, told_stage
-        if stage != told_stage or done == total or time.monotonic() - told_s >= TELL_S:
-            told_s, told_stage = time.monotonic(), stage
+        nonlocal sent_s, sent_stage
+        if stage != sent_stage or done == total or time.monotonic() - sent_s >= TELL_S:
+            sent_s, sent_stage = time.monotonic(), stage
             connection.send(TaskProgress(stage, done, total))
 
     from edged.errors import UserError

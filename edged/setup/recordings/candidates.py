@@ -53,7 +53,7 @@ class CandidateContents:
         place = PurePosixPath("jobs") / name
 
         def changed() -> dict[str, bytes]:
-            files = {one: active.get(str(place / one), b"") for one in (TEXT, SHAPE)}
+            files = {file: active.get(str(place / file), b"") for file in (TEXT, SHAPE)}
             if not files[TEXT]:
                 raise UserError(f"there is no job {name}")
             job = changed_job(job_of(files, Path(place)), change)

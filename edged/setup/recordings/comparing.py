@@ -189,7 +189,7 @@ def _measured(taken: recording.Recording, by: MeasuredBy, number: int) -> Found 
 def found_in(snapshot: Json) -> Found:
     """What a snapshot says. Raises `FileFormatError` for numbers that are none."""
     try:
-        places = tuple(_place(one) for one in snapshot.get("targets") or [])
+        places = tuple(_place(target) for target in snapshot.get("targets") or [])
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(f"the recorded targets: {error}") from error
     return Found(str(snapshot["status"]), reasons_of(snapshot), places)
@@ -210,23 +210,27 @@ def _place(target: Any) -> GoodPart:
 
 def compare(tried: Sequence[TriedCycle], *, of_rig: bool) -> CycleComparison:
     """What all recordings say. of_rig : the new one is a rig, whose frame's motion is told and taken out."""
-    skipped = tuple(one for one in tried if one.skipped)
-    both = [(one, one.before, one.after) for one in tried if one.before is not None and one.after is not None]
+    skipped = tuple(cycle for cycle in tried if cycle.skipped)
+    both = [
+        (cycle, cycle.before, cycle.after)
+        for cycle in tried
+        if cycle.before is not None and cycle.after is not None
+    ]
     motion = None
     if of_rig:
         same = [pair for _, before, after in both for pair in _pairs(before, after)]
         motion = motion_of(
-            np.array([one.position_mm for one, _ in same]).reshape(-1, 3),
-            np.array([other.position_mm for _, other in same]).reshape(-1, 3),
+            np.array([first.position_mm for first, _ in same]).reshape(-1, 3),
+            np.array([second.position_mm for _, second in same]).reshape(-1, 3),
         )
     compared = []
-    for one, before, after in both:
+    for cycle, before, after in both:
         was_good, is_good = before.status == Status.OK, after.status == Status.OK
         pairs = _pairs(before, after) if was_good and is_good else []
         apart = [_apart(first, second, motion) for first, second in pairs]
-        worst = max(apart, key=lambda told: told.sigmas, default=None)
+        worst = max(apart, key=lambda found: found.sigmas, default=None)
         lost = len(before.places) - len(pairs) if was_good and is_good else 0
-        compared.append(Compared(one, was_good, is_good, worst, lost))
+        compared.append(Compared(cycle, was_good, is_good, worst, lost))
     return CycleComparison(tuple(compared), skipped, motion)
 
 
@@ -255,7 +259,9 @@ def _apart(before: GoodPart, after: GoodPart, motion: FrameShift | None) -> Apar
     if before.free_axis is not None:  # nobody knows by how much it turned about that axis
         turn = turn - (turn @ before.free_axis) * before.free_axis
     variance = np.diag(before.covariance) + np.diag(after.covariance)
-    units = np.array([_in_sigmas(value, one) for value, one in zip((*by, *turn), variance, strict=True)])
+    units = np.array(
+        [_in_sigmas(value, square) for value, square in zip((*by, *turn), variance, strict=True)]
+    )
     return Apart(by, float(units.max()), math.degrees(float(np.linalg.norm(turn))))
 
 

@@ -96,12 +96,12 @@ class Records:
     def page(self, wanted: CycleFilter) -> CyclePage:
         """What is wanted of the list."""
         entries = self.entries()
-        names = {one.path.name for one in entries}
+        names = {entry.path.name for entry in entries}
         for gone in [name for name in self._known if name not in names]:
             self._known.pop(gone, None)
         counts: dict[str, int] = {}
-        for one in entries:
-            counts[one.status] = counts.get(one.status, 0) + 1
+        for entry in entries:
+            counts[entry.status] = counts.get(entry.status, 0) + 1
         lines: list[CycleLine] = []
         damaged: list[Damaged] = []
         for found in self._found(entries, wanted):
@@ -116,15 +116,15 @@ class Records:
     def newest_good(self, job_number: int, calibration: str, but: int) -> recording.Entry | None:
         """A good cycle of a job, measured by a calibration, if it can be: to look at beside another one."""
         other = None
-        for one in self.entries():
-            if one.status != Status.OK or one.index == but:
+        for entry in self.entries():
+            if entry.status != Status.OK or entry.index == but:
                 continue
-            line = self.line(one)
+            line = self.line(entry)
             if isinstance(line, Damaged) or line.job_number != job_number or not line.parts:
                 continue
             if line.calibration == calibration:
-                return one
-            other = other or one
+                return entry
+            other = other or entry
         return other
 
     def line(self, entry: recording.Entry) -> CycleLine | Damaged:
@@ -163,9 +163,9 @@ def reasons_of(snapshot: Json) -> tuple[str, ...]:
         return ()
     if status == Status.CAPTURE_FAULT:
         return (CAPTURE,)
-    lists = [one.get("reject") for key in ("rejected", "dismissed") for one in _objects(snapshot, key)]
-    told = [name for names in lists if isinstance(names, list) for name in names]
-    return tuple(name for name in REASONS if name in told) or (NOT_FOUND,)
+    lists = [item.get("reject") for key in ("rejected", "dismissed") for item in _objects(snapshot, key)]
+    given = [name for names in lists if isinstance(names, list) for name in names]
+    return tuple(name for name in REASONS if name in given) or (NOT_FOUND,)
 
 
 def _line(entry: recording.Entry, snapshot: Json, has_pictures: bool) -> CycleLine:
@@ -191,11 +191,13 @@ def _line(entry: recording.Entry, snapshot: Json, has_pictures: bool) -> CycleLi
 
 def _worst_um(target: Json) -> float | None:
     sigmas = target.get("sigma_mm")
-    numbers = [one for one in sigmas if isinstance(one, int | float)] if isinstance(sigmas, list) else []
+    numbers = (
+        [sigma for sigma in sigmas if isinstance(sigma, int | float)] if isinstance(sigmas, list) else []
+    )
     return round(1e3 * max(numbers), 2) if numbers else None
 
 
 def _objects(snapshot: Json, key: str) -> list[dict[str, Any]]:
     """A list of objects, whatever is there."""
     value = snapshot.get(key)
-    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []
+    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []

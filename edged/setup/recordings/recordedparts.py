@@ -157,13 +157,16 @@ def parts_of(snapshot: Json, rig: StereoRig, job: Job, place: str) -> list[PartS
         known = _Snapshot.model_validate(snapshot)
     except ValidationError as error:
         wrong = error.errors()[0]
-        where = ".".join(str(one) for one in wrong["loc"])
+        where = ".".join(str(step) for step in wrong["loc"])
         raise FileFormatError(f"{place}: snapshot.{where}: {wrong['msg']}") from error
-    told = [*((one, True) for one in known.targets), *((one, False) for one in known.rejected)]
+    measured = [
+        *((target, True) for target in known.targets),
+        *((target, False) for target in known.rejected),
+    ]
     missed = [*known.dismissed, *([] if known.nearest is None else [known.nearest])]
     with np.errstate(all="ignore"):  # numbers may be anything: what cannot be shown is not
-        parts = [_measured(one, rig, job, good=good) for one, good in told[:MOST_PARTS]]
-        parts += [_missed(one, rig, job) for one in missed[: MOST_PARTS - len(parts)]]
+        parts = [_measured(target, rig, job, good=good) for target, good in measured[:MOST_PARTS]]
+        parts += [_missed(miss, rig, job) for miss in missed[: MOST_PARTS - len(parts)]]
     return parts
 
 
@@ -213,7 +216,7 @@ def _measured(target: _Target, rig: StereoRig, job: Job, *, good: bool) -> PartS
         at=[target.match.x_px, target.match.y_px],
         reasons=target.reject,
         place_mm=list(target.position_mm),
-        sigma_um=[None if one is None else round(1e3 * one, 3) for one in target.sigma_mm],
+        sigma_um=[None if sigma is None else round(1e3 * sigma, 3) for sigma in target.sigma_mm],
         features=features,
         sizes=target.measurements,
     )
@@ -268,12 +271,12 @@ def _taught(job: Job, name: str) -> tuple[str, dict[str, float]]:
     """Kind and sizes of a feature, the first the one that tells most."""
     kind = job.kind_of(name) or ""
     if kind == "circle":
-        circle = next(one for one in job.circles if one.name == name)
+        circle = next(circle for circle in job.circles if circle.name == name)
         return kind, {"diameter_mm": 2 * circle.radius_mm}
     if kind == "slot":
-        slot = next(one for one in job.slots if one.name == name)
+        slot = next(slot for slot in job.slots if slot.name == name)
         return kind, {"length_mm": slot.length_mm, "width_mm": slot.width_mm}
-    edge = next(one for one in job.edges if one.name == name)
+    edge = next(edge for edge in job.edges if edge.name == name)
     return kind, {"length_mm": edge.length_mm}
 
 
@@ -288,9 +291,9 @@ def _now(
         outline = circle_outline(np.array(circle.centre_mm, np.float64), radius, rotation.T)
         found[circle.name] = {"diameter_mm": 2 * radius}, sigma, outline
     for slot in target.slots:
-        length, width = (math.nan if one is None else one for one in (slot.length_mm, slot.width_mm))
+        length, width = (math.nan if size is None else size for size in (slot.length_mm, slot.width_mm))
         sigma = None if slot.sigma_length_mm is None else 1e3 * slot.sigma_length_mm
-        centre, direction = (np.array(one, np.float64) for one in (slot.centre_mm, slot.direction))
+        centre, direction = (np.array(vector, np.float64) for vector in (slot.centre_mm, slot.direction))
         outline = slot_outline(centre, (length, width), direction, rotation[:, 2])
         found[slot.name] = {"length_mm": length, "width_mm": width}, sigma, outline
     for edge in target.edges:
@@ -317,7 +320,7 @@ def _feature(
     outline: OutlinePx,
 ) -> FeatureSight:
     known = None
-    if now is not None and all(math.isfinite(one) for one in now.values()):
+    if now is not None and all(math.isfinite(value) for value in now.values()):
         known = {key: round(value, 5) for key, value in now.items()}
     first = next(iter(taught))
     # an edge ends where its neighbours cut it: its taught ends are laid on the measured line
@@ -343,8 +346,8 @@ def outline_in(rig: StereoRig, points_mm: FloatArray) -> OutlinePx:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             seen = camera.project(apply(from_rig, points))
         reach = 4 * max(camera.width, camera.height)
-        is_told = np.isfinite(seen).all() and np.abs(seen).max(initial=0.0) < reach
-        sides[side] = np.round(seen, 1).tolist() if is_told else []
+        is_known = np.isfinite(seen).all() and np.abs(seen).max(initial=0.0) < reach
+        sides[side] = np.round(seen, 1).tolist() if is_known else []
     return OutlinePx(**sides)
 
 

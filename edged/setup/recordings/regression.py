@@ -48,8 +48,8 @@ def decided(taken: Recording, inspection: PairInspection | None, rig: PreparedRi
     """What of a published snapshot an inspection decides."""
     if inspection is None:
         return {key: taken.snapshot.get(key) for key in COMPARED}
-    told = shown(taken, inspection, rig, job)
-    return {key: told[key] for key in COMPARED}
+    result = shown(taken, inspection, rig, job)
+    return {key: result[key] for key in COMPARED}
 
 
 def shown(
@@ -68,11 +68,13 @@ def drawn(taken: Recording, inspection: PairInspection, rig: PreparedRig, job: J
     if taken.pair is None:
         raise ValueError("a recording without images")
     frame = _frame(rig, _robot_from_flange(taken))[0]
-    told = [replace(one, target=allowed(one.target, job.picking, frame)) for one in inspection.measured]
+    measured = [
+        replace(part, target=allowed(part.target, job.picking, frame)) for part in inspection.measured
+    ]
     status = Status[decided(taken, inspection, rig, job)["status"]]
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
     images = taken.pair.left.image, taken.pair.right.image
-    return draw_pair(*images, rig.rig, job, told, inspection.dismissed, status, nearest=nearest)
+    return draw_pair(*images, rig.rig, job, measured, inspection.dismissed, status, nearest=nearest)
 
 
 def _robot_from_flange(taken: Recording) -> FloatArray | None:

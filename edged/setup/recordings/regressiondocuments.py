@@ -69,7 +69,7 @@ class FrameMotion(Frozen):
 
 
 class Counts(Frozen):
-    """Of cycles. apart, lost : of those that stay good."""
+    """Counts of cycles. apart, lost : among those that stay good."""
 
     good_stay: int
     bad_stay: int
@@ -81,7 +81,7 @@ class Counts(Frozen):
 
 
 class PlaceSpread(Frozen):
-    """Of the places of good cycles, after against before: rms and largest distance, and in both sigmas."""
+    """How places in good cycles differ, after against before: rms and largest, also in both sigmas."""
 
     rms_um: float
     max_um: float
@@ -133,17 +133,17 @@ def document_of(
 ) -> RegressionDocument:
     """A comparison as it is kept. digests : of what ran, and of what was tried."""
     all_of = comparison.compared
-    bad = [one for one in all_of if one.was_good and not one.is_good]
-    good = [one for one in all_of if one.is_good and not one.was_good]
-    stay = [one for one in all_of if one.was_good and one.is_good]
-    apart = sorted((one for one in stay if one.is_apart), key=_worst)
+    bad = [cycle for cycle in all_of if cycle.was_good and not cycle.is_good]
+    good = [cycle for cycle in all_of if cycle.is_good and not cycle.was_good]
+    stay = [cycle for cycle in all_of if cycle.was_good and cycle.is_good]
+    apart = sorted((cycle for cycle in stay if cycle.is_apart), key=_worst)
     counts = Counts(
         good_stay=len(stay),
         bad_stay=len(all_of) - len(stay) - len(bad) - len(good),
         good_to_bad=len(bad),
         bad_to_good=len(good),
         apart=len(apart),
-        lost=sum(one.lost for one in stay),
+        lost=sum(cycle.lost for cycle in stay),
         skipped=len(comparison.skipped),
     )
     return RegressionDocument(
@@ -156,10 +156,10 @@ def document_of(
         passes=not bad,
         counts=counts,
         seconds=round(seconds, 1),
-        good_to_bad=[_changed(one) for one in bad[:MOST_LISTED]],
-        apart=[_changed(one) for one in apart[:MOST_LISTED]],
-        bad_to_good=[_changed(one) for one in good[:MOST_LISTED]],
-        skipped=[_skipped(one) for one in comparison.skipped[:MOST_LISTED]],
+        good_to_bad=[_changed(cycle) for cycle in bad[:MOST_LISTED]],
+        apart=[_changed(cycle) for cycle in apart[:MOST_LISTED]],
+        bad_to_good=[_changed(cycle) for cycle in good[:MOST_LISTED]],
+        skipped=[_skipped(cycle) for cycle in comparison.skipped[:MOST_LISTED]],
         motion=None if comparison.motion is None else _motion(comparison.motion),
         spread=_spread(stay),
         digest=digests[1],
@@ -167,16 +167,16 @@ def document_of(
     )
 
 
-def _worst(one: Compared) -> tuple[int, float]:
+def _worst(cycle: Compared) -> tuple[int, float]:
     """Lost parts first, then by sigmas."""
-    return -one.lost, -(0.0 if one.apart is None else one.apart.sigmas)
+    return -cycle.lost, -(0.0 if cycle.apart is None else cycle.apart.sigmas)
 
 
-def _changed(one: Compared) -> ChangedCycle:
-    tried, apart = one.tried, one.apart
+def _changed(cycle: Compared) -> ChangedCycle:
+    tried, apart = cycle.tried, cycle.apart
     before, after = tried.before, tried.after
     status = ["" if found is None else found.status for found in (before, after)]
-    why = before if one.is_good else after
+    why = before if cycle.is_good else after
     left, right = (f"{PLACE}/{tried.number}/{side}.jpg" for side in ("left", "right"))
     return ChangedCycle(
         number=tried.number,
@@ -188,29 +188,29 @@ def _changed(one: Compared) -> ChangedCycle:
         apart_sigmas=None if apart is None else known(apart.sigmas, 2),
         apart_um=None if apart is None else _micrometres(apart.by_mm),
         turned_deg=None if apart is None else known(apart.turned_deg, 4),
-        lost=one.lost,
+        lost=cycle.lost,
         pictures=RegressionPictures(left=left, right=right),
     )
 
 
-def _skipped(one: TriedCycle) -> SkippedCycle:
-    return SkippedCycle(number=one.number, why=one.skipped, detail=one.detail[:500])
+def _skipped(cycle: TriedCycle) -> SkippedCycle:
+    return SkippedCycle(number=cycle.number, why=cycle.skipped, detail=cycle.detail[:500])
 
 
 def _motion(motion: FrameShift) -> FrameMotion:
     return FrameMotion(
         shift_um=_micrometres(motion.shift_mm),
-        turn_deg=[round(math.degrees(float(one)), 5) for one in motion.turn_rad],
-        about_mm=[round(float(one), 1) for one in motion.centre_mm],
+        turn_deg=[round(math.degrees(float(value)), 5) for value in motion.turn_rad],
+        about_mm=[round(float(value), 1) for value in motion.centre_mm],
     )
 
 
 def _spread(stay: list[Compared]) -> PlaceSpread | None:
-    apart = [one.apart for one in stay if one.apart is not None]
+    apart = [cycle.apart for cycle in stay if cycle.apart is not None]
     if not apart:
         return None
-    far = 1e3 * np.array([np.linalg.norm(one.by_mm) for one in apart])
-    sigmas = np.array([one.sigmas for one in apart])
+    far = 1e3 * np.array([np.linalg.norm(gap.by_mm) for gap in apart])
+    sigmas = np.array([gap.sigmas for gap in apart])
     return PlaceSpread(
         rms_um=round(float(np.sqrt(np.mean(far**2))), 2),
         max_um=round(float(far.max()), 2),
@@ -220,4 +220,4 @@ def _spread(stay: list[Compared]) -> PlaceSpread | None:
 
 
 def _micrometres(vector_mm: FloatArray) -> list[float]:
-    return [round(1e3 * float(one), 2) for one in vector_mm]
+    return [round(1e3 * float(value), 2) for value in vector_mm]

@@ -83,7 +83,9 @@ class Regressions:
     async def listed(self) -> list[RegressionLine]:
         """The kept ones, newest first."""
         return await asyncio.to_thread(
-            lambda: [RegressionLine.model_validate(one, from_attributes=True) for one in self._all()]
+            lambda: [
+                RegressionLine.model_validate(document, from_attributes=True) for document in self._all()
+            ]
         )
 
     async def get(self, identity: str) -> RegressionDocument:
@@ -182,7 +184,11 @@ class Regressions:
         return found
 
     def _newest(self, against: str, candidate: str) -> RegressionDocument | None:
-        fitting = (one for one in self._all() if (one.digest_active, one.digest) == (against, candidate))
+        fitting = (
+            document
+            for document in self._all()
+            if (document.digest_active, document.digest) == (against, candidate)
+        )
         return next(fitting, None)
 
 

@@ -131,8 +131,8 @@ class Cycles:
     async def what_if(self, number: int, change: Change | None) -> WhatIf:
         """By a change, or what would have helped. Raises `KeyError`, `UserError`, `TaskFailed`."""
         file = await self.file(number)
-        told: WhatIf = await self._cell.worker.run("what_if", file, change)
-        return told
+        found: WhatIf = await self._cell.worker.run("what_if", file, change)
+        return found
 
     async def file(self, number: int) -> Path:
         """File of a recording. Raises `KeyError`."""

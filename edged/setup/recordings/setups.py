@@ -113,8 +113,8 @@ def facts_of_jobs(contents: Contents) -> list[JobFacts]:
 
 def job_of_cycle(jobs: Iterable[JobFacts], name: str, number: int) -> JobFacts | None:
     """The job that a recorded cycle is of."""
-    by_number = {one.number: one for one in jobs}
-    names = {one.number: one.name for one in by_number.values()}
+    by_number = {job.number: job for job in jobs}
+    names = {job.number: job.name for job in by_number.values()}
     return by_number.get(_number_of_cycle(names, name, number))
 
 
@@ -132,19 +132,19 @@ def successors(active: Contents, candidate: Contents) -> dict[int, int]:
     In its place is the one in its folder; else a new one that measures the same, under whatever name; else a
     new one of its number. A job without is retired. Raises `FileFormatError` for one that cannot be read.
     """
-    return {one.number: other.number for one, other in _succession(active, candidate)}
+    return {job.number: successor.number for job, successor in _succession(active, candidate)}
 
 
 def _succession(active: Contents, candidate: Contents) -> list[tuple[JobFacts, JobFacts]]:
-    there, wanted = facts_of_jobs(active), {one.folder: one for one in facts_of_jobs(candidate)}
-    new = [one for folder, one in wanted.items() if folder not in {other.folder for other in there}]
+    there, wanted = facts_of_jobs(active), {job.folder: job for job in facts_of_jobs(candidate)}
+    new = [job for folder, job in wanted.items() if folder not in {other.folder for other in there}]
     pairs = []
-    for one in there:
-        same = [other for other in new if other.digest == one.digest]
-        of_number = [other for other in new if other.number == one.number]
-        found = wanted.get(one.folder) or next(iter(same + of_number), None)
+    for job in there:
+        same = [other for other in new if other.digest == job.digest]
+        of_number = [other for other in new if other.number == job.number]
+        found = wanted.get(job.folder) or next(iter(same + of_number), None)
         if found is not None:
-            pairs.append((one, found))
+            pairs.append((job, found))
     return pairs
 
 
@@ -161,9 +161,9 @@ def concerned(active: Contents, candidate: Contents) -> set[int] | None:
     stands_elsewhere = active.get(RIG) != candidate.get(RIG)
     is_bounded = bounds != Bounds()
     return {
-        one.number
-        for one, other in _succession(active, candidate)
-        if one.digest != other.digest or (stands_elsewhere and (is_bounded or one.is_bounded))
+        job.number
+        for job, other in _succession(active, candidate)
+        if job.digest != other.digest or (stands_elsewhere and (is_bounded or job.is_bounded))
     }
 
 
@@ -183,7 +183,7 @@ def _folders(contents: Contents) -> list[str]:
 
 
 def _files(contents: Contents, folder: str) -> dict[str, bytes]:
-    return {one: contents.get(f"jobs/{folder}/{one}", b"") for one in (TEXT, SHAPE)}
+    return {file: contents.get(f"jobs/{folder}/{file}", b"") for file in (TEXT, SHAPE)}
 
 
 def _measuring(files: Contents, folder: str) -> JobFacts:
@@ -200,7 +200,7 @@ def _measuring(files: Contents, folder: str) -> JobFacts:
 
 def digest_of(contents: Contents) -> str:
     """What tells setups apart by all that results stand on."""
-    jobs = sorted(one.digest for one in facts_of_jobs(contents))
+    jobs = sorted(job.digest for job in facts_of_jobs(contents))
     bounds = _bounds(contents, Path("the cell"))
     return _digest(contents.get(RIG, b""), repr(bounds).encode(), *(job.encode() for job in jobs))
 

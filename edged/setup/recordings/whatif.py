@@ -62,7 +62,7 @@ class LimitChange(BaseModel):
 
 
 class JobChange(BaseModel):
-    """Of a job. features : false leaves one out. contrast : grey values per px, less of which is no edge."""
+    """A change of a job. features : false leaves one out. contrast : grey values per px, below it no edge."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     limits: LimitChange = LimitChange()
@@ -71,7 +71,7 @@ class JobChange(BaseModel):
 
 
 class Change(JobChange):
-    """Also of the pair. light : factor of all grey values.
+    """A change of the job, and of the pair. light : factor of all grey values.
 
     What is brightened so has more noise than a brighter exposure, and what was clipped stays so.
     """
@@ -142,7 +142,7 @@ def what_if(
     for number, remedy in enumerate(tries):
         progress("what would have helped", number, len(tries))
         after = look(remedy.change)[0]
-        is_further = not any(one.code == remedy.code and one.name == remedy.name for one in helped)
+        is_further = not any(known.code == remedy.code and known.name == remedy.name for known in helped)
         if after.status == Status.OK and is_further:
             helped.append(remedy.model_copy(update={"sigma_um": after.sigma_um}))
     return WhatIf(before=before, after=None, helped=helped)
@@ -168,25 +168,25 @@ def changed_job(job: Job, change: JobChange) -> Job:
 
 def _names(job: Job) -> list[str]:
     """Names of all features but corners, which follow from edges."""
-    names = [one.name for one in job.circles]
-    return names + [one.name for one in job.slots] + [one.name for one in job.edges]
+    names = [circle.name for circle in job.circles]
+    return names + [feature.name for feature in job.slots] + [feature.name for feature in job.edges]
 
 
 def _without(job: Job, names: set[str]) -> Job:
     """The job without some features, and without what needs them."""
-    corners = tuple(one for one in job.corners if not names & set(one.edges))
-    gone = names | {one.name for one in job.corners if one not in corners}
+    corners = tuple(corner for corner in job.corners if not names & set(corner.edges))
+    gone = names | {corner.name for corner in job.corners if corner not in corners}
     if job.reference in gone:
         raise UserError(f"{job.reference} is the reference of the job {job.name}: it must stay")
-    sizes = tuple(one for one in job.measurements if not gone & set(one.of))
+    sizes = tuple(size for size in job.measurements if not gone & set(size.of))
     changed = replace(
         job,
-        circles=tuple(one for one in job.circles if one.name not in names),
-        edges=tuple(one for one in job.edges if one.name not in names),
-        slots=tuple(one for one in job.slots if one.name not in names),
+        circles=tuple(circle for circle in job.circles if circle.name not in names),
+        edges=tuple(edge for edge in job.edges if edge.name not in names),
+        slots=tuple(slot for slot in job.slots if slot.name not in names),
         corners=corners,
         measurements=sizes,
-        witness=job.witness if job.witness in {one.name for one in sizes} else None,
+        witness=job.witness if job.witness in {size.name for size in sizes} else None,
     )
     if not (changed.circles or changed.slots or len(changed.edges) > 1):
         raise UserError("a job needs a circle, a slot or two edges: nothing else tells where a part lies")
@@ -196,12 +196,12 @@ def _without(job: Job, names: set[str]) -> Job:
 def brightened(pair: FramePair, factor: float) -> FramePair:
     """The pair with other grey values; a picture has 8 bits, whatever the light."""
 
-    def image(one: Image) -> Image:
-        scaled = np.minimum(np.rint(one * np.float64(factor)), 255).astype(np.uint8)
-        scaled[one == 255] = 255  # nobody knows how bright it was
+    def image(grey: Image) -> Image:
+        scaled = np.minimum(np.rint(grey * np.float64(factor)), 255).astype(np.uint8)
+        scaled[grey == 255] = 255  # nobody knows how bright it was
         return scaled
 
-    left, right = (replace(one, image=image(one.image)) for one in (pair.left, pair.right))
+    left, right = (replace(frame, image=image(frame.image)) for frame in (pair.left, pair.right))
     return FramePair(left, right)
 
 
@@ -219,7 +219,7 @@ def _look(
         seen.nearest.ask()
     result = shown(taken, seen, rig, job)
     parts = parts_of(result, rig.rig, job, str(place))
-    sigma = next((one.sigma_um for one in parts if one.measured), None)
+    sigma = next((part.sigma_um for part in parts if part.measured), None)
     verdict = CycleVerdict(
         status=str(result["status"]), reasons=list(reasons_of(result)), sigma_um=sigma, parts=parts
     )
@@ -239,7 +239,7 @@ def _tries(job: Job, seen: PairInspection) -> Iterator[Remedy]:
             yield _remedy("contrast", [least], [contrast], "noise", Change(contrast=contrast))
     yield from _leaving_out(job, seen)
     if seen.measured:
-        yield from _loosened(job, min(seen.measured, key=lambda one: bin(one.target.reject).count("1")))
+        yield from _loosened(job, min(seen.measured, key=lambda part: bin(part.target.reject).count("1")))
     elif seen.nearest is not None and (near := seen.nearest.ask()) is not None:
         score = math.floor(100 * near.match.score / MARGIN) / 100
         if score >= 0.1:
@@ -249,7 +249,7 @@ def _tries(job: Job, seen: PairInspection) -> Iterator[Remedy]:
 
 def _leaving_out(job: Job, seen: PairInspection) -> Iterator[Remedy]:
     """Each feature that may go; first those that nobody saw."""
-    known = {fit.name for one in seen.measured for fit in one.fits}
+    known = {fit.name for part in seen.measured for fit in part.fits}
     for name in sorted(_names(job), key=lambda name: name in known):
         change = Change(features={name: False})
         try:
@@ -259,9 +259,9 @@ def _leaving_out(job: Job, seen: PairInspection) -> Iterator[Remedy]:
         yield _remedy("feature", None, None, "leaves_out", change, name)
 
 
-def _loosened(job: Job, one: MeasuredPart) -> Iterator[Remedy]:
+def _loosened(job: Job, part: MeasuredPart) -> Iterator[Remedy]:
     """The limits that a measured part failed, each moved as far as it takes."""
-    limits, target, evidence = job.limits, one.target, one.evidence
+    limits, target, evidence = job.limits, part.target, part.evidence
     radius_mm = math.nan
     for circle in target.circles:
         if circle.name == (job.reference_circle.name if job.circles else None):

@@ -69,7 +69,7 @@ class Shown(Revised):
 
     @property
     def given(self) -> Given:
-        """The same, for the drafts."""
+        """The numbers or the text, as drafts take them."""
         return Given(self.numbers, self.text)
 
 

@@ -43,7 +43,7 @@ TRIED = 8
 MAX_BLUR_PX = 3.0
 """Edges that are wider are those of a picture out of focus, or of a board that moves."""
 MAX_RMS_PX = 1.0
-"""Of the marks against the board, and of both pictures' rows: beyond it the board moved, or is another."""
+"""Rms of the marks against the board, and of both pictures' rows; beyond it the board moved or is another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class SeenBoard:
 
     @property
     def worst_px(self) -> float:
-        """Of the marks against the board, and of both pictures' rows, rms."""
+        """The larger rms, of the marks against the board or of both pictures' rows."""
         return max(self.check.epipolar_rms_px, self.check.reprojection_rms_px)
 
 

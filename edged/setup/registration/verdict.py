@@ -36,7 +36,7 @@ from edged.vision.geometry.rigid import apply
 
 LEAST_POINTS = 3
 UNSOLVED = "calibration"
-"""Of samples that give nothing, for a reason without a code of its own."""
+"""Code of samples that give no result, for a reason without a code of its own."""
 WRIST_SHARE = 0.7
 """A turn whose axis is nearer to the flange's own than this cosine turns the wrist; another one tilts it."""
 _UNITS_MM = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}
@@ -84,7 +84,7 @@ def judge_points(
     brand: Brand | None,
     limit_mm: float,
 ) -> Judged:
-    """Of points (3,) mm in the rig's frame, with what the robot showed; without a brand in mm."""
+    """Judge points (3,), mm in the rig's frame, against what the robot showed; without a brand in mm."""
     names = list(touched)
     if len(names) < LEAST_POINTS:
         return Judged(trouble=_too_few(len(names), LEAST_POINTS))
@@ -164,7 +164,7 @@ def judge_poses(
     mount: Mount,
     limit_mm: float,
 ) -> Judged:
-    """Of views (4, 4) of the board, with the pose of the flange as the robot showed it.
+    """Judge views (4, 4) of the board against the pose of the flange as the robot showed it.
 
     Without a brand only the readings are known.
     """

@@ -37,7 +37,7 @@ LENGTH_PERCENT = 0.3
 SAME_MM = 0.05
 """A reference point that is nearer to a feature is that feature."""
 WIDEST_PX = 640
-"""Of the small pictures."""
+"""Width of the small pictures."""
 
 
 def marks_to_touch(

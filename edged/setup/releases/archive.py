@@ -124,8 +124,8 @@ def _without_pairs(
     smaller = without_pictures(files)
     if len(smaller) == len(files):
         return dict(files), dict(left_out)
-    told = f"{len(files) - len(smaller)} pictures that jobs were taught from, too large for an archive"
-    return smaller, {**left_out, "cell.jobs": told}
+    remark = f"{len(files) - len(smaller)} pictures that jobs were taught from, too large for an archive"
+    return smaller, {**left_out, "cell.jobs": remark}
 
 
 def restored(taken: Backup) -> CellFiles | UnfinishedCell:

@@ -102,8 +102,8 @@ def difference_of(before: Cell, after: Cell) -> ReleaseDifference:
     return ReleaseDifference(
         jobs=_jobs(before, after),
         rig=_rig(before, after),
-        cameras=[one for one in changed if (one.name or "").startswith("cameras.")],
-        settings=[one for one in changed if not (one.name or "").startswith("cameras.")],
+        cameras=[difference for difference in changed if (difference.name or "").startswith("cameras.")],
+        settings=[difference for difference in changed if not (difference.name or "").startswith("cameras.")],
     )
 
 
@@ -137,11 +137,11 @@ def changes_of(before: Job, after: Job) -> Iterator[Difference]:
     yield from _other("tilt", None, _degrees(before.tilt_rad), _degrees(after.tilt_rad))
     yield from _features(before, after)
     yield from _sizes(before, after)
-    if [one.name for one in before.picking.grasps] != [one.name for one in after.picking.grasps] or any(
-        not np.allclose(one.part_from_tcp, other.part_from_tcp)
-        for one, other in zip(before.picking.grasps, after.picking.grasps, strict=False)
+    names = [[grasp.name for grasp in job.picking.grasps] for job in (before, after)]
+    if names[0] != names[1] or any(
+        not np.allclose(first.part_from_tcp, second.part_from_tcp)
+        for first, second in zip(before.picking.grasps, after.picking.grasps, strict=False)
     ):
-        names = [[one.name for one in job.picking.grasps] for job in (before, after)]
         yield Difference(code="gripping", before=[*names[0]], after=[*names[1]])
     yield from _other("picking", None, str(before.picking.order), str(after.picking.order))
     if before.picking.bounds != after.picking.bounds:
@@ -151,7 +151,7 @@ def changes_of(before: Job, after: Job) -> Iterator[Difference]:
 
 
 def _features(before: Job, after: Job) -> Iterator[Difference]:
-    old, new = ({one.name: one for one in _features_of(job)} for job in (before, after))
+    old, new = ({feature.name: feature for feature in _features_of(job)} for job in (before, after))
     for name in sorted(old.keys() | new.keys()):
         first, second = old.get(name), new.get(name)
         if first is None or second is None:
@@ -169,32 +169,34 @@ def _features_of(job: Job) -> tuple[Feature, ...]:
     return (*job.circles, *job.slots, *job.edges)
 
 
-def _size(one: Feature | None) -> JsonValue:
+def _size(feature: Feature | None) -> JsonValue:
     """Millimetres."""
-    if one is None:
+    if feature is None:
         return None
-    if isinstance(one, CircleFeature):
-        return [round(2 * one.radius_mm, 4)]
-    if isinstance(one, SlotFeature):
-        return [round(one.length_mm, 4), round(one.width_mm, 4)]
-    return [round(one.length_mm, 4)]
+    if isinstance(feature, CircleFeature):
+        return [round(2 * feature.radius_mm, 4)]
+    if isinstance(feature, SlotFeature):
+        return [round(feature.length_mm, 4), round(feature.width_mm, 4)]
+    return [round(feature.length_mm, 4)]
 
 
-def _place(one: Feature) -> FloatArray:
-    return 0.5 * (one.start_mm + one.end_mm) if isinstance(one, EdgeFeature) else one.centre_mm
+def _place(feature: Feature) -> FloatArray:
+    if isinstance(feature, EdgeFeature):
+        return 0.5 * (feature.start_mm + feature.end_mm)
+    return feature.centre_mm
 
 
 def _sizes(before: Job, after: Job) -> Iterator[Difference]:
-    old, new = ({one.name: _wanted(one) for one in job.measurements} for job in (before, after))
+    old, new = ({size.name: _wanted(size) for size in job.measurements} for job in (before, after))
     for name in sorted(old.keys() | new.keys()):
         yield from _other("size", name, old.get(name), new.get(name))
 
 
-def _wanted(one: MeasurementSpec) -> list[JsonValue]:
+def _wanted(size: MeasurementSpec) -> list[JsonValue]:
     """Nominal value and tolerance, mm or degrees."""
-    values = one.nominal, one.tolerance
-    told = [_degrees(value) if one.kind == "angle" else value for value in values]
-    return [None if value is None else round(value, 5) for value in told]
+    values = size.nominal, size.tolerance
+    shown = [_degrees(value) if size.kind == "angle" else value for value in values]
+    return [None if value is None else round(value, 5) for value in shown]
 
 
 def _same_shape(before: Job, after: Job) -> bool:
@@ -210,7 +212,7 @@ def _rig(before: Cell, after: Cell) -> RigDifference | None:
         return None
     old, new = (cell.rig if isinstance(cell, CellFiles) else None for cell in (before, after))
     ids = [_calibration_id(cell) for cell in (before, after)]
-    robots = [None if one is None else (one.robot_from_rig, one.flange_from_rig) for one in (old, new)]
+    robots = [None if rig is None else (rig.robot_from_rig, rig.flange_from_rig) for rig in (old, new)]
     moved = None if old is None or new is None else moved_between(old, new, _depth_mm(after))
     return RigDifference(
         before=ids[0],
@@ -235,7 +237,7 @@ def _depth_mm(cell: Cell) -> float | None:
 
 def moved_between(before: StereoRig, after: StereoRig, depth_mm: float | None) -> Moved | None:
     """How far a rig sees points from where another one saw them in the same pixels."""
-    sizes = [[(one.width, one.height) for one in (rig.left, rig.right)] for rig in (before, after)]
+    sizes = [[(camera.width, camera.height) for camera in (rig.left, rig.right)] for rig in (before, after)]
     if sizes[0] != sizes[1] or depth_mm is None:
         return None
     x, y = (np.linspace(0.05, 0.95, GRID) * (length - 1) for length in sizes[1][0])
@@ -256,7 +258,7 @@ def moved_between(before: StereoRig, after: StereoRig, depth_mm: float | None) -
     return Moved(
         rms_um=round(float(np.sqrt(np.mean(far**2))), 1),
         max_um=round(float(far.max()), 1),
-        mean_um=[round(float(one), 1) for one in moved.mean(axis=0)],
+        mean_um=[round(float(value), 1) for value in moved.mean(axis=0)],
     )
 
 
@@ -268,11 +270,11 @@ def _options(tree: Mapping[str, Any], place: str = "") -> dict[str, JsonValue]:
         if isinstance(value, Mapping):
             found |= _options(value, f"{name}.")
         else:
-            found[name] = json.loads(json.dumps(value, default=_told))
+            found[name] = json.loads(json.dumps(value, default=_as_json))
     return found
 
 
-def _told(value: object) -> str:
+def _as_json(value: object) -> str:
     return value.name if isinstance(value, PurePath) else ""
 
 
@@ -282,7 +284,7 @@ def _listed(value: FloatArray) -> Any:
 
 def _other(code: str, name: str | None, before: Any, after: Any) -> Iterator[Difference]:
     if before != after:
-        old, new = (list(one) if isinstance(one, tuple) else one for one in (before, after))
+        old, new = (list(value) if isinstance(value, tuple) else value for value in (before, after))
         yield Difference(code=code, name=name, before=old, after=new)
 
 

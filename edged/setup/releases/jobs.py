@@ -157,13 +157,13 @@ class Jobs:
         """Versions of a job in use, in releases that were active."""
         folder = self._cell.job_lines().line(job).folder
         releases, active = await self._activation.listed()
-        now = next((one.digests.get(folder) for one in releases if one.number == active), None)
+        now = next((release.digests.get(folder) for release in releases if release.number == active), None)
         found, before = list[VersionDocument](), None
-        for one in reversed([release for release in releases if release.activated]):
-            digest = one.digests.get(folder)
+        for release in reversed([release for release in releases if release.activated]):
+            digest = release.digests.get(folder)
             if digest is not None and digest != before:
-                fields = one.model_dump(include={"created", "author", "note"})
-                found.append(VersionDocument(release=one.number, active=digest == now, **fields))
+                fields = release.model_dump(include={"created", "author", "note"})
+                found.append(VersionDocument(release=release.number, active=digest == now, **fields))
             before = digest
         return VersionList(versions=found[::-1])
 
@@ -192,7 +192,7 @@ class Jobs:
     ) -> Release:
         """Bring back a job as it was retired; number : another than it had. Raises as `change`."""
         retired = await asyncio.to_thread(self._kept)
-        folder = job if job in retired else {one.name: name for name, one in retired.items()}[job]
+        folder = job if job in retired else {former.name: name for name, former in retired.items()}[job]
         kept = retired[folder]
         wanted = number or kept.number
         self._cell.job_lines().check_free(kept.name, wanted, None)
@@ -265,14 +265,14 @@ class Jobs:
             log.warning("%s cannot be read, as if no job were retired: %s", self._retired, error)
             return {}
         in_use = {line.folder for line in self._cell.job_lines().lines}
-        return {folder: one for folder, one in kept.items() if folder not in in_use}
+        return {folder: job for folder, job in kept.items() if folder not in in_use}
 
     def _note(self, folder: str, kept: Retired | None) -> None:
-        others = {name: one for name, one in self._kept().items() if name != folder}
+        others = {name: job for name, job in self._kept().items() if name != folder}
         if kept is not None:
             others[folder] = kept
         make_folders(self._retired.parent)
-        text = json.dumps({name: one.model_dump(mode="json") for name, one in others.items()}, indent=1)
+        text = json.dumps({name: job.model_dump(mode="json") for name, job in others.items()}, indent=1)
         write_atomically(self._retired, text.encode())
 
 

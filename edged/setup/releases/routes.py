@@ -37,7 +37,7 @@ class Activating(Body):
 
 
 class Returning(Body):
-    """The same, of an older release."""
+    """Why an older release becomes active again; and the token, while somebody has the cell."""
 
     token: Token | None = None
     reason: Reason
@@ -110,16 +110,18 @@ class ReleaseRoutes:
         role=Role.VIEWER,
     )
     async def _compare(self, call: Call[None]) -> ReleaseDifference:
-        numbers = (int(call.part(one)) for one in ("before", "after"))
+        numbers = (int(call.part(key)) for key in ("before", "after"))
         archives = await known(self._activation.archives(*numbers))
-        told: ReleaseDifference = await self._worker.run("compare_releases", *archives)
-        return told
+        difference: ReleaseDifference = await self._worker.run("compare_releases", *archives)
+        return difference
 
     @route("GET", "/releases", "All releases", role=Role.VIEWER)
     async def _list(self, _call: Call[None]) -> ReleaseList:
         releases, active = await self._activation.listed()
         return ReleaseList(
-            releases=[document_of_release(one, is_active=one.number == active) for one in releases]
+            releases=[
+                document_of_release(release, is_active=release.number == active) for release in releases
+            ]
         )
 
 

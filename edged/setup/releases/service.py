@@ -80,7 +80,9 @@ class Activation:
         """The release that the cell runs by; None for one that was changed by hand since."""
         fingerprint = self._cell.fingerprint
         found = (
-            one.number for one in self._releases.all() if one.activated and one.fingerprint == fingerprint
+            release.number
+            for release in self._releases.all()
+            if release.activated and release.fingerprint == fingerprint
         )
         return next(found, None)
 
@@ -196,7 +198,9 @@ class Activation:
         if made.backup.fingerprint == self._cell.fingerprint:
             raise UserError("the cell runs by this already")
         all_of_it = self._releases.all()
-        return made, next((one for one in all_of_it if one.fingerprint == made.backup.fingerprint), None)
+        return made, next(
+            (release for release in all_of_it if release.fingerprint == made.backup.fingerprint), None
+        )
 
     def _keep(self, made: Made, wanted: _Parts, former: _Parts, author: str, note: str) -> Release:
         """A release of the cell to be; and one of the cell as it is, if it is none: there is a way back."""
@@ -294,9 +298,13 @@ def _rig_id(made: Made) -> str:
     return rig_of(rig_in(made.backup).rig, Path("the rig of a release")).calibration_id
 
 
-def _count(one: _Parts, other: _Parts) -> int:
+def _count(first: _Parts, second: _Parts) -> int:
     """How many of the parts differ."""
-    return (one.rig != other.rig) + (one.cameras != other.cameras) + (dict(one.jobs) != dict(other.jobs))
+    return (
+        (first.rig != second.rig)
+        + (first.cameras != second.cameras)
+        + (dict(first.jobs) != dict(second.jobs))
+    )
 
 
 def _put(file: Path, content: bytes | None) -> None:

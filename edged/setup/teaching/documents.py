@@ -101,7 +101,7 @@ class WarningDocument(Frozen):
 
 
 class SigmaXyz(Frozen):
-    """Of the position."""
+    """Sigma of the position."""
 
     x: float
     y: float
@@ -109,7 +109,7 @@ class SigmaXyz(Frozen):
 
 
 class SigmaAbc(Frozen):
-    """Of the rotation about the rig's axes; None: nothing tells."""
+    """Sigma of the rotation about the rig's axes; None where nothing determines it."""
 
     a: float | None
     b: float | None

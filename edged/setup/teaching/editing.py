@@ -109,7 +109,7 @@ def _referred_to(job: Job, reference: str, pixel_mm: float) -> Job:
 
 
 def _moved(job: Job, place: FloatArray) -> Job:
-    """The same part at the same place, in a frame with its origin at a place (3,) of the former one."""
+    """The job in a frame with its origin at a place (3,) of the former one; the part stays where it is."""
     there = transform(np.eye(3), -place)
     grasps = tuple(replace(grasp, part_from_tcp=there @ grasp.part_from_tcp) for grasp in job.picking.grasps)
     model = None if job.part_from_model is None else there @ job.part_from_model

@@ -45,7 +45,7 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 Way = Annotated[float, Field(ge=0, le=2000)]
 MOST_DRAWN_POINTS = 20_000
 MOST_OUTLINES = 500
-"""Of a drawing: a face of one part."""
+"""Outlines of a drawing: a face of one part."""
 FeatureKind = Literal["circle", "slot", "edge", "corner"]
 
 

@@ -323,7 +323,7 @@ def _taught_sizes(job: Job) -> dict[str, dict[str, float]]:
 
 
 def _measured_sizes(target: Target) -> dict[str, tuple[dict[str, float], float]]:
-    """The same as measured, and their sigma, µm; of an edge or a corner that of its place."""
+    """Sizes as measured, mm, and their sigma, µm; for an edge or a corner the sigma of its place."""
     found = {
         circle.name: ({"diameter_mm": 2 * circle.radius_mm}, 2e3 * circle.sigma_radius_mm)
         for circle in target.circles

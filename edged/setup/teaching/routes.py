@@ -31,7 +31,7 @@ from edged.vision.part.job import MAX_TILT_DEG
 
 REGION_BYTES = 512 * 1024
 DRAWING_BYTES = 2 * 1024 * 1024
-"""Of a DXF file: a face of one part."""
+"""Size of a DXF file: a face of one part."""
 
 
 class TeachingBeginning(Body):

@@ -59,7 +59,7 @@ NOTHING_SEEN: Mapping[str, Any] = {
     **dict.fromkeys(("reference", "gripping", "predicted")),
     "outlines": ContoursDocument(left=[], right=[]),
 }
-"""Of a `TeachingDocument`, while the pair was not looked at."""
+"""Fields of a `TeachingDocument` while the pair has not been looked at."""
 
 
 @dataclass(eq=False, slots=True)

@@ -39,7 +39,7 @@ class Sources:
 
 
 def recorded_pair(file: Path, calibration_id: str) -> KeptPair:
-    """Of a cycle that the rig in use measured. Raises `TeachError`, `FileFormatError`."""
+    """The pair of a recorded cycle that the rig in use measured. Raises `TeachError`, `FileFormatError`."""
     cycle = load(file)
     if cycle.pair is None:
         raise TeachError("that cycle has no pictures: the cameras gave none", "no_pictures")

@@ -96,7 +96,7 @@ class _Trial:
             reasons=[] if tried is None else list(tried.reasons),
             targets=[] if tried is None else list(tried.parts),
             limit_um=1e3 * self.job.limits.max_sigma_mm,
-            covered=[[round(float(one), 2) for one in place] for place in self.places],
+            covered=[[round(float(value), 2) for value in place] for place in self.places],
             covered_share=self.covered_share,
             trouble=trouble_in(self.trouble),
         )
@@ -107,7 +107,7 @@ class _Trial:
         self.scatters = tried.scatters or self.scatters
         for place in tried.places_mm:
             self._visit(place)
-            near = (float(np.linalg.norm(place - one)) < APART_MM for one in reversed(self.places))
+            near = (float(np.linalg.norm(place - known)) < APART_MM for known in reversed(self.places))
             if len(self.places) < MOST_COVERED and not any(near):
                 self.places.append(place)
 
@@ -244,7 +244,7 @@ class Trials:
             trial.scatters = before.scatters  # the light is the same
         self._known[what] = trial
         while len(self._known) > MOST_KNOWN:
-            oldest = next(one for one in self._known if one != self._tried)
+            oldest = next(known for known in self._known if known != self._tried)
             del self._known[oldest]
         return trial
 

@@ -71,8 +71,8 @@ class StillResult:
 
 def noises_of(stands: Sequence[Stand]) -> dict[str, tuple[float, float]]:
     """The noise of the edges of each feature; of those that enough of the pictures show."""
-    names = set.intersection(*(set(one.sightings) for one in stands)) if stands else set()
-    found = {name: edge_noise([one.sightings[name] for one in stands]) for name in sorted(names)}
+    names = set.intersection(*(set(stand.sightings) for stand in stands)) if stands else set()
+    found = {name: edge_noise([stand.sightings[name] for stand in stands]) for name in sorted(names)}
     return {name: noise for name, noise in found.items() if noise is not None}
 
 
@@ -83,11 +83,11 @@ def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -
     """
     count = len(stands)
     honest = low, high = interval(3 * (count - 1))
-    seen = [one for one in stands if one is not None]
+    seen = [stand for stand in stands if stand is not None]
     if len(seen) < count or count < LEAST:
         return StillResult("vanished", count, None, None, None, None, honest)
-    places = np.array([one.place_mm for one in seen])
-    stated = np.mean([one.by_edges for one in seen], axis=0)
+    places = np.array([stand.place_mm for stand in seen])
+    stated = np.mean([stand.by_edges for stand in seen], axis=0)
     scatter_mm, edges_mm = places.std(axis=0, ddof=1), np.sqrt(np.diag(stated))
     gaps = places - places.mean(axis=0)
     noise_mm, explained = None, stated
@@ -100,7 +100,9 @@ def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -
         honest = low, REWEIGHED * high
     if _has_moved(places, stated, explained):
         return StillResult("moving", count, scatter_mm, edges_mm, noise_mm, None, honest)
-    covered, chi2 = (_mean_square(gaps, one) * count / (count - 1) for one in (stated, explained))
+    covered, chi2 = (
+        _mean_square(gaps, covariance) * count / (count - 1) for covariance in (stated, explained)
+    )
     covers = covered <= high
     larger = not covers or chi2 > honest[1]
     verdict: StillVerdict = "larger" if larger else "smaller" if chi2 < low else "honest"

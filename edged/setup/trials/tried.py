@@ -131,13 +131,13 @@ def try_pair(
     inspection = inspect(pair, job, rig)
     outcome = picked(judge(inspection), within(job.picking, bounds), frame_of(rig.rig))
     # the reported pose stands in for the reference point's: by the match each is told again
-    measured = {id(one.target.match): one for one in inspection.measured}
-    shown = [(one, measured[id(one.match)]) for one in outcome.targets if _is_finite(one)]
-    parts = tuple(_part(rig.rig, job, one, of, convention) for one, of in shown[:MOST_PARTS])
-    good = [of.target.position_mm for one, of in shown if not one.reject]
+    measured = {id(part.target.match): part for part in inspection.measured}
+    shown = [(target, measured[id(target.match)]) for target in outcome.targets if _is_finite(target)]
+    parts = tuple(_part(rig.rig, job, target, of, convention) for target, of in shown[:MOST_PARTS])
+    good = [of.target.position_mm for target, of in shown if not target.reject]
     return TriedPair(
         str(outcome.status),
-        _reasons(outcome.status, (one.reject for one in outcome.targets)),
+        _reasons(outcome.status, (target.reject for target in outcome.targets)),
         parts,
         np.array(good).reshape(-1, 3),
         scatters_of(shown[0][1].fits) if shown else {},
@@ -162,8 +162,8 @@ def _part(
 ) -> TriedPart:
     reading = reading_of(target, rig.robot_from_rig, rig.registration_covariance, convention)
     features = features_of(measured)
-    outlines = [outline_in(rig, one.outline_mm) for one in features]
-    missing = [outline_in(rig, one) for one in missing_outlines(job, measured.target).values()]
+    outlines = [outline_in(rig, feature.outline_mm) for feature in features]
+    missing = [outline_in(rig, outline) for outline in missing_outlines(job, measured.target).values()]
     reference = rig.left.project(target.position_mm[None])[0]
     left, right = (_whiskers(rig, features, side) for side in range(len(SIDES)))
     return TriedPart(
@@ -175,8 +175,12 @@ def _part(
         sigma_um=sigma_of(reading.sigma_mm),
         sigma_deg=_angles(target, reading),
         budget_um=terms_of(rig, target),
-        outlines=Lines(left=[one.left for one in outlines], right=[one.right for one in outlines]),
-        missing=Lines(left=[one.left for one in missing], right=[one.right for one in missing]),
+        outlines=Lines(
+            left=[outline.left for outline in outlines], right=[outline.right for outline in outlines]
+        ),
+        missing=Lines(
+            left=[outline.left for outline in missing], right=[outline.right for outline in missing]
+        ),
         residuals=Whiskers(left=left, right=right),
         rms_px=known(measured.evidence.rms_px, 3),
         left=[round(float(value), 2) for value in reference],
@@ -184,22 +188,22 @@ def _part(
 
 
 def _whiskers(rig: StereoRig, features: list[FeatureEvidence], side: int) -> Points:
-    """Of the edges that count, evenly thinned."""
+    """Residuals of the edges that count, evenly thinned."""
     camera, from_rig = (rig.left, np.eye(4)) if side == 0 else (rig.right, rig.right_from_left)
     view = PictureView(
         np.zeros((0, 0, 3), np.uint8), camera, from_rig, (0, 0, camera.width, camera.height), 1.0
     )
-    step = 1 + sum(len(one.weights[side]) for one in features) // MOST_WHISKERS
+    step = 1 + sum(len(feature.weights[side]) for feature in features) // MOST_WHISKERS
     whiskers: list[FloatArray] = []
-    for one in features:
-        left, right = (edges[::step] for edges in one.edges_px)
-        first, second = (weights[::step] for weights in one.weights)
-        found = residuals(view, replace(one, edges_px=(left, right), weights=(first, second)), side)
+    for feature in features:
+        left, right = (edges[::step] for edges in feature.edges_px)
+        first, second = (weights[::step] for weights in feature.weights)
+        found = residuals(view, replace(feature, edges_px=(left, right), weights=(first, second)), side)
         across = found.normals * found.across_px[:, None]
         whiskers.append(np.hstack([found.feet, across])[found.used])
-    told = np.concatenate(whiskers) if whiskers else np.zeros((0, 4))
+    lines = np.concatenate(whiskers) if whiskers else np.zeros((0, 4))
     # the feet to a tenth of a pixel, what lies across them as fine as it is measured
-    return [[round(x, 1), round(y, 1), round(dx, 4), round(dy, 4)] for x, y, dx, dy in told.tolist()]
+    return [[round(x, 1), round(y, 1), round(dx, 4), round(dy, 4)] for x, y, dx, dy in lines.tolist()]
 
 
 def _place(reading: PartReading) -> PlaceMm:
@@ -218,8 +222,8 @@ def _angles(target: Target, reading: PartReading) -> SigmaAngles:
     a, b, c = (round(float(value), 5) for value in reading.sigma_deg)
     if target.free_axis is None:
         return SigmaAngles(a=a, b=b, c=c)
-    told = [value if value < UNKNOWN_DEG else None for value in (a, b, c)]
-    return SigmaAngles(a=told[0], b=told[1], c=told[2])
+    a_deg, b_deg, c_deg = (value if value < UNKNOWN_DEG else None for value in (a, b, c))
+    return SigmaAngles(a=a_deg, b=b_deg, c=c_deg)
 
 
 def terms_of(rig: StereoRig, target: Target) -> Terms | None:
@@ -236,14 +240,14 @@ def stand_of(measured: MeasuredPart) -> Stand | None:
     target = measured.target
     if target.by_edges is None or not _is_finite(target):
         return None
-    seen = {one.name: (one.points, one.weights) for one in measured.fits}
+    seen = {fit.name: (fit.points, fit.weights) for fit in measured.fits}
     place, edges = target.position_mm, target.by_edges[:3, :3]
     return Stand(place, edges, seen, scatters_of(measured.fits), target.rig_from_part)
 
 
 def still_part(rig: PreparedRig, job: Job, stands: Sequence[Stand | None]) -> StillResult:
     """The verdict over pictures of a part that lay still."""
-    seen = [one for one in stands if one is not None]
+    seen = [stand for stand in stands if stand is not None]
     noises, expected = noises_of(seen), None
     if noises and (first := seen[0]).pose is not None:
         known = replace(job, sigma_mm=0.0)  # what nobody knows of its features does not scatter
