@@ -212,7 +212,7 @@ def test_lines_for_robots_need_a_port_of_their_own_a_brand_and_no_tls(tmp_path: 
     assert brand.startswith("modbus.socket.brand")
     tls = '[modbus.tls]\ncertificate = "a"\nkey = "b"\nauthority = "c"\n'
     found = problems(tmp_path, GOOD + tls + '[modbus.socket]\nbrand = "ur"\n')
-    assert any("socket speaks without TLS" in line for line in found)
+    assert any("socket is not encrypted" in line for line in found)
 
 
 def test_the_fingerprint_does_not_depend_on_the_place(tmp_path: Path) -> None:

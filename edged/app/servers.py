@@ -84,7 +84,7 @@ async def close_within(publisher: Publisher, what: str) -> None:
         async with asyncio.timeout(CLOSE_S):
             await publisher.close()
     except TimeoutError:
-        log.warning("%s: it has not closed within %g s, and is left behind", what, CLOSE_S)
+        log.warning("%s: it has not closed within %g s, and is abandoned", what, CLOSE_S)
 
 
 class Servers:
@@ -304,7 +304,7 @@ class Servers:
 def _show_bug(trying: asyncio.Task[None]) -> None:
     """A bug of a server that was tried again is told at once, not when the daemon ends."""
     if not trying.cancelled() and (bug := trying.exception()) is not None:
-        log.error("a server cannot be started by a bug, and is tried no more", exc_info=bug)
+        log.error("a server cannot be started because of a bug, and is not tried again", exc_info=bug)
 
 
 def _lie_apart(first: WantedServer, second: WantedServer) -> bool:

@@ -121,7 +121,7 @@ class RobotRegistration:
     def end(self, why: str) -> None:
         """Drop the samples; the previous registration stays in force. Nothing to do when none is on."""
         if self.is_on:
-            log.warning("registration: it has ended without a result: %s", why)
+            log.warning("registration: ended without a result: %s", why)
         self._forget()
 
     async def _add(self, registrar: Registrar, command: Command) -> Registered:

@@ -276,10 +276,10 @@ class StereoHead:
                 return await self._nearest(pair) if self._settings.free_running else pair
         except TimeoutError:
             if not waiting:
-                raise FrameUnpaired("both", f"no two frames fit within {self._timeout_s:g} s") from None
+                raise FrameUnpaired("both", f"no two frames match within {self._timeout_s:g} s") from None
             name = waiting[0] if len(waiting) == 1 else "both"
             if self._settings.by_others and name == "both":
-                raise FrameTimeout(name, f"nobody triggered them within {self._timeout_s:g} s") from None
+                raise FrameTimeout(name, f"no trigger came within {self._timeout_s:g} s") from None
             raise FrameTimeout(name, f"no image within {self._timeout_s:g} s of the trigger") from None
 
     async def _nearest(self, pair: FramePair) -> FramePair:

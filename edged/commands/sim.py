@@ -122,7 +122,7 @@ def _places(options: SimOptions) -> dict[str, tuple[str, str]]:
         if not _is_address(address):
             raise UserError(f"{address!r} is no IPv4 address; expected one of this machine, or {NO_CAMERA}")
     if not addresses or len(set(addresses)) < len(addresses):
-        raise UserError("expected a camera at all, and an address of its own for each")
+        raise UserError("expected at least one camera, each with an address of its own")
     return places
 
 

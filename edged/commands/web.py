@@ -18,14 +18,14 @@ def invite(config: Path) -> int:
     """Print a code; it is valid at once. Raises `UserError` where it would be of no use."""
     web = load(config).web
     if web is None or not web.commissioning:
-        raise UserError(f"{config}: web.commissioning is off: nobody sets this cell up on the page")
+        raise UserError(f"{config}: web.commissioning is off: this cell cannot be set up on the page")
     folder, who = state_folder(config), getpass.getuser()
     try:
         with as_owner(folder) as place:
             code = Invite(place).make()
             _note(AuditFile(place), AuditEntry(who, "", "", "make", "invitation", "ok"), folder)
     except OSError as error:
-        raise UserError(f"{folder}: the code cannot be kept: {error.strerror or error}") from error
+        raise UserError(f"{folder}: the code cannot be saved: {error.strerror or error}") from error
     scheme, host = "https" if web.certificate else "http", f"[{web.host}]" if ":" in web.host else web.host
     print(f"{code}   for {scheme}://{host}:{web.port}/invite, once, within {VALID_S / 3600:.0f} hours")
     return 0

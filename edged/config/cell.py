@@ -112,7 +112,7 @@ class RegistrationSection(Section):
             except CalibrationError as error:
                 raise ValueError(str(error)) from None
             if len(boards) != 1:
-                raise ValueError("one board, not several")
+                raise ValueError("expected one board, not several")
         return text
 
     @property

@@ -97,7 +97,7 @@ class ModbusSection(Section):
             raise ValueError(f"reserved: {kept} connections are kept, but max_clients is {self.max_clients}")
         if self.socket is not None and self.tls is not None:
             raise ValueError(
-                "socket speaks without TLS, and who may write would not be checked: not with tls"
+                "socket is not encrypted and does not check who may write: it cannot be used with tls"
             )
         if self.socket is not None and self.socket.port == self.port:
             raise ValueError(f"port and socket.port are both {self.port}")
@@ -127,12 +127,13 @@ class WebSection(Section):
             raise ValueError("password_hash: expected what `edged password` prints")
         if not hashed and not is_loopback(self.host):
             raise ValueError(
-                f"host {self.host!r} is seen from other machines: password_hash is missing (`edged password`)"
+                f"host {self.host!r} can be reached from other machines: password_hash is missing "
+                "(`edged password`)"
             )
         if self.commissioning and self.certificate is None and not is_loopback(self.host):
             raise ValueError(
-                f"commissioning: host {self.host!r} is seen from other machines: certificate and key are "
-                "missing"
+                f"commissioning: host {self.host!r} can be reached from other machines: "
+                "certificate and key are missing"
             )
         return self
 

@@ -20,7 +20,7 @@ def _endpoint(value: str) -> str:
     if not protocol or not address or ":" in protocol:
         raise ValueError("expected PROTOCOL/ADDRESS, for example tcp/192.168.10.20:7447")
     if "private_key_base64" in value:  # endpoints are shown, and published
-        raise ValueError("a private key does not belong into an endpoint: name its file in zenoh.config_file")
+        raise ValueError("a private key does not belong in an endpoint: name its file in zenoh.config_file")
     return value
 
 

@@ -46,7 +46,7 @@ def as_owner(place: Path) -> Iterator[Path]:
                 os.seteuid(user)
             except OSError as error:
                 raise FileFormatError(
-                    f"{place}: belongs to user {user}, who root cannot be here ({error.strerror}): "
+                    f"{place}: belongs to user {user}, whom root cannot act for here ({error.strerror}): "
                     "run this as that user"
                 ) from error
             yield inside

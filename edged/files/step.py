@@ -102,7 +102,7 @@ def _converted(data: bytes, path: Path) -> bytes:
     if done.returncode != 0 or not done.stdout:
         said = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
         if said and said[0].startswith("cascadio: "):
-            raise FileFormatError(f"{path}: {said[0]}: expected it to work, pip install 'edged[cad]' again")
+            raise FileFormatError(f"{path}: {said[0]}: reinstall it, pip install 'edged[cad]' again")
         why = f" ({said[0][:200]})" if said else ""
         raise FileFormatError(f"{path}: damaged, or too large: its solid cannot be read{why}")
     return done.stdout

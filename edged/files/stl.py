@@ -52,8 +52,8 @@ def read_stl(path: Path, unit: str | None = None) -> CadModel:
     alone, bodies = open_sides(triangles)
     if alone > MAX_OPEN * 3 * len(triangles):
         raise FileFormatError(
-            f"{path}: not closed: {alone} of the {3 * len(triangles)} sides of its facets have not one "
-            "neighbour: expected the surface of a solid part"
+            f"{path}: not closed: {alone} of the {3 * len(triangles)} sides of its facets do not have "
+            "exactly one neighbour: expected the surface of a solid part"
         )
     if bodies != 1:
         raise FileFormatError(f"{path}: {bodies} bodies: expected the model of one part, one body")

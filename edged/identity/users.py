@@ -27,7 +27,7 @@ RoleName = Literal["viewer", "operator", "engineer"]
 
 def _printable(name: str) -> str:
     if not name.isprintable() or name != name.strip():
-        raise ValueError("expected letters that can be printed, in one line")
+        raise ValueError("expected printable characters, on one line")
     return name
 
 
@@ -138,5 +138,5 @@ def _read(path: Path) -> dict[str, User]:
         raise FileFormatError(f"{path}: {place}: {message}" if place else f"{path}: {message}") from error
     users = {user.name.casefold(): user for user in found.users}
     if len(users) < len(found.users):
-        raise FileFormatError(f"{path}: a name comes twice")
+        raise FileFormatError(f"{path}: a name occurs twice")
     return users

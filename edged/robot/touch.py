@@ -179,6 +179,7 @@ def _check_hand(rig: FloatArray, robot: FloatArray) -> None:
     mirrored = fit_rigid(rig * [1.0, 1.0, -1.0], robot).residuals_mm
     if np.sqrt(np.mean(mirrored**2)) * MIRROR_GAIN < np.sqrt(np.mean(straight**2)):
         raise CalibrationError(
-            "the robot's points are the rig's in a mirror: one axis has the wrong sign, or two are swapped",
+            "the robot's points are a mirror image of the rig's: one axis has the wrong sign, "
+            "or two are swapped",
             "mirrored",
         )

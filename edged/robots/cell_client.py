@@ -71,7 +71,7 @@ class CommandRefused(CellError):
 
 
 class NoAnswer(CellError):
-    """The command did not end in the time, or the cell was started anew, or another client took its place."""
+    """The command did not end in the time, or the cell was restarted, or another client took its place."""
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ class EdgedCell:
         while time.monotonic() < end_s:
             status = self.status()
             if (status["START_EPOCH"], status["CMD_SEQ_ECHO"]) != (epoch, sequence):
-                raise NoAnswer(f"the cell was started anew, or another client took the place of {sequence}")
+                raise NoAnswer(f"the cell was restarted, or another client took the place of {sequence}")
             if status["DONE_SEQ"] == sequence and "NACK" in status["bits"]:
                 raise CommandRefused(reasons.get(int(status["NACK_REASON"]), "?"))
             if status["DONE_SEQ"] == sequence and "ACK" in status["bits"]:

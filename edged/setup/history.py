@@ -262,9 +262,9 @@ def solved_rig(folder: Path, digest: str | None, counted: str) -> bytes:
     Raises `CalibrationError` if none has, `FileFormatError` if it was changed.
     """
     if digest is None:
-        raise CalibrationError(f"it is not solved, or {counted} came or went since then: solve it first")
+        raise CalibrationError(f"it is not solved, or its {counted} have changed since: solve it first")
     file = solved_file(folder, "rig-*.json", digest)
     content = read_rig(file)
     if hashlib.sha256(content).hexdigest() != digest:
-        raise FileFormatError(f"{file}: is not what it was solved to: solve it again")
+        raise FileFormatError(f"{file}: is not the solution that was kept: solve it again")
     return content

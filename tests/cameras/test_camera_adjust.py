@@ -123,7 +123,7 @@ def test_firmware_that_locks_its_settings_is_opened_anew(
             assert CameraValues(20_000.0, 0.0) == await camera.adjust(CameraValues(exposure_us=20_000.0))
             await shoot(camera)
             assert 20_000.0 == cell.left_sensor.requests[-1].exposure_us
-            assert "opened anew" in caplog.text
+            assert "reopened" in caplog.text
             with pytest.raises(CameraSetupError):
                 await camera.restore()
             await camera.open()

@@ -317,7 +317,7 @@ def test_cameras_that_others_trigger_are_waited_for(monkeypatch: pytest.MonkeyPa
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         token = await cycle.session.enter_setup("Anna")
-        with pytest.raises(FrameTimeout, match="nobody triggered"):
+        with pytest.raises(FrameTimeout, match="no trigger came"):
             await cycle.session.capture(token)
         made = await head.capture()
         head.exposures.put_nowait(made)

@@ -160,7 +160,7 @@ CASES: dict[str, Bad] = {
     "page without password": Bad(
         CHECK,
         "edged: cell.toml: 1 problem\n"
-        "web: host '0.0.0.0' is seen from other machines: password_hash is missing (`edged "
+        "web: host '0.0.0.0' can be reached from other machines: password_hash is missing (`edged "
         "password`)",
         {"cell.toml": ("[modbus]", '[web]\nhost = "0.0.0.0"\n[modbus]')},
     ),
@@ -469,7 +469,7 @@ CASES: dict[str, Bad] = {
     ),
     "touched: mirrored": Bad(
         TOUCH,
-        "edged: the robot's points are the rig's in a mirror: one axis has the wrong sign, or two "
+        "edged: the robot's points are a mirror image of the rig's: one axis has the wrong sign, or two "
         "are swapped",
         {"touched.csv": "0,0,0, 0,0,0\n100,0,0, -100,0,0\n0,100,0, 0,100,0\n0,0,100, 0,0,100\n"},
     ),

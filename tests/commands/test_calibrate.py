@@ -182,7 +182,7 @@ def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> 
     refused(
         folder,
         tmp_path,
-        "--board: .*a chessboard of 8x6 inner corners, not dots:8x6:6; state chessboard:8x6:",
+        "--board: .*a chessboard of 8x6 inner corners, not dots:8x6:6[^;]*; state chessboard:8x6:",
         board="dots:8x6:6",
     )
     for path in folder.glob("*.png"):

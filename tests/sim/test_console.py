@@ -147,7 +147,7 @@ def test_both_cameras_show_one_pair_also_after_one_was_unplugged(tmp_path: Path)
     ("options", "expected"),
     [
         (SimOptions(pattern="64"), "--pattern"),
-        (SimOptions(pattern="64x48", addresses=("none", "none")), "a camera at all"),
+        (SimOptions(pattern="64x48", addresses=("none", "none")), "at least one camera"),
         (SimOptions(pattern="64x48", addresses=("127.0.0.3", "")), "an address of its own"),
         (SimOptions(pattern="64x48", addresses=("camera", "")), "'camera' is no IPv4 address"),
         (SimOptions(pattern="64x48", quirks=("odd",)), "expected one of mode-before-source"),

@@ -238,7 +238,9 @@ class AravisCamera:
             self._found = await self._call(connection, session.as_found, REPLY_S)
         made = await self._call(connection, lambda: session.adjust(values), ADJUST_S)
         if isinstance(made, StreamLocks):
-            log.info("camera %s: locked while it streams, and opened anew for it: %s", self._name, made.why)
+            log.info(
+                "camera %s: reopened for a feature that is locked while it streams: %s", self._name, made.why
+            )
             return await self._opened_with(values)
         self._draft = _stated(values, made).over(self._draft)
         return made

@@ -485,7 +485,7 @@ class LineServer:
             await self._serve(client, reader, writer, number)
         except (TimeoutError, OSError) as error:
             self._log.warning(
-                "modbus.socket: %s is hung up on: %s", client.peer, str(error) or "it is silent"
+                "modbus.socket: %s was disconnected: %s", client.peer, str(error) or "it is silent"
             )
         finally:
             self._cell.gone(number)

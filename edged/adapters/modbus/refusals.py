@@ -29,7 +29,7 @@ class Refusals:
             return
         self._named[peer] = None
         log.warning(
-            "modbus: %s wrote, and was refused with exception 1: %s (said once of each address)",
+            "modbus: %s wrote and was refused with exception 1: %s (logged once per address)",
             peer,
             why,
             extra=fields(refused_writer=peer),

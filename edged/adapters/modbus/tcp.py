@@ -117,7 +117,7 @@ class TcpServer:
             return False
         is_known = contains(settings.writers, peer)
         if self._context is not None and not is_known and not self._handshakes.take():
-            self.log.warning("modbus: %s closed, strangers begin too many TLS handshakes", peer)
+            self.log.warning("modbus: %s closed, unknown clients begin too many TLS handshakes", peer)
             return False
         if not self._has_room(peer) and not self._make_room(newcomer, is_known=is_known):
             self.log.warning("modbus: %s closed, %d clients are connected", peer, len(self._clients))
@@ -270,7 +270,9 @@ class ModbusConnection(asyncio.Protocol):
             return None
         length = int.from_bytes(self._buffer[4:6], "big")
         if self._buffer[2:4] != b"\0\0" or not 2 <= length <= MAX_LENGTH:
-            self._server.log.warning("modbus: %s sent what is no Modbus/TCP, closed", self.client.peer)
+            self._server.log.warning(
+                "modbus: %s sent something other than Modbus/TCP, closed", self.client.peer
+            )
             self.client.abort()
             return None
         end = 6 + length

@@ -112,7 +112,7 @@ class OpcUaConnection(asyncio.Protocol):
             while len(self._received) >= FRAME.size:
                 kind, chunk, size = FRAME.unpack_from(self._received)
                 if kind not in KINDS or chunk[0] not in CHUNKS or not FRAME.size < size <= MAX_FRAME_BYTES:
-                    raise ConnectionRefused(ua.StatusCodes.BadTcpMessageTypeInvalid, "this is no OPC UA")
+                    raise ConnectionRefused(ua.StatusCodes.BadTcpMessageTypeInvalid, "this is not OPC UA")
                 if len(self._received) < size:
                     break
                 self._frames.append(bytes(self._received[:size]))
@@ -154,7 +154,7 @@ class OpcUaConnection(asyncio.Protocol):
         except ConnectionRefused as refused:
             self._refuse(refused)
         except Exception as error:  # noqa: BLE001  # whatever asyncua stumbles over was sent by the client
-            self._log.warning("opcua: %s is hung up on: %s", self._client.peer, type(error).__name__)
+            self._log.warning("opcua: %s was disconnected: %s", self._client.peer, type(error).__name__)
         finally:
             if self._transport is not None:
                 self._transport.close()
@@ -177,7 +177,7 @@ class OpcUaConnection(asyncio.Protocol):
         """Check what asyncua checks too late, or not at all. Raises `ConnectionRefused`."""
         if frame.startswith(b"HEL") == self._is_greeted:
             raise ConnectionRefused(
-                ua.StatusCodes.BadTcpMessageTypeInvalid, "it begins with HEL, and says it once"
+                ua.StatusCodes.BadTcpMessageTypeInvalid, "expected HEL once, at the beginning"
             )
         if not self._is_greeted:
             self._is_greeted = True
@@ -199,7 +199,7 @@ class OpcUaConnection(asyncio.Protocol):
             raise ConnectionRefused(ua.StatusCodes.BadSecurityChecksFailed, why)
 
     def _refuse(self, refused: ConnectionRefused) -> None:
-        self._log.warning("opcua: %s is hung up on: %s", self._client.peer, refused)
+        self._log.warning("opcua: %s was disconnected: %s", self._client.peer, refused)
         transport = self._transport
         if transport is not None and not transport.is_closing():
             # no reason in the message: it would tell a stranger what to try next (OPC 10000-6, 7.1.5)

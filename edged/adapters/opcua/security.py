@@ -88,7 +88,7 @@ class TrustList:
             is_pem = data.startswith(b"-----BEGIN")
             certificate = (x509.load_pem_x509_certificate if is_pem else x509.load_der_x509_certificate)(data)
         except (OSError, ValueError) as error:
-            log.warning("opcua: %s is no certificate, no client is trusted by it: %s", file, error)
+            log.warning("opcua: %s is not a certificate, so no client is trusted by it: %s", file, error)
             return
         self._trusted[hashlib.sha256(certificate.public_bytes(Encoding.DER)).digest()] = certificate
 

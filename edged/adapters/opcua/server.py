@@ -142,7 +142,7 @@ class ServerThread:
         except EdgedError as error:
             done(error)
         except Exception as error:
-            log.exception("opcua: the server has ended by a bug")
+            log.exception("opcua: the server ended because of a bug")
             done(ListenError(f"opcua: {type(error).__name__}: {error}"))
 
     async def _run(self, done: Callable[[BaseException | None], None]) -> None:

@@ -135,7 +135,7 @@ class Auditor:
                 record = self._file.add(deed)
                 number, digest = int(record["number"]), str(record["hash"])
             except OSError as error:
-                log.error("the audit cannot be kept: %s", error)  # noqa: TRY400  (it says where)
+                log.error("the audit cannot be written: %s", error)  # noqa: TRY400  (it says where)
         log.info("audit: %s", _text(deed), extra=fields(audit=number, audit_hash=digest, user=deed.user))
 
     def _keep_run(self, file: AuditFile, fingerprint: str) -> None:

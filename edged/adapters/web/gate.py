@@ -122,9 +122,9 @@ class Gate:
 def check_visitor(route: Route, visitor: Visitor, request: web.Request) -> None:
     """Whether somebody may ask, from where they ask. Raises `Problem`."""
     if not visitor.session and (route.needs_origin or route.role > Role.VIEWER):
-        raise Problem(403, "log_in", "log in on the page first: a password alone may only look")
+        raise Problem(403, "log_in", "log in on the page first: with a password alone you may only look")
     if visitor.is_idle and route.role > Role.VIEWER:
-        raise Problem(403, "idle", "no sign of you for ten minutes: say your password again")
+        raise Problem(403, "idle", "idle for ten minutes: enter your password again")
     if visitor.role < route.role:
         raise Problem(
             403,
@@ -133,7 +133,7 @@ def check_visitor(route: Route, visitor: Visitor, request: web.Request) -> None:
             params={"needed": route.role.word, "role": visitor.role.word},
         )
     if route.needs_origin and request.headers.get("Origin") != f"{request.scheme}://{request.host}":
-        raise Problem(403, "origin", "asked by a page of another host, or by none")
+        raise Problem(403, "origin", "the request came from a page of another host, or from none")
 
 
 async def chunks(request: web.Request, limit_bytes: int) -> AsyncIterator[bytes]:

@@ -133,7 +133,7 @@ class LoginForms:
         if cookie is None:
             log.warning("status page: wrong invitation from %s", request.remote)
             raise web.HTTPSeeOther("/invite?wrong")
-        log.warning("status page: %s at %s is an engineer now, by an invitation", name, request.remote)
+        log.warning("status page: %s at %s is an engineer now, by invitation", name, request.remote)
         raise self._entered(cookie, "/setup")
 
     async def _log_out(self, request: web.Request) -> web.Response:
@@ -156,7 +156,7 @@ def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
         try:
             code = invite.make()
         except OSError as error:
-            log.error("no code can be kept for the first engineer: %s", error)  # noqa: TRY400  (says where)
+            log.error("the code for the first engineer cannot be saved: %s", error)  # noqa: TRY400  (says where)
             return
         log.warning("nobody may set the cell up yet: %s/invite with the code %s, today", place, code)
 

@@ -55,7 +55,7 @@ class Problem(Exception):
 
 def _printable(text: str) -> str:
     if not text.isprintable():
-        raise ValueError("expected letters that can be printed, in one line")
+        raise ValueError("expected printable characters, on one line")
     return text
 
 

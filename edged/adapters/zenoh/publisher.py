@@ -192,7 +192,7 @@ class ZenohPublisher:
             if session is not None:
                 await bounded(session.close, CLOSE_TIMEOUT_S, "zenoh: closing")
         except (ListenError, zenoh.ZError) as error:
-            log.warning("zenoh: the session did not close in order: %s", plain(error))
+            log.warning("zenoh: the session did not close cleanly: %s", plain(error))
 
     def _workers(self) -> list[JobThread | Preview]:
         return [self._outbox, self._answers, *([self._preview] if self._preview is not None else [])]

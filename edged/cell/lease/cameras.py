@@ -154,7 +154,7 @@ class SetupCameras:
                     break
         finally:
             await cancel_and_await(heard)
-        raise FrameTimeout("both", f"nobody triggered them within {LISTEN_S:g} s")
+        raise FrameTimeout("both", f"no trigger came within {LISTEN_S:g} s")
 
 
 async def _restore(head: Head) -> None:

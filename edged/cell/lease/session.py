@@ -184,7 +184,7 @@ class SetupSession:
             if self.lease.taken:
                 self.lease.end(f"the holder of the cell cannot be noted: {error}")
                 return
-            log.exception("SETUP has ended, but that cannot be noted: after a restart it begins again")
+            log.exception("SETUP has ended, but this could not be saved: after a restart it begins again")
         self._is_noted = self.lease.taken
 
 

@@ -111,7 +111,7 @@ def _solve(design: FloatArray, right: FloatArray) -> FloatArray:
 def _checked(error_px: float, model: str) -> float:
     if not error_px <= MAX_ERROR_PX:
         raise FileFormatError(
-            f"{model} lens model: it follows this lens to {error_px:.3f} px only (allowed: {MAX_ERROR_PX}); "
+            f"{model} lens model: it fits this lens to {error_px:.3f} px only (allowed: {MAX_ERROR_PX}); "
             "calibrate again with the other model of `edged calibrate --model`"
         )
     return error_px

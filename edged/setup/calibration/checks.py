@@ -139,7 +139,7 @@ class Checks:
         except FileNotFoundError:
             return None
         except (OSError, ValidationError) as error:
-            log.warning("the last check cannot be read, as if there were none: %s", error)
+            log.warning("the last check cannot be read and is ignored: %s", error)
             return None
 
 

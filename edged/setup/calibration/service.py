@@ -187,7 +187,7 @@ class Calibrations:
             if (opened := self.drafts.open.get(identity)) is not None:
                 opened.auto = None
         except (EdgedError, OSError) as error:
-            log.warning("a live pair cannot be looked at: %s", error)
+            log.warning("a live pair cannot be analysed: %s", error)
             if (opened := self.drafts.open.get(identity)) is not None:
                 opened.fault = error
                 self.drafts.tell(opened)
@@ -276,7 +276,7 @@ class Calibrations:
         solution: Solution = await self._worker.run("solve", *order, progress=progress)
         async with self.drafts.changing(opened):
             if draft.state.used != state.used:
-                raise CalibrationError("views came or went meanwhile: solve it again")
+                raise CalibrationError("the views have changed meanwhile: solve it again")
             await asyncio.to_thread(draft.solve, solution)
         self.drafts.tell(opened)
 

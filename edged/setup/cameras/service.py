@@ -144,7 +144,7 @@ class CameraService:
         await asyncio.to_thread(write_file, file, with_changes(before, file, stated))
         if await self._cell.reload():
             await asyncio.to_thread(_put_back, file, before)
-            raise UserError("the cell cannot be loaded with them, and is as it was: its log says why")
+            raise UserError("the cell cannot be loaded with them, and stays as it was: its log says why")
 
     async def wave(self, token: str, side: Side) -> tuple[Side | None, bool]:
         """Wait until a hand moves before one camera, and make it this side's.

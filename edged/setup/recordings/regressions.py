@@ -56,10 +56,10 @@ class Regressions:
         """
         active, fingerprint = self._cell.contents, self._cell.fingerprint
         if not self._cell.is_complete:
-            raise UserError("nothing runs yet that it could be compared with")
+            raise UserError("nothing is in use yet that it could be compared with")
         entries = await self._in_turn(lambda: self._concerned(active, candidate))
         if not entries:
-            raise UserError("no recorded cycle is measured by what it changes")
+            raise UserError("it changes nothing that recorded cycles are measured with")
         now = datetime.now(UTC)
         identity = f"{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}"
 
@@ -170,9 +170,7 @@ class Regressions:
         try:
             return RegressionDocument.model_validate_json(read_bytes(file, "a regression"))
         except ValidationError as error:
-            raise FileFormatError(
-                f"{file}: not what a regression was kept as: {error.errors()[0]}"
-            ) from error
+            raise FileFormatError(f"{file}: not a regression that was kept: {error.errors()[0]}") from error
 
     def _all(self) -> list[RegressionDocument]:
         found = []

@@ -173,7 +173,7 @@ class Registrations:
         if judged.registered is None and judged.trouble is not None and opened.judge.is_current:
             raise CalibrationError(judged.trouble.text)
         if judged.registered is None or not opened.judge.is_current:
-            raise CalibrationError("samples came or went meanwhile: solve it again")
+            raise CalibrationError("the samples have changed meanwhile: solve it again")
         quality = json.loads(rig.content).get("quality")
         when = datetime.now(UTC).isoformat(timespec="seconds")
         kept = {

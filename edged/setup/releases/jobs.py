@@ -262,7 +262,7 @@ class Jobs:
         except FileNotFoundError:
             return {}
         except (OSError, ValidationError) as error:
-            log.warning("%s cannot be read, as if no job were retired: %s", self._retired, error)
+            log.warning("%s cannot be read, so no job counts as retired: %s", self._retired, error)
             return {}
         in_use = {line.folder for line in self._cell.job_lines().lines}
         return {folder: job for folder, job in kept.items() if folder not in in_use}

@@ -18,7 +18,7 @@ from edged.setup.releases.service import Activation
 
 def _of_one_line(text: str) -> str:
     if not text.isprintable():
-        raise ValueError("expected letters that can be printed, in one line")
+        raise ValueError("expected printable characters, on one line")
     return text
 
 

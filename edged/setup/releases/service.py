@@ -147,7 +147,7 @@ class Activation:
     async def finish(self) -> None:
         """Do what a kill or a power cut has interrupted: rig and cameras are of one release again."""
         if await asyncio.to_thread(self._finish):
-            log.warning("a release was being activated when the daemon ended: that is finished now")
+            log.warning("the daemon ended while it activated a release: finishing that now")
             await self._cell.reload()
 
     async def _activate(
@@ -175,7 +175,7 @@ class Activation:
             refused = await self._cell.reload()
             if refused:
                 await asyncio.to_thread(self._put_back, release, former, again is None)
-                raise UserError(f"the cell does not run by it, and runs on as before: {refused}")
+                raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")
             await asyncio.to_thread(self._releases.prune)
             log.info("release %d is active: %s, by %s", release.number, note, author)
             return await asyncio.to_thread(self._releases.get, release.number)
@@ -196,7 +196,7 @@ class Activation:
             raise UserError("there is no calibration: calibrate first")
         made = make(self._cell.path, RigFiles(wanted.rig, wanted.cameras), without_pictures(wanted.jobs))
         if made.backup.fingerprint == self._cell.fingerprint:
-            raise UserError("the cell runs by this already")
+            raise UserError("the cell already runs with this")
         all_of_it = self._releases.all()
         return made, next(
             (release for release in all_of_it if release.fingerprint == made.backup.fingerprint), None
@@ -287,7 +287,7 @@ class Activation:
             self._write(_Parts(files.rig, files.cameras, jobs), there)
         except (KeyError, EdgedError, OSError) as error:
             # the message names the file: a traceback says no more
-            log.error("release %d was being activated, and cannot be: %s", number, error)  # noqa: TRY400
+            log.error("the activation of release %d cannot be finished: %s", number, error)  # noqa: TRY400
             return False
         self._releases.note_underway(None)
         return True

@@ -146,7 +146,7 @@ class Teachings:
             seen = await self._seen(opened)
         except TeachError as error:
             raise TeachError(
-                "depth: state the distance of the face from the left camera: the pair does not tell it",
+                "depth: state the distance of the face from the left camera: the pair does not show it",
                 "drawing_depth",
             ) from error
         return round(float(seen.job.rig_from_part[2, 3]), 1)

@@ -300,7 +300,7 @@ class Trials:
         except FileNotFoundError:
             return None
         except (OSError, ValidationError) as error:
-            log.warning("the last still test cannot be read, as if there were none: %s", error)
+            log.warning("the last still test cannot be read and is ignored: %s", error)
             return None
 
 

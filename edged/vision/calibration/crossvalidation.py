@@ -81,7 +81,9 @@ def _calibrated_without(calibration: Calibration, rest: list[int]) -> StereoRig:
     try:
         result = adjust(state, left, right, freedom_of(rig.left), freedom_of(rig.right))
     except np.linalg.LinAlgError as error:
-        raise CalibrationError("one view less, and the equations are singular: take more views") from error
+        raise CalibrationError(
+            "without one of the views the equations are singular: take more views"
+        ) from error
     found = result.state
     return replace(rig, left=found.left, right=found.right, right_from_left=found.right_from_left)
 

@@ -46,7 +46,7 @@ def test_what_looks_like_the_stated_board_is_no_other() -> None:
     circles = drawn(parse_board("circles:4x6:4"), 1)
     check_board_shown(circles, parse_board("circles:3x8:4"))
     with pytest.raises(
-        CalibrationError, match=r"plate of 4x6 circles, not circles:4x11:4; state circles:4x6:4"
+        CalibrationError, match=r"plate of 4x6 circles, not circles:4x11:4:2; state circles:4x6:4"
     ):
         check_board_shown(circles, parse_board("circles:4x11:4"))
 

@@ -107,7 +107,7 @@ def test_a_solution_is_of_the_views_it_was_made_of(tmp_path: Path) -> None:
     assert b"rig" == draft.rig()
     for file in draft.folder.glob("rig-*"):
         file.write_bytes(b"gir")
-    with pytest.raises(FileFormatError, match="not what it was solved to"):
+    with pytest.raises(FileFormatError, match="not the solution that was kept"):
         draft.rig()
     draft.remove("view_001")
     with pytest.raises(CalibrationError, match="solve it first"):

@@ -103,7 +103,7 @@ def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: Runn
     found = cell.releases.get(1)
     assert (before, "edged", "as it was found") == (found.fingerprint, found.author, found.note)
     assert 2 == cell.activation.active
-    with pytest.raises(UserError, match="runs by this already"):
+    with pytest.raises(UserError, match="already runs with this"):
         activate(cell, rig)
 
 
@@ -188,7 +188,7 @@ def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
     with pytest.raises(UserError, match=r"no usable job 'flange'"):
         activate_job(cell, "ring", 2, replaced="flange")
     cell.running.refuses = "no"
-    with pytest.raises(UserError, match="runs on as before: no"):
+    with pytest.raises(UserError, match="goes on as before: no"):
         activate_job(cell, "ring", 2)
     assert files == cell.files()
     assert [1] == [one.number for one in cell.releases.all()]
@@ -260,7 +260,7 @@ def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> Non
     files = cell.files()
     cell.running.refuses = "modbus.port: in use"
 
-    with pytest.raises(UserError, match=r"runs on as before: modbus\.port: in use"):
+    with pytest.raises(UserError, match=r"goes on as before: modbus\.port: in use"):
         activate(cell, cell.wider(1.001))
 
     assert files == cell.files()
