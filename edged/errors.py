@@ -137,7 +137,7 @@ class PairingError(CaptureError):
 
 
 class CameraRestarted(CameraUnreachable):
-    """It answers, but belongs to nobody: it was switched off and on, or gave up the connection."""
+    """It answers, but the control privilege is lost: it was restarted, or gave up the connection."""
 
     code = 107
 

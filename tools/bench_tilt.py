@@ -3,7 +3,7 @@
 
     tools/bench tilt [--poses N] [--thickness MM]
 
-Four parts are taught flat, on the demo's rig, and lie tilted to any side against the line amid both cameras,
+Four parts are taught flat, on the demo's rig, and lie tilted to any side from the bisector of the cameras,
 turned at random, anywhere in view. Each is looked for as taught, and with jobs of --tilt 30 and 45. Times are
 processor time of the search, best of three, as a ratio to the search for the taught look in the same picture:
 what else the machine does does not count.

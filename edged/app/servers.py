@@ -57,7 +57,7 @@ def import_servers(config: Config) -> None:
         "opcua": config.opcua is not None,
     }
     for name in (name for name, asked in wanted.items() if asked):
-        with contextlib.suppress(ImportError):  # where a package is missing, it is told by who needs it
+        with contextlib.suppress(ImportError):  # the server that needs a missing package says so
             importlib.import_module(f"edged.adapters.{name}")
 
 

@@ -194,7 +194,7 @@ def teach(
     tilt: Annotated[
         float | None,
         typer.Option(
-            help="how far the part may lie tilted to any side, degrees up to 45, against the line amid both "
+            help="how far the part may lie tilted to any side, degrees up to 45, from the bisector of the "
             "cameras; default: about as at teaching"
         ),
     ] = None,

@@ -23,7 +23,7 @@ from edged.sim.world import VirtualWorld
 CELL = "stage"
 WEB_PORT = 8080
 USER = "me"
-"""Who sets the stage up: an engineer."""
+"""The user who sets the stage up: an engineer."""
 
 STEPS = """\
 A virtual cell without a calibration and without a job: set it up on its page, up to a part to be picked.

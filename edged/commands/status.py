@@ -65,7 +65,7 @@ def _in_words(state: dict[str, Any]) -> str:
     if not setup:
         return word
     reason = str(setup["source"]).lower().replace("_", " ")
-    return f"{word}: {setup['by'] or 'nobody looks after it' if reason == 'person' else reason}"
+    return f"{word}: {setup['by'] or 'unattended' if reason == 'person' else reason}"
 
 
 def _text(fact: Any) -> str:

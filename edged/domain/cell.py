@@ -85,4 +85,4 @@ class CellState:
             case SetupSource.ROBOT:
                 return "setup: a robot's program registers the rig"
             case SetupSource.PERSON:
-                return f"setup by {self.setup_by}" if self.setup_by else "setup, and nobody looks after it"
+                return f"setup by {self.setup_by}" if self.setup_by else "setup, unattended"

@@ -1,10 +1,10 @@
 """Who did what to the cell: lines of JSON, each with the hash of the one before; the newest in one file.
 
-A file that is full makes room for the next, in which the chain goes on; the oldest is let go when there are
-many, and a record says so. A changed, missing or inserted line breaks the chain, in whichever file. That
-lines are missing at the end is told by the head, which holds number and hash of the last one; and at the
-beginning, for it knows the first that is kept. A line that a crash tore is neither, and is said so. Whoever
-may write all files can write another history: its hashes are not those that the journal has.
+When a file is full the chain goes on in the next one; the oldest files are deleted when there are many, and a
+record says so. A changed, missing or inserted line breaks the chain, in whichever file. The head holds number
+and hash of the last record and the number of the first one kept, so that lines missing at either end are
+noticed. An incomplete last line, left by a crash, is reported as such. Anybody who may write all files can
+write another history, but its hashes are not those in the journal.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ class AuditFile:
     def _opened(self, opened: ExitStack) -> tuple[bytes | None, list[tuple[int, BinaryIO]], bytes | None]:
         """All files of one moment: the newest, None for none; the full ones, which nobody writes; the head.
 
-        Who wants to add waits no longer than this.
+        Writers wait no longer than this takes.
         """
         with ExitStack() as held:
             try:

@@ -23,7 +23,7 @@ CLEARLY = 3.0
 
 
 def changed_share(before: Image, after: Image) -> float:
-    """Which share of a picture changed otherwise than by brighter or darker light; 0 to 1.
+    """The share of a picture that changed, ignoring global brightness; 0 to 1.
 
     before, after : (H, W) uint8, of one size.
     """

@@ -242,7 +242,7 @@ def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:
 
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         await until(lambda: ear.state() is CellPhase.SETUP)
-        assert ("", "setup, and nobody looks after it") == (latest(ear).setup_by, latest(ear).why)
+        assert ("", "setup, unattended") == (latest(ear).setup_by, latest(ear).why)
         token = await cycle.session.enter_setup("Ben")
         cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.READY)

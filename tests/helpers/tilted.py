@@ -1,4 +1,4 @@
-"""Parts that lie tilted against the line amid both cameras, thin and thick, with exact truth."""
+"""Parts that lie tilted from the bisector of the cameras, thin and thick, with exact truth."""
 
 from __future__ import annotations
 

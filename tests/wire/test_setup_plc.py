@@ -314,7 +314,7 @@ def test_a_killed_daemon_does_not_make_a_cell_ready_that_somebody_has(tmp_path: 
                 status = plc.until(lambda status: status["STATE"] != 0)
                 assert SetupSource.PERSON == status["SETUP_SOURCE"]
                 assert NackReason.SETUP == plc.command(CommandKind.LOCATE)["NACK_REASON"]
-            assert (503, "setup, and nobody looks after it") == _ready(small.web_port)
+            assert (503, "setup, unattended") == _ready(small.web_port)
         browser = Browser(small.web_port)
         with Plc(small.modbus_port) as plc:
             seen = [plc.read(reg.STATUS) for _ in range(20)]

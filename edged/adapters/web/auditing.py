@@ -20,11 +20,11 @@ from edged.logs import LogLimit, fields
 log = logging.getLogger(__name__)
 
 REFUSED_PER_S, REFUSED_BURST = 1 / 60, 20.0
-"""What is refused more often is in the journal alone: who only may look must not fill the audit, whose oldest
-records are let go for it: so it takes months."""
+"""Refusals beyond this rate go to the journal alone: somebody who may only look must not fill the audit, so
+that its oldest records are deleted; at this rate that takes months."""
 MAX_RECORDS = 500
 RUN = "run"
-"""The cell runs by other files than before, whoever has changed them."""
+"""The cell runs with other files than before, no matter who changed them."""
 WAIT_S = 5.0
 
 

@@ -20,7 +20,7 @@ from edged.identity.visitors import Role
 class SetupNow(Answer):
     """Who has the cell. source : person, no_calibration, no_job."""
 
-    name: str | None = Field(description="null: nobody looks after it")
+    name: str | None = Field(description="null: unattended")
     unattended: bool = Field(description="somebody took it, and is silent")
     yours: bool = Field(description="taken from this very session")
     source: str

@@ -41,7 +41,7 @@ FAULTS = 12
 FAULT_BYTES = 64 * 1024 * 1024
 """Bytes of those pictures; with cameras of many megapixels the oldest faults lose theirs."""
 RECENT, SPARE = 8, 2
-"""Last cycles of any kind, with their pictures; and how many more are kept for who asks a moment later."""
+"""Last cycles of any kind, with their pictures; and how many more are kept for late requests."""
 RECENT_BYTES = 32 * 1024 * 1024
 """Bytes of those pictures; the newest cycle always has its own."""
 WIDTH_PX = 960

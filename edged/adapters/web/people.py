@@ -21,7 +21,7 @@ PERSON = "/users/{name:[^/]{1,64}}"
 
 
 class Me(Answer):
-    """Who asks. language : a tag of BCP 47; null: as the browser has it."""
+    """The visitor. language : a tag of BCP 47; null: as the browser has it."""
 
     name: str = Field(description="empty: who has the page's password alone")
     role: str

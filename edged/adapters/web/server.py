@@ -79,7 +79,7 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 class _ServerLog(logging.LoggerAdapter[logging.Logger]):
     """aiohttp's log of requests that went wrong: strangers can make as many of them as they like.
 
-    What is no HTTP is one line, without the parser's insides; who leaves in the middle is none.
+    Bytes that are not HTTP give one line, without the parser's details; disconnects are not logged.
     """
 
     def __init__(self) -> None:

@@ -28,7 +28,7 @@ ENDED = {CellPhase.READY, CellPhase.FAULT, CellPhase.SETUP}
 class Entering(Body):
     """Who takes the cell."""
 
-    name: Name | None = Field(None, description="left out: the name of who asks")
+    name: Name | None = Field(None, description="left out: the name of the visitor")
     take_over: bool = Field(False, description="also from somebody who has it")
 
 
@@ -39,7 +39,7 @@ class Lease(Answer):
 
 
 class Leaving(Body):
-    """By who has the cell, with the token; or by somebody at the cell. name : left out: of who asks."""
+    """By the holder, with the token; or by somebody at the cell. name : default: the visitor's."""
 
     token: Token | None = None
     name: Name | None = None

@@ -121,7 +121,7 @@ class _Search(_Section):
         None,
         gt=0,
         le=MAX_TILT_DEG,
-        description="how far the part may lie tilted to any side, against the line amid both cameras; left "
+        description="how far the part may lie tilted to any side, from the bisector of the cameras; left "
         "out: about as at teaching",
     )
 

@@ -79,7 +79,7 @@ def to_toml(job: Job) -> str:
         f'sub_pixel = "{search.sub_pixel}"   # none, rigid, similarity, stretch, affine or projective',
         f"allow_partial = {str(search.allow_partial).lower()}   # may reach beyond the image",
         ("# tilt_deg = 45" if job.tilt_rad is None else f"tilt_deg = {math.degrees(job.tilt_rad):.6g}")
-        + "   # how far the part may lie tilted, against the line amid both cameras",
+        + "   # how far the part may lie tilted, from the bisector of the cameras",
         "",
         "[picking]   # several parts in one picture: which the robot gets first",
         f'order = "{job.picking.order}"   # score, nearest, topmost, leftmost or least_sigma',

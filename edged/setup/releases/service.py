@@ -254,7 +254,7 @@ class Activation:
     def _write(self, wanted: _Parts, there: _Parts) -> None:
         """Write the files of rig, cameras and jobs. there : what they hold.
 
-        Each by itself is in one step, and every mixture loads: a daemon that starts amid them ends it.
+        Each by itself is in one step, and every mixture loads: a daemon that starts between them finishes it.
         """
         try:
             make_folders(self._rig.parent)

@@ -55,7 +55,7 @@ class GigeCamera:
 
     exposure : called in the exposure thread; returns the (height, width) uint8 image.
     faults : what goes wrong; its fields may be changed at any time.
-    quirks : what its firmware does otherwise than others. seed : of what the faults leave to chance.
+    quirks : how its firmware deviates from others. seed : of the random part of faults.
     clock : its clock; offset, drift and PTP may be changed at any time.
     registers : its memory. exposures : how many there were since it was made.
     """
