@@ -22,6 +22,7 @@ from edged.setup.pairs import Progress
 log = logging.getLogger(__name__)
 
 KEPT = 20
+"""Tasks that are known, running ones included; the oldest that have ended are forgotten."""
 TELL_S = 1.0
 """Also while nothing changes: who waits sees that it goes on."""
 
@@ -84,7 +85,7 @@ class Tasks:
         task = _Task(secrets.token_hex(6), what, time.monotonic())
         self._tasks[task.id] = task
         ended = [old for old in self._tasks.values() if old.state != "running"]
-        for old in ended[: len(self._tasks) - KEPT]:
+        for old in ended[: max(len(self._tasks) - KEPT, 0)]:
             del self._tasks[old.id]
         task.running = asyncio.create_task(self._run(task, work), name=f"task {what}")
         self._tell(task)
