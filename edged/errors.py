@@ -43,7 +43,7 @@ class EdgedError(Exception):
 class UserError(EdgedError):
     """Wrong usage or input. The message names the place and what was expected.
 
-    code : which of the mistakes of this class it is, for who has a sentence of their own for it; "" for any.
+    code : which mistake of this class it is, for callers with a sentence of their own for it; "" for any.
     params : what such a sentence needs.
     """
 

@@ -30,7 +30,7 @@ REPEATS, REPEATS_S = 10, 10.0
 """So many lines that say the same are written in so long; the rest is counted."""
 
 MAX_REPEATED = 256
-"""Messages whose repetitions are counted at a time; whoever makes each line another one fills no memory."""
+"""Messages whose repetitions are counted at a time, so that lines which all differ fill no memory."""
 
 
 def fields(**values: str | int | float) -> dict[str, Fields]:
@@ -195,7 +195,7 @@ class FaultLog:
         self._outage: _Outage | None = None
 
     def failed(self, text: str, code: int | str) -> None:
-        """Something failed; faults are told apart by their code, because texts hold changing figures."""
+        """Something failed; faults are distinguished by their code, because texts hold changing figures."""
         if self._outage is None:
             self._outage = _Outage(self._monotonic_s())
         outage = self._outage

@@ -91,7 +91,7 @@ class Servers:
     """The publishers that a configuration asks for.
 
     running : the cell, whose `servers` and `problems` are kept up to date. changed : called whenever others
-    run than before an exchange. metrics : Prometheus' text. notices, live : what pages are told and shown.
+    run than before an exchange. metrics : Prometheus' text. notices, live : what pages get and show.
     routes : objects with further routes of /api/v1; asked when a page that has it is made. state : folder of
     the users.
     """
@@ -302,7 +302,7 @@ class Servers:
 
 
 def _show_bug(trying: asyncio.Task[None]) -> None:
-    """A bug of a server that was tried again is told at once, not when the daemon ends."""
+    """Log a bug of a server that was tried again at once, not when the daemon ends."""
     if not trying.cancelled() and (bug := trying.exception()) is not None:
         log.error("a server cannot be started because of a bug, and is not tried again", exc_info=bug)
 

@@ -72,8 +72,8 @@ class ZenohSection(Section):
     )
     shared_key: FilePath | None = Field(
         None,
-        description="file with a secret of 32 bytes or more, by which messages are signed: who has it, too, "
-        "knows false ones",
+        description="file with a secret of 32 bytes or more, with which messages are signed: receivers that "
+        "have it recognise forged ones",
     )
     trigger_timeout_s: float = Field(
         5.0, gt=0, le=60, description="how long a trigger waits for its result that does not say so itself"

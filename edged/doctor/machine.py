@@ -243,7 +243,7 @@ def _port(name: str, host: str, port: int) -> Check:
 
 
 def _why_not(error: OSError, host: str, port: int) -> str:
-    """In the words of who has to change it, and with the program that is there already."""
+    """For the person who has to change it, with the program that is installed."""
     if error.errno == errno.EADDRNOTAVAIL:
         return f"{host} is no address of this machine"
     if error.errno == errno.EADDRINUSE:

@@ -69,7 +69,7 @@ def by_name(folder: Path) -> Path:
 
 
 def unlinked(folder: Path) -> Path:
-    """What a path that may be a link's means; whoever owns the link must be asked first, by `as_owner`."""
+    """What a path that may be a link's means; the owner of the link must be asked first, by `as_owner`."""
     return folder.resolve() if folder.is_symlink() else folder
 
 

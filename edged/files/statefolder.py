@@ -23,7 +23,7 @@ def state_folder(config: Path) -> Path:
 
 
 def setup_note(config: Path) -> Path:
-    """The file that names who has the cell: in the state directory, else beside the configuration."""
+    """The file that names the holder of the cell: in the state directory, else beside the configuration."""
     given = _given()
     return config.resolve().parent / f".{config.stem}.setup" if given is None else given / "setup"
 

@@ -1,6 +1,6 @@
 """Who may look and who may do more: passwords, sessions in memory, and a limit on guessing.
 
-Passwords are stored as hashes (`edged.identity.passwords`): one of the page, whoever has it may look; and
+Passwords are stored as hashes (`edged.identity.passwords`): one for the page, with which one may look; and
 those of users, each with a role. A session is a random cookie; Prometheus may send the page's password with
 each request (HTTP Basic, any user). Sessions are forgotten at a restart.
 """
@@ -45,7 +45,7 @@ class TooManyAttempts(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Session:
-    """user : "" for who has the page's password alone. active_s : when a person did something last."""
+    """user : "" with the page's password alone. active_s : when a person did something last."""
 
     user: str
     until_s: float
@@ -199,7 +199,7 @@ class Access:
         self._note_failure(address, count + 1)  # before the check: who breaks it off has had it
         check = asyncio.get_running_loop().run_in_executor(None, is_right)
         self._check = check
-        # its thread cannot be stopped: whoever hangs up, it is under way until it ends
+        # its thread cannot be stopped: after a disconnect, too, it is under way until it ends
         if not await asyncio.shield(check):
             return False
         self._failures.pop(address, None)

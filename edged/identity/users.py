@@ -70,7 +70,7 @@ class LastEngineer(Exception):
 
 
 class UserFile:
-    """The users of a cell. Names are told apart as people do, whatever their case.
+    """The users of a cell. Names are compared ignoring case, as people do.
 
     A file that cannot be used is nobody's: `problem` says what is wrong with it, and it is not overwritten.
     """

@@ -26,8 +26,8 @@ class Role(enum.IntEnum):
 class Visitor:
     """Who sent a request.
 
-    session : digest of the cookie of a log-in on the page; "" for who has none, and may only look.
-    is_idle : there was no sign of them for so long that they may only look until they say their password.
+    session : digest of the cookie of a log-in on the page; "" without one, for looking only.
+    is_idle : inactive for so long that they may only look until they enter their password again.
     """
 
     name: str

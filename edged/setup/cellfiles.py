@@ -72,7 +72,7 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
 
 def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | UnfinishedCell:
     """Read a cell as `read_cell`; a missing rig file, or no job at all, is no mistake."""
-    # each file is read once: what is recorded is what is measured by, whoever replaces a file meanwhile
+    # each file is read once: what is recorded is what is measured by, even if a file is replaced meanwhile
     text = read(path)
     try:
         config, chosen = config_and_choice(text, path)

@@ -55,7 +55,7 @@ class Record(Answer):
 class AuditNow(Answer):
     """first : number of the oldest that is kept; count : of the newest.
 
-    problem : null for a chain that holds; else why it does not, and nothing after that is told.
+    problem : null for a chain that holds; else why it does not, and nothing after that is given.
     """
 
     records: list[Record]
@@ -104,7 +104,7 @@ class Auditor:
         if deed.outcome != "ok" and not self._refused.take():
             self._limit.warning("audit: %s", _text(deed))
             return
-        # the deed is done: whoever hangs up, it is noted
+        # the deed is done: it is noted even after a disconnect
         await asyncio.wait({asyncio.wrap_future(self.post(deed))}, timeout=WAIT_S)
 
     def post(self, deed: AuditEntry) -> Future[None]:
@@ -140,7 +140,7 @@ class Auditor:
 
     def _keep_run(self, file: AuditFile, fingerprint: str) -> None:
         before: str | None = None
-        with suppress(FileFormatError):  # who reads the audit is told
+        with suppress(FileFormatError):  # reading the audit reports it
             runs = file.verify(lambda record: bool(record["verb"] == RUN), last=1).records
             before = next((run["after"] for run in runs), None)
         if before != fingerprint:

@@ -72,7 +72,7 @@ class LoginForms:
     def _page(
         self, request: web.Request, form: str, problem: str = "", status: int = 200, **values: object
     ) -> web.Response:
-        """A form in the language of whoever asks. problem : a text, with its values; "" : there is none."""
+        """A form in the visitor's language. problem : a text, with its values; "" : there is none."""
         language = language_of(request, self._texts.languages)
         say = self._texts.in_language(language)
         common = {"command": COMMAND, "least": MIN_LENGTH}

@@ -18,7 +18,7 @@ from edged.identity.visitors import Role
 
 
 class SetupNow(Answer):
-    """Who has the cell. source : person, no_calibration, no_job."""
+    """The holder of the cell. source : person, no_calibration, no_job."""
 
     name: str | None = Field(description="null: unattended")
     unattended: bool = Field(description="somebody took it, and is silent")

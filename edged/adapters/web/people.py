@@ -23,7 +23,7 @@ PERSON = "/users/{name:[^/]{1,64}}"
 class Me(Answer):
     """The visitor. language : a tag of BCP 47; null: as the browser has it."""
 
-    name: str = Field(description="empty: who has the page's password alone")
+    name: str = Field(description="empty: with the page's password alone")
     role: str
     language: str | None
     idle: bool = Field(description="the rights come back with the password")
@@ -36,7 +36,7 @@ class MyChange(Body):
 
 
 class MyPassword(Body):
-    """Another password; whoever knows the old one."""
+    """Another password, given the old one."""
 
     old: Said
     new: Password

@@ -1,6 +1,6 @@
 """Requests that are sent again because their answer was lost: they are answered again, and not done twice.
 
-Whoever asks chooses an `Idempotency-Key` for each thing that is wanted once, and sends it along each time.
+The client chooses an `Idempotency-Key` for each thing that is wanted once, and sends it with each attempt.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ class Body(BaseModel):
 
 
 class Leased(Body):
-    """By whoever has the cell."""
+    """A request of the holder of the cell."""
 
     token: Token
 
@@ -257,7 +257,7 @@ class RouteTable:
         limit_bytes, by `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or nothing.
         status : of a success; None: 200, or 204 without an answer.
         audit : noted with its outcome, also where it is refused. needs_lease : the body's `token` must be
-        that of whoever has the cell, and is a sign of life of theirs. is_by_itself : pages ask it without
+        that of the lease, and shows that its holder is there. is_by_itself : pages ask it without
         anybody's doing.
         Raises `ValueError` for a row that contradicts itself, or that is there already.
         """

@@ -264,7 +264,7 @@ class WebPublisher:
     def _admit(self, newcomer: TcpClient) -> bool:
         """Whether a new connection may stay; where all places are taken, an idle one makes room.
 
-        Of whoever has the most: one that opens many takes no place from others.
+        It is one of the client that has most: opening many takes no place from others.
         """
         listener = self._listener
         if listener is None:

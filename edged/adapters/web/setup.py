@@ -110,7 +110,7 @@ class SetupRoutes:
     @route(
         "DELETE",
         "/setup",
-        "Give the cell back, or end SETUP for whoever had it",
+        "Give the cell back, or end SETUP for its holder",
         role=Role.OPERATOR,
         audit=True,
     )
@@ -120,7 +120,7 @@ class SetupRoutes:
             log.info("setup: given back from %s", call.visitor.address)
         else:
             name = call.body.name or call.visitor.name
-            call.trail.reason = f"{name}, for whoever had it"
+            call.trail.reason = f"{name}, for the holder"
             self._commissioner.end_setup(name)
             log.info("setup: ended by %s at %s", name, call.visitor.address)
         self._holder = ""

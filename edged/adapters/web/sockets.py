@@ -38,7 +38,7 @@ MESSAGE_BYTES = 1024
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 60.0, 120.0
 """Messages of a tab, pings included. It sends one for each live pair: 20 a second (`lease.live.PERIOD_S`)."""
 PERIOD_S = 0.2
-"""The state of the cell is told this often at most."""
+"""The state of the cell is sent this often at most."""
 PING_S = 15.0
 WRITE_S = 10.0
 """A tab that does not read for so long has gone."""
@@ -54,7 +54,7 @@ LOGGED_OUT = 4401
 class FromTab(Body):
     """What a tab says."""
 
-    live: bool | None = Field(None, description="whether pictures are wanted, by who has the cell")
+    live: bool | None = Field(None, description="whether pictures are wanted, by the holder of the cell")
     token: Token | None = None
     active: Literal[True] | None = Field(None, description="somebody touched the screen, or a key")
     seen: int | None = Field(None, ge=0, description="the picture that was shown last: the next may come")
@@ -139,7 +139,7 @@ class Sockets:
                 for tab in tabs:
                     await tab.ended.wait()
 
-    # --- what is told ------------------------------------------------------------------------
+    # --- what is sent ------------------------------------------------------------------------
 
     def _tell_cell(self) -> None:
         self._telling = None
@@ -161,7 +161,7 @@ class Sockets:
         self._feed()
 
     def _feed(self) -> None:
-        """Encode the newest pair for who has seen the last one, unless one is being encoded."""
+        """Encode the newest pair for tabs that have seen the last one, unless one is being encoded."""
         if self._encoding is None and self._newest is not None and self._hungry(self._newest[0]):
             self._encoding = asyncio.create_task(self._encode(), name="live pictures")
 

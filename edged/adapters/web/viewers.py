@@ -20,7 +20,7 @@ from edged.payload import Json
 PERIOD_S = 0.2
 """A viewer hears of changes this often at most."""
 ALIVE_S = 15.0
-"""Without a change, a comment keeps the connection open and finds out who has gone."""
+"""Without a change, a comment keeps the connection open and detects dead ones."""
 MAX_VIEWERS = 32
 WRITE_S = 10.0
 """A viewer that does not read for so long has gone."""
@@ -91,7 +91,7 @@ class Viewers:
         return response
 
     def _make_room(self) -> None:
-        """Where all places are taken the first viewer goes of whoever has the most; a page connects again."""
+        """When all places are taken, drop the first viewer of the client with most; its page reconnects."""
         if len(self._viewers) < MAX_VIEWERS:
             return
         clients = [viewer.client for viewer in self._viewers]

@@ -15,7 +15,7 @@ SIDE = "{side:left|right}"
 
 
 class CameraQuery(Body):
-    """Who has the cell also sees what the cameras are set to."""
+    """The holder of the cell also sees what the cameras are set to."""
 
     token: Token | None = None
 
@@ -70,7 +70,7 @@ class BothLimits(Answer):
 
 
 class CamerasNow(Answer):
-    """settings, limits : null without the token of who has the cell."""
+    """settings, limits : null without the token of the lease."""
 
     configured: dict[str, ConfiguredCamera]
     found: list[FoundCamera]
@@ -149,7 +149,7 @@ class CameraRoutes:
     @route(
         "GET",
         "/cameras",
-        "Which cameras there are; with the token of who has the cell also what they are set to",
+        "Which cameras there are; with the token of the lease also what they are set to",
     )
     async def _now(self, call: Call[CameraQuery]) -> CamerasNow:
         token, settings, limits = call.body.token, None, None

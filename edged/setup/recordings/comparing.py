@@ -1,9 +1,9 @@
 """A new job or rig against the one that runs, on recorded cycles: what stays good, and how far places move.
 
-Both measure the same pictures, so that what differs is the new one's doing. Places are told apart in units of
-both sigmas. A new rig moves all of space a little, by turn and shift of its frame: that is one figure for all
-cycles, which a robot's registration answers for, and is taken out before places are compared. What is left
-is scale and shape, which nothing answers for.
+Both measure the same pictures, so that what differs is the new one's doing. Differences of places are in
+units of both sigmas. A new rig moves all of space a little, by turn and shift of its frame: that is one
+figure for all cycles, covered by the robot's registration, and subtracted before places are compared. What
+is left is scale and shape, which nothing covers.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def _place(target: Any) -> GoodPart:
 
 
 def compare(tried: Sequence[TriedCycle], *, of_rig: bool) -> CycleComparison:
-    """What all recordings say. of_rig : the new one is a rig, whose frame's motion is told and taken out."""
+    """What all recordings say. of_rig : the new one is a rig, whose motion is reported and subtracted."""
     skipped = tuple(cycle for cycle in tried if cycle.skipped)
     both = [
         (cycle, cycle.before, cycle.after)
@@ -282,7 +282,7 @@ def motion_of(before_mm: FloatArray, after_mm: FloatArray) -> FrameShift | None:
     """The small motion that most points (N, 3) share; None where there are too few to tell.
 
     Least squares, in which points that do not share it count less (P. J. Huber, "Robust Statistics", 1981).
-    The turn is told where points are many and spread enough; else there is a shift alone.
+    The turn is estimated where points are many and spread enough; else there is a shift alone.
     """
     if len(before_mm) < SHIFTED:
         return None

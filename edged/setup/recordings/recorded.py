@@ -1,4 +1,4 @@
-"""Recorded cycles as a list for people: newest first, by status, job and reason; damaged ones are told.
+"""Recorded cycles as a list for people: newest first, by status, job and reason; damaged ones are named.
 
 Files of recordings never change: what one says is read once, without its pictures.
 """
@@ -76,7 +76,7 @@ class CycleFilter:
 
 
 class Records:
-    """The recordings of a folder; whoever asks waits for the disc."""
+    """The recordings of a folder; requests wait for the disc."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

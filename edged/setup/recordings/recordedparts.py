@@ -352,7 +352,7 @@ def outline_in(rig: StereoRig, points_mm: FloatArray) -> OutlinePx:
 
 
 def _thin(points: FloatArray) -> FloatArray:
-    """No more points of an outline than are told; both ends of a line."""
+    """No more points of an outline than are sent; both ends of a line."""
     if len(points) <= 2 * ROUND_POINTS:
         return points
     # a straight edge comes as evenly spaced points: its ends say the same

@@ -28,7 +28,7 @@ from edged.vision.part.job import Job
 COMPARED = ("status", "targets", "rejected")
 """The pure result; times and identities of a cycle are of their own moment."""
 SHOWN = (*COMPARED, "dismissed", "nearest")
-"""Also what is told to people only."""
+"""Also what is for people only."""
 
 
 def remeasure(taken: Recording, rig: PreparedRig, job: Job) -> Json:

@@ -1,7 +1,7 @@
 """What of a recorded cycle would come out by another limit, without a feature, in another light.
 
 One look at one pair. What would have helped is found by trying: single changes, as small as they can be, and
-only those that make the cycle OK are told. None of them is free, so each carries the code of what it costs.
+only those that make the cycle OK are reported. None is free, so each carries the code of what it costs.
 """
 
 from __future__ import annotations

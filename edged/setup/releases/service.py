@@ -153,7 +153,7 @@ class Activation:
     async def _activate(
         self, wanted: Callable[[_Parts], _Parts], author: str, note: str, signed: str | None
     ) -> Release:
-        # whoever asked may go away: half done it must not stay
+        # the client may disconnect: it must not stay half done
         return await asyncio.shield(
             asyncio.create_task(self._in_turn(wanted, author, note, signed), name="activate")
         )

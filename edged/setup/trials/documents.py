@@ -1,4 +1,4 @@
-"""What is told of a job that is tried: of the newest pair, of the still test, of the working volume."""
+"""What the page gets of a job that is tried: the newest pair, the still test, the working volume."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class MapDocument(Frozen):
 
 
 def map_document(name: str, found: SigmaMap, *, measured: bool) -> MapDocument:
-    """A map as it is told."""
+    """A map as the page gets it."""
     columns, rows, layers = (len(axis) for axis in found.axes)
     points = []
     for place, sigma, left in zip(found.places_mm.tolist(), found.sigma_mm, found.left_px, strict=True):
@@ -113,7 +113,7 @@ def map_document(name: str, found: SigmaMap, *, measured: bool) -> MapDocument:
 
 
 def still_document(found: StillResult, name: str, calibration: str, at: str, by: str) -> StillDocument:
-    """A still test as it is told."""
+    """A still test as the page gets it."""
     low, high = found.expected
     return StillDocument(
         at=at,

@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 
 FUNCTIONS = {name: f"edged.setup.trials.work:{name}" for name in ("try_pair", "stand", "still", "sigmas")}
 MOST_COVERED = 2000
-"""Places that are told: a trail of many minutes."""
+"""Places that are sent: a trail of many minutes."""
 MOST_KNOWN = 4
 """Jobs whose trail and map are kept."""
 APART_MM = 0.5
@@ -147,7 +147,7 @@ class Trials:
         self._draft = draft
         self._known: dict[What, _Trial] = {}  # asked for last at the end
         self._tried = What()  # what is tried, or was last
-        self._token: str | None = None  # of who has the cell, while it is
+        self._token: str | None = None  # of the lease, while it lasts
         self._trying: asyncio.Task[None] | None = None
         self._still: str | None = None
 

@@ -130,7 +130,7 @@ def try_pair(
     """Locate the job's part. Raises `ImageError` for pictures that do not fit the rig."""
     inspection = inspect(pair, job, rig)
     outcome = picked(judge(inspection), within(job.picking, bounds), frame_of(rig.rig))
-    # the reported pose stands in for the reference point's: by the match each is told again
+    # the reported pose stands in for the reference point's: the match identifies each again
     measured = {id(part.target.match): part for part in inspection.measured}
     shown = [(target, measured[id(target.match)]) for target in outcome.targets if _is_finite(target)]
     parts = tuple(_part(rig.rig, job, target, of, convention) for target, of in shown[:MOST_PARTS])
@@ -227,7 +227,7 @@ def _angles(target: Target, reading: PartReading) -> SigmaAngles:
 
 
 def terms_of(rig: StereoRig, target: Target) -> Terms | None:
-    """Where the sigma of a target comes from, in the frame that it is told in; None: that is not known."""
+    """Where the sigma of a target comes from, in the frame that it is given in; None: unknown."""
     budget = budget_of(target, rig.robot_from_rig, rig.registration_covariance)
     if budget is None:
         return None

@@ -1,7 +1,7 @@
 """Wires between virtual cameras, and inputs that listen to them.
 
-An edge carries the time at which it happens, on the host's monotonic clock. So a pulse is told at once,
-both edges of it, and every listener acts when the time has come: no timers, no threads.
+An edge carries the time at which it happens, on the host's monotonic clock. So both edges of a pulse are
+passed on at once, and every listener acts when the time has come: no timers, no threads.
 """
 
 from __future__ import annotations
