@@ -59,7 +59,12 @@ def restore(archive: Path, output: Path | None, console: Console, *, force: bool
         )
     if output is None:
         return 0
-    kept = put_back(taken, output, force=force)
+    try:
+        kept = put_back(taken, output, force=force)
+    except UserError as error:
+        if error.code != "not_empty":
+            raise
+        raise UserError(f"{error} with --force") from None
     if kept is not None:
         console.print(f"the cell's former files are in {kept} now", markup=False, highlight=False)
     return _tell_verdict(taken, output, console)

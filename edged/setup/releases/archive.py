@@ -370,8 +370,8 @@ def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
             raise UserError(f"{output}: exists and is no folder")
         if output.is_dir() and any(output.iterdir()) and not force:
             raise UserError(
-                f"{output}: is not empty; choose another folder, or --force to replace this cell's "
-                "files in it"
+                f"{output}: is not empty; choose another folder, or replace this cell's files in it",
+                "not_empty",
             )
         with as_owner(output.parent) as above:
             place = unlinked(above / output.name)
