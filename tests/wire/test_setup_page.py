@@ -211,7 +211,7 @@ def test_who_was_away_says_the_password_again() -> None:
         await press(page, "Take the cell")
         await page.until(DIALOG)
         await page.click("dialog[open] .primary")
-        await page.until(said("Anna, there was no sign of you for ten minutes"))
+        await page.until(said("Anna, you have been idle for ten minutes"))
         assert cell.ear.state() is CellPhase.READY
         page.complaints.clear()  # of the refusal
         await page.type(".wake [type=password]", PASSWORD)

@@ -242,7 +242,7 @@ def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
         await page.type("dialog[open] [name=number]", "9")
         await page.type("dialog[open] [name=note]", "as the plant counts")
         await page.click("dialog[open] .primary")
-        await page.until(f"{dialog}.includes('It was not tried on the 5 recorded cycles that it concerns.')")
+        await page.until(f"{dialog}.includes('It was not tested on the 5 recorded cycles that it concerns.')")
         assert [] == await page.violations()
         assert [] == await page.value(SMALL_TARGETS)
         assert await page.value('document.querySelector("dialog[open] .primary").disabled')

@@ -58,7 +58,7 @@ ALONE = {"light"}
 HERE = """location.hash === "#/{step}" && document.querySelector('main[data-page="{step}"] h1')
   && document.querySelector('[href="#/{step}"][aria-current]')"""
 
-LOST = f"""document.querySelector(".trouble")?.innerText.includes("The cell is no longer yours")
+LOST = f"""document.querySelector(".trouble")?.innerText.includes("You no longer have the cell")
   && {LEASE}.includes("me has the cell")"""
 ASLEEP = """
   const [sockets, now] = [[], Date.now];
@@ -306,7 +306,7 @@ def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
         )
         assert await page.value('Boolean(document.querySelector(".lease.mine"))')
         await page.value('tab.removeItem("edged.lease")')
-        await page.until(f'{LEASE}.includes("You have the cell, on another screen")')
+        await page.until(f'{LEASE}.includes("You have the cell on another screen")')
         await page.ask("Page.reload")
 
     walk.run(test, "409 (Conflict)")
