@@ -82,7 +82,7 @@ teach-handle = { $kind } { $shape }, point { $point }: { $x }, { $y } px. Arrows
 
 ## Features
 teach-features = Features: { $taken } of { $count } taken
-teach-features-what = edged measures by what is taken. Leave out what is blurred, or moves within the part.
+teach-features-what = edged measures by what is taken. Leave out what is blurred, or moves on the part.
 teach-no-features = They appear once the cell knows where the part is.
 teach-take-all = Take all
 teach-taken-said = { $key } is taken.
