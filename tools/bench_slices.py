@@ -2,6 +2,7 @@
 """Measure how random thick parts of two heights are found and measured, on scenes with exact truth.
 
     tools/bench slices [--seed N] [--designs N] [--poses N] [--walls ALBEDOS] [--time] [--list]
+    tools/bench slices --broken [--held-out] [--step] [--seed N] [--designs N] [--poses N]
 
 Each design is a plate 6 mm thick of random outline and holes, with a bored boss on it of random size, place
 and height; its faces have an albedo of 0.62. Walls and bores are drawn as stacks of thin slices, on the
@@ -10,6 +11,11 @@ shows it square to the cameras, and then lies tilted by up to 45 degrees to any 
 walls of one of the albedos. Good is a target that is accepted and right; wrong is one that is accepted and
 off by more than 0.1 mm, or turned or tilted by more than 3 degrees. With --time, the processor time of each
 measurement is compared with that of the plate alone, which is taught as a flat part, in the same pose.
+
+With --broken, the parts are those of `solidworld` instead: drawn from triangles with pixels of true size,
+with broken edges, walls up to brighter than the face, and blur that changes with depth; with --step they are
+taught with their STEP files. With --held-out, they are designs that are kept for judging. Beside a share
+stand its 95 % bounds.
 """
 
 from __future__ import annotations
@@ -17,15 +23,19 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
-from benching import bench_parser, finish
+from bench_solid import measured, report
+from benching import bench_parser, finish, share
 from helpers.cells import TEXTURED, frame_pair, pictures, pose, small_rig
 from helpers.flatparts import METAL
 from helpers.tilted import BELOW_MM, lying, stacked
+from solidworld import HELD_OUT, write_set
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject, Target
@@ -199,9 +209,12 @@ def measure_ms(pair: tuple[Image, Image], job: Job, rig: PreparedRig) -> float:
     return min(times)
 
 
-def measure(number: int, solid: Solid, rig: PreparedRig, options: argparse.Namespace) -> Row:
-    """One design in random poses."""
-    rng, row = np.random.default_rng((options.seed, number)), Row()
+GROUPS = {"tilt <= 15": (0.0, 15.0), "tilt >= 30": (30.0, TILT_DEG)}
+
+
+def measure(number: int, solid: Solid, rig: PreparedRig, options: argparse.Namespace) -> dict[str, Row]:
+    """One design in random poses: all of them, and by tilt."""
+    rng, rows = np.random.default_rng((options.seed, number)), {name: Row() for name in ("all", *GROUPS)}
     walls = [float(albedo) for albedo in options.walls.split(",")]
     taught_at = lying(rig.rig, 0.0, 0.0, 0.0)
 
@@ -223,6 +236,7 @@ def measure(number: int, solid: Solid, rig: PreparedRig, options: argparse.Names
         pair = pictures(rig.rig, solid.at(where, albedo), seed)
         outcome = locate(frame_pair(*pair), job, rig)
         good = [one for one in outcome.targets if one.reject is Reject.NONE]
+        row = Row()
         if good:
             said = compared(row, good[0], where, reference, taught_turn)
         elif outcome.targets or outcome.dismissed:
@@ -235,9 +249,54 @@ def measure(number: int, solid: Solid, rig: PreparedRig, options: argparse.Names
             print(f"    {number} {seed}: tilt {tilt:.0f}°, walls {albedo:g}: {said}", flush=True)
         if flat is not None and good:
             beside = pictures(rig.rig, solid.at(where, albedo, bossed=False), seed)
-            row.ratios.append(measure_ms(pair, job, rig) / measure_ms(beside, flat, rig))
-    row.ratios = [ratio for ratio in row.ratios if math.isfinite(ratio)]
-    return row
+            ratio = measure_ms(pair, job, rig) / measure_ms(beside, flat, rig)
+            row.ratios += [ratio] if math.isfinite(ratio) else []
+        rows["all"].add(row)
+        for name, (low, high) in GROUPS.items():
+            if low <= tilt <= high:
+                rows[name].add(row)
+    return rows
+
+
+def of_broken(options: argparse.Namespace) -> None:
+    """The parts of `solidworld`, as `tools/bench solid` measures them."""
+    first = HELD_OUT if options.held_out else 0
+    with tempfile.TemporaryDirectory() as folder:
+        write_set(Path(folder), range(first, first + options.designs), options.poses, 0, options.seed)
+        asked = argparse.Namespace(
+            dataset=Path(folder),
+            step=options.step,
+            alone=None,
+            tilt=TILT_DEG,
+            only="",
+            parts="",
+            overlays=None,
+        )
+        report(measured(asked))
+
+
+def of_slices(options: argparse.Namespace) -> None:
+    """The table of the sliced parts."""
+    rig, rng = prepare(small_rig()), np.random.default_rng(options.seed)
+    total = {name: Row() for name in ("all", *GROUPS)}
+    print("| design | good | wrong | refused | not found | rms X Y Z, max µm | normal rms, max ° "
+          "| χ² | χ² of turns | worst sigmas | time |")  # fmt: skip
+    print("|---|---:|---:|---:|---:|---|---|---:|---:|---:|---:|")
+    for number in range(options.designs):
+        solid = random_solid(rng)
+        try:
+            rows = measure(number, solid, rig, options)
+        except TeachError as error:
+            print(f"| {number}: not taught, {error} |")
+            continue
+        for name, row in rows.items():
+            total[name].add(row)
+        print(f"| {number}, {solid.height_mm:.1f} mm | {rows['all']} |", flush=True)
+    for name, row in total.items():
+        print(f"| {name} | {row} |")
+    for name, row in total.items():
+        asked = row.good + row.wrong + row.refused + row.missed
+        print(f"{name}: {share(row.good, asked)} good, {share(row.wrong, asked)} wrong")
 
 
 def main() -> int:
@@ -249,21 +308,14 @@ def main() -> int:
     parser.add_argument("--walls", default="0.05,0.2,0.4", help="comma list of albedos")
     parser.add_argument("--time", action="store_true", help="against the plate alone, as a flat part")
     parser.add_argument("--list", action="store_true", help="say what came of each pose")
+    parser.add_argument("--broken", action="store_true", help="parts with broken edges, in true size")
+    parser.add_argument("--held-out", action="store_true", help="of these, designs that are kept for judging")
+    parser.add_argument("--step", action="store_true", help="of these: taught with their STEP files")
     options = parser.parse_args()
-    rig, rng, total = prepare(small_rig()), np.random.default_rng(options.seed), Row()
-    print("| design | good | wrong | refused | not found | rms X Y Z, max µm | normal rms, max ° "
-          "| χ² | χ² of turns | worst sigmas | time |")  # fmt: skip
-    print("|---|---:|---:|---:|---:|---|---|---:|---:|---:|---:|")
-    for number in range(options.designs):
-        solid = random_solid(rng)
-        try:
-            row = measure(number, solid, rig, options)
-        except TeachError as error:
-            print(f"| {number}: not taught, {error} |")
-            continue
-        total.add(row)
-        print(f"| {number}, {solid.height_mm:.1f} mm | {row} |", flush=True)
-    print(f"| all | {total} |")
+    if options.broken:
+        of_broken(options)
+    else:
+        of_slices(options)
     finish(options)
     return 0
 

@@ -9,7 +9,8 @@ the true one, at the job's reference point. With --step, each part is taught wit
 (step/PART.step, -z to the cameras), and rig_from_model is compared with the true pose; with --alone, with its
 STEP file and no pair, its main face DEPTH mm away. Good is a target that is accepted and right; wrong is one
 that is accepted and off by more than 0.1 mm (--alone: by more than three of the sigmas across the face that
-such a job states), or turned by more than 3 degrees.
+such a job states), or turned by more than 3 degrees. Beside a share stand its 95 % bounds. χ² is that of the
+position by its stated covariance, per degree of freedom: 1 where the covariance is true.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from benching import bench_parser, finish
+from benching import bench_parser, finish, share
 from helpers.cells import frame_pair
 from table3 import true_rig
 
@@ -52,10 +53,14 @@ NEAR_MM = 5.0
 
 @dataclass(frozen=True)
 class Part:
-    """What a scene shows of a part that is taught, and what came of it; lengths in µm, angles in degrees."""
+    """What a scene shows of a part that is taught, and what came of it; lengths in µm, angles in degrees.
+
+    break_mm : the widest of its broken edges, NaN of a part that is not there.
+    """
 
     scene: str
     design: str
+    break_mm: float
     tilt_deg: float
     verdict: str
     error_um: FloatArray
@@ -70,6 +75,7 @@ class Part:
         return {
             "scene": self.scene,
             "part": self.design,
+            "break_mm": self.break_mm,
             "tilt_deg": self.tilt_deg,
             "verdict": self.verdict,
             "error_um": [round(float(value), 1) for value in self.error_um] if found else None,
@@ -91,12 +97,22 @@ def pose_of(part: dict[str, Any]) -> FloatArray:
     return transform(np.array(part["R"]), np.array(part["t"]))
 
 
+def break_of(part: dict[str, Any]) -> float:
+    """The widest broken edge of a part as the truth states it, mm."""
+    stated = part.get("break_mm") or 0.0
+    return float(max(stated.values(), default=0.0) if isinstance(stated, dict) else stated)
+
+
+def absent(design: str) -> dict[str, Any]:
+    """The truth of a part that is not there."""
+    return {"design": design, "break_mm": math.nan, "tilt_bisector_deg": math.nan}
+
+
 def missed(scene: str, part: dict[str, Any], why: str) -> Part:
     """A part of which nothing came."""
     nothing = np.full(3, math.nan)
-    return Part(
-        scene, part["design"], part["tilt_bisector_deg"], why, nothing, math.nan, math.nan, math.nan, 0
-    )
+    tilt_deg = part["tilt_bisector_deg"]
+    return Part(scene, part["design"], break_of(part), tilt_deg, why, nothing, *[math.nan] * 3, 0)
 
 
 def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, outcome: Outcome) -> Part:
@@ -129,8 +145,8 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
     ):
         verdict = "WRONG"
     return Part(
-        scene, part["design"], part["tilt_bisector_deg"], verdict, 1e3 * error, normal, turn, chi2,
-        len(target.circles),
+        scene, part["design"], break_of(part), part["tilt_bisector_deg"], verdict, 1e3 * error, normal, turn,
+        chi2, len(target.circles),
     )  # fmt: skip
 
 
@@ -180,10 +196,9 @@ def measure(
         seconds += time.process_time() - start
         rows += [compared(path.stem, one, job, taught, outcome) for one in here]
         accepted = [one for one in outcome.targets if one.reject is Reject.NONE]
-        for _ in accepted[len(here) :]:
-            rows.append(
-                missed(path.stem, {"design": design, "tilt_bisector_deg": math.nan}, "WRONG: invented")
-            )
+        rows += [missed(path.stem, absent(design), "WRONG: invented") for _ in accepted[len(here) :]]
+        if not here and not accepted:
+            rows.append(missed(path.stem, absent(design), "nothing, as it should be"))
         if options.overlays is not None:
             options.overlays.mkdir(parents=True, exist_ok=True)
             picture = draw_pair(
@@ -201,14 +216,45 @@ def report(rows: list[Part]) -> None:
         error = " ".join(f"{value:.1f}" for value in row.error_um)
         print(f"| {row.scene} | {row.design} | {row.tilt_deg:.0f} | {row.verdict} | {error} "
               f"| {row.normal_deg:.3f} | {row.turn_deg:.3f} | {row.chi2:.2f} |")  # fmt: skip
-    good = [row for row in rows if row.verdict == "good"]
-    wrong = sum(row.verdict.startswith("WRONG") for row in rows)
-    asked = sum(math.isfinite(row.tilt_deg) for row in rows)
-    errors = np.array([row.error_um for row in good]).reshape(-1, 3)
-    print(f"\n{len(good)} of {asked} good, {wrong} wrong; "
-          f"position rms {np.sqrt(np.mean(np.sum(errors**2, axis=1)) if len(good) else math.nan):.1f} µm, "
-          f"normal rms {np.sqrt(np.mean([row.normal_deg**2 for row in good])):.3f}°, "
-          f"χ² {np.mean([row.chi2 for row in good]):.2f}")  # fmt: skip
+    print("\n| | good | wrong | rms µm | normal rms ° | χ² |")
+    print("|---|---|---|---:|---:|---:|")
+    for name, some in groups(rows).items():
+        asked = [row for row in some if math.isfinite(row.tilt_deg)]
+        good = [row for row in asked if row.verdict == "good"]
+        wrong = sum(row.verdict.startswith("WRONG") for row in some)
+        figures = "| | "
+        if good:
+            place = math.sqrt(np.mean([row.error_um @ row.error_um for row in good]))
+            normal = math.sqrt(np.mean([row.normal_deg**2 for row in good]))
+            figures = f"{place:.1f} | {normal:.3f} | {np.mean([row.chi2 for row in good]):.2f}"
+        print(f"| {name} | {share(len(good), len(asked))} | {share(wrong, len(some))} | {figures} |")
+
+
+def groups(rows: list[Part]) -> dict[str, list[Part]]:
+    """All, and by broken edges and tilt."""
+    broken, steep = ([getattr(row, name) for row in rows] for name in ("break_mm", "tilt_deg"))
+    named = {
+        "all": [True] * len(rows),
+        "sharp": [one == 0 for one in broken],
+        "broken": [one > 0 for one in broken],
+        "tilt <= 15": [one <= 15 for one in steep],
+        "tilt >= 30": [one >= 30 for one in steep],
+        "sharp, tilt >= 30": [b == 0 and t >= 30 for b, t in zip(broken, steep, strict=True)],
+        "broken, tilt >= 30": [b > 0 and t >= 30 for b, t in zip(broken, steep, strict=True)],
+        "not there": [math.isnan(one) for one in steep],
+    }
+    chosen = {
+        name: [row for row, is_in in zip(rows, some, strict=True) if is_in] for name, some in named.items()
+    }
+    return {name: some for name, some in chosen.items() if some}
+
+
+def measured(options: argparse.Namespace) -> list[Part]:
+    """Every part of a set, in all its scenes."""
+    rig = prepare(true_rig(options.dataset / "rig.json"))
+    names = sorted(path.stem.removeprefix("teach_") for path in (options.dataset / "teach").glob("*.json"))
+    asked = options.parts.split(",") if options.parts else names
+    return [row for name in names if name in asked for row in measure(options.dataset, rig, name, options)[0]]
 
 
 def main() -> int:
@@ -222,13 +268,7 @@ def main() -> int:
     parser.add_argument("--alone", type=float, metavar="DEPTH", help="teach with the STEP files and no pair")
     parser.add_argument("--step", action="store_true", help="teach with the STEP files of DATASET")
     options = parser.parse_args()
-    rig = prepare(true_rig(options.dataset / "rig.json"))
-    names = sorted(path.stem.removeprefix("teach_") for path in (options.dataset / "teach").glob("*.json"))
-    rows: list[Part] = []
-    for name in names:
-        if options.parts and name not in options.parts.split(","):
-            continue
-        rows += measure(options.dataset, rig, name, options)[0]
+    rows = measured(options)
     report(rows)
     finish(options, [row.to_json() for row in rows])
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, is_dataclass
@@ -45,6 +46,22 @@ def finish(options: argparse.Namespace, figures: Any = None) -> None:
     if figures is None:
         figures = list(_tables(getattr(sys.stdout, "text", "").splitlines()))
     options.json.write_text(json.dumps(figures, indent=1, default=_plain) + "\n")
+
+
+def wilson(good: int, total: int) -> tuple[float, float]:
+    """The 95 % confidence bounds of a share; 0 and 1 of none. E. B. Wilson, J. Am. Stat. Assoc. 22, 1927."""
+    if total == 0:
+        return 0.0, 1.0
+    z2 = 1.959964**2
+    middle = (good + z2 / 2) / (total + z2)
+    half = math.sqrt(z2 * (good * (total - good) / total + z2 / 4)) / (total + z2)
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def share(good: int, total: int) -> str:
+    """A count, and within which bounds its share lies."""
+    low, high = wilson(good, total)
+    return f"{good} of {total} ({100 * low:.0f}-{100 * high:.0f} %)"
 
 
 def _plain(value: Any) -> Any:
