@@ -46,7 +46,7 @@ HELD_OUT = 1000
 COLUMNS, ROWS = 4, 16
 """Samples of a pixel: 64, each at another x; the picture is blurred at COLUMNS times its size."""
 SHIFTS = tuple((5 * row % ROWS + 0.5) / ROWS for row in range(ROWS))
-TILE = 512
+TILE, GRAIN_TEXELS = 512, 8
 BLURS = 3
 FULL_WELL_E, READ_E, BLACK, WHITE = 12_000.0, 12.0, 3.0, 220.0
 UPRIGHT = 0.2
@@ -204,11 +204,50 @@ def cover(
                     owner[row - top, column - left] = t
 
 
+@kernel(
+    "void(i4[:, ::1], f4[:, ::1], f8[::1], f8[::1], f8[:, :, ::1], f8, f4[:, ::1], f8[::1], f4[:, ::1], "
+    "f4[:, ::1])"
+)
+def shade(
+    owner: Any, nearest: Any, levels: FloatArray, contrast: FloatArray, planes: FloatArray, scale: float,
+    texture: Any, shifts: FloatArray, radiance: Any, depth: Any,
+) -> None:  # fmt: skip
+    """Blend what the samples see into radiance (h, w) and depth (h, w): several each, one below another.
+
+    owner, nearest : of `cover`.  levels, contrast (M), planes (M, 3, 3) : of triangles.  scale : texels a mm.
+    """
+    each, mask = owner.shape[0] // radiance.shape[0], texture.shape[0] - 1
+    for y in range(radiance.shape[0]):
+        for x in range(radiance.shape[1]):
+            seen, light, deep = 0, 0.0, 0.0
+            for row in range(y * each, (y + 1) * each):
+                t = owner[row, x]
+                if t < 0:
+                    continue
+                column = x + shifts[row % shifts.shape[0]]
+                plane, far = planes[t], 1.0 / nearest[row, x]
+                u = (plane[0, 0] * column + plane[0, 1] * row + plane[0, 2]) * far * scale
+                v = (plane[1, 0] * column + plane[1, 1] * row + plane[1, 2]) * far * scale
+                i, k = math.floor(u), math.floor(v)
+                a, b, right, left = u - i, v - k, (i + 1) & mask, i & mask
+                above, below = texture[k & mask], texture[(k + 1) & mask]
+                noise = (1 - b) * ((1 - a) * above[left] + a * above[right])
+                noise += b * ((1 - a) * below[left] + a * below[right])
+                light += levels[t] * max(1.0 + contrast[t] * noise, 0.02)
+                deep += far
+                seen += 1
+            if seen:
+                radiance[y, x] += (light - seen * radiance[y, x]) / each
+                depth[y, x] += (deep - seen * depth[y, x]) / each
+
+
 @functools.cache
 def grain(seed: int) -> Any:
-    """(TILE, TILE) periodic noise of mean 0 and deviation 1; its shortest wave is 8 texels long."""
+    """(TILE, TILE) periodic noise of mean 0 and deviation 1; its shortest wave is GRAIN_TEXELS long."""
     frequency = np.hypot(np.fft.fftfreq(TILE)[:, None], np.fft.rfftfreq(TILE)[None])
-    band = np.where((frequency > 4 / TILE) & (frequency < 1 / 8), 1 / np.maximum(frequency, 1e-9), 0)
+    band = np.where(
+        (frequency > 4 / TILE) & (frequency < 1 / GRAIN_TEXELS), 1 / np.maximum(frequency, 1e-9), 0
+    )
     white = np.random.default_rng((21, seed)).standard_normal((TILE, TILE))
     tile = np.fft.irfft2(np.fft.rfft2(white) * band, s=(TILE, TILE))
     return (tile / tile.std()).astype(np.float32)
@@ -216,7 +255,7 @@ def grain(seed: int) -> Any:
 
 def textured(u: FloatArray, v: FloatArray, feature_mm: float, seed: int) -> Any:
     """Noise at points of a surface, mm, of any shape (H, W)."""
-    places = [(one * 8 / feature_mm % TILE).astype(np.float32) for one in (u, v)]
+    places = [(one * GRAIN_TEXELS / feature_mm % TILE).astype(np.float32) for one in (u, v)]
     return cv2.remap(grain(seed), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
 
 
@@ -254,8 +293,12 @@ def _picture(world: World, mesh: Mesh, index: int, camera: CameraModel, camera_f
     size = ((x1 - x0) * COLUMNS, (y1 - y0) * COLUMNS)
     fine = [cv2.resize(one[window], size, interpolation=cv2.INTER_LINEAR) for one in (radiance, depth_mm)]
     _draw(fine, world, mesh, levels, pixels, apply(camera_from_rig, points)[:, 2], (x0, y0))
-    ahead = apply(camera_from_rig, world.rig_from_part[None, :3, 3])[0, 2] + look.focus_mm
-    blurred = _blurred(*fine, look, index, ahead)
+    focus_mm = float(apply(camera_from_rig, world.rig_from_part[None, :3, 3])[0, 2]) + look.focus_mm
+    blurred = _blurred(*fine, look, index, focus_mm)
+    of_table = math.hypot(
+        look.blur_px[index], look.blur_px_per_mm * (float(depth_mm[window].mean()) - focus_mm)
+    )
+    radiance = cv2.GaussianBlur(radiance, (0, 0), of_table)
     radiance[window] = cv2.resize(blurred, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
     return exposed(radiance, rng)
 
@@ -301,22 +344,18 @@ def _draw(
     samples = (pixels + 0.5 - corner) * (COLUMNS, ROWS) - (0.0, 0.5)
     triangles = mesh.model.triangles.astype(np.int64)
     cover(np.ascontiguousarray(samples), 1 / depth_mm, triangles, np.array(SHIFTS), 0, 0, nearest, owner)
-    seen, each = owner >= 0, ROWS // COLUMNS
-    light = np.where(seen, levels.astype(np.float32)[owner], 0)
-    light *= np.repeat(_texture(world, mesh, samples, 1 / depth_mm, owner[::each]), each, axis=0)
-    depth = np.divide(1, nearest, out=np.zeros_like(nearest), where=seen)
-    free = 1 - seen.reshape(height, each, width).mean(axis=1, dtype=np.float32)
-    for picture, drawn in zip(fine, (light, depth), strict=True):
-        picture *= free
-        picture += drawn.reshape(height, each, width).mean(axis=1)
+    planes = _planes(mesh, samples, 1 / depth_mm)
+    contrast = np.where(np.array(mesh.kind) == "beneath", 0.0, world.look.contrast)
+    scale = GRAIN_TEXELS / world.look.feature_mm
+    shade(owner, nearest, levels, contrast, planes, scale, grain(world.seed + 1), np.array(SHIFTS), *fine)
 
 
-def _texture(world: World, mesh: Mesh, samples: FloatArray, inverse_depth: FloatArray, owner: Any) -> Any:
-    """(R, C) factor of the brightness, 1 in the mean: by x and y on faces, by height on walls.
+def _planes(mesh: Mesh, samples: FloatArray, inverse_depth: FloatArray) -> FloatArray:
+    """(M, 3, 3) what takes (column, row, 1) to (u, v, 1) / depth, u and v mm on the triangle's surface.
 
-    owner (R, C) : triangles seen by the samples of every ROWS / COLUMNS-th row.
+    u and v are x and y on faces; on walls height, and what of x and y lies more along them.
     """
-    model, look = mesh.model, world.look
+    model = mesh.model
     normals = np.abs(triangle_normals(model)[1])
     corners = model.points_mm[model.triangles]
     frame = np.concatenate([samples[model.triangles], np.ones((len(corners), 3, 1))], axis=2)
@@ -326,16 +365,8 @@ def _texture(world: World, mesh: Mesh, samples: FloatArray, inverse_depth: Float
     weight = inverse_depth[model.triangles][..., None]
     places = np.take_along_axis(corners, axes[:, None, :], axis=2)
     # what is linear on a surface is linear in the picture once it is divided by the depth
-    planes = np.linalg.solve(frame, np.concatenate([places, np.ones_like(weight)], axis=2) * weight)
-    rows, columns = (one.astype(np.float32) for one in np.nonzero(owner >= 0))
-    of_seen = planes.astype(np.float32)[owner[owner >= 0]]
-    u, v, scale = (of_seen[:, 0] * columns[:, None] + of_seen[:, 1] * rows[:, None] * (ROWS // COLUMNS)
-                   + of_seen[:, 2]).T  # fmt: skip
-    across, down = np.zeros(owner.shape, np.float32), np.zeros(owner.shape, np.float32)
-    across[owner >= 0], down[owner >= 0] = u / scale, v / scale
-    noise = textured(across, down, look.feature_mm, world.seed + 1)
-    plain = (owner < 0) | (np.array(mesh.kind) == "beneath")[owner]
-    return np.where(plain, np.float32(1), np.maximum(1 + np.float32(look.contrast) * noise, np.float32(0.02)))
+    solved = np.linalg.solve(frame, np.concatenate([places, np.ones_like(weight)], axis=2) * weight)
+    return np.ascontiguousarray(solved.transpose(0, 2, 1))
 
 
 def _blurred(radiance: Any, depth_mm: Any, look: Look, index: int, focus_mm: float) -> Any:
