@@ -16,15 +16,6 @@ from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply
 
 
-def vars_of(look: Any) -> Any:
-    """A frozen dataclass for JSON."""
-    if isinstance(look, tuple):
-        return [vars_of(one) for one in look]
-    if hasattr(look, "__dataclass_fields__"):
-        return {name: vars_of(getattr(look, name)) for name in look.__dataclass_fields__}
-    return look
-
-
 def rig_json(rig: StereoRig) -> dict[str, Any]:
     """As in data/rendered: x_right = R x_left + T, mm."""
 

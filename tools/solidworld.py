@@ -20,8 +20,8 @@ import functools
 import json
 import math
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ import benching
 import cv2
 import numpy as np
 from solids import Design, Mesh, meshed, random_design
-from solidtruth import part_json, rig_json, vars_of, write_drawing
+from solidtruth import part_json, rig_json, write_drawing
 
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.sim.cell import demo_rig
@@ -40,6 +40,7 @@ from edged.vision.kernels.jit import kernel
 from edged.vision.teaching.cadmodel import triangle_normals
 
 sys.path.insert(0, str(benching.TESTS))
+from helpers.cells import PLACE_MM
 from helpers.tilted import lying
 
 HELD_OUT = 1000
@@ -390,51 +391,69 @@ def exposed(radiance: FloatArray, rng: np.random.Generator) -> Image:
 
 # --- sets ----------------------------------------------------------------------------------------
 
+Draw = Callable[[Design, FloatArray, np.random.Generator], tuple[tuple[Image, Image], dict[str, Any]]]
+"""Both pictures of a design at a place (4, 4), under a look that it draws, and the look for the truth."""
 
-def write_set(folder: Path, numbers: Sequence[int], scenes: int, decoys: int, seed: int) -> None:
-    """Write a set: of each design a teaching pair and so many scenes; and scenes of parts not taught."""
-    rig = world_rig()
+
+def drawn(
+    design: Design, rig_from_part: FloatArray, rng: np.random.Generator
+) -> tuple[tuple[Image, Image], dict[str, Any]]:
+    """Pictures of this world."""
+    look = Look.drawn(rng)
+    return pictures(World(design, rig_from_part, look, int(rng.integers(1 << 30))), world_rig()), asdict(look)
+
+
+def write_set(
+    folder: Path, numbers: Sequence[int], scenes: int, decoys: int, seed: int, draw: Draw = drawn
+) -> None:
+    """Write a set: of each design a teaching pair and so many scenes; and scenes of parts not taught.
+
+    A pair that is there already is left as it is: a long run may be cut, and go on.
+    """
     for name in ("teach", "scenes", "step"):
         (folder / name).mkdir(parents=True, exist_ok=True)
-    (folder / "rig.json").write_text(json.dumps(rig_json(rig), indent=1))
+    (folder / "rig.json").write_text(json.dumps(rig_json(world_rig()), indent=1))
     for number in numbers:
-        design = random_design(number)
-        write_drawing(folder / "step", design)
-        rng = np.random.default_rng((24, seed, number))
-        turn = rng.uniform(0, 360)
-        world = World(design, lying(rig, 0.0, 0.0, turn), Look.drawn(rng), int(rng.integers(1 << 30)))
-        _write_pair(folder / "teach" / f"teach_{design.name}", world, rig, 0.0, {})
-        for scene in range(scenes):
-            _write_scene(folder, f"s{scene:02d}_{design.name}", design, rig, rng, {})
+        write_drawing(folder / "step", random_design(number))
+    for scene in range(-1, scenes):
+        for number in numbers:
+            rng = np.random.default_rng((24, seed, number, scene + 1))
+            _write_pair(folder, random_design(number), rng, scene, draw)
     for scene in range(decoys):
         rng = np.random.default_rng((25, seed, scene))
-        other = random_design(max(numbers) + 1 + scene)
-        _write_scene(folder, f"x{scene:02d}_other", other, rig, rng, {"parts": [], "n_parts": 0})
+        _write_pair(folder, random_design(max(numbers) + 1 + scene), rng, scene, draw, is_decoy=True)
 
 
-def _write_scene(
-    folder: Path, name: str, design: Design, rig: StereoRig, rng: np.random.Generator, instead: dict[str, Any]
+def _write_pair(
+    folder: Path, design: Design, rng: np.random.Generator, scene: int, draw: Draw, *, is_decoy: bool = False
 ) -> None:
+    """A pair with its truth: of scene -1 the one to teach from; of a decoy with no part that is known."""
+    tilt, side, turn, place = _pose(rng)
+    path = folder / "scenes" / f"{'x' if is_decoy else 's'}{scene:02d}_{design.name}_t{tilt:02.0f}"
+    if scene < 0:
+        tilt, place, path = 0.0, PLACE_MM, folder / "teach" / f"teach_{design.name}"
+    truth = path.with_name(path.name + ".json")
+    if truth.exists():
+        return
+    rig, where = world_rig(), lying(world_rig(), tilt, side, turn, place)
+    pair, spec = draw(design, where, rng)
+    for camera, picture in zip(SIDES, pair, strict=True):
+        cv2.imwrite(f"{path}_{camera}.png", picture)
+    parts = [] if is_decoy else [part_json(design, where, tilt, rig)]
+    facts = {"scene": path.name, "n_parts": len(parts), "spec": spec, "parts": parts}
+    truth.write_text(json.dumps(facts, indent=1))
+
+
+def _pose(rng: np.random.Generator) -> tuple[float, float, float, tuple[float, float, float]]:
+    """Tilt, its side, turn, degrees, and place, mm: two of five lie within 15 degrees, two beyond 30."""
     low, high = [(0, 15), (0, 15), (15, 30), (30, 45), (30, 45)][rng.integers(5)]
-    tilt, side, turn = rng.uniform(low, high), rng.uniform(0, 360), rng.uniform(0, 360)
-    place = (8 + rng.uniform(-6, 6), rng.uniform(-5, 5), 205 + rng.uniform(-10, 10))
-    world = World(design, lying(rig, tilt, side, turn, place), Look.drawn(rng), int(rng.integers(1 << 30)))
-    _write_pair(folder / "scenes" / f"{name}_t{tilt:02.0f}", world, rig, tilt, instead)
+    x, y, z = (PLACE_MM + rng.uniform(-1, 1, 3) * (6, 5, 10)).tolist()
+    return rng.uniform(low, high), rng.uniform(0, 360), rng.uniform(0, 360), (x, y, z)
 
 
-def _write_pair(path: Path, world: World, rig: StereoRig, tilt_deg: float, instead: dict[str, Any]) -> None:
-    for side, picture in zip(SIDES, pictures(world, rig), strict=True):
-        cv2.imwrite(f"{path}_{side}.png", picture)
-    part = part_json(world.design, world.rig_from_part, tilt_deg, rig)
-    truth = {"scene": path.name, "n_parts": 1, "spec": vars_of(world.look), "parts": [part], **instead}
-    path.with_name(path.name + ".json").write_text(json.dumps(truth, indent=1))
-
-
-def main() -> int:
-    """Write a set."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def set_parser(doc: str | None) -> argparse.ArgumentParser:
+    """The arguments that say which set is drawn."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--designs", type=int, default=6)
     parser.add_argument("--scenes", type=int, default=4, help="of each design")
@@ -442,12 +461,20 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first design")
     parser.add_argument("--held-out", action="store_true", help=f"designs from {HELD_OUT} on")
     parser.add_argument("--seed", type=int, default=1, help="of poses and looks")
-    options = parser.parse_args()
-    first = options.first + (HELD_OUT if options.held_out else 0)
+    return parser
+
+
+def write_asked(options: argparse.Namespace, draw: Draw = drawn) -> None:
+    """Write the set that the arguments ask for."""
     cv2.setNumThreads(1)
-    write_set(
-        options.folder, range(first, first + options.designs), options.scenes, options.decoys, options.seed
-    )
+    first = options.first + (HELD_OUT if options.held_out else 0)
+    numbers = range(first, first + options.designs)
+    write_set(options.folder, numbers, options.scenes, options.decoys, options.seed, draw)
+
+
+def main() -> int:
+    """Write a set."""
+    write_asked(set_parser(__doc__).parse_args())
     return 0
 
 
