@@ -135,10 +135,12 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
     between = true[:3, :3].T @ found[:3, :3]
     normal = math.degrees(math.acos(min(1.0, between[2, 2])))
     turn = math.degrees(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
+    if target.free_axis is not None:
+        turn = 0.0  # it says that it does not know
     chi2 = float(error @ np.linalg.solve(target.covariance[:3, :3], error)) / 3
     verdict = "good"
     if target.reject is not Reject.NONE:
-        verdict = "refused: " + str(target.reject).removeprefix("Reject.")
+        verdict = f"refused: {target.reject.name}"
     elif (
         np.linalg.norm(error) > max(WRONG_MM, 3 * MEASURING.across * job.sigma_mm)
         or max(abs(turn), normal) > WRONG_DEG

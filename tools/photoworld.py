@@ -12,7 +12,7 @@ the face for one camera. What is drawn is in `spec` of each scene. A pair takes 
 background with `nice`; a run that is cut goes on where it was.
 
 The part's window is sampled SAMPLES times in each of 16 strata of a pixel, the table beyond more coarsely and
-smoothed. Blur is the same at all depths; samples far brighter than white are clamped.
+smoothed, and goes over into it. Blur is the same at all depths; samples far brighter than white are clamped.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import functools
 import math
 import sys
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ TABLES = ("dark", "plastic", "wood", "steel", "paper")
 TEXELS, SHEET_MM, TABLE_MM = 2048, 48.0, 220.0
 """Textures of faces and tables: so many texels for so many mm."""
 BATCH = 1 << 20
+SEAM_PX, TABLE_BLUR_PX = 20, 1.5
 BOUNCES = 4
 BRIGHTEST = 6.0
 """Samples are clamped at so many times white: a sparkle that was found by chance outshines its neighbours."""
@@ -79,9 +80,12 @@ class Setting:
     seed: int
 
     @classmethod
-    def drawn(cls, finish: str, rng: np.random.Generator) -> Setting:
-        """At random, but for how the faces were made: that belongs to the design."""
-        return cls(
+    def drawn(cls, finish: str, rng: np.random.Generator, *, teaching: bool = False) -> Setting:
+        """At random, but for how the faces were made: that belongs to the design.
+
+        teaching : no window, and no table that outshines the part: as somebody teaches with care.
+        """
+        drawn = cls(
             finish, pitch_mm=rng.uniform(0.12, 0.32), slope=rng.uniform(0.03, 0.12),
             lay_rad=rng.uniform(0, math.tau),
             roughness=tuple(rng.uniform((0.8, 0.12, 0.1), (1.2, 0.4, 0.3)) * (ROUGHNESS[finish], 1, 1)),
@@ -92,6 +96,10 @@ class Setting:
             gap_mm=float(rng.choice([0.02, rng.uniform(2, 12)])), parallel=bool(rng.random() < 0.5),
             exposure=rng.uniform(90, 210), blur_px=rng.uniform(0.5, 0.75), seed=int(rng.integers(1 << 30)),
         )  # fmt: skip
+        if not teaching:
+            return drawn
+        tables = {"paper": "wood", "steel": "plastic"}
+        return replace(drawn, window=-1, table=tables.get(drawn.table, drawn.table))
 
 
 ROUGHNESS = {"turned": 0.14, "ground": 0.16, "milled": 0.15, "blasted": 0.35, "cast": 0.45, "plastic": 0.17}
@@ -402,9 +410,9 @@ def face_points(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
 
 def _window(view: tuple[CameraModel, FloatArray], points: FloatArray) -> tuple[int, int, int, int]:
     """First and last pixels of what shows the part, and some room."""
-    camera, pixels = view[0], project(*view, points)
-    x0, y0 = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 10, 0).tolist()
-    x1, y1 = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + 11, (camera.width, camera.height)).tolist()
+    size, pixels = (view[0].width, view[0].height), project(*view, points)
+    x0, y0 = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - SEAM_PX - 8, 0).tolist()
+    x1, y1 = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + SEAM_PX + 9, size).tolist()
     return x0, y0, x1, y1
 
 
@@ -422,12 +430,15 @@ def _seen(
 
     whole = cv2.resize(traced((0, 0, camera.width, camera.height), 2), (camera.width, camera.height),
                        interpolation=cv2.INTER_AREA)  # fmt: skip
-    whole = cv2.GaussianBlur(whole, (0, 0), 1.0)
+    whole = cv2.GaussianBlur(whole, (0, 0), TABLE_BLUR_PX)
     fine = sum(traced(window, COLUMNS) for _ in range(samples)) / samples
     # a cell is a quarter of a pixel wide, which blurs already
     sigma = math.sqrt(max(setting.blur_px**2 * COLUMNS**2 - 1 / 12, 0.01))
     fine = cv2.GaussianBlur(fine, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-    whole[y0:y1, x0:x1] = cv2.resize(fine, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
+    fine = cv2.resize(fine, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
+    rise = [np.minimum(np.arange(1, n + 1), np.arange(n, 0, -1)) / SEAM_PX for n in fine.shape]
+    share = np.clip(np.minimum(rise[0][:, None], rise[1]), 0, 1)
+    whole[y0:y1, x0:x1] += share * (fine - whole[y0:y1, x0:x1])
     return np.asarray(whole)
 
 
@@ -444,9 +455,9 @@ def main() -> int:
     options = parser.parse_args()
 
     def draw(
-        design: Design, where: FloatArray, rng: np.random.Generator
+        design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
     ) -> tuple[tuple[Image, Image], dict[str, Any]]:
-        setting = Setting.drawn(finish_of(design), rng)
+        setting = Setting.drawn(finish_of(design), rng, teaching=teaching)
         pair = pictures(design, where, setting, world_rig(), options.samples)
         print(f"{design.name}: {setting.finish}, {setting.light}, {setting.table}", flush=True)
         return pair, asdict(setting)

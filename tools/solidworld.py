@@ -20,10 +20,10 @@ import functools
 import json
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import benching
 import cv2
@@ -391,16 +391,23 @@ def exposed(radiance: FloatArray, rng: np.random.Generator) -> Image:
 
 # --- sets ----------------------------------------------------------------------------------------
 
-Draw = Callable[[Design, FloatArray, np.random.Generator], tuple[tuple[Image, Image], dict[str, Any]]]
-"""Both pictures of a design at a place (4, 4), under a look that it draws, and the look for the truth."""
+
+class Draw(Protocol):
+    """A renderer."""
+
+    def __call__(
+        self, design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
+    ) -> tuple[tuple[Image, Image], dict[str, Any]]:
+        """Both pictures of a design at a place (4, 4) under a look at random, and the look for the truth."""
 
 
 def drawn(
-    design: Design, rig_from_part: FloatArray, rng: np.random.Generator
+    design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
 ) -> tuple[tuple[Image, Image], dict[str, Any]]:
-    """Pictures of this world."""
+    """Pictures of this world: those to teach from look as any other."""
+    del teaching
     look = Look.drawn(rng)
-    return pictures(World(design, rig_from_part, look, int(rng.integers(1 << 30))), world_rig()), asdict(look)
+    return pictures(World(design, where, look, int(rng.integers(1 << 30))), world_rig()), asdict(look)
 
 
 def write_set(
@@ -436,7 +443,7 @@ def _write_pair(
     if truth.exists():
         return
     rig, where = world_rig(), lying(world_rig(), tilt, side, turn, place)
-    pair, spec = draw(design, where, rng)
+    pair, spec = draw(design, where, rng, teaching=scene < 0)
     for camera, picture in zip(SIDES, pair, strict=True):
         cv2.imwrite(f"{path}_{camera}.png", picture)
     parts = [] if is_decoy else [part_json(design, where, tilt, rig)]

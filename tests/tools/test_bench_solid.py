@@ -1,0 +1,45 @@
+"""How results on thick parts are grouped, and what counts as a broken edge."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from bench_solid import Part, absent, break_of, groups, missed, report
+
+
+def found(tilt_deg: float, break_mm: float, error_um: float) -> Part:
+    """A good result so far off along X."""
+    return Part("s", "P", break_mm, tilt_deg, "good", np.array([error_um, 0, 0]), 0.03, 0.0, 1.5, 3)
+
+
+@pytest.mark.parametrize(
+    "stated, widest", [(0.2, 0.2), (None, 0.0), ({}, 0.0), ({"rim": 0.2, "bore": 0.3}, 0.3)]
+)
+def test_the_widest_break_counts(stated: object, widest: float) -> None:
+    """A set states one width for all edges, or one for each feature, or none."""
+    assert widest == break_of({"break_mm": stated})
+
+
+def test_parts_are_grouped_by_breaks_and_tilt_and_decoys_are_a_group_of_their_own() -> None:
+    """What is not there is neither sharp nor broken; groups of nothing are left out."""
+    decoy = missed("x", absent("P"), "nothing, as it should be")
+    rows = [found(10.0, 0.0, 3.0), found(40.0, 0.2, 4.0), found(20.0, 0.2, 5.0), decoy]
+    sizes = {name: len(some) for name, some in groups(rows).items()}
+    assert {"all": 4, "sharp": 1, "broken": 2, "tilt <= 15": 1, "tilt >= 30": 1, "broken, tilt >= 30": 1,
+            "not there": 1} == sizes  # fmt: skip
+
+
+def test_the_table_states_bounds_and_rms_of_what_was_good(capsys: pytest.CaptureFixture[str]) -> None:
+    """Two of three parts are good, one was invented where there was none."""
+    lost = missed("s", {"design": "P", "break_mm": 0.0, "tilt_bisector_deg": 5.0}, "not found")
+    report([found(10.0, 0.0, 3.0), found(12.0, 0.0, 4.0), lost, missed("x", absent("P"), "WRONG: invented")])
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("| all |"))
+    rms = f"{math.sqrt(12.5):.1f}"
+    assert line == f"| all | 2 of 3 (21-94 %) | 1 of 4 (5-70 %) | {rms} | 0.030 | 1.50 |"
