@@ -48,6 +48,8 @@ BRIGHTEST = 6.0
 DOME_MM, PORT_RAD = 130.0, 0.24
 FACE_POINTS, FACE_SHARE = 4000, 0.7
 """The exposure gives the wanted grey to what is brighter than so much of the faces, both cameras together."""
+NOT_WHITE, MOST_OVER = 0.95, 0.9
+"""So much of what is about the part is at most 1 / MOST_OVER of white: faces are dark in a dark field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,7 @@ class Setting:
     broken edges.  reflects : of the face; of a plastic one its diffuse part.  ambient : the room's share of
     the light on a level face.  window : camera, 0 or 1, that sees a bright window in the part's face; -1 for
     none.  gap_mm : from the part down to the table; parallel: the table lies as the part does.  exposure :
-    grey value of 255 that the brighter parts of the faces get.
+    grey value of 255 that the brighter parts of the faces get, unless too much else were white.
     """
 
     finish: str
@@ -392,7 +394,10 @@ def pictures(
         windows = [_window(view, apply(where, mesh.model.points_mm)) for view in views]
         places = apply(where, face_points(mesh, rng))
         of_faces = [tracer.radiance(*view, project(*view, places)) for view in views]
-        white = np.quantile(np.concatenate(of_faces), FACE_SHARE) * WHITE / setting.exposure
+        around = [tracer.radiance(*view, strata(window, 1, rng).reshape(-1, 2))
+                  for view, window in zip(views, windows, strict=True)]  # fmt: skip
+        white = max(np.quantile(np.concatenate(of_faces), FACE_SHARE) * WHITE / setting.exposure,
+                    np.quantile(np.concatenate(around), NOT_WHITE) * MOST_OVER)  # fmt: skip
         left, right = (
             exposed(_seen(tracer, view, window, white, setting, samples, rng) / white, rng)
             for view, window in zip(views, windows, strict=True)
