@@ -465,7 +465,7 @@ def main() -> int:
         setting = Setting.drawn(finish_of(design), rng, teaching=teaching)
         pair = pictures(design, where, setting, world_rig(), options.samples)
         print(f"{design.name}: {setting.finish}, {setting.light}, {setting.table}", flush=True)
-        return pair, asdict(setting)
+        return pair, asdict(setting) | {"samples": options.samples}
 
     write_asked(options, draw)
     return 0
