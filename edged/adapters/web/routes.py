@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Generic, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Generic, TypedDict, TypeVar, Unpack, get_args, get_type_hints
 
 from aiohttp import web
 from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints
@@ -122,22 +122,43 @@ Given = BaseModel | web.StreamResponse | None
 Handler = Callable[[Call[Any]], Awaitable[Given]]
 
 
-@dataclass(frozen=True, slots=True)
-class Route:
-    """One row of the table; see `RouteTable.route`."""
+class Options(TypedDict, total=False):
+    """What a row of the table may say besides what it must; see `Route`."""
 
-    method: str
-    path: str
-    handler: Handler
-    what: str
     role: Role
-    body: type[BaseModel] | None
-    answer: type[BaseModel] | str | None
     status: int
     audit: bool
     needs_lease: bool
     limit_bytes: int
     is_by_itself: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """One row of the table.
+
+    path : below /api/v1, parameters as aiohttp has them, `{number:[0-9]{1,9}}`.
+    what : one line for the document. role : who may, at least.
+    body : model of the JSON object, of a GET of the query; None: the handler reads what there is, up to
+    limit_bytes, by `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or nothing.
+    status : of a success; left out: 200, or 204 without an answer.
+    audit : noted with its outcome, also where it is refused. needs_lease : the body's `token` must be
+    that of whoever has the cell, and is a sign of life of theirs. is_by_itself : pages ask it without
+    anybody's doing.
+    """
+
+    method: str
+    path: str
+    handler: Handler
+    what: str
+    body: type[BaseModel] | None
+    answer: type[BaseModel] | str | None
+    status: int
+    role: Role = Role.ENGINEER
+    audit: bool = False
+    needs_lease: bool = False
+    limit_bytes: int = LIMIT_BYTES
+    is_by_itself: bool = False
 
     @property
     def changes(self) -> bool:
@@ -164,32 +185,14 @@ H = TypeVar("H", bound=Callable[..., Awaitable[Given]])
 
 
 def route(
-    method: str,
-    path: str,
-    what: str,
-    *,
-    answer: str | None = None,
-    role: Role = Role.ENGINEER,
-    status: int | None = None,
-    audit: bool = False,
-    needs_lease: bool = False,
-    limit_bytes: int = LIMIT_BYTES,
-    is_by_itself: bool = False,
+    method: str, path: str, what: str, *, answer: str | None = None, **options: Unpack[Options]
 ) -> Callable[[H], H]:
-    """Make a method with one argument, a `Call`, the handler of a route; see `RouteTable.route`.
+    """Make a method with one argument, a `Call`, the handler of a `Route`.
 
     Its annotations say what it takes, `Call[Body]`, and what it answers, unless that is no model.
     """
 
     def mark(handler: H) -> H:
-        options = {
-            "role": role,
-            "status": status,
-            "audit": audit,
-            "needs_lease": needs_lease,
-            "limit_bytes": limit_bytes,
-            "is_by_itself": is_by_itself,
-        }
         vars(handler)[_MARK] = (method, path, what, answer, options)
         return handler
 
@@ -221,15 +224,8 @@ class RouteTable:
                 if (mark := getattr(handler, _MARK, None)) is not None:
                     method, path, what, media, options = mark
                     body, answer = _body_and_answer(handler)
-                    self.route(
-                        method,
-                        path,
-                        getattr(routes, name),
-                        what,
-                        body=body,
-                        answer=media or answer,
-                        **options,
-                    )
+                    bound = getattr(routes, name)
+                    self.route(method, path, bound, what, body=body, answer=media or answer, **options)
             if (add_to := getattr(routes, "add_to", None)) is not None:
                 add_to(self)
 
@@ -240,44 +236,15 @@ class RouteTable:
         handler: Callable[[Call[B]], Awaitable[Given]],
         what: str,
         *,
-        role: Role = Role.ENGINEER,
         body: type[B] | None = None,
         answer: type[BaseModel] | str | None = None,
-        status: int | None = None,
-        audit: bool = False,
-        needs_lease: bool = False,
-        limit_bytes: int = LIMIT_BYTES,
-        is_by_itself: bool = False,
+        **options: Unpack[Options],
     ) -> None:
-        """Add a route.
-
-        path : below /api/v1, parameters as aiohttp has them, `{number:[0-9]{1,9}}`.
-        what : one line for the document. role : who may, at least.
-        body : model of the JSON object, of a GET of the query; None: the handler reads what there is, up to
-        limit_bytes, by `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or nothing.
-        status : of a success; None: 200, or 204 without an answer.
-        audit : noted with its outcome, also where it is refused. needs_lease : the body's `token` must be
-        that of the lease, and shows that its holder is there. is_by_itself : pages ask it without
-        anybody's doing.
-        Raises `ValueError` for a row that contradicts itself, or that is there already.
-        """
+        """Add a route. Raises `ValueError` for a row that contradicts itself, or that is there already."""
         model = body if isinstance(body, type) and issubclass(body, BaseModel) else None
-        if needs_lease and (model is None or "token" not in model.model_fields):
+        if options.get("needs_lease") and (model is None or "token" not in model.model_fields):
             raise ValueError(f"{method} {path}: a route with a lease takes a token")
         if (method, path) in self._routes:
             raise ValueError(f"{method} {path}: is there already")
-        status = status or (200 if answer is not None else 204)
-        self._routes[method, path] = Route(
-            method,
-            path,
-            handler,
-            what,
-            role,
-            model,
-            answer,
-            status,
-            audit,
-            needs_lease,
-            limit_bytes,
-            is_by_itself,
-        )
+        options.setdefault("status", 200 if answer is not None else 204)
+        self._routes[method, path] = Route(method, path, handler, what, model, answer, **options)

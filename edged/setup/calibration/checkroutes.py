@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from edged.adapters.web.routes import Call, Leased, Name, RouteTable
+from edged.adapters.web.routes import Call, Leased, Name, route
 from edged.errors import CalibrationError
 from edged.identity.visitors import Role
 from edged.setup.calibration.checks import CheckDocument, Checked, Checks
@@ -38,26 +38,18 @@ class CheckRoutes:
     def __init__(self, checks: Checks) -> None:
         self._checks = checks
 
-    def add_to(self, table: RouteTable) -> None:
-        """Add them."""
-        table.route(
-            "GET", "/checks", self._last, "The last check of the rig", role=Role.VIEWER, answer=Checked
-        )
-        table.route(
-            "POST",
-            "/checks",
-            self._check,
-            "Take a pair of a board, or of a part of known size, and say whether the rig in use still holds",
-            body=Checking,
-            answer=CheckDocument,
-            status=201,
-            audit=True,
-            needs_lease=True,
-        )
-
+    @route("GET", "/checks", "The last check of the rig", role=Role.VIEWER)
     async def _last(self, _call: Call[None]) -> Checked:
         return await self._checks.last()
 
+    @route(
+        "POST",
+        "/checks",
+        "Take a pair of a board, or of a part of known size, and say whether the rig in use still holds",
+        status=201,
+        audit=True,
+        needs_lease=True,
+    )
     async def _check(self, call: Call[Checking]) -> CheckDocument:
         body, author = call.body, call.visitor.name
         if body.board is not None:

@@ -8,16 +8,17 @@ from typing import Annotated
 from aiohttp import web
 from pydantic import Field, model_validator
 
-from edged.adapters.web.routes import Body, Call, Leased, RouteTable
+from edged.adapters.web.routes import Body, Call, Leased, RouteTable, route
 from edged.identity.visitors import Role
 from edged.setup.calibration.documents import DraftDocument, DraftList
 from edged.setup.calibration.service import Calibrations
 from edged.setup.documents import DraftHead
-from edged.setup.draftroutes import Begun, DraftRoutes, Nothing, unknown
+from edged.setup.draftroutes import Begun, DraftRoutes, Nothing, known, unknown
 from edged.setup.jobs.tasks import TaskDocument, Tasks
 from edged.vision.calibration.lenschoice import LensWish
 
 VIEW = "/views/{name:view_[0-9]{3}}"
+TASK = "/tasks/{id:[0-9a-f]{12}}"
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 """Content security policy of reports: they hold their own style and pictures, and run nothing."""
 Goal = Annotated[float, Field(gt=0, le=1e6, description="µm: none of the sigmas of X, Y, Z beyond it")]
@@ -90,9 +91,6 @@ class CalibrationRoutes:
         routes.add("POST", "/solve", self._solve, what, Nothing, answer=Begun, status=202, audit=True)
         what = "What it was solved to, for people"
         routes.add("GET", "/report", self._report, what, answer="text/html", role=see)
-        task = "/tasks/{id:[0-9a-f]{12}}"
-        table.route("GET", task, self._task, "How far long work is", role=see, answer=TaskDocument)
-        table.route("DELETE", task, self._cancel, "End long work", body=Nothing, answer=TaskDocument)
 
     async def _begin(self, call: Call[CalibrationBeginning]) -> DraftHead:
         body = call.body
@@ -115,15 +113,13 @@ class CalibrationRoutes:
         headers = {"Content-Security-Policy": REPORT_POLICY}
         return web.Response(body=page, content_type="text/html", charset="utf-8", headers=headers)
 
+    @route("GET", TASK, "How far long work is", role=Role.VIEWER)
     async def _task(self, call: Call[None]) -> TaskDocument:
         try:
             return self._tasks.document(call.part("id"))
         except KeyError:
             raise unknown() from None
 
+    @route("DELETE", TASK, "End long work")
     async def _cancel(self, call: Call[Nothing]) -> TaskDocument:
-        try:
-            await self._tasks.cancel(call.part("id"))
-        except KeyError:
-            raise unknown() from None
-        return self._tasks.document(call.part("id"))
+        return await known(self._tasks.cancel(call.part("id")))

@@ -99,14 +99,15 @@ class Tasks:
         """Whether there is such a task, and it runs."""
         return identity is not None and identity in self._tasks and self._tasks[identity].state == "running"
 
-    async def cancel(self, identity: str) -> None:
-        """End it; nothing to do for one that has ended. Raises `KeyError`."""
+    async def cancel(self, identity: str) -> TaskDocument:
+        """End it; nothing to do for one that has ended. Returns its state. Raises `KeyError`."""
         task = self._tasks[identity]
         if task.running is not None:
             await cancel_and_await(task.running)
         if task.state == "running":  # before its first step
             task.state = "cancelled"
             self._tell(task)
+        return task.document()
 
     async def close(self) -> None:
         """End all."""
