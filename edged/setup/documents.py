@@ -1,6 +1,8 @@
-"""What every topic of setting up sends: documents with a `Trouble` where something is in the way."""
+"""What several topics of setting up send: heads of drafts, what is in the way, pictures, poses, sigmas."""
 
 from __future__ import annotations
+
+from typing import Self
 
 from pydantic import Field
 
@@ -13,6 +15,45 @@ class Trouble(Frozen):
     code: str
     text: str
     params: dict[str, str | float] = Field(default={})
+
+
+class PicturePaths(Frozen):
+    """Where the pictures of a pair are."""
+
+    left: str
+    right: str
+
+    @classmethod
+    def below(cls, place: str) -> Self:
+        """As JPEGs of a folder of the API."""
+        return cls(left=f"{place}/left.jpg", right=f"{place}/right.jpg")
+
+
+class PlaceMm(Frozen):
+    """A pose: mm, and three angles, degrees."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    a_deg: float
+    b_deg: float
+    c_deg: float
+
+
+class SigmaXyz(Frozen):
+    """One sigma of X, Y, Z, µm."""
+
+    x: float
+    y: float
+    z: float
+
+
+class SigmaAbc(Frozen):
+    """One sigma of three angles, degrees; null for what is not known: the turn of a round part."""
+
+    a: float | None
+    b: float | None
+    c: float | None
 
 
 class DraftHead(Frozen):

@@ -11,28 +11,13 @@ from edged.domain.arrays import FloatArray
 from edged.setup.calibration.guidance import Ghost, Guided
 from edged.setup.calibration.model import DraftState, ViewState
 from edged.setup.calibration.shown import Seen, Watched
-from edged.setup.documents import DraftHead, DraftSummary, Trouble
+from edged.setup.documents import DraftHead, DraftSummary, PicturePaths, SigmaXyz, Trouble
 from edged.setup.frozen import Frozen
 from edged.vision.boards.board import NominalBoard
 from edged.vision.boards.detection import in_words
 
 PLACE = "/api/v1/calibrations"
 Polygon = list[list[float]]
-
-
-class Sigma(Frozen):
-    """Standard deviations that the calibration gives to points of the working volume, µm."""
-
-    x: float
-    y: float
-    z: float
-
-
-class Thumbnails(Frozen):
-    """Where the small pictures of a view are."""
-
-    left: str
-    right: str
 
 
 class ViewDocument(Frozen):
@@ -44,7 +29,7 @@ class ViewDocument(Frozen):
     why_text: str | None
     rms_px: float | None
     heldout_px: float | None
-    thumbnails: Thumbnails
+    thumbnails: PicturePaths
 
 
 class ShownDocument(Frozen):
@@ -72,7 +57,7 @@ class SuggestionDocument(Frozen):
 
     left: Polygon
     right: Polygon
-    sigma_um: Sigma | None
+    sigma_um: SigmaXyz | None
     text_code: str
     text: str
 
@@ -83,7 +68,7 @@ class SolvedDocument(Frozen):
     calibration_id: str
     rms_px: float
     heldout_px: float | None
-    sigma_um: Sigma | None
+    sigma_um: SigmaXyz | None
     moved_um: float | None
     verdict: str
     figures: dict[str, JsonValue]
@@ -103,7 +88,7 @@ class DraftDocument(DraftHead):
     shown: BothShown | None
     still: bool
     in_ghost: float
-    sigma_um: Sigma | None
+    sigma_um: SigmaXyz | None
     trouble: Trouble | None
     suggestion: SuggestionDocument | None
     suggestions: list[SuggestionDocument]
@@ -149,7 +134,6 @@ def _view(state: DraftState, name: str, guided: Guided) -> ViewDocument:
     views: Any = {} if state.solved is None else state.solved.figures.get("views")
     figures = (views or {}).get(name) or {}
     rms = figures.get("rms_px", guided.rms_px.get(name))
-    left, right = (f"{PLACE}/{state.id}/views/{name}/{side}.jpg" for side in ("left", "right"))
     return ViewDocument(
         name=name,
         used=why is None,
@@ -157,7 +141,7 @@ def _view(state: DraftState, name: str, guided: Guided) -> ViewDocument:
         why_text=text,
         rms_px=None if rms is None else round(rms, 4),
         heldout_px=figures.get("heldout_px"),
-        thumbnails=Thumbnails(left=left, right=right),
+        thumbnails=PicturePaths.below(f"{PLACE}/{state.id}/views/{name}"),
     )
 
 
@@ -214,12 +198,12 @@ def _solved(state: DraftState) -> SolvedDocument | None:
     )
 
 
-def _sigma(values: FloatArray | Sequence[float] | None) -> Sigma | None:
+def _sigma(values: FloatArray | Sequence[float] | None) -> SigmaXyz | None:
     """(3,) of X, Y, Z."""
     if values is None:
         return None
     x, y, z = (round(float(value), 2) for value in values)
-    return Sigma(x=x, y=y, z=z)
+    return SigmaXyz(x=x, y=y, z=z)
 
 
 def _polygon(outline: FloatArray) -> Polygon:

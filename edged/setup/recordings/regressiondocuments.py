@@ -10,6 +10,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.numerals import known
+from edged.setup.documents import PicturePaths
 from edged.setup.frozen import Frozen
 from edged.setup.recordings.comparing import Compared, CycleComparison, FrameShift, TriedCycle
 
@@ -25,18 +26,12 @@ class TriedCandidate(Frozen):
     id: str
 
 
-class RegressionPictures(Frozen):
-    """Where the pictures of a cycle are, as long as its recording is kept."""
-
-    left: str
-    right: str
-
-
 class ChangedCycle(Frozen):
     """A cycle that comes out otherwise. before, after : status. reasons : why it is, or was, not good.
 
     apart_sigmas : of both; null where a place has no sigma at all, or there is none to compare. apart_um : X,
-    Y, Z, after against before. lost : good parts that are not there any more.
+    Y, Z, after against before. lost : good parts that are not there any more. pictures : there as long as its
+    recording is kept.
     """
 
     number: int
@@ -49,7 +44,7 @@ class ChangedCycle(Frozen):
     apart_um: list[float] | None
     turned_deg: float | None
     lost: int
-    pictures: RegressionPictures
+    pictures: PicturePaths
 
 
 class SkippedCycle(Frozen):
@@ -176,8 +171,7 @@ def _changed(cycle: Compared) -> ChangedCycle:
     tried, apart = cycle.tried, cycle.apart
     before, after = tried.before, tried.after
     status = ["" if found is None else found.status for found in (before, after)]
-    why = before if cycle.is_good else after
-    left, right = (f"{PLACE}/{tried.number}/{side}.jpg" for side in ("left", "right"))
+    why = before if one.is_good else after
     return ChangedCycle(
         number=tried.number,
         at=tried.at,
@@ -188,8 +182,8 @@ def _changed(cycle: Compared) -> ChangedCycle:
         apart_sigmas=None if apart is None else known(apart.sigmas, 2),
         apart_um=None if apart is None else _micrometres(apart.by_mm),
         turned_deg=None if apart is None else known(apart.turned_deg, 4),
-        lost=cycle.lost,
-        pictures=RegressionPictures(left=left, right=right),
+        lost=one.lost,
+        pictures=PicturePaths.below(f"{PLACE}/{tried.number}"),
     )
 
 

@@ -18,6 +18,7 @@ from edged.errors import FileFormatError
 from edged.files import recording
 from edged.files.images import load_image
 from edged.pictures.encoding import jpeg
+from edged.setup.documents import PicturePaths
 from edged.setup.frozen import Frozen
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.recorded import CycleFilter, CycleLine, Damaged, Records
@@ -48,13 +49,6 @@ class CycleList(Frozen):
     has_more: bool
 
 
-class Pictures(Frozen):
-    """Where the pictures of a pair are."""
-
-    left: str
-    right: str
-
-
 class PairView(Frozen):
     """A pair with what was seen in it, all in raw px.
 
@@ -67,7 +61,7 @@ class PairView(Frozen):
     at: str | None
     width: int
     height: int
-    pictures: Pictures | None
+    pictures: PicturePaths | None
     parts: list[PartSight]
 
 
@@ -224,12 +218,11 @@ class Cycles:
         except FileFormatError:
             return None
 
-    def _of_teaching(self, line: CycleLine, folder: str | None, is_same: bool) -> Pictures | None:
+    def _of_teaching(self, line: CycleLine, folder: str | None, is_same: bool) -> PicturePaths | None:
         """Pictures of the pair that the job was taught from; None for a job that was taught again since."""
         if folder is None or not is_same or not self._taught_file(folder, "left").is_file():
             return None
-        left, right = (f"{PLACE}/{line.number}/taught/{side}.jpg" for side in ("left", "right"))
-        return Pictures(left=left, right=right)
+        return PicturePaths.below(f"{PLACE}/{line.number}/taught")
 
     def _taught_file(self, folder: str, side: Side) -> Path:
         return self._cell.config.cell.jobs / folder / TAUGHT / f"{side}.png"
@@ -255,17 +248,14 @@ def _limits(job: Job) -> RecordedLimits:
     )
 
 
-def _pictures(line: CycleLine) -> Pictures | None:
-    if not line.has_pictures:
-        return None
-    left, right = (f"{PLACE}/{line.number}/{side}.jpg" for side in ("left", "right"))
-    return Pictures(left=left, right=right)
+def _pictures(line: CycleLine) -> PicturePaths | None:
+    return PicturePaths.below(f"{PLACE}/{line.number}") if line.has_pictures else None
 
 
 def _sight(
     kind: str,
     rig: StereoRig,
-    pictures: Pictures | None,
+    pictures: PicturePaths | None,
     parts: list[PartSight],
     line: CycleLine | None = None,
 ) -> PairView:

@@ -12,10 +12,10 @@ from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, transform_of
 from edged.robot.pendant import PENDANTS, READING_CODES, brands_of, mm_per_unit
 from edged.robot.readings import PoseReading
-from edged.setup.documents import DraftHead, DraftSummary
+from edged.setup.documents import DraftHead, DraftSummary, PicturePaths, Trouble
 from edged.setup.frozen import Frozen
 from edged.setup.inuse import RigInUse
-from edged.setup.registration.model import Place, RegistrationState, SkyDocument, TroubleDocument
+from edged.setup.registration.model import Place, RegistrationState, SkyDocument
 from edged.setup.registration.verdict import Judged, Row
 from edged.setup.registration.work import marks_at
 from edged.vision.boards.board import parse_boards
@@ -61,12 +61,10 @@ class PlaceDocument(Frozen):
     robot: AtRobot | None
 
 
-class PicturesDocument(Frozen):
+class PicturesDocument(PicturePaths):
     """A pair, as paths; places are in px of width and height."""
 
     name: str
-    left: str
-    right: str
     width: int
     height: int
 
@@ -136,7 +134,7 @@ class RegistrationDocument(DraftHead):
     look_reason: str | None
     look_length_percent: float | None
     judging: bool
-    trouble: TroubleDocument | None
+    trouble: Trouble | None
     culprit: str | None
     figures: dict[str, float]
     sigma_mm: list[float] | None

@@ -139,14 +139,6 @@ def check_kind(mount: Mount, kind: Kind) -> None:
         raise CalibrationError("touched points are for cameras that stand still")
 
 
-class TroubleDocument(Frozen):
-    """Why there is no good registration yet. text : in English; code and params : for a page."""
-
-    code: str
-    text: str
-    params: dict[str, str | float]
-
-
 class SkyDocument(Frozen):
     """Where the flange looked at a pose, from the first one."""
 

@@ -22,7 +22,7 @@ from edged.errors import CalibrationError, EdgedError, FileFormatError, UserErro
 from edged.files.rig import rig_of, rig_text
 from edged.robot.orientations import Brand
 from edged.robot.pendant import PENDANTS, mm_per_unit, numbers_in
-from edged.setup.documents import DraftHead
+from edged.setup.documents import DraftHead, Trouble
 from edged.setup.drafts import Latest, OpenDrafts
 from edged.setup.history import solved_rig
 from edged.setup.inuse import CellInUse, RigInUse
@@ -43,7 +43,6 @@ from edged.setup.registration.model import (
     Place,
     RegistrationState,
     SampleState,
-    TroubleDocument,
 )
 from edged.setup.registration.verdict import Judged
 from edged.vision.boards.board import parse_boards
@@ -254,7 +253,7 @@ class Registrations:
                 raise CalibrationError("the cell has another calibration by now: begin another registration")
             judged: Judged = await self._worker.run(f"judge_{state.kind}", rig, samples, *wanted)
         except EdgedError as error:
-            return Judged(trouble=TroubleDocument(code="refused", text=str(error), params={}))
+            return Judged(trouble=Trouble(code="refused", text=str(error)))
         return judged
 
     async def _keep_look(self, opened: OpenRegistration, pair: FramePair, job: str | None) -> None:

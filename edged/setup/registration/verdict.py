@@ -19,7 +19,8 @@ from edged.robot.orientations import LENGTH_UNITS_MM, READINGS, Brand, transform
 from edged.robot.pendant import READING_CODES, brands_of, mm_per_unit
 from edged.robot.readings import PoseReading, rank_readings
 from edged.robot.touch import TWIN_SHARE
-from edged.setup.registration.model import SkyDocument, TroubleDocument
+from edged.setup.documents import Trouble
+from edged.setup.registration.model import SkyDocument
 from edged.setup.registration.registering import (
     DECIDED,
     FromPoints,
@@ -64,7 +65,7 @@ class Judged:
     """
 
     rows: Mapping[str, Row] = field(default_factory=dict)
-    trouble: TroubleDocument | None = None
+    trouble: Trouble | None = None
     culprit: str | None = None
     figures: Mapping[str, float] = field(default_factory=dict)
     sigma: tuple[float, ...] = UNKNOWN_6
@@ -119,7 +120,7 @@ def judge_points(
 
 def _trouble_of_points(
     solved: FromPoints, culprit: str | None, names: list[str], limit_mm: float
-) -> TroubleDocument | None:
+) -> Trouble | None:
     found = solved.found
     if culprit is not None:
         k = names.index(culprit)
@@ -135,7 +136,7 @@ def _trouble_of_points(
 
 def _of_points(
     error: CalibrationError, names: list[str], rig_mm: FloatArray, robot_mm: FloatArray, unit_mm: float
-) -> TroubleDocument:
+) -> Trouble:
     params: dict[str, str | float] = {}
     if error.code == "other_units":
         ratio = _length_of(robot_mm) / _length_of(rig_mm) / unit_mm
@@ -242,7 +243,7 @@ def _ranked(
     return tuple(ranked), next(said, None)
 
 
-def _other_reading(readings: tuple[PoseReading, ...], said: int | None) -> TroubleDocument | None:
+def _other_reading(readings: tuple[PoseReading, ...], said: int | None) -> Trouble | None:
     """Which reading fits so much better than the stated one that it is the right one."""
     if not readings:
         return None
@@ -289,14 +290,14 @@ def _sky(flanges: Mapping[str, FloatArray]) -> dict[str, SkyDocument]:
 # --- both -----------------------------------------------------------------------------------------
 
 
-def _trouble(code: str, text: str, **params: str | float) -> TroubleDocument:
-    return TroubleDocument(code=code, text=text, params=params)
+def _trouble(code: str, text: str, **params: str | float) -> Trouble:
+    return Trouble(code=code, text=text, params=params)
 
 
-def _too_few(there: int, least: int) -> TroubleDocument:
+def _too_few(there: int, least: int) -> Trouble:
     return _trouble("too_few", f"{there}, at least {least} are needed", count=there, least=least)
 
 
-def _disagree(mm: float, limit_mm: float) -> TroubleDocument:
+def _disagree(mm: float, limit_mm: float) -> Trouble:
     text = f"they disagree by {mm:.3f} mm, the limit is {limit_mm:g} mm"
     return _trouble("disagree", text, mm=mm, limit=limit_mm)

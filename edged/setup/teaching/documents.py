@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from edged.setup.documents import DraftHead, DraftSummary, Trouble
+from edged.setup.documents import (
+    DraftHead,
+    DraftSummary,
+    PicturePaths,
+    PlaceMm,
+    SigmaAbc,
+    SigmaXyz,
+    Trouble,
+)
 from edged.setup.frozen import Frozen
 from edged.setup.outlines import Line
 from edged.setup.teaching.model import Shape
 
 Pixel = tuple[float, float]
-
-
-class Sides(Frozen):
-    """Where the pictures are."""
-
-    left: str
-    right: str
 
 
 class Outline(Frozen):
@@ -53,16 +54,10 @@ class ReferenceDocument(Frozen):
     right: Pixel
 
 
-class GrippingDocument(Frozen):
+class GrippingDocument(PlaceMm):
     """Where a tool takes the part, in the part's frame; angles about its fixed x, y, z."""
 
     name: str
-    x_mm: float
-    y_mm: float
-    z_mm: float
-    a_deg: float
-    b_deg: float
-    c_deg: float
     approach_mm: float
     retreat_mm: float
     symmetry: int
@@ -100,22 +95,6 @@ class WarningDocument(Frozen):
     at: Pixel | None
 
 
-class SigmaXyz(Frozen):
-    """Sigma of the position."""
-
-    x: float
-    y: float
-    z: float
-
-
-class SigmaAbc(Frozen):
-    """Sigma of the rotation about the rig's axes; None where nothing determines it."""
-
-    a: float | None
-    b: float | None
-    c: float | None
-
-
 class PredictedDocument(Frozen):
     """The pose's sigma, as the features that are taken give it in this pair."""
 
@@ -141,7 +120,7 @@ class TeachingDocument(DraftHead):
     job: str | None
     width: int
     height: int
-    pictures: Sides
+    pictures: PicturePaths
     shapes: list[Shape]
     region: list[Shape]
     exclude: list[Shape]

@@ -18,6 +18,7 @@ from edged.files.images import load_image
 from edged.pictures.captions import reasons
 from edged.pictures.evidence import features_of, missing_outlines, taught_outlines
 from edged.pipeline import PreparedRig, inspect, prepare
+from edged.setup.documents import SigmaAbc, SigmaXyz
 from edged.setup.inuse import RigInUse
 from edged.setup.outlines import (
     EDGE_POINTS,
@@ -37,8 +38,6 @@ from edged.setup.teaching.documents import (
     PredictedDocument,
     ReferenceDocument,
     RivalDocument,
-    SigmaAbc,
-    SigmaXyz,
     SizeDocument,
     WarningDocument,
 )

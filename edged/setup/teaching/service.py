@@ -17,12 +17,12 @@ from pydantic import JsonValue
 
 from edged.errors import EdgedError, FileFormatError, TaskFailed, TaskTooLarge, TeachError
 from edged.files.jobs import SHAPE, TEXT, job_files, read_job
-from edged.setup.documents import DraftHead
+from edged.setup.documents import DraftHead, PicturePaths
 from edged.setup.drafts import OpenDrafts, trouble_in
 from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress
 from edged.setup.releases.jobsinuse import Candidate, JobLine
-from edged.setup.teaching.documents import ContoursDocument, DrawingDocument, Sides, TeachingDocument
+from edged.setup.teaching.documents import ContoursDocument, DrawingDocument, TeachingDocument
 from edged.setup.teaching.drafts import TeachingDraft, TeachingDrafts
 from edged.setup.teaching.editing import edited
 from edged.setup.teaching.former import FormerFiles
@@ -359,7 +359,7 @@ class Teachings:
             job=state.job,
             width=state.width,
             height=state.height,
-            pictures=Sides(left=f"{PLACE}/{place}/left.jpg", right=f"{PLACE}/{place}/right.jpg"),
+            pictures=PicturePaths.below(f"{PLACE}/{place}"),
             shapes=shapes,
             region=[shape for shape in shapes if shape.add],
             exclude=[shape for shape in shapes if not shape.add],

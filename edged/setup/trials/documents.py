@@ -6,11 +6,11 @@ import numpy as np
 from pydantic import Field
 
 from edged.domain.numerals import known
-from edged.setup.documents import Trouble
+from edged.setup.documents import SigmaXyz, Trouble
 from edged.setup.frozen import Frozen
 from edged.setup.trials.sigmamap import SigmaMap
 from edged.setup.trials.stilltest import StillResult, StillVerdict
-from edged.setup.trials.tried import SigmaUm, TriedPart, sigma_of
+from edged.setup.trials.tried import TriedPart, sigma_of
 
 
 class TrialDocument(Frozen):
@@ -49,9 +49,9 @@ class StillDocument(Frozen):
     name: str
     calibration: str
     n: int
-    scatter_um: SigmaUm | None
-    edges_um: SigmaUm | None
-    noise_um: SigmaUm | None = None
+    scatter_um: SigmaXyz | None
+    edges_um: SigmaXyz | None
+    noise_um: SigmaXyz | None = None
     chi2: float | None
     expected: tuple[float, float]
     verdict: StillVerdict
@@ -73,7 +73,7 @@ class MapPoint(Frozen):
     x: float
     y: float
     z: float
-    sigma_um: SigmaUm | None
+    sigma_um: SigmaXyz | None
     left: list[float] | None
 
 

@@ -23,6 +23,7 @@ from edged.robot.budget import budget_of
 from edged.robot.orientations import Convention
 from edged.robot.picking import frame_of, picked, within
 from edged.robot.reading import PartReading, frame_name, reading_of
+from edged.setup.documents import PlaceMm, SigmaAbc, SigmaXyz
 from edged.setup.frozen import Frozen
 from edged.setup.recordings.recorded import NOT_FOUND
 from edged.setup.recordings.recordedparts import Points, outline_in
@@ -39,40 +40,13 @@ UNKNOWN_DEG = 60.0
 """A sigma from here on is that of an angle about a symmetry axis: not known."""
 
 
-class PlaceMm(Frozen):
-    """A pose: mm, and the angles of the cell's convention, degrees."""
-
-    x_mm: float
-    y_mm: float
-    z_mm: float
-    a_deg: float
-    b_deg: float
-    c_deg: float
-
-
-class SigmaUm(Frozen):
-    """One sigma of X, Y, Z, µm."""
-
-    x: float
-    y: float
-    z: float
-
-
-class SigmaAngles(Frozen):
-    """One sigma of A, B, C, degrees; null for what is not known: the turn of a round part."""
-
-    a: float | None
-    b: float | None
-    c: float | None
-
-
 class Terms(Frozen):
     """Where the sigma comes from, µm: the squares add up to that of the sigma."""
 
-    edges: SigmaUm
-    calibration: SigmaUm
-    registration: SigmaUm
-    doubt: SigmaUm
+    edges: SigmaXyz
+    calibration: SigmaXyz
+    registration: SigmaXyz
+    doubt: SigmaXyz
 
 
 class Lines(Frozen):
@@ -100,8 +74,8 @@ class TriedPart(Frozen):
     score: float
     frame: str
     pose: PlaceMm
-    sigma_um: SigmaUm
-    sigma_deg: SigmaAngles
+    sigma_um: SigmaXyz
+    sigma_deg: SigmaAbc
     budget_um: Terms | None
     outlines: Lines
     missing: Lines
@@ -212,18 +186,18 @@ def _place(reading: PartReading) -> PlaceMm:
     return PlaceMm(x_mm=x, y_mm=y, z_mm=z, a_deg=a, b_deg=b, c_deg=c)
 
 
-def sigma_of(sigma_mm: FloatArray) -> SigmaUm:
+def sigma_of(sigma_mm: FloatArray) -> SigmaXyz:
     """Sigma of X, Y, Z (3,), mm, in µm."""
     x, y, z = (round(1e3 * float(value), 3) for value in sigma_mm)
-    return SigmaUm(x=x, y=y, z=z)
+    return SigmaXyz(x=x, y=y, z=z)
 
 
-def _angles(target: Target, reading: PartReading) -> SigmaAngles:
+def _angles(target: Target, reading: PartReading) -> SigmaAbc:
     a, b, c = (round(float(value), 5) for value in reading.sigma_deg)
     if target.free_axis is None:
-        return SigmaAngles(a=a, b=b, c=c)
-    a_deg, b_deg, c_deg = (value if value < UNKNOWN_DEG else None for value in (a, b, c))
-    return SigmaAngles(a=a_deg, b=b_deg, c=c_deg)
+        return SigmaAbc(a=a, b=b, c=c)
+    told = [value if value < UNKNOWN_DEG else None for value in (a, b, c)]
+    return SigmaAbc(a=told[0], b=told[1], c=told[2])
 
 
 def terms_of(rig: StereoRig, target: Target) -> Terms | None:
