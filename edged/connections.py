@@ -17,8 +17,11 @@ import ssl
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import lru_cache
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address
 from typing import Any
 
+from edged.errors import ListenError
 from edged.logs import LogLimit
 
 BACKLOG = 128  # of the kernel, while the loop is busy
@@ -28,6 +31,8 @@ REST_S = 0.2  # until the next try, when file descriptors have run out
 SWEEP_S = 1.0
 CLOSE_S = 1.0
 EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
+Network = IPv4Network | IPv6Network
+Address = IPv4Address | IPv6Address
 
 
 class TcpClient:
@@ -137,7 +142,13 @@ class TcpListener:
         return self._clients.get(name) if name is not None else None
 
     async def open(self, host: str, port: int) -> None:
-        """Listen. Raises `OSError`; then nothing stays open."""
+        """Listen. Raises `ListenError` that says what to do; then nothing stays open."""
+        try:
+            await self._open_all(host, port)
+        except (OSError, OverflowError) as error:
+            raise ListenError(f"{self._name}: cannot listen on {host}:{port}: {_why(error, port)}") from error
+
+    async def _open_all(self, host: str, port: int) -> None:
         loop = asyncio.get_running_loop()
         found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         try:
@@ -346,3 +357,36 @@ class Rates:
         while len(self._rates) > self._most:
             self._rates.popitem(last=False)
         return rate
+
+
+def _why(error: Exception, port: int) -> str:
+    """Why a port cannot be listened on, and what to do about it."""
+    number = getattr(error, "errno", None)
+    if isinstance(error, PermissionError):
+        return (
+            "ports below 1024 need CAP_NET_BIND_SERVICE (the systemd unit grants it); or choose a port above"
+        )
+    if number == errno.EADDRINUSE:
+        return f"the port is in use; `ss -ltnp sport = :{port}` shows by whom"
+    if number == errno.EADDRNOTAVAIL:
+        return "no interface of this machine has that address; `ip -br address` shows them"
+    return getattr(error, "strerror", None) or str(error)
+
+
+@lru_cache(1024)
+def address_of(host: str) -> Address | None:
+    """A peer's address; IPv4 inside IPv6 counts as IPv4. None if it is not an address."""
+    try:
+        address = ip_address(host.partition("%")[0])
+    except ValueError:
+        return None
+    if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
+        return address.ipv4_mapped
+    return address
+
+
+@lru_cache(1024)
+def contains(networks: tuple[Network, ...], host: str) -> bool:
+    """Whether a peer's address is in one of the networks."""
+    address = address_of(host)
+    return address is not None and any(address in network for network in networks)

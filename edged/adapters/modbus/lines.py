@@ -28,14 +28,13 @@ import numpy as np
 from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
-from edged.adapters.modbus.settings import LineSettings, ModbusSettings, address_of, contains
+from edged.adapters.modbus.settings import LineSettings, ModbusSettings
 from edged.adapters.modbus.tcp import SILENT_S
-from edged.connections import TcpClient, TcpListener
+from edged.connections import TcpClient, TcpListener, address_of, contains
 from edged.domain.arrays import FloatArray
 from edged.domain.events import REGISTERING, CommandKind
 from edged.domain.measurement import Reject
 from edged.domain.numerals import decimal, whole
-from edged.errors import ListenError
 from edged.logs import LogLimit
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason
@@ -454,12 +453,7 @@ class LineServer:
 
     async def start(self) -> None:
         """Listen. Raises `ListenError`."""
-        try:
-            await self._listener.open(self._settings.host, self._line.port)
-        except (OSError, OverflowError) as error:
-            place = f"{self._settings.host}:{self._line.port}"
-            why = getattr(error, "strerror", None) or str(error)
-            raise ListenError(f"modbus.socket: cannot listen on {place}: {why}") from error
+        await self._listener.open(self._settings.host, self._line.port)
 
     async def close(self) -> None:
         """Stop listening and close every connection."""

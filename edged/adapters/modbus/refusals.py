@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from edged.adapters.modbus.settings import Address
+from edged.connections import Address
 from edged.logs import fields
 
 NAMED_PEERS = 64  # a network that is scanned from many addresses must not fill the log

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
-from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Literal
 
+from edged.connections import Address, Network
 from edged.plc.handshake import HandshakeLimits
 from edged.plc.registers import BLOCKS, WordOrder
 from edged.robot.orientations import Brand, Convention
 
-Network = IPv4Network | IPv6Network
-Address = IPv4Address | IPv6Address
 LOOPBACK: tuple[Network, ...] = (ip_network("127.0.0.0/8"), ip_network("::1/128"))
 MAP_END = max(block.address + block.words for block in BLOCKS)
 
@@ -99,22 +97,3 @@ class ModbusSettings:
     def limits(self) -> HandshakeLimits:
         """Times of the handshake."""
         return HandshakeLimits(self.validity_s, self.heartbeat_s, self.owner_s)
-
-
-@lru_cache(1024)
-def address_of(host: str) -> Address | None:
-    """A peer's address; IPv4 inside IPv6 counts as IPv4. None if it is not an address."""
-    try:
-        address = ip_address(host.partition("%")[0])
-    except ValueError:
-        return None
-    if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
-        return address.ipv4_mapped
-    return address
-
-
-@lru_cache(1024)
-def contains(networks: tuple[Network, ...], host: str) -> bool:
-    """Whether a peer's address is in one of the networks."""
-    address = address_of(host)
-    return address is not None and any(address in network for network in networks)

@@ -22,9 +22,8 @@ from edged.adapters.modbus.cell import CellRegisters, ClientView
 from edged.adapters.modbus.pdu import WRITES, respond
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.security import certificate_role, server_context
-from edged.adapters.modbus.settings import ModbusSettings, address_of, contains
-from edged.connections import Rate, TcpClient, TcpListener
-from edged.errors import ListenError
+from edged.adapters.modbus.settings import ModbusSettings
+from edged.connections import Rate, TcpClient, TcpListener, address_of, contains
 from edged.logs import LogLimit
 
 HEADER_BYTES = 7
@@ -65,7 +64,7 @@ class TcpServer:
         return self._listener.port if self._listener is not None else 0
 
     async def start(self) -> None:
-        """Listen. Raises `ListenError` that says what to do."""
+        """Listen. Raises `ListenError`."""
         settings = self.settings
         if self._context is None and settings.tls is not None:
             self._context = server_context(settings.tls)
@@ -78,10 +77,7 @@ class TcpServer:
             context=self._context,
             tells=True,
         )
-        try:
-            await listener.open(settings.host, settings.port)
-        except (OSError, OverflowError) as error:
-            raise ListenError(_listen_problem(settings, error)) from error
+        await listener.open(settings.host, settings.port)
         self._listener = listener
 
     async def close(self) -> None:
@@ -175,21 +171,6 @@ class TcpServer:
             return False
         displaced.abort()
         return self._has_room(newcomer.peer)
-
-
-def _listen_problem(settings: ModbusSettings, error: Exception) -> str:
-    place = f"modbus: cannot listen on {settings.host}:{settings.port}"
-    number = getattr(error, "errno", None)
-    if isinstance(error, PermissionError):
-        return (
-            f"{place}: ports below 1024 need CAP_NET_BIND_SERVICE (the systemd unit grants it); "
-            "or choose a port above, such as 1502"
-        )
-    if number == 98:  # EADDRINUSE
-        return f"{place}: the port is in use; `ss -ltnp sport = :{settings.port}` shows by whom"
-    if number == 99:  # EADDRNOTAVAIL
-        return f"{place}: no interface of this machine has that address; `ip -br address` shows them"
-    return f"{place}: {getattr(error, 'strerror', None) or error}"
 
 
 class ModbusConnection(asyncio.Protocol):

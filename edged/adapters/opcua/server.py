@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
-from ipaddress import IPv6Address, ip_address
 from typing import Any
 
 import asyncua
@@ -32,7 +31,7 @@ from edged.adapters.opcua.security import ServerIdentity, TrustList, Users
 from edged.adapters.opcua.session import MAX_NODES, Server
 from edged.adapters.opcua.settings import OpcUaSettings
 from edged.adapters.opcua.space import Space
-from edged.connections import Rate, TcpClient, TcpListener
+from edged.connections import Rate, TcpClient, TcpListener, contains
 from edged.errors import EdgedError, ListenError, TookTooLong
 from edged.logs import LogLimit
 
@@ -167,7 +166,7 @@ class ServerThread:
             self._left,
             idle_s=IDLE_S,
         )
-        await self._open(listener)
+        await listener.open(settings.host, settings.port)
         await server.start()
         tasks = [asyncio.create_task(work) for work in (self._tick(server), self._show(space))]
         done(None)
@@ -199,14 +198,6 @@ class ServerThread:
         for session in list(server.sessions.values()):
             await session.close_session(True)
         await server.stop()
-
-    async def _open(self, listener: TcpListener) -> None:
-        settings = self._settings
-        try:
-            await listener.open(settings.host, settings.port)
-        except (OSError, OverflowError) as error:
-            why = getattr(error, "strerror", None) or str(error)
-            raise ListenError(f"opcua: cannot listen on {settings.host}:{settings.port}: {why}") from error
 
     async def _prepare(self, server: Server) -> None:
         """Fill the standard's own nodes for this server."""
@@ -276,7 +267,7 @@ class ServerThread:
     def _admits(self, newcomer: TcpClient) -> bool:
         """Whether a client may stay. No address gets more than half of the connections."""
         settings, peer = self._settings, newcomer.peer
-        if settings.readers and not _contains(settings, peer):
+        if settings.readers and not contains(settings.readers, peer):
             self._log.warning("opcua: %s is not in the list of networks, closed", peer)
             return False
         clients = self._listener.clients if self._listener is not None else ()
@@ -335,10 +326,7 @@ class ServerThread:
         """Update the server's clock, by which clients see that it lives."""
         node, status = (
             server.aspace[base(number)].attributes[ua.AttributeIds.Value]
-            for number in (
-                ua.ObjectIds.Server_ServerStatus_CurrentTime,
-                ua.ObjectIds.Server_ServerStatus,
-            )
+            for number in (ua.ObjectIds.Server_ServerStatus_CurrentTime, ua.ObjectIds.Server_ServerStatus)
         )
         while True:
             now = datetime.now(UTC)
@@ -348,13 +336,3 @@ class ServerThread:
             for handle, tell in list(node.datachange_callbacks.items()):
                 await tell(handle, node.value)
             await asyncio.sleep(1.0)
-
-
-def _contains(settings: OpcUaSettings, peer: str) -> bool:
-    try:
-        address = ip_address(peer.partition("%")[0])
-    except ValueError:
-        return False
-    if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
-        address = address.ipv4_mapped
-    return any(address in network for network in settings.readers)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from ipaddress import IPv4Network, IPv6Network
 from pathlib import Path
 
-Network = IPv4Network | IPv6Network
+from edged.connections import Network
 
 
 @dataclass(frozen=True, slots=True)

@@ -191,10 +191,9 @@ class WebPublisher:
         )
         try:
             await self._listener.open(settings.host, settings.port)
-        except OSError as error:
+        except ListenError:
             await self.close()
-            place = f"{settings.host}:{settings.port}"
-            raise ListenError(f"status page on {place}: {error.strerror or error}") from error
+            raise
         host = f"[{settings.host}]" if ":" in settings.host else settings.host
         place = f"{'https' if context is not None else 'http'}://{host}:{self.port}"
         log.info("status page: %s", place)
