@@ -90,8 +90,8 @@ class SetupServices:
 
         return [
             CameraRoutes(self._cameras),
-            CalibrationRoutes(self._calibrations, self._cell.tasks),
-            ReleaseRoutes(self._calibrations, self._activation, self._cell.worker),
+            CalibrationRoutes(self._calibrations, self._cell.tasks, self._activation),
+            ReleaseRoutes(self._activation, self._cell.worker),
             CheckRoutes(self._checks),
             CycleRoutes(self._cycles),
             RegistrationRoutes(self._registrations, self._activation),

@@ -10,12 +10,13 @@ from datetime import UTC, datetime
 from aiohttp import web
 
 from edged.adapters.modbus import ModbusPublisher
-from edged.adapters.web.routes import Answer, Call, Problem, route
+from edged.adapters.web.routes import Answer, Call, route
 from edged.identity.visitors import Role
 from edged.plc.ladder import Exchange
 from edged.plc.registers import ADDRESS, constant_values
 from edged.ports import Publisher
 from edged.robots.formats import written
+from edged.setup.draftroutes import unknown
 
 FILES = {
     "st": "edged.st",
@@ -165,7 +166,7 @@ class PlcRoutes:
     async def _client(self, call: Call[None]) -> web.Response:
         kind = call.part("kind")
         if kind not in FILES:
-            raise Problem(404, "unknown", f"expected one of {', '.join(FILES)}")
+            raise unknown()
         files = written(kind)
         data = _packed(files) if len(files) > 1 else "".join(files.values()).encode()
         headers = {"Content-Disposition": f'attachment; filename="{FILES[kind]}"'}

@@ -60,7 +60,9 @@ def _printable(text: str) -> str:
 
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
-"""Name of a person or a thing, one line."""
+"""Of a person or a thing, in one line."""
+Reason = Annotated[str, StringConstraints(min_length=1, max_length=500), AfterValidator(_printable)]
+"""Why something is done, in one line."""
 Token = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
 """Token of a lease of the cell."""
 

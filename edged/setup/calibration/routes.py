@@ -15,6 +15,8 @@ from edged.setup.calibration.service import Calibrations
 from edged.setup.documents import DraftHead
 from edged.setup.draftroutes import Begun, DraftRoutes, Nothing, known, unknown
 from edged.setup.jobs.tasks import TaskDocument, Tasks
+from edged.setup.releases.routes import Activating, ReleaseDocument, activated
+from edged.setup.releases.service import Activation
 from edged.vision.calibration.lenschoice import LensWish
 
 VIEW = "/views/{name:view_[0-9]{3}}"
@@ -55,9 +57,10 @@ class Auto(Leased):
 class CalibrationRoutes:
     """The routes."""
 
-    def __init__(self, calibrations: Calibrations, tasks: Tasks) -> None:
+    def __init__(self, calibrations: Calibrations, tasks: Tasks, activation: Activation) -> None:
         self._calibrations = calibrations
         self._tasks = tasks
+        self._activation = activation
 
     def add_to(self, table: RouteTable) -> None:
         """Add them."""
@@ -89,6 +92,8 @@ class CalibrationRoutes:
         )
         what = "Solve it, and hold views out: half a minute for 20 pairs"
         routes.add("POST", "/solve", self._solve, what, Nothing, answer=Begun, status=202, audit=True)
+        what = "Let the cell run by what the draft was solved to"
+        routes.add("POST", "/activate", self._activate, what, Activating, answer=ReleaseDocument, audit=True)
         what = "What it was solved to, for people"
         routes.add("GET", "/report", self._report, what, answer="text/html", role=see)
 
@@ -107,6 +112,10 @@ class CalibrationRoutes:
     async def _solve(self, draft: str, call: Call[Nothing]) -> Begun:
         call.trail.object = task = await self._calibrations.solve(draft)
         return Begun(task=task)
+
+    async def _activate(self, _draft: str, call: Call[Activating]) -> ReleaseDocument:
+        ours = self._calibrations
+        return await activated(self._activation, call, ours.solution, ours.drafts)
 
     async def _report(self, draft: str, _: Call[None]) -> web.Response:
         page = await asyncio.to_thread((await self._calibrations.drafts.get(draft)).draft.report)

@@ -164,10 +164,9 @@ class Calibrations:
         self.drafts.tell(opened)
         return opened.task
 
-    async def solution(self, identity: str) -> tuple[Draft, bytes]:
-        """A draft and the rig that it was solved to. Raises as `Draft.rig`, and `KeyError`."""
-        draft = (await self.drafts.get(identity)).draft
-        return draft, await asyncio.to_thread(draft.rig)
+    async def solution(self, identity: str) -> bytes:
+        """The rig that a draft was solved to. Raises as `Draft.rig`, and `KeyError`."""
+        return await asyncio.to_thread((await self.drafts.get(identity)).draft.rig)
 
     # --- live pairs ------------------------------------------------------------------------------
 

@@ -12,12 +12,12 @@ from edged.setup.inuse import CellInUse
 from edged.setup.recordings.setups import RIG, Contents
 from edged.setup.recordings.whatif import JobChange, changed_job
 from edged.setup.releases.archive import jobs_of, rig_in
-from edged.setup.releases.jobsfolder import contents_with
+from edged.setup.releases.jobsfolder import contents_with, with_job
 from edged.setup.releases.jobsinuse import Candidate
 from edged.setup.releases.releasefolder import ReleaseFolder
 
-Solution = Callable[[str], Awaitable[tuple[object, bytes]]]
-"""What a draft of a calibration was solved to, and its rig's file; raises `KeyError`, `EdgedError`."""
+Solution = Callable[[str], Awaitable[bytes]]
+"""The rig that a draft of a calibration was solved to; raises `KeyError`, `EdgedError`."""
 Taught = Callable[[str], Awaitable[Candidate]]
 """The job of a draft of a teaching, likewise."""
 
@@ -33,7 +33,7 @@ class CandidateContents:
 
     async def of_calibration(self, identity: str) -> Contents:
         """By the rig of a draft that was solved. Raises `KeyError`, `EdgedError`."""
-        return {**self._cell.contents, RIG: (await self._solution(identity))[1]}
+        return {**self._cell.contents, RIG: await self._solution(identity)}
 
     async def of_teaching(self, identity: str) -> Contents:
         """By the job of a draft, as it would become active. Raises `KeyError`, `EdgedError`."""
@@ -60,10 +60,4 @@ class CandidateContents:
             check_text(job)
             return job_files(job)
 
-        return with_job(active, str(place), await asyncio.to_thread(changed))
-
-
-def with_job(active: Contents, place: str, files: Contents) -> Contents:
-    """A cell's files with those of one job in a folder, "jobs/NAME", in place of those that are there."""
-    others = {name: data for name, data in active.items() if not name.startswith(f"{place}/")}
-    return {**others, **{f"{place}/{name}": data for name, data in files.items()}}
+        return with_job(active, str(place), await asyncio.to_thread(changed), None)

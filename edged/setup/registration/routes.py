@@ -15,7 +15,7 @@ from edged.setup.draftroutes import DraftRoutes, Revised
 from edged.setup.registration.documents import Conventions, RegistrationDocument, RegistrationList, brands
 from edged.setup.registration.drafts import RobotDraft
 from edged.setup.registration.service import Given, Registrations
-from edged.setup.releases.routes import Activating, ReleaseDocument, document_of_release, signature
+from edged.setup.releases.routes import Activating, ReleaseDocument, activated
 from edged.setup.releases.service import Activation
 
 SAMPLE = "/samples/{name:(?:point|pose)_[0-9]{3}}"
@@ -180,15 +180,9 @@ class RegistrationRoutes:
         body = call.body
         return await self._registrations.confirm(draft, body.place, body.given, body.revision)
 
-    async def _activate(self, draft: str, call: Call[Activating]) -> ReleaseDocument:
-        self._activation.check(call.body.token)
-        rig = await self._registrations.solution(draft)
-        call.trail.before = self._activation.fingerprint
-        signed = signature(call)
-        release = await self._activation.activate(rig, call.visitor.name, call.body.note, signed)
-        call.trail.after = release.fingerprint
-        await self._registrations.drafts.tell_again(draft)
-        return document_of_release(release, is_active=True)
+    async def _activate(self, _draft: str, call: Call[Activating]) -> ReleaseDocument:
+        ours = self._registrations
+        return await activated(self._activation, call, ours.solution, ours.drafts)
 
 
 def _small(draft: RobotDraft, call: Call[None]) -> Path | None:

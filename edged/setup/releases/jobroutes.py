@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pydantic import model_validator
 
-from edged.adapters.web.routes import Body, Call, Problem, Token, route
+from edged.adapters.web.routes import Body, Call, Reason, Token, route
 from edged.identity.visitors import Role
-from edged.setup.draftroutes import Nothing, known
+from edged.setup.draftroutes import Nothing, known, unknown
 from edged.setup.releases.jobs import JobList, Jobs, VersionList
-from edged.setup.releases.routes import Reason
 from edged.setup.releases.service import Activation
 from edged.setup.teaching.model import JobName, Number
 
@@ -122,4 +121,4 @@ class JobRoutes:
             self._jobs.take(call.part("name"))
         except KeyError:
             call.trail.object = ""
-            raise Problem(404, "unknown", "there is no such job") from None
+            raise unknown() from None

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Awaitable, Callable
+from typing import Any
 
-from pydantic import AfterValidator, StringConstraints
-
-from edged.adapters.web.routes import Answer, Body, Call, Token, route
+from edged.adapters.web.routes import Answer, Body, Call, Reason, Token, route
 from edged.identity.visitors import Role
-from edged.setup.calibration.service import Calibrations
-from edged.setup.draftroutes import DRAFT, known
+from edged.setup.draftroutes import known
+from edged.setup.drafts import OpenDrafts
 from edged.setup.jobs.worker import Worker
 from edged.setup.releases.differences import ReleaseDifference
 from edged.setup.releases.releasefolder import Release, Tested
 from edged.setup.releases.service import Activation
-
-
-def _of_one_line(text: str) -> str:
-    if not text.isprintable():
-        raise ValueError("expected printable characters, on one line")
-    return text
-
-
-Reason = Annotated[str, StringConstraints(min_length=1, max_length=500), AfterValidator(_of_one_line)]
 
 
 class Activating(Body):
@@ -68,26 +58,9 @@ class ReleaseList(Answer):
 class ReleaseRoutes:
     """The routes."""
 
-    def __init__(self, calibrations: Calibrations, activation: Activation, worker: Worker) -> None:
-        self._calibrations = calibrations
+    def __init__(self, activation: Activation, worker: Worker) -> None:
         self._activation = activation
         self._worker = worker
-
-    @route(
-        "POST",
-        f"/calibrations{DRAFT}/activate",
-        "Let the cell run by what the draft was solved to",
-        audit=True,
-    )
-    async def _activate(self, call: Call[Activating]) -> ReleaseDocument:
-        self._activation.check(call.body.token)
-        _, rig = await known(self._calibrations.solution(call.part("id")))
-        call.trail.before = self._activation.fingerprint
-        signed = signature(call)
-        release = await self._activation.activate(rig, call.visitor.name, call.body.note, signed)
-        call.trail.after = release.fingerprint
-        await self._calibrations.drafts.tell_again(call.part("id"))
-        return document_of_release(release, is_active=True)
 
     @route(
         "POST",
@@ -123,6 +96,22 @@ class ReleaseRoutes:
                 document_of_release(release, is_active=release.number == active) for release in releases
             ]
         )
+
+
+async def activated(
+    activation: Activation,
+    call: Call[Activating],
+    solution: Callable[[str], Awaitable[bytes]],
+    drafts: OpenDrafts[Any, Any, Any],
+) -> ReleaseDocument:
+    """Let the cell run by the rig that a draft was solved to. Raises as `Activation.activate`; `KeyError`."""
+    activation.check(call.body.token)
+    rig = await solution(call.part("id"))
+    call.trail.before = activation.fingerprint
+    release = await activation.activate(rig, call.visitor.name, call.body.note, signature(call))
+    call.trail.after = release.fingerprint
+    await drafts.tell_again(call.part("id"))
+    return document_of_release(release, is_active=True)
 
 
 def document_of_release(release: Release, *, is_active: bool) -> ReleaseDocument:
