@@ -19,23 +19,18 @@ class Camera(Protocol):
     @property
     def name(self) -> str:
         """ "left" or "right"."""
-        ...
 
     async def open(self) -> None:
         """Connect and arm; may be called again after `close` or after a fault."""
-        ...
 
     async def trigger(self) -> None:
         """Start one exposure; frames that were not fetched before are dropped."""
-        ...
 
     async def frame(self) -> Frame:
         """Return the image of the last trigger, or raise `FrameTimeout` / `FrameIncomplete`."""
-        ...
 
     async def close(self) -> None:
         """Release everything; safe to call twice and on a camera that never opened."""
-        ...
 
 
 @runtime_checkable
@@ -47,15 +42,12 @@ class Adjustable(Protocol):
 
         Raises `CameraSetupError` for a value that the camera does not have or take; nothing is changed then.
         """
-        ...
 
     async def limits(self) -> CameraLimits:
         """Values that it can be set to now."""
-        ...
 
     async def restore(self) -> None:
         """Undo `adjust`; even if this fails, no later connection has the adjusted values."""
-        ...
 
 
 class Head(Protocol):
@@ -63,19 +55,15 @@ class Head(Protocol):
 
     async def open(self) -> None:
         """Connect cameras that are not connected or not well."""
-        ...
 
     async def capture(self) -> FramePair:
         """One exposure of both cameras, bounded in time; raises `CaptureError`."""
-        ...
 
     async def listen(self) -> FramePair:
         """The next exposure that others trigger; may be cancelled and called again without losing one."""
-        ...
 
     async def close(self) -> None:
         """Release both cameras."""
-        ...
 
 
 @runtime_checkable
@@ -84,15 +72,12 @@ class AdjustableHead(Protocol):
 
     async def adjust(self, side: Side, values: CameraValues) -> CameraValues:
         """Set the stated values; `CameraValues()` only reads."""
-        ...
 
     async def limits(self, side: Side) -> CameraLimits:
         """Values that a camera can be set to now."""
-        ...
 
     async def restore(self) -> None:
         """Undo what was adjusted."""
-        ...
 
 
 class Publisher(Protocol):
@@ -100,15 +85,12 @@ class Publisher(Protocol):
 
     async def start(self) -> None:
         """Open sockets. Raises `ListenError`."""
-        ...
 
     def announce(self, event: Event) -> None:
         """Take note of an event on the event loop; must not block or raise."""
-        ...
 
     async def close(self) -> None:
         """Stop and leave nothing behind."""
-        ...
 
 
 class Commander(Protocol):
@@ -120,11 +102,9 @@ class Commander(Protocol):
         Every accepted command ends in exactly one event that carries it: a `Snapshot`,
         a `JobChanged` or a `CommandFailed`.
         """
-        ...
 
     def lock_setup(self, locked: bool) -> None:
         """Forbid SETUP and end it; or allow it again."""
-        ...
 
 
 class Commissioner(Protocol):
@@ -132,20 +112,15 @@ class Commissioner(Protocol):
 
     async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
         """Take the cell (take_over : from its holder) after the running cycle; returns a lease's token."""
-        ...
 
     def renew_setup(self, token: str) -> None:
         """Extend the lease, at least once a minute."""
-        ...
 
     def leave_setup(self, token: str) -> None:
         """Give the cell back."""
-        ...
 
     def end_setup(self, name: str) -> None:
         """End SETUP for any holder, present or lapsed. name : of the person who says so."""
-        ...
 
     async def capture(self, token: str) -> FramePair:
         """One exposure, which is not announced. Raises `CaptureError`, too."""
-        ...

@@ -12,7 +12,6 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from edged.adapters.modbus import ModbusPublisher, server_context
 from edged.adapters.recorder import Recorder, RecorderSettings
@@ -33,9 +32,6 @@ from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection
 from edged.errors import EdgedError, ListenError, TookTooLong
 from edged.ports import Publisher
-
-if TYPE_CHECKING:
-    pass
 
 log = logging.getLogger(__name__)
 

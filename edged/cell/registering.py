@@ -28,23 +28,18 @@ class Registrar(Protocol):
 
     def problem(self, kind: CommandKind) -> str:
         """Why this kind of registration cannot begin; "" when it can."""
-        ...
 
     def begin(self, command: Command) -> Registered:
         """Begin anew, without samples."""
-        ...
 
     def add(self, command: Command, pair: FramePair) -> Registered:
         """Take one pose or point, with its pictures."""
-        ...
 
     def solve(self, command: Command) -> Registered:
         """Solve and judge; nothing is saved."""
-        ...
 
     async def activate(self) -> Setup:
         """Save the solution and return the setup that has it. Raises `EdgedError`, `OSError`."""
-        ...
 
 
 class RobotRegistration:

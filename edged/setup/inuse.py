@@ -68,21 +68,17 @@ class RunningCell(Protocol):
     @property
     def path(self) -> Path:
         """Path of the configuration."""
-        ...
 
     @property
     def files(self) -> CellFiles | UnfinishedCell:
         """The files that it runs by."""
-        ...
 
     @property
     def session(self) -> SetupSession:
         """Its lease, and its cameras in SETUP."""
-        ...
 
     def reload(self) -> Awaitable[str]:
         """Read the configuration again; returns why it was refused, or ""."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -165,11 +165,9 @@ class Latch(Protocol):
     @property
     def tick_hz(self) -> int:
         """Ticks per second in which it counts."""
-        ...
 
     def read(self, device: Any) -> ClockReading:
         """Latch the clock once; GLib errors pass through."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,15 +66,12 @@ class RegisterDevice(Protocol):
 
     def read(self, address: int, count: int) -> Sequence[int]:
         """Words; raises `RequestRefused`."""
-        ...
 
     def write(self, address: int, words: Sequence[int]) -> None:
         """Write all words or none; raises `RequestRefused`."""
-        ...
 
     def write_bits(self, address: int, bits: Sequence[bool]) -> None:
         """Write all bits or none; raises `RequestRefused`."""
-        ...
 
 
 def respond(request: bytes, device: RegisterDevice, *, may_write: bool) -> bytes:

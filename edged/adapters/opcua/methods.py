@@ -56,11 +56,9 @@ class CommandWriter(Protocol):
         self, session: ua.NodeId, values: Mapping[str, Number]
     ) -> tuple[int, int, RegisterPicture]:
         """Write a command; returns its sequence, 0 or minus the NACK_REASON, and the registers after it."""
-        ...
 
     async def write(self, session: ua.NodeId, values: Mapping[str, Number]) -> int:
         """Write other words of the command block; returns 0 or minus the NACK_REASON."""
-        ...
 
 
 class Methods:

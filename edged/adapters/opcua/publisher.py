@@ -40,27 +40,22 @@ class RegisterSource(Protocol):
 
     def values(self) -> Sequence[tuple[reg.Register, reg.Number]]:
         """Every register at one moment."""
-        ...
 
     @property
     def valid_until_s(self) -> float:
         """When the coordinates on display expire, on the monotonic clock; 0 without valid coordinates."""
-        ...
 
     def write(self, client: int, values: Mapping[str, reg.Number]) -> None:
         """Write words of the command block that follow each other.
 
         Raises `CommandRefused` during another client's turn.
         """
-        ...
 
     def leave(self, client: int) -> None:
         """End a client, and its right to write."""
-        ...
 
     def watch(self, changed: Callable[[], None] | None) -> None:
         """Set a callback for each write and event; None: remove it."""
-        ...
 
 
 class OpcUaPublisher:

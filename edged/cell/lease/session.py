@@ -27,15 +27,12 @@ class Notebook(Protocol):
 
     def is_taken(self) -> bool:
         """Whether a person holds the cell."""
-        ...
 
     def note(self, name: str) -> None:
         """Note the holder. Raises `OSError`; then SETUP is refused."""
-        ...
 
     def clear(self) -> None:
         """Note that the cell is free. Raises `OSError`."""
-        ...
 
 
 class SetupSession:

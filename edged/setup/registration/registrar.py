@@ -27,19 +27,15 @@ class Witness(Protocol):
 
     def begun(self, mount: Mount, kind: Kind, board: str, limit_mm: float) -> None:
         """It has begun anew."""
-        ...
 
     def posed(self, pair: FramePair, robot_from_flange: FloatArray) -> None:
         """A pose was taken."""
-        ...
 
     def touched(self, pair: FramePair, job: str, rig_mm: FloatArray, robot_from_tip: FloatArray) -> None:
         """A point (3,) was taken, on the part of a job."""
-        ...
 
     def activated(self) -> None:
         """The cell runs by the result."""
-        ...
 
 
 class Loaded(Protocol):
@@ -48,12 +44,10 @@ class Loaded(Protocol):
     @property
     def cell(self) -> CellFiles | UnfinishedCell:
         """Its files."""
-        ...
 
     @property
     def setup(self) -> Setup:
         """Its jobs."""
-        ...
 
 
 class RegistrableCell(Protocol):
@@ -62,11 +56,9 @@ class RegistrableCell(Protocol):
     @property
     def loaded(self) -> Loaded:
         """What it measures by now."""
-        ...
 
     async def register(self, base: object, save: Callable[[], None]) -> Setup:
         """Save the rig, and measure by it. Raises `EdgedError`, `OSError`; also when base is not loaded."""
-        ...
 
 
 class CellRegistrar:

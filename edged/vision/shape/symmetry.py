@@ -22,12 +22,10 @@ class Level(Protocol):
     @property
     def points(self) -> FloatArray:
         """(N, 2) px from the origin."""
-        ...
 
     @property
     def normals(self) -> FloatArray:
         """(N, 2) unit, across the edge."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
