@@ -16,7 +16,7 @@ import numpy as np
 
 from edged import pipeline
 from edged.domain.arrays import SIDES, Image
-from edged.domain.frames import Frame, FramePair
+from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome
 from edged.errors import ImageError
 from edged.files import jobs
@@ -145,7 +145,7 @@ def locate(left: Image, right: Image, job: Job, rig: StereoRig) -> Outcome:
     why one is not good. `outcome.nearest.ask()` is the closest miss where nothing was found. The same images
     give the same digits as in the daemon. Raises `ImageError` for images that the rig was not calibrated for.
     """
-    pair = FramePair(*(Frame(side, 0, image, 0, 0) for side, image in zip(SIDES, (left, right), strict=True)))
+    pair = FramePair.of_images(left, right)
     return picked(pipeline.locate(pair, job, _prepared(rig)), job.picking, frame_of(rig))
 
 

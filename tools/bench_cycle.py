@@ -38,7 +38,7 @@ from benching import bench_parser, finish
 
 from edged.commands.demo import region_of_part
 from edged.domain.arrays import Image
-from edged.domain.frames import Frame, FramePair
+from edged.domain.frames import FramePair
 from edged.pipeline import PreparedRig, inspect, locate, prepare
 from edged.sim.cell import PartMotion, VirtualCell, demo_part, demo_rig, stereo_views
 from edged.sim.render.scene import PlacedPart
@@ -144,7 +144,7 @@ def cycle_floor(rig: PreparedRig, pair: Pair) -> None:
 
 def as_frames(pair: Pair) -> FramePair:
     """As the cameras deliver them."""
-    return FramePair(Frame("left", 0, pair[0], 0, 0), Frame("right", 0, pair[1], 0, 0))
+    return FramePair.of_images(*pair)
 
 
 def timed(

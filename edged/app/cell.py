@@ -10,7 +10,7 @@ import numpy as np
 
 from edged.cell.drift import DriftLimits
 from edged.cell.loaded import LoadedJob, Setup
-from edged.domain.frames import Frame, FramePair
+from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome
 from edged.errors import UserError
 from edged.files.rig import read_rig, rig_of
@@ -118,6 +118,6 @@ def warm_up(loaded: LoadedCell) -> None:
     load_called(*PACKAGES)
     camera = loaded.rig.rig.left, loaded.rig.rig.right
     blank = [np.zeros((model.height, model.width), np.uint8) for model in camera]
-    pair = FramePair(Frame("left", 0, blank[0], 0, 0), Frame("right", 0, blank[1], 0, 0))
+    pair = FramePair.of_images(*blank)
     for job in loaded.setup.jobs.values():
         job.locate(pair, lambda _stage: None)

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from edged.domain.arrays import FloatArray
-from edged.domain.frames import Frame, FramePair
+from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Target
 from edged.domain.picking import Grasp
 from edged.errors import UserError
@@ -47,9 +47,7 @@ def touch(rig: Path, job: Path, left: Path, right: Path, asked: Touch, console: 
     if loaded.robot_from_rig is None:
         raise UserError(f"--rig {rig}: not registered to a robot beside it (edged register)")
     robot_from_tcp = _pose(asked)
-    pair = FramePair(
-        *(Frame(side, 0, load_image(path), 0, 0) for side, path in (("left", left), ("right", right)))
-    )
+    pair = FramePair.of_images(load_image(left), load_image(right))
     outcome = locate(pair, taught, prepare(loaded))
     good = [target for target in outcome.targets if target.reject is Reject.NONE]
     if len(good) != 1:

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from edged.domain.arrays import FloatArray, Image
-from edged.domain.frames import Frame, FramePair
+from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status, Target
 from edged.domain.picking import GraspPose
 from edged.errors import UserError
@@ -60,9 +60,7 @@ def locate(
     if convention not in known:
         raise UserError(f"--convention {convention!r}: expected one of {', '.join(known)}")
     prepared, taught = prepare(load_rig(rig)), load_job(job)
-    pair = FramePair(
-        *(Frame(side, 0, load_image(path), 0, 0) for side, path in (("left", left), ("right", right)))
-    )
+    pair = FramePair.of_images(load_image(left), load_image(right))
     timing_ms: dict[str, float] = {}
     last_s = time.perf_counter()
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
+from typing import Self
 
-from edged.domain.arrays import Image
+from edged.domain.arrays import Image, Side
 
 
 class TimeBase(enum.StrEnum):
@@ -49,6 +50,15 @@ class FramePair:
     left: Frame
     right: Frame
     missed: int = field(default=0, kw_only=True)
+
+    @classmethod
+    def of_images(cls, left: Image, right: Image) -> Self:
+        """Of pictures (H, W) uint8 that no camera has just taken."""
+        return cls(Frame("left", 0, left, 0, 0), Frame("right", 0, right, 0, 0))
+
+    def side(self, side: Side) -> Frame:
+        """The frame of one camera."""
+        return self.left if side == "left" else self.right
 
     @property
     def exposed_ns(self) -> int:

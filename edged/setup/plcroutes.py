@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime
 
 from aiohttp import web
@@ -173,29 +174,18 @@ class PlcRoutes:
         return web.Response(body=data, content_type="application/octet-stream", headers=headers)
 
 
-def _document(exchange: Exchange) -> ExchangeDocument:
-    at = datetime.fromtimestamp(exchange.began_ns / 1e9, UTC)
-    return ExchangeDocument(
-        number=exchange.number,
-        at=at.isoformat(timespec="milliseconds"),
-        client=exchange.client,
-        sequence=exchange.sequence,
-        code=exchange.code,
-        command=exchange.command,
-        job=exchange.job,
-        hint=exchange.hint or None,
-        times=exchange.times,
-        rungs=[
-            RungDocument(
-                after_ms=round(1e3 * rung.after_s, 1),
-                by="plc" if rung.what in ("command", "acknowledged", "taken_down") else "cell",
-                what=rung.what,
-                detail=rung.detail,
-                valid=rung.valid,
-            )
-            for rung in exchange.rungs
-        ],
-    )
+def _document(one: Exchange) -> ExchangeDocument:
+    at = datetime.fromtimestamp(one.began_ns / 1e9, UTC)
+    rungs = [
+        RungDocument(
+            **asdict(rung),
+            after_ms=round(1e3 * rung.after_s, 1),
+            by="plc" if rung.what in ("command", "acknowledged", "taken_down") else "cell",
+        )
+        for rung in one.rungs
+    ]
+    told = {**asdict(one), "hint": one.hint or None, "rungs": rungs}
+    return ExchangeDocument(**told, at=at.isoformat(timespec="milliseconds"), command=one.command)
 
 
 def _packed(files: dict[str, str]) -> bytes:

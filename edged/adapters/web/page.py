@@ -303,8 +303,8 @@ def picture(pair: FramePair, rectification: Rectification, side: Side, width_px:
     width_px : at most; None: WIDTH_PX.
     """
     width_px = WIDTH_PX if width_px is None else width_px
-    frame = pair.left if side == "left" else pair.right
-    camera = rectification.rig.left if side == "left" else rectification.rig.right
+    frame = pair.side(side)
+    camera = rectification.rig.camera(side)
     image, shrink = frame.image, frame.image.shape[1] // width_px
     maps: tuple[MatLike, MatLike] | None = None
     if image.shape == (camera.height, camera.width):

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Generic, TypedDict, TypeVar, Unpack, get_args
 from aiohttp import web
 from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints
 
+from edged.domain.arrays import Side
 from edged.identity.visitors import Role, Visitor
 from edged.payload import Json
 
@@ -85,9 +86,9 @@ class Leased(Body):
 
 
 class Answer(BaseModel):
-    """What is answered."""
+    """What is answered; also by the attributes of something that has the same."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, from_attributes=True)
 
 
 B = TypeVar("B")
@@ -118,6 +119,11 @@ class Call(Generic[B]):
     def part(self, name: str) -> str:
         """A parameter of the path."""
         return self.request.match_info[name]
+
+    @property
+    def side(self) -> Side:
+        """The camera that the path names, as `side`."""
+        return "left" if self.part("side") == "left" else "right"
 
 
 Given = BaseModel | web.StreamResponse | None

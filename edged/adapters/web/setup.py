@@ -151,7 +151,7 @@ class SetupRoutes:
         pair = self._pairs.get(int(call.part("number")))
         if pair is None:
             raise Problem(404, "gone", f"only the last {KEPT} pairs are kept")
-        frame = pair.left if call.part("side") == "left" else pair.right
+        frame = pair.side(call.side)
         loop = asyncio.get_running_loop()
         data = await loop.run_in_executor(self._encoder, png, frame.image)
         return web.Response(body=data, content_type="image/png")

@@ -11,7 +11,7 @@ import numpy as np
 
 from edged.cell.drift import TELLING
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.domain.frames import Frame, FramePair
+from edged.domain.frames import FramePair
 from edged.domain.measurement import Circle3D, Target
 from edged.errors import ImageError, UserError
 from edged.pipeline import locate, prepare
@@ -56,7 +56,7 @@ class Finding:
 def check_sizes(rig: StereoRig, images: tuple[Image, Image], names: tuple[str, str]) -> None:
     """Raises `ImageError` for images of other sizes than the rig's. names : what the images are called."""
     for side, image, name in zip(SIDES, images, names, strict=True):
-        camera = rig.left if side == "left" else rig.right
+        camera = rig.camera(side)
         if image.shape != (camera.height, camera.width):
             raise ImageError(
                 f"{name}: {image.shape[1]} x {image.shape[0]}, the rig's {side} camera was calibrated for "
@@ -94,7 +94,7 @@ def _cameras(
     """What the board's edges say of the cameras, the response that the rig knows of taken out."""
     sides: list[Imaging] = []
     for side, image in zip(SIDES, images, strict=True):
-        camera = rig.left if side == "left" else rig.right
+        camera = rig.camera(side)
         edges = edges_of(linear_image(image, camera.gamma), view.board, view.found(side))
         sides.append(imaging_of([] if edges is None else [edges], (camera.width, camera.height)))
     depth_mm = float(apply(left_from_board, view.board.points_mm)[:, 2].mean())
@@ -109,8 +109,7 @@ def by_part(
     known : true lengths, mm, by the name of a measurement of the job, of a circle (its diameter), or of two
     circles as A-B (the distance of their centres). Raises `UserError` for another name.
     """
-    pair = FramePair(Frame("left", 0, images[0], 0, 0), Frame("right", 0, images[1], 0, 0))
-    outcome = locate(pair, job, prepare(rig))
+    outcome = locate(FramePair.of_images(*images), job, prepare(rig))
     measured = [target for target in outcome.targets if not target.reject & ~TELLING]
     if not measured:
         return Finding("UNDECIDED", math.nan, (), f"the part was not measured: {outcome.status}")

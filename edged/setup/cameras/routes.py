@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 
 from edged.adapters.web.routes import Answer, Body, Call, Leased, Problem, Token, route
-from edged.domain.arrays import SIDES, Side
+from edged.domain.arrays import SIDES
 from edged.domain.exposure import CameraValues
 from edged.setup.cameras.service import CameraService
 
@@ -155,14 +155,9 @@ class CameraRoutes:
         token, settings, limits = call.body.token, None, None
         if token is not None:
             values = {side: await self._cameras.adjust(token, side, CameraValues()) for side in SIDES}
-            settings = Both(**{side: _settings(values[side]) for side in SIDES})
+            settings = Both.model_validate(values)
             bounds = {side: await self._cameras.limits(token, side) for side in SIDES}
-            limits = BothLimits(
-                **{
-                    side: CameraBounds(exposure_us=bounds[side].exposure_us, gain_db=bounds[side].gain_db)
-                    for side in SIDES
-                }
-            )
+            limits = BothLimits.model_validate(bounds)
         return CamerasNow(
             configured={
                 side: ConfiguredCamera(**camera) for side, camera in self._cameras.configured().items()
@@ -180,11 +175,11 @@ class CameraRoutes:
         needs_lease=True,
     )
     async def _adjust(self, call: Call[Adjusting]) -> Settings:
-        side, body = _side(call), call.body
+        side, body = call.side, call.body
         if body.serial is not None:
             await self._cameras.assign(body.token, side, body.serial)
         values = CameraValues(body.exposure_us, body.gain_db)
-        return _settings(await self._cameras.adjust(body.token, side, values))
+        return Settings.model_validate(await self._cameras.adjust(body.token, side, values))
 
     @route(
         "POST",
@@ -213,11 +208,3 @@ class CameraRoutes:
         if document is None:
             raise Problem(404, "no_picture", "no live picture has been judged yet")
         return Quality.model_validate(document)
-
-
-def _settings(values: CameraValues) -> Settings:
-    return Settings(exposure_us=values.exposure_us, gain_db=values.gain_db)
-
-
-def _side(call: Call[Any]) -> Side:
-    return "left" if call.part("side") == "left" else "right"

@@ -60,17 +60,12 @@ class _Task:
     problem: TaskProblem | None = None
     running: asyncio.Task[None] | None = None
 
+    @property
+    def seconds(self) -> int:
+        return int((self.ended_s or time.monotonic()) - self.begun_s)
+
     def document(self) -> TaskDocument:
-        seconds = int((self.ended_s or time.monotonic()) - self.begun_s)
-        return TaskDocument(
-            id=self.id,
-            what=self.what,
-            done=self.done,
-            text=self.text,
-            seconds=seconds,
-            state=self.state,
-            problem=self.problem,
-        )
+        return TaskDocument.model_validate(self)
 
 
 class Tasks:

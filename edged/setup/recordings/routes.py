@@ -9,7 +9,6 @@ from aiohttp import web
 from pydantic import Field
 
 from edged.adapters.web.routes import Body, Call, route
-from edged.domain.arrays import Side
 from edged.errors import FileFormatError, ImageError
 from edged.identity.visitors import Role
 from edged.setup.draftroutes import known
@@ -72,7 +71,7 @@ class CycleRoutes:
         "GET", f"{CYCLE}/{{side:left|right}}.jpg", "A picture of it", role=Role.VIEWER, answer="image/jpeg"
     )
     async def _picture(self, call: Call[None]) -> web.Response:
-        return await _jpeg(self._cycles.picture(*_asked(call)))
+        return await _jpeg(self._cycles.picture(int(call.part("number")), call.side))
 
     @route(
         "GET",
@@ -82,7 +81,7 @@ class CycleRoutes:
         answer="image/jpeg",
     )
     async def _taught_picture(self, call: Call[None]) -> web.Response:
-        return await _jpeg(self._cycles.taught_picture(*_asked(call)))
+        return await _jpeg(self._cycles.taught_picture(int(call.part("number")), call.side))
 
     @route(
         "POST",
@@ -92,10 +91,6 @@ class CycleRoutes:
     )
     async def _what_if(self, call: Call[WhatIfQuestion]) -> WhatIf:
         return await known(self._cycles.what_if(int(call.part("number")), call.body.change()))
-
-
-def _asked(call: Call[None]) -> tuple[int, Side]:
-    return int(call.part("number")), "left" if call.part("side") == "left" else "right"
 
 
 async def _jpeg(asked: Awaitable[bytes]) -> web.Response:

@@ -113,7 +113,7 @@ def view_of_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> StereoView
     for side in SIDES:
         picture = pair.side(side)
         image = picture.read()
-        camera = rig.left if side == "left" else rig.right
+        camera = rig.camera(side)
         if image.shape != (camera.height, camera.width):
             raise UserError(f"{picture.label}: not of the size the rig was calibrated for")
         sides.append(detect_board(image, board))

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
-from edged.domain.frames import Frame, FramePair
+from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Target
 from edged.pipeline import locate, prepare
 from edged.setup.inuse import RigInUse
@@ -56,9 +56,7 @@ def features_to_touch(
 ) -> LookState:
     """Keep a pair, and look for the one part in it. Raises as `marks_to_touch`."""
     _keep(folder, name, images)
-    left, right = images
-    pair = FramePair(Frame("left", 0, left, 0, 0), Frame("right", 0, right, 0, 0))
-    outcome = locate(pair, job, prepare(rig.stereo()))
+    outcome = locate(FramePair.of_images(*images), job, prepare(rig.stereo()))
     good = [target for target in outcome.targets if target.reject == Reject.NONE]
     if len(good) != 1:
         what = f"{len(good)} parts: leave one of them there" if good else f"no good part: {outcome.status}"

@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from edged.domain.arrays import Image
-from edged.domain.frames import Frame, FramePair
+from edged.domain.frames import FramePair
 from edged.domain.picking import Bounds
 from edged.files.rig import rig_of
 from edged.pipeline import PreparedRig, inspect, prepare
@@ -49,20 +49,15 @@ def _job(content: bytes) -> Job:
     return job
 
 
-def _pair(images: tuple[Image, Image]) -> FramePair:
-    left, right = images
-    return FramePair(Frame("left", 0, left, 0, 0), Frame("right", 0, right, 0, 0))
-
-
 def try_pair(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -> TriedPair:
     """A live pair."""
     rig = _prepared(setup.rig, setup.path)
-    return trying.try_pair(rig, _job(setup.job), _pair(images), setup.bounds, setup.convention)
+    return trying.try_pair(rig, _job(setup.job), FramePair.of_images(*images), setup.bounds, setup.convention)
 
 
 def stand(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -> Stand | None:
     """Where the best part lies in a pair, and how well the edges say so; None without one."""
-    inspection = inspect(_pair(images), _job(setup.job), _prepared(setup.rig, setup.path))
+    inspection = inspect(FramePair.of_images(*images), _job(setup.job), _prepared(setup.rig, setup.path))
     best = max(inspection.measured, key=_rank, default=None)
     return None if best is None else trying.stand_of(best)
 

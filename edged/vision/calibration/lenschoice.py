@@ -252,7 +252,7 @@ def _significance(result: BundleResult, side: Side, trial: LensFreedom, before: 
     """|value| / sigma of what `trial` frees."""
     rig = rig_of(result)
     names = list(rig.parameter_names)
-    camera = rig.left if side == "left" else rig.right
+    camera = rig.camera(side)
     weights = np.zeros(len(names))
     if trial.square_pixels != before.square_pixels:
         value = camera.fx - camera.fy

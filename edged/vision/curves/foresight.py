@@ -114,7 +114,7 @@ def _by_noise(step: FitStep, noises: Sequence[tuple[float, float]], unknowns: in
 
 def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> npt.NDArray[np.bool_]:
     """(N,) which samples lie in a picture, with room for an edge."""
-    camera = rig.left if side == "left" else rig.right
+    camera = rig.camera(side)
     most = np.array([camera.width, camera.height]) - 1 - FORESIGHT.border_px
     good = (seen.pixels >= FORESIGHT.border_px) & (seen.pixels <= most)  # False for NaN
     return np.asarray(good.all(axis=1) & np.isfinite(seen.design).all(axis=1))

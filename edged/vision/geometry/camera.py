@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, Side
 
 LensModel = Literal["brown", "division"]
 DISTORTION_NAMES: dict[str, tuple[str, ...]] = {
@@ -113,6 +113,10 @@ class StereoRig:
     covariance: FloatArray | None = None
     registration_covariance: FloatArray | None = None
     flange_from_rig: FloatArray | None = None
+
+    def camera(self, side: Side) -> CameraModel:
+        """The camera of one side."""
+        return self.left if side == "left" else self.right
 
     @property
     def baseline_mm(self) -> float:

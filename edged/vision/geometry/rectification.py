@@ -357,7 +357,7 @@ class StereoImages:
 
     def rays(self, side: Side, rectified_px: FloatArray) -> FloatArray:
         """Directions (N, 3), z = 1 in the raw camera's frame, of rectified pixels (N, 2) of one image."""
-        camera = self.rig.left if side == "left" else self.rig.right
+        camera = self.rig.camera(side)
         normalised = camera.normalise(self.rectification.raw_points(side, rectified_px))
         return np.column_stack([normalised, np.ones(len(normalised))])
 
