@@ -18,7 +18,7 @@ from edged.files.outputs import check_folder, make_folder
 from edged.files.secrettext import without_secrets
 from edged.payload import Json
 from edged.setup.recordings.regression import COMPARED, compare, decided, drawn, inspected
-from edged.setup.recordings.setups import Setups
+from edged.setup.recordings.setups import rig_and_job
 
 SHOWN = 12
 
@@ -54,14 +54,14 @@ def replay(
     if overlays is not None:
         check_folder(overlays)
         make_folder(overlays)
-    report, setups = Report(recording.versions()), Setups()
+    report = Report(recording.versions())
     for file in track(files, "replaying", console=Console(stderr=True), transient=True):
         try:
             taken = recording.load(file)
             if taken.pair is None:
                 report.skipped.append({"file": file.name, "reason": "no images: " + _text(taken.snapshot)})
                 continue
-            setup = setups.of(file, taken.snapshot)
+            setup = rig_and_job(file, taken.snapshot)
             inspection = inspected(taken, *setup)
             again = decided(taken, inspection, *setup)
             if overlays is not None and inspection is not None:

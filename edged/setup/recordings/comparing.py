@@ -25,7 +25,7 @@ from edged.payload import Json
 from edged.pipeline import inspect
 from edged.setup.recordings.recorded import reasons_of
 from edged.setup.recordings.regression import shown
-from edged.setup.recordings.setups import MeasuredBy, Setups
+from edged.setup.recordings.setups import MeasuredBy, setup_of
 from edged.vision.geometry.rigid import rotation_vector, skew
 
 APART_SIGMAS = 3.0
@@ -132,7 +132,7 @@ class CycleComparison:
 # --- one recording ------------------------------------------------------------------------------
 
 
-def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy, setups: Setups) -> TriedCycle:
+def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy) -> TriedCycle:
     """Measure a recording by both. What the very same job, rig and versions have measured is taken as it is.
 
     candidate : with its jobs under the numbers of those that they succeed.
@@ -151,7 +151,7 @@ def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy, se
         return replace(nothing, skipped="grab")
     number = active.number_for(taken.snapshot)
     try:
-        before = _recorded(entry, taken, active, number, setups) or _measured(taken, active, number)
+        before = _recorded(entry, taken, active, number) or _measured(taken, active, number)
         after = _measured(taken, candidate, number)
     except UserError as error:  # pictures of other cameras, numbers that are none
         return replace(nothing, skipped="damaged", detail=str(error))
@@ -161,7 +161,7 @@ def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy, se
 
 
 def _recorded(
-    entry: recording.Entry, taken: recording.Recording, active: MeasuredBy, number: int, setups: Setups
+    entry: recording.Entry, taken: recording.Recording, active: MeasuredBy, number: int
 ) -> Found | None:
     """The recorded result, if an active job gives the very same one; None where that is not known."""
     drift = taken.snapshot.get("drift")
@@ -170,7 +170,7 @@ def _recorded(
     if drift.get("verdict") == CalibrationHealth.INVALID.name:
         return None  # refused for the cycles before, not for what this pair shows
     try:
-        setup = setups.setup_of(entry.path, taken.snapshot)
+        setup = setup_of(entry.path, taken.snapshot)
     except FileFormatError:
         return None
     if not setup.measures_as(active, (taken.snapshot["job_number"], number)):

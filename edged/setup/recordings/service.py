@@ -23,7 +23,7 @@ from edged.setup.frozen import Frozen
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.recorded import CycleFilter, CycleLine, Damaged, Records
 from edged.setup.recordings.recordedparts import PartSight, parts_of, taught_part
-from edged.setup.recordings.setups import Setups, facts_of_jobs, job_of_cycle
+from edged.setup.recordings.setups import facts_of_jobs, job_of_cycle, rig_and_job, setup_of
 from edged.setup.recordings.whatif import Change, WhatIf
 from edged.setup.teaching.drafts import TAUGHT
 from edged.vision.geometry.camera import StereoRig
@@ -104,7 +104,6 @@ class Cycles:
         self._disc = ThreadPoolExecutor(1, thread_name_prefix="cycles")
         # of that thread alone
         self._records: Records | None = None
-        self._setups = Setups()
 
     async def listed(self, wanted: CycleFilter) -> CycleList:
         """Some of the recordings."""
@@ -181,8 +180,8 @@ class Cycles:
         nothing = dict.fromkeys(("folder", "limits", "now", "taught", "beside"))
         snapshot, _ = recording.load_snapshot(entry.path)
         try:
-            prepared, job = self._setups.of(entry.path, snapshot)
-            digest = self._setups.setup_of(entry.path, snapshot).job_digests[job.number]
+            prepared, job = rig_and_job(entry.path, snapshot)
+            digest = setup_of(entry.path, snapshot).job_digests[job.number]
             folder, is_same = self._folder_of(line.job, line.job_number, digest)
         except FileFormatError as error:
             return CycleDocument(**facts, trouble="setup", trouble_text=str(error), **nothing)
@@ -212,7 +211,7 @@ class Cycles:
             return None
         try:
             snapshot, _ = recording.load_snapshot(entry.path)
-            rig, its_job = self._setups.of(entry.path, snapshot)
+            rig, its_job = rig_and_job(entry.path, snapshot)
             parts = parts_of(snapshot, rig.rig, its_job, str(entry.path))
             return _sight("good", rig.rig, _pictures(good), parts, good)
         except FileFormatError:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
 from edged.config.reading import limits_of
@@ -205,32 +205,27 @@ def digest_of(contents: Contents) -> str:
     return _digest(contents.get(RIG, b""), repr(bounds).encode(), *(job.encode() for job in jobs))
 
 
-class Setups:
-    """Setups of recordings; the last used stay in memory."""
+def rig_and_job(file: Path, snapshot: Json) -> tuple[PreparedRig, Job]:
+    """What a recorded cycle was measured by. Raises `FileFormatError`. file : the recording."""
+    setup = setup_of(file, snapshot)
+    job = setup.job_for(setup.number_for(snapshot), snapshot)
+    if job is None:
+        raise FileFormatError(f"{file}: its setup has no job {snapshot['job_number']}")
+    return setup.rig, job
 
-    def __init__(self) -> None:
-        self._loaded: OrderedDict[Path, MeasuredBy] = OrderedDict()
 
-    def of(self, file: Path, snapshot: Json) -> tuple[PreparedRig, Job]:
-        """Rig and job of a recorded cycle. Raises `FileFormatError`. file : the recording."""
-        setup = self.setup_of(file, snapshot)
-        job = setup.job_for(setup.number_for(snapshot), snapshot)
-        if job is None:
-            raise FileFormatError(f"{file}: its setup has no job {snapshot['job_number']}")
-        return setup.rig, job
+def setup_of(file: Path, snapshot: Json) -> MeasuredBy:
+    """All that a recorded cycle was measured by. Raises `FileFormatError`."""
+    fingerprint = str(snapshot.get("fingerprint"))
+    folder = setup_folder(file.parent.parent, fingerprint)
+    if not _IDENTITY.fullmatch(fingerprint) or not folder.is_dir():
+        raise FileFormatError(f"{file}: its rig and jobs are not there: expected {folder}")
+    return _kept(folder)
 
-    def setup_of(self, file: Path, snapshot: Json) -> MeasuredBy:
-        """All that a recorded cycle was measured by. Raises `FileFormatError`."""
-        fingerprint = str(snapshot.get("fingerprint"))
-        folder = setup_folder(file.parent.parent, fingerprint)
-        if not _IDENTITY.fullmatch(fingerprint) or not folder.is_dir():
-            raise FileFormatError(f"{file}: its rig and jobs are not there: expected {folder}")
-        if folder not in self._loaded:
-            self._loaded[folder] = measured_by(_contents_of(folder), folder)
-        self._loaded.move_to_end(folder)
-        while len(self._loaded) > KEPT:
-            self._loaded.popitem(last=False)
-        return self._loaded[folder]
+
+@lru_cache(maxsize=KEPT)  # a fingerprint's rig and jobs do not change
+def _kept(folder: Path) -> MeasuredBy:
+    return measured_by(_contents_of(folder), folder)
 
 
 def _contents_of(folder: Path) -> dict[str, bytes]:

@@ -38,7 +38,6 @@ from edged.setup.recordings.comparing import (
 )
 from edged.setup.recordings.setups import (
     Contents,
-    Setups,
     concerned,
     digest_of,
     measured_by,
@@ -72,13 +71,12 @@ def tried(
     cell: Cell, candidate: Contents, *, of_rig: bool, active: Contents | None = None
 ) -> CycleComparison:
     """As the worker does it."""
-    before, after, setups = (
+    before, after = (
         measured_by(active or cell.files.contents, Path("active")),
         measured_by(candidate, Path("new")).in_place_of(successors(active or cell.files.contents, candidate)),
-        Setups(),
     )
     entries = recording.entries(cell.folder)
-    return compare([try_on(one, before, after, setups) for one in entries], of_rig=of_rig)
+    return compare([try_on(one, before, after) for one in entries], of_rig=of_rig)
 
 
 TEXT, SHAPE = "jobs/flange/job.toml", "jobs/flange/shape.npz"
@@ -225,11 +223,9 @@ def test_what_cannot_be_tried_says_why(cell: Cell, tmp_path: Path) -> None:
     setup = measured_by(cell.files.contents, Path("active"))
     without = replace(setup, jobs={})
     entries = recording.entries(folder)
-    both = [try_on(one, setup, setup, Setups()) for one in entries]
+    both = [try_on(one, setup, setup) for one in entries]
     assert ["damaged", *[""] * (CYCLES - 1), "no_pictures"] == [one.skipped for one in both]
-    assert ["no_job"] * (CYCLES - 1) == [
-        try_on(one, setup, without, Setups()).skipped for one in entries[1:CYCLES]
-    ]
+    assert ["no_job"] * (CYCLES - 1) == [try_on(one, setup, without).skipped for one in entries[1:CYCLES]]
 
 
 # --- the pure part ----------------------------------------------------------------------------
@@ -331,4 +327,4 @@ def test_pictures_of_other_cameras_are_no_bug(cell: Cell, tmp_path: Path) -> Non
             if name.endswith(".png"):
                 picture = cv2.imencode(".png", small.left.image)[1].tobytes()
             archive.writestr(name, picture)
-    assert "damaged" == try_on(recording.entries(folder)[0], setup, setup, Setups()).skipped
+    assert "damaged" == try_on(recording.entries(folder)[0], setup, setup).skipped

@@ -32,7 +32,7 @@ from edged.setup.recordings import work as cyclework
 from edged.setup.recordings.recorded import CycleFilter, Damaged, Records
 from edged.setup.recordings.recordedparts import NOT_FOUND, OUTSIDE, PartSight, parts_of, taught_part
 from edged.setup.recordings.service import FUNCTIONS, Cycles
-from edged.setup.recordings.setups import Setups
+from edged.setup.recordings.setups import rig_and_job, setup_of
 from edged.setup.recordings.whatif import Change, LimitChange, WhatIf, changed_job
 from edged.sim.cell import VirtualCell
 from edged.vision.geometry.rigid import apply
@@ -45,7 +45,6 @@ class Recorded(NamedTuple):
     files: CellFiles
     virtual: VirtualCell
     pairs: list[FramePair]
-    setups: Setups
 
 
 GOOD, VAGUE, COVERED, EMPTY, UNPLUGGED = 1, 2, 3, 4, 5
@@ -93,14 +92,14 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
         None,
     ]
     record(folder / "recordings", files, kept)
-    return Recorded(folder / "recordings", files, cell.virtual, pairs, Setups())
+    return Recorded(folder / "recordings", files, cell.virtual, pairs)
 
 
 def seen(recorded: Recorded, number: int) -> tuple[Json, list[PartSight]]:
     """Snapshot and parts of a recording."""
     entry = Records(recorded.folder).entry(number)
     snapshot, _ = recording.load_snapshot(entry.path)
-    rig, job = recorded.setups.of(entry.path, snapshot)
+    rig, job = rig_and_job(entry.path, snapshot)
     return snapshot, parts_of(snapshot, rig.rig, job, "here")
 
 
@@ -306,7 +305,7 @@ def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, t
 
     asyncio.run(asked())
     with pytest.raises(FileFormatError, match="not there"):
-        Setups().setup_of(folder / "cycles" / "a.zip", {"fingerprint": ".."})
+        setup_of(folder / "cycles" / "a.zip", {"fingerprint": ".."})
 
 
 def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, tmp_path: Path) -> None:
