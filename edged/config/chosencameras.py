@@ -24,12 +24,16 @@ NAME = "rig.cameras.json"
 
 
 class ChosenCamera(Section):
-    """Choice of one camera. None: as configured."""
+    """Choice of one camera; None: as configured. device : serial or address; serial : expected there."""
 
     device: str | None = Field(None, min_length=1, max_length=64)
     serial: str | None = Field(None, max_length=64)
     exposure_us: float | None = Field(None, gt=0, le=10_000_000)
     gain_db: float | None = Field(None, ge=-10, le=60)
+
+    def stated(self) -> dict[str, str | float]:
+        """What is other than configured, by the names of the configuration."""
+        return self.model_dump(exclude_none=True)
 
 
 class ChosenCameras(Section):
@@ -43,7 +47,7 @@ class ChosenCameras(Section):
         merged = dict(cameras)
         for side in SIDES:
             before = merged.get(side, {})
-            stated = getattr(self, side).model_dump(exclude_none=True)
+            stated = getattr(self, side).stated()
             merged[side] = {**before, **stated} if isinstance(before, dict) else before
         return merged
 
@@ -89,9 +93,7 @@ def with_changes(before: bytes | None, file: Path, changes: Mapping[Side, Mappin
     changes : keys of the configuration's `[cameras.left]` and `[cameras.right]`.
     """
     old = ChosenCameras() if before is None else chosen_of(before, file)
-    document = {
-        side: {**getattr(old, side).model_dump(exclude_none=True), **changes.get(side, {})} for side in SIDES
-    }
+    document = {side: {**getattr(old, side).stated(), **changes.get(side, {})} for side in SIDES}
     content = (json.dumps(document, indent=2) + "\n").encode()
     chosen_of(content, file)
     return content

@@ -2,11 +2,41 @@
 
 from __future__ import annotations
 
-from typing import Self
+import logging
+from pathlib import Path
+from typing import Generic, Self, TypeVar
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
+from edged.files.atomic import make_folders, write_atomically
 from edged.setup.frozen import Frozen
+
+log = logging.getLogger(__name__)
+M = TypeVar("M", bound=Frozen)
+
+
+class LastDocument(Generic[M]):
+    """The last outcome of something, in a file of its own. what : it is, for the log."""
+
+    def __init__(self, file: Path, model: type[M], what: str) -> None:
+        self._file = file
+        self._model = model
+        self._what = what
+
+    def write(self, document: M) -> None:
+        """Keep it instead of the one before. Raises `OSError`."""
+        make_folders(self._file.parent)
+        write_atomically(self._file, document.model_dump_json(indent=1).encode())
+
+    def read(self) -> M | None:
+        """The one that is kept; None where there is none, or it cannot be read."""
+        try:
+            return self._model.model_validate_json(self._file.read_bytes())
+        except FileNotFoundError:
+            return None
+        except (OSError, ValidationError) as error:
+            log.warning("%s cannot be read, as if there were none: %s", self._what, error)
+            return None
 
 
 class Trouble(Frozen):

@@ -13,8 +13,8 @@ from helpers.waiting import until
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
 from edged.cell.cycle import Cycle
-from edged.cell.lease.cameras import CameraChanges
 from edged.cell.stereohead import StereoHead
+from edged.config.chosencameras import ChosenCamera
 from edged.domain.cell import CellPhase
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import CameraSetupError, CaptureError
@@ -164,7 +164,7 @@ def test_setup_tries_and_ready_has_what_is_configured(cell: Cell) -> None:
             assert CameraValues(700.0, 0.0) == await cycle.session.adjust(token, "left", CameraValues(700.0))
             assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await cycle.session.limits(token, "right")
             await cycle.session.capture(token)
-            assert {"left": CameraChanges(exposure_us=700.0)} == cycle.session.camera_changes
+            assert {"left": ChosenCamera(exposure_us=700.0)} == cycle.session.camera_changes
             with pytest.raises(CameraSetupError):
                 await cycle.session.adjust(token, "right", CameraValues(gain_db=99.0))
             cycle.session.leave_setup(token)

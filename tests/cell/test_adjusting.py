@@ -7,8 +7,9 @@ import asyncio
 import numpy as np
 import pytest
 
-from edged.cell.lease.cameras import CameraChanges, SetupCameras
+from edged.cell.lease.cameras import SetupCameras
 from edged.cell.stereohead import HeadSettings, StereoHead
+from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Image
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import Frame
@@ -112,9 +113,9 @@ def test_cameras_that_cannot_be_opened_leave_those_from_before() -> None:
 
     async def script() -> None:
         await cameras.adjust(head, "left", CameraValues(500.0))
-        assert {"left": CameraChanges(exposure_us=500.0)} == cameras.changes
+        assert {"left": ChosenCamera(exposure_us=500.0)} == cameras.changes
         with pytest.raises(CameraUnreachable):
-            await cameras.exchange(head, broken, {"left": CameraChanges(device="X")})
+            await cameras.exchange(head, broken, {"left": ChosenCamera(device="X")})
         assert {} == cameras.changes
         await cameras.capture(head, listens=False)
         await cameras.adjust(head, "left", CameraValues(gain_db=6.0))

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from edged.cell.lease.cameras import CameraChanges
 from edged.cell.lease.notices import Notices
+from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Side
 from edged.domain.frames import FramePair
 from edged.errors import SetupRefused
@@ -29,7 +29,7 @@ class StillLease:
 class StillSession:
     """A session whose token is "theirs"; every capture gives the same pair."""
 
-    camera_changes: Mapping[Side, CameraChanges] = field(default_factory=dict)
+    camera_changes: Mapping[Side, ChosenCamera] = field(default_factory=dict)
     lease: StillLease = field(default_factory=StillLease)
     pair: FramePair | None = None
 

@@ -28,12 +28,13 @@ from edged.adapters.web.page import PageSources, StatusPage
 from edged.adapters.web.pages import PageHandlers, html
 from edged.adapters.web.people import People
 from edged.adapters.web.routes import BASE, RouteTable
-from edged.adapters.web.settings import WebSettings, is_loopback, page_context
+from edged.adapters.web.settings import WebSettings, page_context
 from edged.adapters.web.setup import SetupRoutes
 from edged.adapters.web.sockets import Sockets
 from edged.adapters.web.viewers import Viewers, least_active
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
+from edged.config.fields import is_loopback
 from edged.connections import Rate, Rates, TcpClient, TcpListener
 from edged.domain.cell import CellState
 from edged.domain.events import Event, Idle

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
 from typing import Protocol, runtime_checkable
 
 from edged.cell.tasks import cancel_and_await
+from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import FramePair
@@ -18,23 +18,6 @@ LOOK_S = 1.0
 """Waiting for others to trigger, check this often whether the picture is still wanted."""
 LISTEN_S = 10.0
 """Longest wait for an exposure that others trigger."""
-
-
-@dataclass(frozen=True, slots=True)
-class CameraChanges:
-    """Changes to the configuration of one camera. None: as configured.
-
-    device : serial number or address; serial : number that is expected at the address.
-    """
-
-    device: str | None = None
-    serial: str | None = None
-    exposure_us: float | None = None
-    gain_db: float | None = None
-
-    def stated(self) -> dict[str, str | float]:
-        """The changed values, by the names of the configuration."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @runtime_checkable
@@ -51,8 +34,8 @@ class SetupCameras:
     def __init__(self, is_wanted: Callable[[], bool]) -> None:
         self._is_wanted = is_wanted
         self._draft: Head | None = None
-        self._changes: dict[Side, CameraChanges] = {}
-        self._by_head: dict[Side, CameraChanges] = {}  # that define the head on trial
+        self._changes: dict[Side, ChosenCamera] = {}
+        self._by_head: dict[Side, ChosenCamera] = {}  # that define the head on trial
         self._may_be_open = True
         self._are_well = False
 
@@ -71,7 +54,7 @@ class SetupCameras:
         return pair
 
     @property
-    def changes(self) -> Mapping[Side, CameraChanges]:
+    def changes(self) -> Mapping[Side, ChosenCamera]:
         """Changes on trial, by side; SETUP's end drops them."""
         return dict(self._changes)
 
@@ -90,8 +73,8 @@ class SetupCameras:
             if getattr(values, name) is not None
         }
         if stated:
-            before = self._changes.get(side, CameraChanges())
-            self._changes[side] = replace(before, **stated)
+            before = self._changes.get(side, ChosenCamera())
+            self._changes[side] = before.model_copy(update=stated)
         return made
 
     async def limits(self, configured: Head, side: Side) -> CameraLimits:
@@ -102,7 +85,7 @@ class SetupCameras:
         return await head.limits(side)
 
     async def exchange(
-        self, configured: Head, draft: Head, changes: Mapping[Side, CameraChanges] | None = None
+        self, configured: Head, draft: Head, changes: Mapping[Side, ChosenCamera] | None = None
     ) -> None:
         """Use another head from now on. changes : that define it, if it is to become the configured one.
 

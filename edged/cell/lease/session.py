@@ -8,10 +8,10 @@ from typing import Protocol
 
 from edged.cell.announcements import log
 from edged.cell.context import CellContext
-from edged.cell.lease.cameras import CameraChanges
 from edged.cell.lease.lease import SetupRequest
 from edged.cell.loaded import Locate
 from edged.cell.registering import RobotRegistration
+from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Side
 from edged.domain.cell import CellPhase
 from edged.domain.events import Idle
@@ -92,7 +92,7 @@ class SetupSession:
         return await self.lease.ask(token, tried)
 
     async def try_head(
-        self, token: str, head: Head, changes: Mapping[Side, CameraChanges] | None = None
+        self, token: str, head: Head, changes: Mapping[Side, ChosenCamera] | None = None
     ) -> None:
         """Use other cameras until SETUP ends. Raises `SetupRefused`, `CaptureError`.
 
@@ -122,7 +122,7 @@ class SetupSession:
         return self._cell.lease.locked
 
     @property
-    def camera_changes(self) -> Mapping[Side, CameraChanges]:
+    def camera_changes(self) -> Mapping[Side, ChosenCamera]:
         """How the cameras in use differ from the configured ones, by side."""
         return self._cell.cameras.changes
 

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from edged.errors import UserError
-from edged.files.atomic import make_folders, write_atomically
 from edged.setup.calibration.checking import Finding, Limits, offered_lengths
+from edged.setup.documents import LastDocument
 from edged.setup.frozen import Frozen
 from edged.setup.inuse import CellInUse, RigInUse
 from edged.vision.boards.board import NominalBoard
 from edged.vision.calibration.verification import COVERAGE, Length, Verdict
 from edged.vision.part.job import Job
-
-log = logging.getLogger(__name__)
 
 LIMITS = Limits(epipolar_px=0.3, length_percent=0.1)
 """As `edged verify` judges, where nothing else is stated."""
@@ -92,7 +89,7 @@ class Checks:
 
     def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
-        self._kept = cell.folder / "check.json"
+        self._kept = LastDocument(cell.folder / "check.json", CheckDocument, "the last check")
 
     async def by_board(self, token: str, author: str, board: NominalBoard) -> CheckDocument:
         """Take a pair of a board. Raises `SetupRefused`, `CaptureError`, `ImageError`, `OSError`."""
@@ -115,32 +112,19 @@ class Checks:
         images = pair.left.image, pair.right.image
         finding = await self._cell.worker.run(function, rig, images, *what, LIMITS)
         document = _document(finding, author, rig, **named)
-        await asyncio.to_thread(self._write, document)
+        await asyncio.to_thread(self._kept.write, document)
         last = (await self.last()).model_dump(mode="json")
         self._cell.notices.publish("check", {"id": "last", **last})
         return document
 
     async def last(self) -> Checked:
         """The last verdict, and what another check may be made by."""
-        last, rig = await asyncio.to_thread(self._read), self._cell.rig()
+        last, rig = await asyncio.to_thread(self._kept.read), self._cell.rig()
         is_current = last is not None and rig is not None and last.calibration == rig.calibration_id
         boards = [] if last is None or last.board is None else [last.board]
         boards += [] if rig is None else rig.boards
         parts = [_offered(job) for job in self._cell.jobs().values()]
         return Checked(last=last, is_current=is_current, boards=list(dict.fromkeys(boards)), parts=parts)
-
-    def _write(self, document: CheckDocument) -> None:
-        make_folders(self._kept.parent)
-        write_atomically(self._kept, document.model_dump_json(indent=1).encode())
-
-    def _read(self) -> CheckDocument | None:
-        try:
-            return CheckDocument.model_validate_json(self._kept.read_bytes())
-        except FileNotFoundError:
-            return None
-        except (OSError, ValidationError) as error:
-            log.warning("the last check cannot be read and is ignored: %s", error)
-            return None
 
 
 def _offered(job: Job) -> OfferedPart:

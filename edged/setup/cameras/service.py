@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
-from edged.cell.lease.cameras import CameraChanges
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
 from edged.config.cameras import CameraSection, CamerasSection
-from edged.config.chosencameras import chosen_file, read_chosen, with_changes
+from edged.config.chosencameras import ChosenCamera, chosen_file, read_chosen, with_changes
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import UserError
@@ -114,7 +113,7 @@ class CameraService:
         before = self._camera_at(cameras, devices[side])
         if wanted is before:
             return
-        changes: dict[Side, CameraChanges] = {side: _with_camera(wanted)}
+        changes: dict[Side, ChosenCamera] = {side: _with_camera(wanted)}
         if wanted is self._camera_at(cameras, devices[other]):
             if before is None:
                 raise UserError(
@@ -122,7 +121,7 @@ class CameraService:
                 )
             changes[other] = _with_camera(before)
         elif (kept := self._cell.session.camera_changes.get(other)) is not None and kept.device is not None:
-            changes[other] = CameraChanges(kept.device, kept.serial)
+            changes[other] = ChosenCamera(device=kept.device, serial=kept.serial)
         await self._try(token, changes)
 
     async def keep(self, token: str) -> None:
@@ -201,7 +200,7 @@ class CameraService:
     def _camera_at(self, cameras: list[CameraInfo], device: str) -> CameraInfo | None:
         return next((info for info in cameras if _is_at(info, device)), None)
 
-    async def _try(self, token: str, cameras: Mapping[Side, CameraChanges]) -> None:
+    async def _try(self, token: str, cameras: Mapping[Side, ChosenCamera]) -> None:
         """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
         tried, section = self._cell.session.camera_changes, self._cell.config.cameras
         sides: dict[str, CameraSection] = {
@@ -231,10 +230,10 @@ def _side_of(info: CameraInfo, devices: Mapping[Side, str]) -> Side | None:
     return next((side for side in SIDES if _is_at(info, devices[side])), None)
 
 
-def _with_camera(info: CameraInfo) -> CameraChanges:
+def _with_camera(info: CameraInfo) -> ChosenCamera:
     """By its address, and not without its serial number: who swaps addresses must not swap cameras."""
     network = info.protocol == "GigEVision"
-    return CameraChanges(info.address if network else info.serial, info.serial)
+    return ChosenCamera(device=info.address if network else info.serial, serial=info.serial)
 
 
 def _described(info: CameraInfo, side: Side | None) -> dict[str, Any]:

@@ -54,12 +54,15 @@ class Damaged(Frozen):
     why: str
 
 
-@dataclass(frozen=True, slots=True)
-class CyclePage:
-    """Some of the list. counts : all recordings by status, by their names. has_more : older ones follow."""
+class CycleList(Frozen):
+    """Newest first. recorder : whether the cell records at all. counts : of all recordings, by status.
 
-    lines: tuple[CycleLine, ...]
-    damaged: tuple[Damaged, ...]
+    damaged : those met on the way that cannot be read. has_more : ask again with `before`.
+    """
+
+    recorder: bool
+    cycles: list[CycleLine]
+    damaged: list[Damaged]
     counts: dict[str, int]
     has_more: bool
 
@@ -93,7 +96,7 @@ class Records:
             raise KeyError(number)
         return found
 
-    def page(self, wanted: CycleFilter) -> CyclePage:
+    def page(self, wanted: CycleFilter) -> CycleList:
         """What is wanted of the list."""
         entries = self.entries()
         names = {entry.path.name for entry in entries}
@@ -104,14 +107,15 @@ class Records:
             counts[entry.status] = counts.get(entry.status, 0) + 1
         lines: list[CycleLine] = []
         damaged: list[Damaged] = []
+        has_more = False
         for found in self._found(entries, wanted):
             if isinstance(found, Damaged):
                 damaged.append(found)
-            elif len(lines) == wanted.most:
-                return CyclePage(tuple(lines), tuple(damaged), counts, has_more=True)
-            else:
-                lines.append(found)
-        return CyclePage(tuple(lines), tuple(damaged), counts, has_more=False)
+                continue
+            if has_more := len(lines) == wanted.most:
+                break
+            lines.append(found)
+        return CycleList(recorder=True, cycles=lines, damaged=damaged, counts=counts, has_more=has_more)
 
     def newest_good(self, job_number: int, calibration: str, but: int) -> recording.Entry | None:
         """A good cycle of a job, measured by a calibration, if it can be: to look at beside another one."""

@@ -12,8 +12,8 @@ from edged.adapters.web.routes import Body, Call, route
 from edged.errors import FileFormatError, ImageError
 from edged.identity.visitors import Role
 from edged.setup.draftroutes import known
-from edged.setup.recordings.recorded import MOST, CycleFilter
-from edged.setup.recordings.service import CycleDocument, CycleList, Cycles
+from edged.setup.recordings.recorded import MOST, CycleFilter, CycleList
+from edged.setup.recordings.service import CycleDocument, Cycles
 from edged.setup.recordings.whatif import Change, Features, LimitChange, WhatIf
 
 CYCLE = "/cycles/{number:[0-9]{1,9}}"
@@ -53,10 +53,7 @@ class CycleRoutes:
 
     @route("GET", "/cycles", "Recorded cycles, the youngest first", role=Role.VIEWER)
     async def _list(self, call: Call[CycleQuery]) -> CycleList:
-        body = call.body
-        return await self._cycles.listed(
-            CycleFilter(body.status, body.reason, body.job, body.before, body.most)
-        )
+        return await self._cycles.listed(CycleFilter(**dict(call.body)))
 
     @route(
         "GET",

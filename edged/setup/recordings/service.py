@@ -21,7 +21,7 @@ from edged.pictures.encoding import jpeg
 from edged.setup.documents import PicturePaths
 from edged.setup.frozen import Frozen
 from edged.setup.inuse import CellInUse
-from edged.setup.recordings.recorded import CycleFilter, CycleLine, Damaged, Records
+from edged.setup.recordings.recorded import CycleFilter, CycleLine, CycleList, Damaged, Records
 from edged.setup.recordings.recordedparts import PartSight, parts_of, taught_part
 from edged.setup.recordings.setups import facts_of_jobs, job_of_cycle, rig_and_job, setup_of
 from edged.setup.recordings.whatif import Change, WhatIf
@@ -34,19 +34,6 @@ PLACE = "/api/v1/cycles"
 JPEG_QUALITY = 90
 """Pictures are looked at, edges of single pixels among them."""
 T = TypeVar("T")
-
-
-class CycleList(Frozen):
-    """Newest first. recorder : whether the cell records at all. counts : of all recordings, by status.
-
-    damaged : those met on the way that cannot be read. has_more : ask again with `before`.
-    """
-
-    recorder: bool
-    cycles: list[CycleLine]
-    damaged: list[Damaged]
-    counts: dict[str, int]
-    has_more: bool
 
 
 class PairView(Frozen):
@@ -159,16 +146,9 @@ class Cycles:
 
     def _listed(self, wanted: CycleFilter) -> CycleList:
         try:
-            page = self._known().page(wanted)
+            return self._known().page(wanted)
         except KeyError:
             return CycleList(recorder=False, cycles=[], damaged=[], counts={}, has_more=False)
-        return CycleList(
-            recorder=True,
-            cycles=list(page.lines),
-            damaged=list(page.damaged),
-            counts=page.counts,
-            has_more=page.has_more,
-        )
 
     def _document(self, number: int) -> CycleDocument:
         records = self._known()

@@ -15,13 +15,12 @@ from datetime import UTC, datetime
 from functools import partial
 
 import numpy as np
-from pydantic import ValidationError
 
 from edged.cell.tasks import cancel_and_await
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError, SetupRefused, UserError
-from edged.files.atomic import make_folders, write_atomically
+from edged.setup.documents import LastDocument
 from edged.setup.drafts import trouble_in
 from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress
@@ -143,7 +142,7 @@ class Trials:
 
     def __init__(self, cell: CellInUse, draft: Callable[[str], Awaitable[Job]]) -> None:
         self._cell = cell
-        self._kept = cell.folder / "still.json"
+        self._kept = LastDocument(cell.folder / "still.json", StillDocument, "the last still test")
         self._draft = draft
         self._known: dict[What, _Trial] = {}  # asked for last at the end
         self._tried = What()  # what is tried, or was last
@@ -201,7 +200,7 @@ class Trials:
 
     async def last_still(self) -> StillDocument | None:
         """The last still test; None while there was none."""
-        return await asyncio.to_thread(self._read)
+        return await asyncio.to_thread(self._kept.read)
 
     # --- live pairs ------------------------------------------------------------------------------
 
@@ -287,21 +286,8 @@ class Trials:
         judged: StillResult = await self._cell.worker.run("still", self._setup(trial), stands)
         now = datetime.now(UTC).isoformat(timespec="seconds")
         found = still_document(judged, trial.job.name, trial.calibration, now, author)
-        await asyncio.to_thread(self._write, found)
+        await asyncio.to_thread(self._kept.write, found)
         self._cell.notices.publish("still", {"id": "last", **found.model_dump(mode="json")})
-
-    def _write(self, document: StillDocument) -> None:
-        make_folders(self._kept.parent)
-        write_atomically(self._kept, document.model_dump_json(indent=1).encode())
-
-    def _read(self) -> StillDocument | None:
-        try:
-            return StillDocument.model_validate_json(self._kept.read_bytes())
-        except FileNotFoundError:
-            return None
-        except (OSError, ValidationError) as error:
-            log.warning("the last still test cannot be read and is ignored: %s", error)
-            return None
 
 
 def _packed(job: Job) -> bytes:

@@ -112,8 +112,8 @@ def test_the_list_says_what_became_of_each_cycle(recorded: Recorded) -> None:
     """Newest first, each with its reasons; by status, reason, job and number, a page at a time."""
     records = Records(recorded.folder)
     page = records.page(CycleFilter())
-    assert [5, 4, 3, 2, 1, 0] == [line.number for line in page.lines]
-    told = [(line.status, line.reasons) for line in page.lines]
+    assert [5, 4, 3, 2, 1, 0] == [line.number for line in page.cycles]
+    told = [(line.status, line.reasons) for line in page.cycles]
     assert ("CAPTURE_FAULT", ("CAPTURE",)) == told[0]
     assert ("NO_TARGET", ("NOT_FOUND",)) == told[1] == told[2]
     assert ("LOW_QUALITY", ("SIGMA_LIMIT",)) == told[3]
@@ -121,7 +121,7 @@ def test_the_list_says_what_became_of_each_cycle(recorded: Recorded) -> None:
     assert {"OK": 2, "LOW_QUALITY": 1, "NO_TARGET": 2, "CAPTURE_FAULT": 1} == page.counts
 
     def numbers(**wanted: Any) -> list[int]:
-        return [line.number for line in records.page(CycleFilter(**wanted)).lines]
+        return [line.number for line in records.page(CycleFilter(**wanted)).cycles]
 
     assert [1, 0] == numbers(status="OK")
     assert [2] == numbers(reason="SIGMA_LIMIT")
@@ -157,7 +157,7 @@ def test_damaged_recordings_are_told_and_take_nothing_with_them(recorded: Record
     (folder / "cycles" / "notes.zip").write_text("not ours")
 
     page = Records(folder).page(CycleFilter())
-    assert [5, 4, 3, 2, 1, 0] == [line.number for line in page.lines]
+    assert [5, 4, 3, 2, 1, 0] == [line.number for line in page.cycles]
     assert [f"{number:09d}" for number in (15, 14, 13, 12, 11, 10)] == [one.file[:9] for one in page.damaged]
     assert all(one.why for one in page.damaged)
 
@@ -380,7 +380,7 @@ def test_seven_hundred_cycles_are_read_once(
     folder = tmp_path / "recordings"
     shutil.copytree(recorded.folder, folder)
     records = Records(folder)
-    assert 6 == len(records.page(CycleFilter()).lines)
+    assert 6 == len(records.page(CycleFilter()).cycles)
     opened: list[Path] = []
 
     def load(path: Path) -> Any:
@@ -388,8 +388,8 @@ def test_seven_hundred_cycles_are_read_once(
         raise FileFormatError("opened again")
 
     monkeypatch.setattr(recording, "load_snapshot", load)
-    assert 6 == len(records.page(CycleFilter()).lines)
+    assert 6 == len(records.page(CycleFilter()).cycles)
     recording.entries(folder)[0].path.unlink()
-    assert [5, 4, 3, 2, 1] == [line.number for line in records.page(CycleFilter()).lines]
+    assert [5, 4, 3, 2, 1] == [line.number for line in records.page(CycleFilter()).cycles]
     assert [] == opened
     assert not any(isinstance(records.line(one), Damaged) for one in records.entries())

@@ -17,7 +17,7 @@ from helpers.cellinuse import StillCell
 from helpers.powercuts import Record, cut
 from helpers.smallcell import SmallCell
 
-from edged.cell.lease.cameras import CameraChanges
+from edged.config.chosencameras import ChosenCamera
 from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import replace_folder
 from edged.files.rig import load_rig, rig_text
@@ -334,7 +334,7 @@ def test_the_plant_forbids_it(cell: RunningCell) -> None:
 
 def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
     """And go with it again: they are of one release."""
-    cell.running.session.camera_changes = {"left": CameraChanges(exposure_us=1234.0)}
+    cell.running.session.camera_changes = {"left": ChosenCamera(exposure_us=1234.0)}
 
     activate(cell, cell.wider(1.001))
 
@@ -355,7 +355,7 @@ def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "cameras", [{}, {"left": CameraChanges(device="other")}], ids=["rig", "rig and cameras"]
+    "cameras", [{}, {"left": ChosenCamera(device="other")}], ids=["rig", "rig and cameras"]
 )
 def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     template: Path, tmp_path: Path, cameras: dict
