@@ -109,7 +109,7 @@ def verify(
     from edged.setup.calibration.checking import Limits
 
     limits = Limits(max_epipolar, max_length_error)
-    raise typer.Exit(command(rig, left, right, board, job, length or [], limits, as_json, Console()))
+    raise typer.Exit(command(rig, (left, right), board, job, length or [], limits, as_json, Console()))
 
 
 rig_app = typer.Typer(name="rig", help="Rig files of other software.", no_args_is_help=True)
@@ -212,7 +212,7 @@ def teach(
     """Teach a job from one stereo pair, or from a drawing: shape model and metric features."""
     from rich.console import Console
 
-    from edged.commands.teach import DrawingSource, PairSource, chosen_source, parse_contrast
+    from edged.commands.teach import DrawingSource, PairSource, TeachOptions, chosen_source, parse_contrast
     from edged.commands.teach import teach as command
     from edged.vision.edges.hysteresis import EdgeThresholds
     from edged.vision.shape.params import ModelParams
@@ -222,21 +222,9 @@ def teach(
         DrawingSource(dxf, contour, depth, tuple(layer or ()), unit),
     )
     params = ModelParams(EdgeThresholds(*parse_contrast(contrast), min_component), levels)
+    asked = TeachOptions(number, params, tilt)
     console = Console(stderr=True)
-    raise typer.Exit(
-        command(
-            rig,
-            source,
-            name,
-            output,
-            console,
-            number=number,
-            params=params,
-            tilt_deg=tilt,
-            report=report,
-            as_json=as_json,
-        )
-    )
+    raise typer.Exit(command(rig, source, name, output, console, asked, report=report, as_json=as_json))
 
 
 @app.command()
@@ -260,21 +248,11 @@ def locate(
     """Locate the part in one stereo pair, offline."""
     from rich.console import Console
 
+    from edged.commands.locate import LocateOutputs
     from edged.commands.locate import locate as command
 
     raise typer.Exit(
-        command(
-            rig,
-            job,
-            left,
-            right,
-            as_json,
-            Console(),
-            overlay=overlay,
-            ply=ply,
-            cloud=cloud,
-            convention=convention,
-        )
+        command(rig, job, left, right, as_json, Console(), LocateOutputs(overlay, ply, cloud), convention)
     )
 
 
@@ -359,11 +337,14 @@ def register_hand_eye(
     """From poses of the flange, each with a view of a board that it holds. 0: saved; 1: over the limit."""
     from rich.console import Console
 
+    from edged.commands.register import FlangePoses
     from edged.commands.register import hand_eye_command as command
 
     mount: Literal["eye-in-hand", "eye-to-hand"] = "eye-in-hand" if in_hand else "eye-to-hand"
     console = Console(stderr=as_json)
-    raise typer.Exit(command(rig, directory, poses, board, brand, mount, output, limit, as_json, console))
+    raise typer.Exit(
+        command(rig, FlangePoses(directory, poses, board), brand, mount, output, limit, as_json, console)
+    )
 
 
 @register.command("self-test")
@@ -378,6 +359,9 @@ def register_self_test(
     """Which convention, unit and mount the poses are in: every reading is tried. 0: one stands out."""
     from rich.console import Console
 
+    from edged.commands.register import FlangePoses
     from edged.commands.register import self_test as command
 
-    raise typer.Exit(command(rig, directory, poses, board, brand, as_json, Console(stderr=as_json)))
+    raise typer.Exit(
+        command(rig, FlangePoses(directory, poses, board), brand, as_json, Console(stderr=as_json))
+    )

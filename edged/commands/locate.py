@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -36,6 +36,17 @@ from edged.robot.reading import frame_name, reading_of
 from edged.vision.geometry.camera import StereoRig
 
 
+@dataclass(frozen=True, slots=True)
+class LocateOutputs:
+    """Files to write. overlay, cloud : pictures (PNG) of the evidence and of the points in space; ply : those
+    points as a file.
+    """
+
+    overlay: Path | None = None
+    ply: Path | None = None
+    cloud: Path | None = None
+
+
 def locate(
     rig: Path,
     job: Path,
@@ -43,18 +54,15 @@ def locate(
     right: Path,
     as_json: bool,
     console: Console,
-    *,
-    overlay: Path | None = None,
-    ply: Path | None = None,
-    cloud: Path | None = None,
+    outputs: LocateOutputs | None = None,
     convention: str = "fixed_xyz",
 ) -> int:
     """Locate and print; 0 when a good target was found, 1 when not.
 
     convention : what A, B, C of the printed pose are, as `modbus.convention`. Raises `UserError`.
-
-    overlay, cloud : pictures (PNG) of the evidence and of the points in space; ply : those points as a file.
     """
+    wanted = outputs or LocateOutputs()
+    overlay, ply, cloud = wanted.overlay, wanted.ply, wanted.cloud
     check_outputs({"--overlay": overlay, "--ply": ply, "--cloud": cloud}, {"LEFT": left, "RIGHT": right})
     known = {member.name.lower(): member for member in Convention}
     if convention not in known:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -76,11 +77,26 @@ def touch(
     return 0 if good else 1
 
 
+@dataclass(frozen=True, slots=True)
+class FlangePoses:
+    """Poses of the flange, a pair at each. folder : of the pairs.  file : of the poses.  board : as stated."""
+
+    folder: Path
+    file: Path
+    board: str | None
+
+    def seen_by(
+        self, rig: StereoRig, console: Console
+    ) -> tuple[dict[str, tuple[float, ...]], NominalBoard, dict[str, FloatArray]]:
+        """Numbers of each pose, the board, and where each pair that shows it has it. Raises `UserError`."""
+        stated, numbers = stated_boards(self.board), read_poses(self.file)
+        pattern = _board_in(stated, self.folder, list(numbers), console)
+        return numbers, pattern, _views(rig, self.folder, pattern, list(numbers), console)
+
+
 def hand_eye_command(
     rig_path: Path,
-    folder: Path,
-    poses: Path,
-    board: str | None,
+    taken: FlangePoses,
     brand: str,
     mount: Mount,
     output: Path,
@@ -89,13 +105,10 @@ def hand_eye_command(
     console: Console,
 ) -> int:
     """Register from poses of the flange; 0 when the held-out rms is within the limit, else 1."""
-    check_outputs({"--output": output}, {"--poses": poses})
-    rig, stated = load_rig(rig_path), stated_boards(board)
-    numbers = read_poses(poses)
-    maker = _brand(brand)
-    pattern = _board_in(stated, folder, list(numbers), console)
-    views = _views(rig, folder, pattern, list(numbers), console)
-    transforms = {name: _transform(maker, name, numbers[name], poses) for name in views}
+    check_outputs({"--output": output}, {"--poses": taken.file})
+    rig, maker = load_rig(rig_path), _brand(brand)
+    numbers, pattern, views = taken.seen_by(rig, console)
+    transforms = {name: _transform(maker, name, numbers[name], taken.file) for name in views}
     solved = from_poses(rig, transforms, views, pattern, mount, limit_mm)
     found, rms, good = solved.found, solved.held_out_rms_mm, solved.good
     kept = save(rig_path, solved.registered, output) if good else None
@@ -123,24 +136,13 @@ def hand_eye_command(
     return 0 if good else 1
 
 
-def self_test(
-    rig_path: Path,
-    folder: Path,
-    poses: Path,
-    board: str | None,
-    brand: str | None,
-    as_json: bool,
-    console: Console,
-) -> int:
+def self_test(rig_path: Path, taken: FlangePoses, brand: str | None, as_json: bool, console: Console) -> int:
     """Try every reading of the poses; 0 when one stands out and, if a brand is stated, it is that one's."""
-    rig, wanted = load_rig(rig_path), stated_boards(board)
-    numbers = read_poses(poses)
-    pattern = _board_in(wanted, folder, list(numbers), console)
-    views = _views(rig, folder, pattern, list(numbers), console)
+    numbers, pattern, views = taken.seen_by(load_rig(rig_path), console)
     stated = None
     if brand is not None:
         maker = _brand(brand)
-        stated = [_transform(maker, name, numbers[name], poses) for name in views]
+        stated = [_transform(maker, name, numbers[name], taken.file) for name in views]
     readings = which_convention([numbers[name] for name in views], list(views.values()), pattern, stated)
     best, stands_out, agrees = readings.ranked[0], readings.stands_out, readings.agrees
     if as_json:

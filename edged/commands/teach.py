@@ -173,30 +173,40 @@ def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | Draw
     return drawing
 
 
+@dataclass(frozen=True, slots=True)
+class TeachOptions:
+    """Options of a job. number : None: that of the job that was there, or the first that is free beside it.
+
+    params : of the model.  tilt_deg : how far parts may lie tilted.
+    """
+
+    number: int | None = None
+    params: ModelParams | None = None
+    tilt_deg: float | None = None
+
+
 def teach(
     rig: Path,
     source: PairSource | DrawingSource,
     name: str,
     output: Path,
     console: Console,
+    asked: TeachOptions | None = None,
     *,
-    number: int | None = None,
-    params: ModelParams | None = None,
-    tilt_deg: float | None = None,
     report: Path | None = None,
     as_json: bool = False,
 ) -> int:
     """Teach a job and write its folder; nothing is written when that fails.
 
-    What a person changed in the job that was there is carried over. number : None: that job's, or the first
-    that no job beside it has.
+    What a person changed in the job that was there is carried over.
     """
+    asked = asked or TeachOptions()
     check_name(name)
-    check_tilt(tilt_deg)
+    check_tilt(asked.tilt_deg)
     check_outputs({"--report": report}, _inputs(source))
     check_job_folder(output)
     former = former_job(output)
-    wanted = WantedJob(name, job_number(output, number, former), params, tilt_deg, former)
+    wanted = WantedJob(name, job_number(output, asked.number, former), asked.params, asked.tilt_deg, former)
     prepared = prepare(load_rig(rig))
     with console.status("learning the part"):
         proposal = _proposal(source, prepared.rectification, wanted)

@@ -32,8 +32,7 @@ _WARNING = (
 
 def verify(
     rig_path: Path,
-    left: Path,
-    right: Path,
+    pictures: tuple[Path, Path],
     board: str | None,
     job: Path | None,
     lengths: list[str],
@@ -45,14 +44,14 @@ def verify(
     if not (math.isfinite(limits.epipolar_px) and math.isfinite(limits.length_percent)):
         raise UserError("--max-epipolar and --max-length-error: expected finite numbers")
     rig = load_rig(rig_path)
+    left, right = pictures
     images = load_image(left), load_image(right)
     check_sizes(rig, images, (str(left), str(right)))
     if board is not None and job is None:
         if lengths:
             raise UserError("--length belongs to --job; the length of a board is in its specification")
-        pictures = [Picture(str(path), partial(load_image, path)) for path in (left, right)]
-        with naming_board_option():
-            boards, remark = boards_in(stated_boards(board), pictures)
+        shown = [Picture(str(path), partial(load_image, path)) for path in pictures]
+        boards, remark = boards_in(stated_boards(board), shown)
         if remark and not as_json:
             console.print(remark, markup=False, highlight=False, soft_wrap=True)
         finding = by_board(rig, images, boards, limits)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -27,25 +28,31 @@ from edged.vision.geometry.triangulation import raw_covariance
 from edged.vision.geometry.uncertainty import calibration_covariance, shift_by_parameters
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportExtras:
+    """What the page of a calibration may tell besides.
+
+    about : lines for its head (date, folder, software).  plain : OpenCV on the same marks.  found : what the
+    boards' edges say of the cameras.  verdict : as the command prints it.  thumbnails : both pictures of each
+    view, small.
+    """
+
+    about: Mapping[str, str] = field(default_factory=dict)
+    plain: PlainCalibration | None = None
+    found: Sequence[ImagingFinding] = ()
+    verdict: str = ""
+    thumbnails: Mapping[str, tuple[Image, Image]] = field(default_factory=dict)
+
+
 def calibration_report(
     calibration: Calibration,
     held: Sequence[HeldOutView],
     views: Sequence[StereoView],
     quality: Mapping[str, Any],
-    about: Mapping[str, str] | None = None,
-    plain: PlainCalibration | None = None,
-    found: Sequence[ImagingFinding] = (),
-    *,
-    verdict: str = "",
-    thumbnails: Mapping[str, tuple[Image, Image]] | None = None,
+    also: ReportExtras | None = None,
 ) -> str:
-    """The page.
-
-    held : views measured without themselves.  views : all that were offered, used or not.
-    about : lines for its head (date, folder, software).  plain : OpenCV on the same marks.  found : what the
-    boards' edges say of the cameras.  verdict : as the command prints it.  thumbnails : both pictures of each
-    view, small.
-    """
+    """The page. held : views measured without themselves.  views : all that were offered, used or not."""
+    also = also or ReportExtras()
     rig, rectification = calibration.rig, make_rectification(calibration.rig)
     internal, lenses = _internal(rig, rectification)
     return render(
@@ -53,8 +60,8 @@ def calibration_report(
         title=f"Stereo calibration {rig.calibration_id}",
         heading="Stereo calibration",
         calibration_id=rig.calibration_id,
-        about=_about(calibration, quality, about or {}),
-        verdict=verdict,
+        about=_about(calibration, quality, also.about),
+        verdict=also.verdict,
         fitted=_fitted(calibration),
         independent=_independent(held, quality),
         remarks=calibration.notes,
@@ -62,7 +69,7 @@ def calibration_report(
         covered=coverage_in_words([coverage_of(calibration, side) for side in SIDES]),
         coverage=coverage(calibration, "left", rig.left) + coverage(calibration, "right", rig.right),
         radial=radial(calibration),
-        imaging=[finding.text for finding in found],
+        imaging=[finding.text for finding in also.found],
         volume=_volume(calibration),
         sigma_maps=sigma_maps(calibration),
         internal=internal,
@@ -70,10 +77,10 @@ def calibration_report(
         external=_external(rig, rectification),
         weakest=_weakest(calibration),
         advice=best_next_view(calibration),
-        comparison=None if plain is None else _comparison(calibration, plain),
+        comparison=None if also.plain is None else _comparison(calibration, also.plain),
         view_bars=view_bars(calibration, held),
         views=_views(calibration, held, views),
-        pictures=_pictures(calibration, views, thumbnails or {}),
+        pictures=_pictures(calibration, views, also.thumbnails),
     )
 
 

@@ -25,6 +25,7 @@ from edged.adapters.recorder import Recorder, RecorderSettings
 from edged.app.cell import load_cell
 from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.commands.locate import LocateOutputs
 from edged.commands.locate import locate as locate_command
 from edged.commands.replay import replay
 from edged.domain.events import Event, ExposureDone, Snapshot
@@ -437,7 +438,7 @@ def test_a_replay_draws_what_it_measured(
     job = next(path for path in (setup / "jobs").iterdir())
     pair = tmp_path / "left.png", tmp_path / "right.png"
     located = locate_command(
-        setup / "rig.json", job, *pair, True, Console(), overlay=tmp_path / "located.png"
+        setup / "rig.json", job, *pair, True, Console(), LocateOutputs(tmp_path / "located.png")
     )
     assert 0 == located
     assert (tmp_path / "located.png").read_bytes() == (overlays / f"{entry.stem}.png").read_bytes()

@@ -20,7 +20,7 @@ from helpers.tilted import BELOW_MM, lying, stacked
 from rich.console import Console
 
 from edged.commands.locate import locate
-from edged.commands.teach import DrawingSource, PairSource, chosen_source, read_model, teach
+from edged.commands.teach import DrawingSource, PairSource, TeachOptions, chosen_source, read_model, teach
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject
 from edged.errors import FileFormatError, TeachError, UserError
@@ -78,7 +78,9 @@ def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.Captu
     left, right = write_pair(tmp_path, "taught", see(square()))
     source = chosen_source(PairSource(left, right, None, (), STEP, "-z"), NO_DRAWING)
     said, page = Console(record=True, width=200), tmp_path / "D3.html"
-    teach(tmp_path / "rig.json", source, "D3", tmp_path / "job", said, tilt_deg=30.0, report=page)
+    teach(
+        tmp_path / "rig.json", source, "D3", tmp_path / "job", said, TeachOptions(tilt_deg=30.0), report=page
+    )
     for text in (said.export_text(), page.read_text()):
         assert "D3.step: 11 of 11 curves lie where it has them" in text
     where = lying(small_rig(), 20.0, 60.0, 130.0)

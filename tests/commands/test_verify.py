@@ -75,8 +75,7 @@ def run(
     said = io.StringIO()
     code = verify(
         folder / rig,
-        folder / images[0],
-        folder / images[1],
+        (folder / images[0], folder / images[1]),
         arguments["board"],
         arguments["job"],
         arguments["lengths"],
@@ -111,7 +110,7 @@ def test_a_wrong_baseline_is_seen_by_the_length_alone(
     save_rig(folder / "long.json", longer_baseline(RIG, 1.005))
     console = Console(file=io.StringIO())
     images = folder / "left.png", folder / "right.png"
-    code = verify(folder / "long.json", *images, SPEC, None, [], LIMITS, as_json=True, console=console)
+    code = verify(folder / "long.json", images, SPEC, None, [], LIMITS, as_json=True, console=console)
     document = json.loads(capsys.readouterr().out)
     assert (code, document["verdict"]) == (1, "NOT_OK")
     assert document["epipolar_rms_px"] < 0.05

@@ -18,7 +18,7 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_dist
 
-from edged.commands.register import hand_eye_command, read_poses, read_touched, self_test, touch
+from edged.commands.register import FlangePoses, hand_eye_command, read_poses, read_touched, self_test, touch
 from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.rig import load_rig, load_rig_quality, save_rig
@@ -44,6 +44,7 @@ from edged.vision.geometry.rigid import apply, invert, quaternion, rotation_vect
 ROBOT_FROM_RIG = make_transform((2.9, 0.3, -0.2), (420.0, -60.0, 510.0))
 FLANGE_FROM_RIG = make_transform((0.02, -0.03, 1.2), (55.0, -8.0, 90.0))
 ROBOT_FROM_BOARD = make_transform((0.1, -0.05, 0.7), (610.0, -120.0, 35.0))
+BOARD = "chessboard:9x6:4.0"
 BOARD_MM = np.array([[x * 7.0, y * 7.0, 0.0] for y in range(6) for x in range(9)])
 
 
@@ -241,7 +242,7 @@ def test_a_mistyped_pose_does_not_keep_the_others_from_being_saved(
     lines[2] = ",".join([name, f"{float(x) + 30:.4f}", *rest])
     (tmp_path / "poses.csv").write_text("\n".join(lines))
     output = tmp_path / "registered.json"
-    arguments = pictured / "rig.json", pictured, tmp_path / "poses.csv", "chessboard:9x6:4.0", "kuka"
+    arguments = pictured / "rig.json", FlangePoses(pictured, tmp_path / "poses.csv", BOARD), "kuka"
     console = Console(width=200)
 
     assert hand_eye_command(*arguments, "eye-to-hand", output, 0.2, False, console) == 0
@@ -383,7 +384,7 @@ def test_hand_eye_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFix
     """Pictures in, robot_from_rig out, to hundredths of a millimetre at the board."""
     output = pictured / "registered.json"
     code = hand_eye_command(
-        pictured / "rig.json", pictured, pictured / "poses.csv", "chessboard:9x6:4.0", "kuka", "eye-to-hand",
+        pictured / "rig.json", FlangePoses(pictured, pictured / "poses.csv", BOARD), "kuka", "eye-to-hand",
         output, 0.2, True, Console(stderr=True),
     )  # fmt: skip
     report = json.loads(capsys.readouterr().out)
@@ -400,7 +401,7 @@ def test_a_carried_rig_from_rendered_boards(pictured: Path, capsys: pytest.Captu
     """A UR that carries the rig would take the same pictures: flange_from_rig, when and how are saved."""
     output = pictured / "carried.json"
     code = hand_eye_command(
-        pictured / "rig.json", pictured, pictured / "carried.csv", "chessboard:9x6:4.0", "ur", "eye-in-hand",
+        pictured / "rig.json", FlangePoses(pictured, pictured / "carried.csv", BOARD), "ur", "eye-in-hand",
         output, 0.2, True, Console(stderr=True),
     )  # fmt: skip
     report = json.loads(capsys.readouterr().out)
@@ -420,7 +421,7 @@ def test_a_carried_rig_from_rendered_boards(pictured: Path, capsys: pytest.Captu
 @pytest.mark.slow
 def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """KUKA's angles taken for FANUC's: nothing is saved, and the self-test says how they read."""
-    arguments = pictured / "rig.json", pictured, pictured / "poses.csv", "chessboard:9x6:4.0"
+    arguments = pictured / "rig.json", FlangePoses(pictured, pictured / "poses.csv", BOARD)
     output = pictured / "wrong.json"
     console = Console(stderr=True)
 
@@ -437,15 +438,19 @@ def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixt
 @pytest.mark.slow
 def test_poses_need_no_board_in_full(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The millimetres of a square suffice; without them the board in the pictures is named."""
-    files = pictured / "rig.json", pictured, pictured / "poses.csv"
+    rig = pictured / "rig.json"
+
+    def taken(board: str | None) -> FlangePoses:
+        return FlangePoses(pictured, pictured / "poses.csv", board)
+
     console = Console(width=200)
 
-    assert self_test(*files, "4.0", "kuka", False, console) == 0
+    assert self_test(rig, taken("4.0"), "kuka", False, console) == 0
     assert "board chessboard:9x6:4: a chessboard of 9x6 inner corners" in capsys.readouterr().out
-    with pytest.raises(CalibrationError, match=r"--board: .*: chessboard:9x6:MM, or MM alone"):
-        self_test(*files, None, "kuka", False, console)
+    with pytest.raises(CalibrationError, match="--board chessboard:9x6:MM, or --board MM alone"):
+        self_test(rig, taken(None), "kuka", False, console)
     with pytest.raises(CalibrationError, match="2 boards, expected the one"):
-        self_test(*files, "chessboard:9x6:4,chessboard:9x6:5", "kuka", False, console)
+        self_test(rig, taken("chessboard:9x6:4,chessboard:9x6:5"), "kuka", False, console)
 
 
 # --- files and the command -----------------------------------------------------------------------

@@ -17,7 +17,7 @@ from helpers.partcell import PartCell
 from helpers.waiting import WHOLE_S
 from rich.console import Console
 
-from edged.commands.teach import DrawingSource, teach
+from edged.commands.teach import DrawingSource, TeachOptions, teach
 from edged.files.jobs import load_job
 
 DEPTH_MM = 205.0
@@ -84,7 +84,7 @@ def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
     cell = run(tmp_path / "cell", test)
     output = tmp_path / "part1"
     source = DrawingSource(dxf=path, contour=None, depth_mm=DEPTH_MM, layers=(), unit=None)
-    assert 0 == teach(cell.rig, source, "part1", output, Console(file=io.StringIO()), number=1)
+    assert 0 == teach(cell.rig, source, "part1", output, Console(file=io.StringIO()), TeachOptions(1))
     assert load_job(output).name == "part1"
     assert made == [(output / name).read_bytes() for name in ("job.toml", "shape.npz")]
 

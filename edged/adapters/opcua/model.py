@@ -22,7 +22,6 @@ from edged.adapters.opcua.nodes import (
     Nodes,
     argument,
     base,
-    in_cell,
     variable_attributes,
 )
 
@@ -137,7 +136,7 @@ def _add_type_row(nodes: Nodes, row: ModelRow) -> None:
             attributes.EventNotifier = 0
         case "V":
             rank = int(row.rank or -1)
-            attributes = variable_attributes(node_of(row.data_type or "0:24"), rank, _value_of(row))
+            attributes = variable_attributes(node_of(row.data_type or "0:24"), _value_of(row), rank=rank)
             kind = ua.NodeClass.Variable
         case "M":
             attributes, kind = ua.MethodAttributes(), ua.NodeClass.Method
@@ -243,12 +242,16 @@ class Instances:
             place,
             ua.QualifiedName("CurrentState", 0),
             node,
-            base(ua.ObjectIds.LocalizedText),
+            variable_attributes(base(ua.ObjectIds.LocalizedText)),
             type_definition=base(FINITE_STATE_VARIABLE_TYPE),
         )
         for name, kind in (("Id", ua.ObjectIds.NodeId), ("Number", ua.ObjectIds.UInt32)):
             self.variables[f"{place}.{name}"] = self._nodes.variable(
-                f"{place}.{name}", ua.QualifiedName(name, 0), state, base(kind), is_property=True
+                f"{place}.{name}",
+                ua.QualifiedName(name, 0),
+                state,
+                variable_attributes(base(kind)),
+                is_property=True,
             )
 
     def _part(self, row: ModelRow, path: str, parent: ua.NodeId, optional: Collection[str]) -> None:
@@ -267,8 +270,7 @@ class Instances:
                 place,
                 name,
                 parent,
-                node_of(row.data_type or "0:24"),
-                rank=int(row.rank or -1),
+                variable_attributes(node_of(row.data_type or "0:24"), rank=int(row.rank or -1)),
                 type_definition=node_of(row.type_definition),
                 is_property=row.reference == str(HAS_PROPERTY),
             )
@@ -281,8 +283,3 @@ class Instances:
 def type_node(number: int) -> ua.NodeId:
     """A type or state of the specification."""
     return ua.NodeId(number, VISION)
-
-
-def node_at(path: str) -> ua.NodeId:
-    """The node of the cell with this path."""
-    return in_cell(path)

@@ -102,17 +102,12 @@ class Nodes:
         path: str,
         name: ua.QualifiedName,
         parent: ua.NodeId,
-        data_type: ua.NodeId,
-        value: ua.Variant | None = None,
+        attributes: ua.VariableAttributes,
         *,
-        rank: int = -1,
         type_definition: ua.NodeId | None = None,
         is_property: bool = False,
-        description: str = "",
     ) -> ua.NodeId:
-        """A variable or property of the cell that clients may read. value None: not yet known."""
-        attributes = variable_attributes(data_type, rank, value)
-        attributes.Description = ua.LocalizedText(description)
+        """A variable or property of the cell that clients may read. attributes : of `variable_attributes`."""
         return self.add(
             in_cell(path),
             name,
@@ -142,17 +137,18 @@ class Nodes:
                     f"{path}.{what}",
                     ua.QualifiedName(what, 0),
                     node,
-                    base(ua.ObjectIds.Argument),
-                    value,
-                    rank=1,
+                    variable_attributes(base(ua.ObjectIds.Argument), value, rank=1),
                     is_property=True,
                 )
         return node
 
 
-def variable_attributes(data_type: ua.NodeId, rank: int, value: ua.Variant | None) -> ua.VariableAttributes:
-    """Attributes of a read-only variable."""
+def variable_attributes(
+    data_type: ua.NodeId, value: ua.Variant | None = None, *, rank: int = -1, description: str = ""
+) -> ua.VariableAttributes:
+    """Attributes of a read-only variable. value None: not yet known."""
     attributes = ua.VariableAttributes()
+    attributes.Description = ua.LocalizedText(description)
     attributes.DataType, attributes.ValueRank = data_type, rank
     attributes.AccessLevel = attributes.UserAccessLevel = ua.AccessLevel.CurrentRead.mask
     attributes.Value = value or ua.Variant(None, ua.VariantType.Null)

@@ -17,8 +17,8 @@ from typing import Any
 from asyncua import ua
 from asyncua.common.events import Event
 
-from edged.adapters.opcua.model import Instances, Model, add_types, node_at, type_node
-from edged.adapters.opcua.nodes import Nodes, base, in_cell
+from edged.adapters.opcua.model import Instances, Model, add_types, type_node
+from edged.adapters.opcua.nodes import Nodes, base, in_cell, variable_attributes
 from edged.adapters.opcua.picture import RegisterPicture, ResultRecord, job_name
 from edged.adapters.opcua.session import Server
 from edged.adapters.opcua.settings import OpcUaSettings
@@ -140,12 +140,12 @@ class Space:
         system = self.instances.build(
             1003, SYSTEM, own_name(self._settings.cell), objects, OPTIONAL, events=True
         )
-        self._notify(node_at(MACHINE))
+        self._notify(in_cell(MACHINE))
         latest = self._nodes.variable(
             LATEST,
             own_name("Latest"),
-            node_at(f"{SYSTEM}.ResultManagement.Results"),
-            type_node(3006),
+            in_cell(f"{SYSTEM}.ResultManagement.Results"),
+            variable_attributes(type_node(3006)),
             type_definition=type_node(2002),
         )
         self.instances.variables[LATEST] = latest
@@ -167,8 +167,7 @@ class Space:
                     place,
                     own_name(register.name),
                     parent,
-                    base(VARIANTS[register.kind].value),
-                    description=register.help,
+                    variable_attributes(base(VARIANTS[register.kind].value), description=register.help),
                 )
                 self._registers[register.address] = (register, node, block not in LASTING_BLOCKS)
                 if register.unit and register.unit != "bits":
@@ -176,8 +175,10 @@ class Space:
                         f"{place}.EngineeringUnits",
                         ua.QualifiedName("EngineeringUnits", 0),
                         node,
-                        base(ua.ObjectIds.EUInformation),
-                        ua.Variant(unit_of(register.unit), ua.VariantType.ExtensionObject),
+                        variable_attributes(
+                            base(ua.ObjectIds.EUInformation),
+                            ua.Variant(unit_of(register.unit), ua.VariantType.ExtensionObject),
+                        ),
                         is_property=True,
                     )
 
@@ -306,7 +307,7 @@ class Space:
     def _add_recipe(self, number: int, name: str) -> None:
         place = f"{RECIPES}.{name}"
         self._modified[name] = now = datetime.now(UTC)
-        self.instances.build(1002, place, own_name(name), node_at(RECIPES), OPTIONAL)
+        self.instances.build(1002, place, own_name(name), in_cell(RECIPES), OPTIONAL)
         values: dict[str, ua.Variant] = {
             "InternalId": structure(RecipeIdInternalDataType(Id=ua.String(name))),
             "ExternalId": structure(RecipeIdExternalDataType(Id=ua.String(str(number)))),

@@ -14,7 +14,7 @@ import numpy as np
 
 from edged.domain.arrays import SIDES, Image, Side
 from edged.errors import CalibrationError
-from edged.report.calibration import calibration_report
+from edged.report.calibration import ReportExtras, calibration_report
 from edged.setup.calibration.boards import check_board_shown
 from edged.setup.pairs import Pair, Picture, Progress, silent, work_on
 from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView
@@ -233,17 +233,8 @@ def report_of(calibrated: Calibrated, about: Mapping[str, str]) -> str:
     calibration = calibrated.calibration
     sizes = [(camera.width, camera.height) for camera in (calibration.rig.left, calibration.rig.right)]
     plain = plain_opencv([fit.view for fit in calibration.views], sizes[0], sizes[1])
-    return calibration_report(
-        calibration,
-        calibrated.held,
-        calibrated.views,
-        calibrated.quality,
-        about,
-        plain,
-        calibrated.found,
-        verdict=str(calibrated.verdict),
-        thumbnails=calibrated.thumbnails,
-    )
+    also = ReportExtras(about, plain, calibrated.found, str(calibrated.verdict), calibrated.thumbnails)
+    return calibration_report(calibration, calibrated.held, calibrated.views, calibrated.quality, also)
 
 
 def quality_figures(

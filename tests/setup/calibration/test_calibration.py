@@ -109,7 +109,7 @@ def test_a_check_says_the_same_to_the_last_bit(
     save_rig(tmp_path / "rig.json", solved.rig, solved.quality)
     limits = Limits(0.3, 0.1)
 
-    verify(tmp_path / "rig.json", paths[0], paths[1], SPEC, None, [], limits, True, Console())
+    verify(tmp_path / "rig.json", (paths[0], paths[1]), SPEC, None, [], limits, True, Console())
     said = json.loads(capsys.readouterr().out)
     found = by_board(load_rig(tmp_path / "rig.json"), images["v2"], [BOARD], limits)
 

@@ -10,7 +10,7 @@ from helpers.boards import board_poses, synthetic_views
 from helpers.htmlpages import HtmlPage
 from helpers.rigs import make_rig
 
-from edged.report.calibration import calibration_report
+from edged.report.calibration import ReportExtras, calibration_report
 from edged.setup.calibration.views import quality_figures
 from edged.vision.boards.board import Chessboard, NotDetected
 from edged.vision.calibration.calibrate import calibrate_stereo
@@ -76,7 +76,7 @@ def test_a_measured_shape_is_compared_with_opencv_as_stated() -> None:
     plain = plain_opencv([fit.view for fit in calibration.views], SIZE, SIZE)
     assert plain is not None
     quality = quality_figures(calibration, (), [BOARD])
-    page = calibration_report(calibration, (), VIEWS, quality, plain=plain)
+    page = calibration_report(calibration, (), VIEWS, quality, ReportExtras(plain=plain))
     assert "shape measured" in page
     assert f"{plain.rms_px:.4f}" in page
 
@@ -98,7 +98,7 @@ def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
     held = hold_out(calibration)
     quality = quality_figures(calibration, held, [BOARD])
     plain = plain_opencv([fit.view for fit in calibration.views], SIZE, SIZE)
-    page = calibration_report(calibration, held, views, quality, {"place": "cell 7"}, plain)
+    page = calibration_report(calibration, held, views, quality, ReportExtras({"place": "cell 7"}, plain))
     parsed = HtmlPage(page)
     assert parsed.open == []
     assert parsed.outside == []
@@ -130,8 +130,10 @@ def test_the_report_shows_what_was_found_in_each_picture() -> None:
         hold_out(calibration),
         views,
         quality_figures(calibration, (), [BOARD]),
-        verdict="verdict: usable: 4 views",
-        thumbnails={view.name: (small, small) for view in views},
+        ReportExtras(
+            verdict="verdict: usable: 4 views",
+            thumbnails={view.name: (small, small) for view in views},
+        ),
     )
     parsed = HtmlPage(page)
     assert [] == parsed.open
