@@ -269,9 +269,10 @@ class Servers:
             case OpcUaSection():
                 return self._opcua_builder(wanted, section)
             case WebSection():
-                from edged.adapters.web import WebPublisher, page_context
+                from edged.adapters.web import SettingUp, WebPublisher, page_context
 
                 web = web_settings(section, self._state)
+                routes = self._routes() if section.commissioning else ()
                 return partial(
                     WebPublisher,
                     wanted.cell,
@@ -279,10 +280,7 @@ class Servers:
                     running,
                     self._metrics,
                     context=page_context(web),
-                    commissioner=running.session,
-                    notices=self._notices,
-                    live=self._live,
-                    routes=self._routes() if section.commissioning else (),
+                    setup=SettingUp(running.session, self._notices, self._live, routes),
                 )
 
     def _opcua_builder(self, wanted: WantedServer, section: OpcUaSection) -> Build:

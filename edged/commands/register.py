@@ -79,7 +79,7 @@ def touch(
 
 @dataclass(frozen=True, slots=True)
 class FlangePoses:
-    """Poses of the flange, a pair at each. folder : of the pairs.  file : of the poses.  board : as stated."""
+    """Poses of the flange, a pair at each. folder : of the pairs.  file : of the poses. board : as stated."""
 
     folder: Path
     file: Path

@@ -14,7 +14,7 @@ import pytest
 from argon2 import PasswordHasher
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
-from edged.adapters.web import Overview, WebPublisher, WebSettings
+from edged.adapters.web import Overview, SettingUp, WebPublisher, WebSettings
 from edged.cell.cycle import Cycle
 from edged.identity.users import RoleName, User, UserFile
 from edged.setup.plcroutes import PlcRoutes
@@ -103,9 +103,8 @@ async def running(
             "cell1",
             settings,
             sources,
-            commissioner=cycle.session,
+            setup=SettingUp(cycle.session, routes=[] if plc is None else [PlcRoutes({"modbus": plc})]),
             clock_s=lambda: time.monotonic() + asleep_s[0],
-            routes=[] if plc is None else [PlcRoutes({"modbus": plc})],
         )
         await web.start()
         if plc is not None:

@@ -12,6 +12,7 @@ import ssl
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -96,12 +97,24 @@ class _ServerLog(logging.LoggerAdapter[logging.Logger]):
             self._traces.error(str(msg), *args, exc_info=exc_info)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SettingUp:
+    """What a cell is set up by. commissioner : where people take it; None: nobody can.
+
+    notices, live : what tabs are told and shown; None: of its own. routes : objects with further routes.
+    """
+
+    commissioner: Commissioner | None = None
+    notices: Notices | None = None
+    live: LivePictures | None = None
+    routes: Sequence[object] = ()
+
+
 class WebPublisher:
     """Serves the page and the manual (`edged.ports.Publisher`).
 
     manual : folder that it was built into. context : `page_context`; None: read at the start.
-    commissioner : where people take the cell, if the settings let them. notices, live : what tabs are told
-    and shown; None: of its own. routes : objects with further routes of /api/v1. metrics : Prometheus' text.
+    setup : what people set the cell up by, if the settings let them. metrics : Prometheus' text.
     """
 
     def __init__(
@@ -113,26 +126,21 @@ class WebPublisher:
         *,
         manual: Path = FOLDER,
         context: ssl.SSLContext | None = None,
-        commissioner: Commissioner | None = None,
-        notices: Notices | None = None,
-        live: LivePictures | None = None,
-        routes: Sequence[object] = (),
+        setup: SettingUp | None = None,
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._cell = cell
         self._clock_s = clock_s
         self._sources = sources
-        self._notices = notices or Notices()
-        self._live = live
-        self._routes = routes
+        self._setup = setup = setup or SettingUp()
+        self._notices = setup.notices or Notices()
         self._sockets: Sockets | None = None
         self._setup_page = ""
         self._taking: SetupRoutes | None = None
         self._settings = settings
         self._context = context
-        self._commissioner = commissioner
         self._page = StatusPage(cell, sources)
-        is_set_up = settings.commissioning and commissioner is not None
+        is_set_up = settings.commissioning and setup.commissioner is not None
         state = settings.state if is_set_up else None
         self._users = None if state is None else UserFile(state / "users.json")
         self._invite = None if state is None else Invite(state)
@@ -177,8 +185,8 @@ class WebPublisher:
         forms.add_to(app.router)
         app.router.add_get("/events", self._events)
         self._handlers.add_to(app.router)
-        if settings.commissioning and self._commissioner is not None:
-            self._api(self._commissioner).add_to(app.router)
+        if settings.commissioning and self._setup.commissioner is not None:
+            self._api(self._setup.commissioner).add_to(app.router)
             app.router.add_get("/setup", self._show_setup)
         self._runner = runner = web.AppRunner(
             app, handle_signals=False, access_log=None, shutdown_timeout=0.5, logger=_ServerLog()
@@ -211,7 +219,7 @@ class WebPublisher:
             table.add(People(self._access, self._users))
         if self._audit is not None:
             table.add(AuditRoutes(self._audit))
-        live = self._live or LivePictures(commissioner, self._notices)
+        live = self._setup.live or LivePictures(commissioner, self._notices)
         self._sockets = Sockets(
             live,
             self._notices,
@@ -221,7 +229,7 @@ class WebPublisher:
             self._client,
             lambda request: self._rate(request).forfeit(FLOODED_S),
         )
-        table.add(self._sockets, *self._routes)
+        table.add(self._sockets, *self._setup.routes)
         offers = sorted({route.plain_path.removeprefix(f"{BASE}/") for route in table})
         self._setup_page = render(
             "setup.html", __package__, cell=self._cell, modules=modules(self._assets), offers=offers

@@ -35,12 +35,12 @@ from edged.sim.gige.gvcp import POLL_S, ControlChannel
 from edged.sim.gige.gvsp import EXTENDED_CHUNK, IMAGE, IMAGE_WITH_CHUNKS, ImageBlock, with_chunks
 from edged.sim.gige.pixels import encode
 from edged.sim.gige.registers import INVALID_PARAMETER, SUCCESS, CameraIdentity, CameraRegisters
-from edged.sim.gige.stream import Pacing, StreamChannel
+from edged.sim.gige.stream import StreamChannel
 from edged.sim.gige.triggers import CameraTriggers
 from edged.sim.gige.wiring import Wire
 from edged.vision.kernels.pixelformats import BY_CODE
 
-__all__ = ["Faults", "GigeCamera", "Pacing", "Quirk", "moving_ramp"]
+__all__ = ["Faults", "GigeCamera", "Quirk", "moving_ramp"]
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +55,7 @@ class GigeCamera:
 
     exposure : called in the exposure thread; returns the (height, width) uint8 image.
     faults : what goes wrong; its fields may be changed at any time.
-    quirks : how its firmware deviates from others. seed : of the random part of faults.
+    quirks : what its firmware does otherwise than others.
     clock : its clock; offset, drift and PTP may be changed at any time.
     registers : its memory. exposures : how many there were since it was made.
     """
@@ -66,12 +66,9 @@ class GigeCamera:
         serial: str,
         exposure: Callable[[ExposureRequest], Image],
         *,
-        model: str = "Virtual",
         width: int = 1280,
         height: int = 960,
         faults: Faults | None = None,
-        pacing: Pacing | None = None,
-        seed: int = 0,
         clock: DeviceClock | None = None,
         quirks: Collection[Quirk] = (),
     ) -> None:
@@ -82,11 +79,10 @@ class GigeCamera:
         self.faults = faults or Faults()
         self.clock = clock or DeviceClock()
         self._old_chunks = Quirk.OLD_CHUNKS in quirks
-        self._pacing = pacing or Pacing()
         # two threads take chances: each its own, or no run is like another
-        self._chance, self._answer_chance = random.Random(seed), random.Random(seed)
+        self._chance, self._answer_chance = random.Random(0), random.Random(0)
         self.registers = CameraRegisters(
-            CameraIdentity(address, serial, model), width, height, frozenset(quirks)
+            CameraIdentity(address, serial, "Virtual"), width, height, frozenset(quirks)
         )
         self._triggers = CameraTriggers(self.registers, self.clock)
         self._set_hooks(self.registers.hooks)
@@ -100,7 +96,7 @@ class GigeCamera:
     def _connect(self) -> None:
         """Channels of a camera at this address, and memory as after power-on."""
         self._control = ControlChannel(self.address, self.registers, self, self.faults, self._answer_chance)
-        self._stream = StreamChannel(self.address, self.faults, self._pacing, self._chance)
+        self._stream = StreamChannel(self.address, self.faults, self._chance)
         self._power_on()
 
     def _set_hooks(self, hooks: dict[int, Callable[[int], int]]) -> None:

@@ -23,8 +23,7 @@ SEND_BUFFER_BYTES = 4 * 1024 * 1024
 class Pacing:
     """Keeps a sender from overrunning receivers: pauses after bursts, and the packet delay it was told."""
 
-    def __init__(self, burst_bytes: int = BURST_BYTES, pause_s: float = BURST_PAUSE_S) -> None:
-        self._burst_bytes, self._pause_s = burst_bytes, pause_s
+    def __init__(self) -> None:
         self._sent = 0
 
     def begin(self) -> None:
@@ -36,16 +35,16 @@ class Pacing:
         if delay_s > 0:
             time.sleep(delay_s)
         self._sent += sent_bytes
-        if self._sent >= self._burst_bytes:
+        if self._sent >= BURST_BYTES:
             self._sent = 0
-            time.sleep(self._pause_s)
+            time.sleep(BURST_PAUSE_S)
 
 
 class StreamChannel:
     """Sends blocks; keeps the last few for requests to send packets again."""
 
-    def __init__(self, address: str, faults: Faults, pacing: Pacing, chance: random.Random) -> None:
-        self._address, self._faults, self._pacing, self._chance = address, faults, pacing, chance
+    def __init__(self, address: str, faults: Faults, chance: random.Random) -> None:
+        self._address, self._faults, self._pacing, self._chance = address, faults, Pacing(), chance
         self._socket: socket.socket | None = None
         self._destination: tuple[str, int] | None = None
         self._blocks: OrderedDict[int, ImageBlock] = OrderedDict()
