@@ -130,7 +130,7 @@ Given = BaseModel | web.StreamResponse | None
 Handler = Callable[[Call[Any]], Awaitable[Given]]
 
 
-class Options(TypedDict, total=False):
+class RouteOptions(TypedDict, total=False):
     """What a row of the table may say besides what it must; see `Route`."""
 
     role: Role
@@ -193,7 +193,7 @@ H = TypeVar("H", bound=Callable[..., Awaitable[Given]])
 
 
 def route(
-    method: str, path: str, what: str, *, answer: str | None = None, **options: Unpack[Options]
+    method: str, path: str, what: str, *, answer: str | None = None, **options: Unpack[RouteOptions]
 ) -> Callable[[H], H]:
     """Make a method with one argument, a `Call`, the handler of a `Route`.
 
@@ -246,7 +246,7 @@ class RouteTable:
         *,
         body: type[B] | None = None,
         answer: type[BaseModel] | str | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[RouteOptions],
     ) -> None:
         """Add a route. Raises `ValueError` for a row that contradicts itself, or that is there already."""
         model = body if isinstance(body, type) and issubclass(body, BaseModel) else None
