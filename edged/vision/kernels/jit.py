@@ -40,8 +40,10 @@ F3 = Annotated[npt.NDArray[np.float64], "f8[:, :, ::1]"]
 I1 = Annotated[npt.NDArray[np.int64], "i8[::1]"]
 I2 = Annotated[npt.NDArray[np.int64], "i8[:, ::1]"]
 B1 = Annotated[npt.NDArray[np.bool_], "b1[::1]"]
+S2 = Annotated[npt.NDArray[np.int16], "i2[:, ::1]"]
 INT = Annotated[int, "i8"]
-"""Fields of a `NamedTuple` that a kernel takes: contiguous arrays of so many dimensions, an integer."""
+FLOAT = Annotated[float, "f8"]
+"""Fields of a `NamedTuple` that a kernel takes: contiguous arrays of so many dimensions, a number."""
 
 
 def kernel(

@@ -404,11 +404,11 @@ def _settled(model: ShapeModel, motion: FloatArray, outline: FloatArray, gap: fl
     points, normals = model.levels[0].points, model.levels[0].normals
     pose = turned(_IDENTITY, motion)
     placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
-    summary, matrix = np.zeros(3), np.zeros((8, 8))
+    result = refine.no_step()
     for reach in ROTATIONS.meeting_px:
         refine.place(points, normals, pose, placed)
         meet(placed, outline, reach, 3.0 * max(gap, 1.0), ROTATIONS.alike, edges)
-        if not refine.robust_step(points, placed, edges, pose, refine.RIGID, 1.0, 8, summary, matrix):
+        if not refine.robust_step(points, placed, edges, pose, refine.RIGID, 1.0, 8, result):
             return motion
     return np.array([pose[0], pose[1], math.atan2(pose[4], pose[2])])
 

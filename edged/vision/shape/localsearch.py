@@ -26,20 +26,16 @@ Array = npt.NDArray[Any]
 
 
 def best_nearby(
-    gx: npt.NDArray[np.int16],
-    gy: npt.NDArray[np.int16],
+    gradient: refine.Gradient,
     points: FloatArray,
     normals: FloatArray,
     pose: FloatArray,
-    sign: int,
-    minimum: float,
     stretched: bool,
     view: FloatArray | None = None,
 ) -> FloatArray:
     """The pose vector (8,) around `pose` at which the model agrees best with a gradient image.
 
-    gx, gy : Sobel (H, W) int16.  points, normals (N, 2) : of the model on this level.  sign, minimum : as
-    in `refine.gradient_edges`.  stretched : keep the sizes along x and y apart, where they are looked for.
+    points, normals (N, 2) : of the model on this level.  stretched : keep the sizes along x and y apart, where they are looked for.
     Only place and size are tried; shear, tilt and, unless `stretched`, a stretch are taken back:
     they are what a fit to half of two outlines shows. view (6,) : linear part and tilt, px of this level, of
     the view that was found, and which is taken back to; None: as taught.
@@ -47,7 +43,7 @@ def best_nearby(
     points, normals = points[: CLIMB.nearby_points], normals[: CLIMB.nearby_points]
     poses = _around(points, pose, stretched) if view is None else _around_view(points, pose, view)
     scores = np.empty((len(poses), PLACES, PLACES), np.float32)
-    scan_nearby(gx, gy, points, normals, poses, sign, minimum, scores)
+    scan_nearby(gradient.gx, gradient.gy, points, normals, poses, gradient.sign, gradient.minimum, scores)
     best, row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
     found = poses[best]
     found[0] += STRIDE_PX * float(column) - REACH_PX

@@ -6,14 +6,14 @@ A pose maps a model point p to the image: origin + A p / (1 + tilt . p). Its par
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.kernels.cholesky import factorise, substitute
-from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.jit import F1, F2, FLOAT, INT, S2, kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, TUKEY, biweight
 from edged.vision.shape.params import CLIMB
@@ -25,6 +25,34 @@ RIGID, SIMILARITY, STRETCH, AFFINE, PROJECTIVE = 3, 4, 5, 6, 8
 # numba freezes globals when it compiles: kernels read these by name
 AGREES_PX = CLIMB.agrees_px
 SETTLED_PX = CLIMB.settled_px
+
+
+class Gradient(NamedTuple):
+    """A gradient image and what of it is an edge. gx, gy : Sobel (H, W).
+
+    sign : +1 as taught, -1 inverted, 0 either.  minimum : gradient below which there is no edge.
+    """
+
+    gx: S2
+    gy: S2
+    sign: INT
+    minimum: FLOAT
+
+
+class StepResult(NamedTuple):
+    """What a step came to, written by it.
+
+    summary (3,) : score (mean cos of the agreeing points over all points), share that agrees, sigma of a
+    residual px.  matrix (8, 8) : J^T W J of the last iteration.
+    """
+
+    summary: F1
+    matrix: F2
+
+
+def no_step() -> StepResult:
+    """To be written."""
+    return StepResult(np.zeros(3), np.zeros((8, 8)))
 
 
 def start_pose(x_px: float, y_px: float, angle_rad: float, scale_x: float, scale_y: float) -> FloatArray:
@@ -268,7 +296,7 @@ def motion(
     return float(max(x, y) + (reach - 1.0) * max(far_x, far_y))
 
 
-@kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, f8, i8, f8[::1], f8[:, ::1])")
+@kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], i8, f8, i8, StepResult)", tuples=(StepResult,))
 def robust_step(
     points: Array,
     placed: Array,
@@ -277,18 +305,15 @@ def robust_step(
     freedom: int,
     tilt_prior: float,
     iterations: int,
-    summary: Array,
-    normal_matrix: Array,
+    result: StepResult,
 ) -> bool:
     """Move `pose` by one robust (Tukey) least-squares step towards the measured edges.
 
     edges (N, 2) : offset and cos.  tilt_prior : expected |tilt|, px^-1, keeps a tilt that the edges do
     not show at zero.  iterations : at most, of the weights.
-    summary : score (mean cos of the agreeing points over all points), share that agrees, sigma of a
-    residual px.  normal_matrix (8, 8) : J^T W J of the last iteration.
     Returns False when the edges do not determine the pose.
     """
-    count = points.shape[0]
+    count, normal_matrix = points.shape[0], result.matrix
     design = np.empty((count, 8))
     jacobian(points, placed, pose, freedom, design)
     used = np.empty(count, np.bool_)
@@ -352,35 +377,36 @@ def robust_step(
         if used[n] and abs(residuals[n]) <= AGREES_PX:
             agreeing += 1
             cosines += max(edges[n, 1], 0.0)
-    summary[0], summary[1], summary[2] = cosines / count, agreeing / count, scale
+    result.summary[0], result.summary[1], result.summary[2] = cosines / count, agreeing / count, scale
     return True
 
 
-@kernel("b1(f8[:, ::1], f8[:, ::1], i2[:, ::1], i2[:, ::1], f8[:, ::1], i8, f8, f8, f8[::1], f8[::1])")
+@kernel(
+    "b1(f8[:, ::1], f8[:, ::1], Gradient, f8[:, ::1], f8, f8[::1], StepResult)",
+    tuples=(Gradient, StepResult),
+)
 def settle(
     points: Array,
     normals: Array,
-    gx: Array,
-    gy: Array,
+    gradient: Gradient,
     steps: Array,
-    sign: int,
-    minimum: float,
     tilt_prior: float,
     pose: Array,
-    summary: Array,
+    result: StepResult,
 ) -> bool:
     """Move `pose` by robust steps on one gradient image; False when the edges do not determine it.
 
     steps (S, 2) : reach in px and degrees of freedom of each; one that would repeat a step of less than
-    SETTLED_PX is left out.  summary (3,) : of the last step, see `robust_step`.
+    SETTLED_PX is left out.  result : of the last step.
     """
     placed, edges = np.empty((points.shape[0], 4)), np.empty((points.shape[0], 2))
-    before, matrix = np.empty(8), np.empty((8, 8))
+    before = np.empty(8)
+    gx, gy, sign, minimum = gradient
     for s in range(steps.shape[0]):
         before[:] = pose
         place(points, normals, pose, placed)
         gradient_edges(gx, gy, placed, steps[s, 0], sign, minimum, edges)
-        if not robust_step(points, placed, edges, pose, int(steps[s, 1]), tilt_prior, 4, summary, matrix):
+        if not robust_step(points, placed, edges, pose, int(steps[s, 1]), tilt_prior, 4, result):
             return False
         if (
             s + 1 < steps.shape[0]

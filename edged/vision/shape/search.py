@@ -134,10 +134,13 @@ class _Search:
     def _sign(self, hypothesis: Hypothesis) -> int:
         return 0 if self.params.polarity in EACH_EDGE_ITSELF else hypothesis.sign
 
+    def _gradient(self, hypothesis: Hypothesis, level: int) -> refine.Gradient:
+        minimum = float(8 * self.params.min_contrast)
+        return refine.Gradient(*self.work.gradient(level), self._sign(hypothesis), minimum)
+
     def _on_level(self, hypothesis: Hypothesis, level: int, first: bool) -> Hypothesis | None:
         """Robust steps on the gradient of a coarse level."""
         points, normals = self.model.levels[level].points, self.model.levels[level].normals
-        gx, gy = self.work.gradient(level)
         limit = self._freedom() or refine.SIMILARITY
         # a few points do not carry a tilt
         coarse = min(limit, refine.AFFINE if level > 1 else refine.PROJECTIVE)
@@ -147,21 +150,11 @@ class _Search:
             steps = ((2.0, start), (2.0, coarse)) if first else ((2.0, coarse), (1.5, coarse))
         else:
             steps = STEEP_STEPS if first else STEEP_STEPS[:2]
-        pose, summary = hypothesis.pose.copy(), np.zeros(3)
-        if not refine.settle(
-            points,
-            normals,
-            gx,
-            gy,
-            np.array(steps),
-            self._sign(hypothesis),
-            8 * self.params.min_contrast,
-            self._tilt_prior() / self._radius(level),
-            pose,
-            summary,
-        ):
+        pose, result = hypothesis.pose.copy(), refine.no_step()
+        gradient, prior = self._gradient(hypothesis, level), self._tilt_prior() / self._radius(level)
+        if not refine.settle(points, normals, gradient, np.array(steps), prior, pose, result):
             return None
-        score = float(summary[0])
+        score = float(result.summary[0])
         share = CLIMB.coarse_share if first or level > 1 else CLIMB.near_finest_share
         if score < share * self.params.min_score or not self._plausible(pose, 0.06):
             return None
@@ -171,12 +164,10 @@ class _Search:
         """A pose that explains a coarse level badly, or a better one beside it."""
         shape = self.model.levels[level]
         place = nearby.best_nearby(
-            *self.work.gradient(level),
+            self._gradient(hypothesis, level),
             shape.points,
             shape.normals,
             hypothesis.pose,
-            self._sign(hypothesis),
-            8 * self.params.min_contrast,
             self._stretches(),
             None if self.views is None else self.views.on_level(hypothesis.view, level),
         )
@@ -189,7 +180,7 @@ class _Search:
         level = self.model.levels[0]
         freedom = self._freedom()
         pose = refine.one_level_finer(hypothesis.pose) if climbed else hypothesis.pose.copy()
-        summary, matrix = np.zeros(3), np.zeros((8, 8))
+        result = refine.no_step()
         sign, score, sigma, agreeing = self._sign(hypothesis), 0.0, 0.0, np.zeros(len(level.points))
         for last, count, reach in ((False, CLIMB.first_points, 2.0), (True, len(level.points), 1.5)):
             points, normals = level.points[:count], level.normals[:count]
@@ -204,11 +195,11 @@ class _Search:
             trial = pose.copy()
             prior = self._tilt_prior() / self._radius(0)
             moved = refine.robust_step(
-                points, placed, edges, trial, freedom or refine.SIMILARITY, prior, 8, summary, matrix
+                points, placed, edges, trial, freedom or refine.SIMILARITY, prior, 8, result
             )
-            if not moved or summary[0] < CLIMB.coarse_share * self.params.min_score:
+            if not moved or result.summary[0] < CLIMB.coarse_share * self.params.min_score:
                 return None
-            score, sigma = min(float(summary[0]), 1.0), float(summary[2])
+            score, sigma = min(float(result.summary[0]), 1.0), float(result.summary[2])
             agreeing = np.where(np.abs(edges[:, 0]) < refine.AGREES_PX, slopes, 0.0)
             known = np.isfinite(edges[:, 0])
             clipped = known & seen.clipped
@@ -219,15 +210,15 @@ class _Search:
                 edges[clipped, 0] = np.nan
                 sure = pose.copy()
                 if refine.robust_step(
-                    points, placed, edges, sure, freedom or refine.SIMILARITY, prior, 8, summary, matrix
+                    points, placed, edges, sure, freedom or refine.SIMILARITY, prior, 8, result
                 ) and self._plausible(sure, 0.03):
-                    trial, sigma = sure, float(summary[2])
+                    trial, sigma = sure, float(result.summary[2])
             if freedom:
                 pose = trial
         # a match stays where the search found it: far moves are a slide along clutter
         if score < CLIMB.coarse_share * self.params.min_score or not self._plausible(pose, 0.03):
             return None
-        covariance = refine.covariance(matrix, freedom, sigma * math.sqrt(self.model.repetition), pose)
+        covariance = refine.covariance(result.matrix, freedom, sigma * math.sqrt(self.model.repetition), pose)
         return replace(hypothesis, pose=pose, score=score, covariance=covariance, slopes=agreeing)
 
     def _tilt_prior(self) -> float:

@@ -117,12 +117,12 @@ def _score(
     """Steger's score of a pose after a rigid fit, and the fitted pose; 0 when it cannot be fitted."""
     pose = start.copy()
     placed, edges = np.empty((len(level.points), 4)), np.empty((len(level.points), 2))
-    summary, matrix = np.zeros(3), np.zeros((8, 8))
+    result = refine.no_step()
     for width in (reach, max(2.0, 0.5 * reach), 1.5):
         refine.place(level.points, level.normals, pose, placed)
         offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], width, 1)
         edges[:, 0] = np.where(slopes >= min_contrast, offsets, np.nan)
         refine.edge_directions(image, placed, 1, edges)
-        if not refine.robust_step(level.points, placed, edges, pose, refine.RIGID, 1.0, 8, summary, matrix):
+        if not refine.robust_step(level.points, placed, edges, pose, refine.RIGID, 1.0, 8, result):
             return 0.0, start
-    return float(summary[0]), pose
+    return float(result.summary[0]), pose

@@ -292,8 +292,9 @@ def test_robust_step_is_a_tukey_fit() -> None:
     edges = np.column_stack([design[:, :4] @ true_step + rng.normal(0, 0.1, 300), np.ones(300)])
     edges[::3, 0] += 1.9
     edges[::3, 1] = 0.5
-    moved, summary, matrix = pose.copy(), np.zeros(3), np.zeros((8, 8))
-    assert refine.robust_step(points, placed, edges, moved, 4, 1.0, 8, summary, matrix)
+    moved, result = pose.copy(), refine.no_step()
+    assert refine.robust_step(points, placed, edges, moved, 4, 1.0, 8, result)
+    summary = result.summary
     step = naive.tukey_fit(design[:, :4], edges[:, 0], 8, 0.02)
     np.testing.assert_allclose(moved, naive.shape_step(pose, step, 4), atol=2e-4)
     np.testing.assert_allclose(step, true_step, atol=0.05)
@@ -310,7 +311,7 @@ def test_too_few_edges_determine_nothing() -> None:
     edges = np.full((20, 2), np.nan)
     edges[:7] = 0.1
     moved = pose.copy()
-    assert not refine.robust_step(points, placed, edges, moved, 4, 1.0, 8, np.zeros(3), np.zeros((8, 8)))
+    assert not refine.robust_step(points, placed, edges, moved, 4, 1.0, 8, refine.no_step())
     np.testing.assert_array_equal(moved, pose)
 
 
@@ -335,18 +336,20 @@ def test_settle_takes_the_steps_one_by_one() -> None:
     points = -20 * normals
     steps = np.array([[2.0, 4], [2.0, 4], [1.5, 4]])
     start = refine.start_pose(61.2, 57.1, 0.0, 1.0, 1.0)
-    by_hand, summary, matrix = start.copy(), np.zeros(3), np.zeros((8, 8))
+    by_hand, result = start.copy(), refine.no_step()
     placed, edges = np.empty((60, 4)), np.empty((60, 2))
     for reach, freedom in steps[:2]:
         refine.place(points, normals, by_hand, placed)
         refine.gradient_edges(gx, gy, placed, reach, 1, 5.0, edges)
-        assert refine.robust_step(points, placed, edges, by_hand, int(freedom), 0.1, 4, summary, matrix)
+        assert refine.robust_step(points, placed, edges, by_hand, int(freedom), 0.1, 4, result)
     settled = start.copy()
-    assert refine.settle(points, normals, gx, gy, steps, 1, 5.0, 0.1, settled, summary)
+    assert refine.settle(points, normals, refine.Gradient(gx, gy, 1, 5.0), steps, 0.1, settled, result)
     np.testing.assert_array_equal(settled, by_hand)
     np.testing.assert_allclose(settled[:2], [60, 58], atol=0.1)
     nothing = np.zeros_like(gx)
-    assert not refine.settle(points, normals, nothing, nothing, steps, 1, 5.0, 0.1, settled, summary)
+    assert not refine.settle(
+        points, normals, refine.Gradient(nothing, nothing, 1, 5.0), steps, 0.1, settled, result
+    )
 
 
 def test_points_beside_an_outline_are_found() -> None:
