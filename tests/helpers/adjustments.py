@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.vision.curves.adjustment import Samples
+from edged.vision.curves.samples import Samples
 
 
 def ring(count: int) -> FloatArray:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.vision.curves.adjustment import Samples
 from edged.vision.curves.outlines import CurveOutline
+from edged.vision.curves.samples import Samples
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.projection import project_with_jacobians
 from naive.kernels import median_scale, tukey_weights

@@ -16,16 +16,15 @@ Source: P. J. Huber, "Robust Statistics", 1981.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.curves.params import FIT
+from edged.vision.curves.samples import JointSolution, Memory, Samples
 from edged.vision.curves.systematic import DOUBT_PX, estimate_variance_components
 from edged.vision.kernels.cholesky import invert
-from edged.vision.kernels.jit import B1, F1, F2, F3, I1, I2, kernel
+from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import MIN_SIGMA_PX, correlation_length, robust_scale, tukey_weight
 
 F64 = npt.NDArray[np.float64]
@@ -38,74 +37,6 @@ MAX_ROUNDS = FIT.max_rounds
 _SHRINK = 1.06  # Tukey's weights shrink the root mean square of normal errors by this
 _NEIGHBOURS = 4  # samples with common terms ...
 _MIN_BINS = 32  # ... where at least so many terms remain for a part
-
-
-class Samples(NamedTuple):
-    """Samples of K curves in Q parts, for `solve`.
-
-    design (N, C) : derivatives of each sample by the unknowns that its curve depends on; columns (K, C) :
-    which those are, -1 for none.
-    starts (Q + 1,) : where each part begins; parts (K + 1,) : with which of them each curve begins;
-    paired (K,) : its first two have the same points row by row, and what is wrong in one is so in the other.
-    values, base (N,) : samples and prior weights (0: no sample).
-    waves (N, A) : systematic shifts; families (A,) : numbers below F; those of a family are as large as each
-    other. expected (K, F) : the sigma to expect of them.
-    shared (K,) : the first of the A unknowns for the shift that a curve has in common with others, in
-    units of its sigma; -1 for none.  kinds (K,) : numbers below K; the shifts of a kind are as large
-    as each other, in units of what is expected.
-    """
-
-    design: F2
-    columns: I2
-    starts: I1
-    parts: I1
-    paired: B1
-    values: F1
-    base: F1
-    waves: F2
-    families: I1
-    expected: F2
-    shared: I1
-    kinds: I1
-
-
-class JointSolution(NamedTuple):
-    """A solved step.
-
-    delta (P,), covariance (P, P) of the unknowns; weights, residuals (N,) of the samples, systematic
-    shifts taken out; precision (Q,) : what a sample of weight 1 in a part counts, 1 / (scale² spread).
-    bias (K, F) : sigmas of the systematic shifts, as they came out.
-    """
-
-    delta: F1
-    covariance: F2
-    weights: F1
-    residuals: F1
-    precision: F1
-    bias: F2
-
-
-class _Memory(NamedTuple):
-    """Working arrays of the rounds. T terms: the C of a curve's design, then the A waves.
-
-    together (Q,) : samples of a part that share their terms; bins (Q + 1,) : where the shared terms of each
-    part begin in terms, of each part (T, B), so that sums run along its samples.
-    matrix (P, P), right_side (P,) : normal equations.  moments (K, T, T), own_right (K, T) : of each curve.
-    sigma (K, A), inverse (K, A, A) : of its own systematic shift, and its covariance if the unknowns were
-    known.  scale, spread (Q,) : of the residuals of each part.
-    """
-
-    together: I1
-    bins: I1
-    terms: F1
-    matrix: F2
-    right_side: F1
-    moments: F3
-    own_right: F2
-    sigma: F2
-    inverse: F3
-    scale: F1
-    spread: F1
 
 
 def solve(samples: Samples, unknowns: int, priors: int, settled: float = FIT.settled) -> JointSolution | None:
@@ -347,7 +278,7 @@ def _share_weights(base: F64, first: F64, second: F64) -> None:
 
 
 @kernel()
-def _memory_for(samples: Samples, unknowns: int) -> _Memory:
+def _memory_for(samples: Samples, unknowns: int) -> Memory:
     """Memory for the rounds, with the terms of all samples filled in."""
     starts, wide, many = samples.starts, samples.design.shape[1], samples.waves.shape[1]
     curves, count, each = len(samples.kinds), len(starts) - 1, wide + many
@@ -359,7 +290,7 @@ def _memory_for(samples: Samples, unknowns: int) -> _Memory:
     for q in range(count):
         a, b = starts[q], starts[q + 1]
         _shared_terms(samples.design[a:b], samples.waves[a:b], together[q], _terms_of(terms, bins, q))
-    return _Memory(
+    return Memory(
         together,
         bins,
         terms,
@@ -375,7 +306,7 @@ def _memory_for(samples: Samples, unknowns: int) -> _Memory:
 
 
 @kernel()
-def _add_curves(samples: Samples, memory: _Memory, priors: int, solution: JointSolution) -> bool:
+def _add_curves(samples: Samples, memory: Memory, priors: int, solution: JointSolution) -> bool:
     """Form the normal equations, each curve's own systematic shift eliminated; False if one is singular."""
     starts, wide, many = samples.starts, samples.design.shape[1], samples.waves.shape[1]
     each, size = wide + many, len(solution.delta)
@@ -404,7 +335,7 @@ def _add_curves(samples: Samples, memory: _Memory, priors: int, solution: JointS
 
 
 @kernel()
-def _step(memory: _Memory, priors: int, solution: JointSolution) -> float:
+def _step(memory: Memory, priors: int, solution: JointSolution) -> float:
     """Solve the normal equations; the largest change of an unknown in its own sigma, -1 for none."""
     size = len(solution.delta)
     if not invert(memory.matrix, solution.covariance):
@@ -421,7 +352,7 @@ def _step(memory: _Memory, priors: int, solution: JointSolution) -> float:
 
 
 @kernel()
-def _reweigh(samples: Samples, memory: _Memory, round_: int, solution: JointSolution) -> None:
+def _reweigh(samples: Samples, memory: Memory, round_: int, solution: JointSolution) -> None:
     """Residuals after the step, and from them weights, scales and correlations."""
     starts, parts = samples.starts, samples.parts
     step = np.empty(memory.own_right.shape[1])
@@ -462,19 +393,7 @@ def _solve(samples: Samples, priors: int, settled: float, solution: JointSolutio
             return 0
         _reweigh(samples, memory, round_, solution)
         if many > 0 and MEDIAN_ROUNDS <= round_ <= SPREAD_ROUNDS[1]:
-            estimate_variance_components(
-                samples.columns,
-                samples.shared,
-                samples.kinds,
-                samples.families,
-                samples.expected,
-                memory.inverse,
-                memory.moments,
-                memory.own_right,
-                solution.delta,
-                solution.covariance,
-                solution.bias,
-            )
+            estimate_variance_components(samples, memory, solution)
         if round_ > (SPREAD_ROUNDS[1] if many > 0 else MEDIAN_ROUNDS) and moved < settled:
             break
     return rounds

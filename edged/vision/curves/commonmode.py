@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.vision.curves.adjustment import Samples
 from edged.vision.curves.params import FIT
+from edged.vision.curves.samples import Samples
 from edged.vision.curves.systematic import FAMILIES, shrunk
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import MIN_SAMPLES, robust_scale

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.vision.curves.adjustment import JointSolution, Samples, solve
+from edged.vision.curves.adjustment import solve
 from edged.vision.curves.commonmode import Pairs, pair, samples_of
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
 from edged.vision.curves.outlines import (
@@ -24,6 +24,7 @@ from edged.vision.curves.outlines import (
     project_outline,
 )
 from edged.vision.curves.params import FIT, FitParams
+from edged.vision.curves.samples import JointSolution, Samples
 from edged.vision.curves.systematic import fourier_basis, shift_basis, slants
 from edged.vision.edges.params import EDGE
 from edged.vision.edges.subpixel import WIDTHS_PX, edges_at_widths

@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.curves.params import FIT
+from edged.vision.curves.samples import JointSolution, Memory, Samples
 from edged.vision.kernels.jit import kernel
 
 F64 = npt.NDArray[np.float64]
@@ -94,29 +95,24 @@ def slants(points_mm: FloatArray, outwards: FloatArray, normal: FloatArray, pose
 
 
 @kernel(
-    "void(i8[::1], i8, i8[::1], f8[::1], f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])",
+    "void(Samples, Memory, JointSolution, i8, i8, f8[:, ::1])",
+    tuples=(Samples, Memory, JointSolution),
     any_order=True,
 )
 def shift_of(
-    columns: I64,
-    shared: int,
-    families: I64,
-    bias: F64,
-    inverse: F64,
-    moments: F64,
-    own_right: F64,
-    delta: F64,
-    covariance: F64,
-    found: F64,
+    samples: Samples, memory: Memory, solution: JointSolution, curve: int, shared: int, found: F64
 ) -> None:
-    """Add a curve's estimated displacement to found (F, 3).
+    """Add a curve's estimated displacement to found (F, 3). shared : as in `Samples`, or -1 to leave it out.
 
     A wave is known by the share g by which the samples narrow its variance; its estimate is g times what the
     samples say. Of a displacement of variance v and noise alone the square is g² v and g (1 - g) bias² in the
-    mean; found are for each family the sums of the squares, of g², and of g (1 - g) bias². The arguments are
-    those of one curve in `adjustment`: moments and own_right of its design (C) and waves (A), the covariance
-    (A, A) of the displacement if its unknowns were known, the solution and its covariance.
+    mean; found are for each family the sums of the squares, of g², and of g (1 - g) bias². What is
+    known of the curve: moments and own_right of its design (C) and waves (A), the covariance (A, A) of the
+    displacement if its unknowns were known, the solution and its covariance.
     """
+    columns, families, bias = samples.columns[curve], samples.families, solution.bias[curve]
+    inverse, moments, own_right = memory.inverse[curve], memory.moments[curve], memory.own_right[curve]
+    delta, covariance = solution.delta, solution.covariance
     wide, size, many = len(columns), len(own_right), len(inverse)
     # displacement = inverse (own_right - moments x solution), so that both their errors are in its variance
     place, factor = np.full(size, -1), np.ones(size)
@@ -154,35 +150,20 @@ def shift_of(
         found[families[m], 2] += share * (1.0 - share) * sigma * sigma
 
 
-@kernel(
-    "void(i8[:, ::1], i8[::1], i8[::1], i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1],"
-    " f8[::1], f8[:, ::1], f8[:, ::1])"
-)
-def estimate_variance_components(
-    columns: I64,
-    shared: I64,
-    kinds: I64,
-    families: I64,
-    expected: F64,
-    inverse: F64,
-    moments: F64,
-    own_right: F64,
-    delta: F64,
-    covariance: F64,
-    bias: F64,
-) -> None:
+@kernel("void(Samples, Memory, JointSolution)", tuples=(Samples, Memory, JointSolution))
+def estimate_variance_components(samples: Samples, memory: Memory, solution: JointSolution) -> None:
     """Set the sigmas of each curve's shifts, bias (K, F), to what all of its kind show beyond noise.
 
     expected (K, F) : the sigmas expected beforehand; within a kind the proportions stay.
     """
+    shared, kinds, families, expected = samples.shared, samples.kinds, samples.families, samples.expected
+    delta, covariance, bias = solution.delta, solution.covariance, solution.bias
     curves, many = len(kinds), len(families)
     total, own = np.zeros((curves, expected.shape[1], 3)), np.zeros((expected.shape[1], 3))
     for k in range(curves):
         own[:] = 0.0
         first = shared[k]
-        shift_of(
-            columns[k], first, families, bias[k], inverse[k], moments[k], own_right[k], delta, covariance, own
-        )
+        shift_of(samples, memory, solution, k, first, own)
         for other in range(k):
             if shared[other] == first:
                 first = -1  # counted with the other

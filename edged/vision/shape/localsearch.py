@@ -35,7 +35,8 @@ def best_nearby(
 ) -> FloatArray:
     """The pose vector (8,) around `pose` at which the model agrees best with a gradient image.
 
-    points, normals (N, 2) : of the model on this level.  stretched : keep the sizes along x and y apart, where they are looked for.
+    points, normals (N, 2) : of the model on this level.  stretched : keep the sizes along x and y apart,
+    where they are looked for.
     Only place and size are tried; shear, tilt and, unless `stretched`, a stretch are taken back:
     they are what a fit to half of two outlines shows. view (6,) : linear part and tilt, px of this level, of
     the view that was found, and which is taken back to; None: as taught.
