@@ -13,6 +13,7 @@ columns by up to 0.02 px, all marks on one in the same way; so each cell is spre
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -241,15 +242,33 @@ def _paint_tile(
             radiance[y, x] = reflected * light + transmission * radiance[y, x]
 
 
+class _Stack(NamedTuple):
+    """What `render_radiance` is given of a scene."""
+
+    rays: F64
+    layers: F64
+    shapes: F64
+    vertices: F64
+    textures: F32
+
+
+class _Divided(NamedTuple):
+    """A pixel in cells: corners (3, N) with u, v and distance, and the radiance of each cell."""
+
+    corners: F64
+    cells: F64
+
+
 @kernel(inline=True)
 def _paint_pixel(
-    rays: F64, y: int, x: int, layers: F64, n: int, pixel_mm: float, shapes: F64, states: I64,
-    vertices: F64, textures: F32, behind: float, corners: F64, cells: F64,
-) -> tuple[float, int]:  # fmt: skip
+    stack: _Stack, y: int, x: int, n: int, pixel_mm: float, states: I64, behind: float, pixel: _Divided
+) -> tuple[float, int]:
     """Radiance of one pixel after layer n was painted over what lies behind it, and how it came about.
 
-    BEHIND as it was, PAINTED all over, or DIVIDED, with the radiance of its cells in `cells`.
+    BEHIND as it was, PAINTED all over, or DIVIDED, with the radiance of its cells in `pixel`.
     """
+    rays, layers, shapes, vertices, textures = stack
+    corners, cells = pixel
     first, end = int(layers[n, FIRST]), int(layers[n, END])
     a, b = rays[y, x, 0], rays[y, x, 1]
     w = layers[n, 6] * a + layers[n, 7] * b + layers[n, 8]
@@ -337,7 +356,8 @@ def render_radiance(
     states = np.empty(shapes.shape[0], np.int64)
     pixel_mm = np.empty(layers.shape[0])
     settled = np.empty(layers.shape[0], np.int64)  # the one shape a layer shows in a tile, or MIXED, NOTHING
-    corners, cells = np.empty((3, (CELLS + 1) ** 2)), np.empty(CELLS**2)
+    stack = _Stack(rays, layers, shapes, vertices, textures)
+    pixel = _Divided(np.empty((3, (CELLS + 1) ** 2)), np.empty(CELLS**2))
     tile_cells, is_divided = np.empty((TILE, TILE, CELLS**2)), np.zeros((TILE, TILE), np.bool_)
     of_rows = np.empty((CELLS, spread.shape[1]))
     box = np.empty(4, np.int64)
@@ -361,12 +381,12 @@ def render_radiance(
                 elif settled[n] == MIXED:
                     for y in range(box[0], box[1]):
                         for x in range(box[2], box[3]):
+                            behind = radiance[y, x]
                             radiance[y, x], painted = _paint_pixel(
-                                rays, y, x, layers, n, pixel_mm[n], shapes, states,
-                                vertices, textures, radiance[y, x], corners, cells,
-                            )  # fmt: skip
+                                stack, y, x, n, pixel_mm[n], states, behind, pixel
+                            )
                             if painted == DIVIDED:
-                                tile_cells[y - top, x - left] = cells
+                                tile_cells[y - top, x - left] = pixel.cells
                             if painted != BEHIND:
                                 is_divided[y - top, x - left] = painted == DIVIDED
             if spread.shape[1]:
