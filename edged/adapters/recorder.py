@@ -20,9 +20,9 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import NamedTuple
 
+from edged.config.cell import RecorderSection
 from edged.domain.events import Event, ExposureDone, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Status
@@ -40,22 +40,6 @@ MAX_GAP = 0.1
 """Longest step of the age. A weekend counts in full; a clock a month ahead, or a month off, as three days."""
 DAY_S = 86400.0
 MIB = 1024 * 1024
-
-
-@dataclass(frozen=True, slots=True)
-class RecorderSettings:
-    """Limits of what is kept; beyond any of them the oldest good cycles are deleted first, then bad ones.
-
-    keep_good, keep_bad : cycles.  min_free_mib : of the disk, which is never filled further.
-    max_age_days : as long as the cell runs; a gap counts a tenth of it at most.
-    """
-
-    folder: Path
-    keep_good: int = 200
-    keep_bad: int = 500
-    max_mib: int = 2000
-    max_age_days: float = 30.0
-    min_free_mib: int = 1000
 
 
 class _Kept(NamedTuple):
@@ -86,7 +70,7 @@ class Recorder:
 
     def __init__(
         self,
-        settings: RecorderSettings,
+        settings: RecorderSection,
         setup: Callable[[], tuple[str, Mapping[str, bytes]]],
         utc_ns: Callable[[], int] = time.time_ns,
         monotonic_s: Callable[[], float] = time.monotonic,

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from edged.adapters.modbus import ModbusPublisher, server_context
-from edged.adapters.recorder import Recorder, RecorderSettings
+from edged.adapters.recorder import Recorder
 from edged.app.running import Running
 from edged.app.wantedservers import (
     WantedServer,
@@ -265,7 +265,7 @@ class Servers:
                     session=configured(zenoh),
                 )
             case RecorderSection():
-                return partial(Recorder, RecorderSettings(**section.model_dump()), running.recorded)
+                return partial(Recorder, section, running.recorded)
             case OpcUaSection():
                 return self._opcua_builder(wanted, section)
             case WebSection():

@@ -76,15 +76,12 @@ class SetupServices:
 
     def routes(self) -> Sequence[object]:
         """Objects with the routes; aiohttp is imported only for a page."""
-        from edged.setup.calibration.checkroutes import CheckRoutes
-        from edged.setup.calibration.routes import CalibrationRoutes
+        from edged.setup.calibration.routes import CalibrationRoutes, CheckRoutes
         from edged.setup.cameras.routes import CameraRoutes
         from edged.setup.plcroutes import PlcRoutes
-        from edged.setup.recordings.regressionroutes import RegressionRoutes
-        from edged.setup.recordings.routes import CycleRoutes
+        from edged.setup.recordings.routes import CycleRoutes, RegressionRoutes
         from edged.setup.registration.routes import RegistrationRoutes
-        from edged.setup.releases.jobroutes import JobRoutes
-        from edged.setup.releases.routes import ReleaseRoutes
+        from edged.setup.releases.routes import JobRoutes, ReleaseRoutes
         from edged.setup.teaching.routes import TeachingRoutes
         from edged.setup.trials.routes import TrialRoutes
 

@@ -8,6 +8,7 @@ value is `@{...}`, because some languages index with braces; statements are `{% 
 from __future__ import annotations
 
 import math
+import re
 import uuid
 from collections.abc import Mapping
 from functools import cache
@@ -16,8 +17,7 @@ from xml.sax.saxutils import escape
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from edged.robots.scl import scl_body
-from edged.robots.structured_text import codes, structures
+from edged.robots.structured_text import COMMENT, Code, codes, structures
 
 NAMESPACE = uuid.UUID("6b1f1c1e-4f0b-5f5e-9a53-edf6e4444544")
 """For the ids of TwinCAT's objects: a name has the same id in every print, so a file can be replaced."""
@@ -58,3 +58,35 @@ def _environment() -> Environment:
 def _numbered(text: str, form: str) -> str:
     """Each line behind its number, from 1."""
     return "".join(f"{form % number}{line}\n" for number, line in enumerate(text.splitlines(), 1))
+
+
+SHIFT = re.compile(r"\b(SHL|SHR)\(((?:[^(),]|\([^()]*\))+), (\d+)\)")
+WORD = re.compile(r"(?<![\w.#\"])[A-Za-z_]\w*(?![\w#])")
+FUNCTION = re.compile(r"F_EDGED_\w+")
+
+
+def scl_body(code: Code) -> str:
+    """The statements of a block: its own names with #, functions in quotes, named parameters for shifts."""
+    own = {variable.name for _, variables in code.sections for variable in variables} | {code.name}
+    parts, end = [], 0
+    for comment in COMMENT.finditer(code.body):
+        parts += [_marked(code.body[end : comment.start()], own), comment[0]]
+        end = comment.end()
+    return "".join((*parts, _marked(code.body[end:], own)))
+
+
+def _marked(text: str, own: set[str]) -> str:
+    text = SHIFT.sub(r"\1(IN := \2, N := \3)", text)
+    depth, marked, end = 0, [], 0
+    for word in WORD.finditer(text):
+        between = text[end : word.start()]
+        depth += between.count("(") - between.count(")")
+        name, end_of_word = word[0], word.end()
+        is_formal = depth > 0 and text[end_of_word:].lstrip().startswith(":=")
+        if name in own and not is_formal:
+            name = f"#{name}"
+        elif FUNCTION.fullmatch(name):
+            name = f'"{name}"'
+        marked += [between, name]
+        end = end_of_word
+    return "".join((*marked, text[end:]))

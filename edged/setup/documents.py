@@ -6,12 +6,19 @@ import logging
 from pathlib import Path
 from typing import Generic, Self, TypeVar
 
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from edged.files.atomic import make_folders, write_atomically
-from edged.setup.frozen import Frozen
 
 log = logging.getLogger(__name__)
+
+
+class Frozen(BaseModel):
+    """A model that does not change; made of values, or of the attributes of something that has the same."""
+
+    model_config = ConfigDict(frozen=True, from_attributes=True)
+
+
 M = TypeVar("M", bound=Frozen)
 
 

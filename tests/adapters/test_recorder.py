@@ -21,13 +21,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from edged.adapters.recorder import Recorder, RecorderSettings
+from edged.adapters.recorder import Recorder
 from edged.app.cell import load_cell
 from edged.app.daemon import Daemon
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.locate import LocateOutputs
 from edged.commands.locate import locate as locate_command
 from edged.commands.replay import replay
+from edged.config.cell import RecorderSection
 from edged.domain.events import Event, ExposureDone, Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss, Status
@@ -79,7 +80,7 @@ def recorder(folder: Path, clock: list[int] | None = None, **limits: float) -> R
     now = clock if clock is not None else [START_NS]
     files = {"rig.json": b"{}", "jobs/flange/job.toml": b""}
     return Recorder(
-        RecorderSettings(folder, **chosen),
+        RecorderSection(folder=folder, **chosen),
         lambda: (FINGERPRINT, files),
         lambda: now[0],
     )
@@ -164,7 +165,7 @@ def test_what_is_too_old_goes(tmp_path: Path) -> None:
     run_events(recorder(tmp_path, max_age_days=2), cycles(Status.OK))
     clock = [START_NS]
     other = Recorder(
-        RecorderSettings(tmp_path, max_age_days=2, min_free_mib=0),
+        RecorderSection(folder=tmp_path, max_age_days=2, min_free_mib=0),
         lambda: ("11111111", {"rig.json": b""}),
         lambda: clock[0],
     )
@@ -241,7 +242,7 @@ def test_a_fault_that_lasts_or_flutters_is_recorded_once(tmp_path: Path) -> None
     """
     now_s = [1000.0]
     writer = Recorder(
-        RecorderSettings(tmp_path, min_free_mib=0),
+        RecorderSection(folder=tmp_path, min_free_mib=0),
         lambda: (FINGERPRINT, {"rig.json": b""}),
         monotonic_s=lambda: now_s[0],
     )

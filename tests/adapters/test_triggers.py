@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from edged.adapters.zenoh.triggerquery import MAX_TIMEOUT_S, parse_trigger
-from edged.adapters.zenoh.triggers import PendingTriggers
+from edged.adapters.zenoh.triggers import MAX_TIMEOUT_S, PendingTriggers, parse_trigger
 from edged.config.reading import load
 from edged.domain.events import CommandKind
 from edged.errors import CommandRefused, ConfigError

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from edged.adapters.recorder import Recorder, RecorderSettings
+from edged.adapters.recorder import Recorder
 from edged.commands.backup import backup, restore
+from edged.config.cell import RecorderSection
 from edged.domain.events import Event, ExposureDone
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Status
@@ -38,7 +39,7 @@ SETUPS: Mapping[str, Mapping[str, bytes]] = {
 
 def recorder(folder: Path, fingerprint: str) -> Recorder:
     """One that keeps two good cycles, so that old ones and their setups go."""
-    settings = RecorderSettings(folder, keep_good=2, min_free_mib=0)
+    settings = RecorderSection(folder=folder, keep_good=2, min_free_mib=0)
     return Recorder(settings, lambda: (fingerprint, SETUPS[fingerprint]), lambda: START_NS)
 
 

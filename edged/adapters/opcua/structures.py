@@ -61,30 +61,25 @@ class ResultIdDataType:
 
 
 @dataclass
-class MeasIdDataType:
+class _NamedByClient:
+    Encoding: ua.UInt32 = field(default=NOTHING, repr=False, init=False, compare=False)
+    Id: ua.String = NO_TEXT
+    Description: ua.LocalizedText | None = None
+
+
+@dataclass
+class MeasIdDataType(_NamedByClient):
     """The client's name of a measurement."""
 
-    Encoding: ua.UInt32 = field(default=NOTHING, repr=False, init=False, compare=False)
-    Id: ua.String = NO_TEXT
-    Description: ua.LocalizedText | None = None
-
 
 @dataclass
-class PartIdDataType:
+class PartIdDataType(_NamedByClient):
     """The client's name of a part."""
 
-    Encoding: ua.UInt32 = field(default=NOTHING, repr=False, init=False, compare=False)
-    Id: ua.String = NO_TEXT
-    Description: ua.LocalizedText | None = None
-
 
 @dataclass
-class ProductIdDataType:
+class ProductIdDataType(_NamedByClient):
     """The client's name of a product."""
-
-    Encoding: ua.UInt32 = field(default=NOTHING, repr=False, init=False, compare=False)
-    Id: ua.String = NO_TEXT
-    Description: ua.LocalizedText | None = None
 
 
 @dataclass

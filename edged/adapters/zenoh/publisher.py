@@ -29,8 +29,7 @@ from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
 from edged.adapters.zenoh.routers import Routers
 from edged.adapters.zenoh.seals import Sealer
 from edged.adapters.zenoh.session import ZenohSettings, configured, open_session, plain
-from edged.adapters.zenoh.triggerquery import parse_trigger
-from edged.adapters.zenoh.triggers import PendingTriggers
+from edged.adapters.zenoh.triggers import PendingTriggers, parse_trigger
 from edged.adapters.zenoh.worker import JobThread
 from edged.cell.ages import ExposureClock
 from edged.cell.tasks import bounded

@@ -11,8 +11,7 @@ from pydantic import Field
 
 from edged.errors import UserError
 from edged.setup.calibration.checking import Finding, Limits, offered_lengths
-from edged.setup.documents import LastDocument
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen, LastDocument
 from edged.setup.inuse import CellInUse, RigInUse
 from edged.vision.boards.board import NominalBoard
 from edged.vision.calibration.verification import COVERAGE, Length, Verdict

@@ -11,8 +11,7 @@ from edged.domain.arrays import FloatArray
 from edged.setup.calibration.guidance import Ghost, Guided
 from edged.setup.calibration.model import DraftState, ViewState
 from edged.setup.calibration.shown import Seen, Watched
-from edged.setup.documents import DraftHead, DraftSummary, PicturePaths, SigmaXyz, Trouble
-from edged.setup.frozen import Frozen
+from edged.setup.documents import DraftHead, DraftSummary, Frozen, PicturePaths, SigmaXyz, Trouble
 from edged.vision.boards.board import NominalBoard
 from edged.vision.boards.detection import in_words
 

@@ -1,4 +1,4 @@
-"""The routes of drafts of calibrations, and of tasks."""
+"""The routes of drafts of calibrations, of tasks, and of checks of the rig in use."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from typing import Annotated
 from aiohttp import web
 from pydantic import Field, model_validator
 
-from edged.adapters.web.routes import Body, Call, Leased, RouteTable, route
+from edged.adapters.web.routes import Body, Call, Leased, Name, RouteTable, route
+from edged.errors import CalibrationError
 from edged.identity.visitors import Role
+from edged.setup.calibration.checks import CheckDocument, Checked, Checks
 from edged.setup.calibration.documents import DraftDocument, DraftList
 from edged.setup.calibration.service import Calibrations
 from edged.setup.documents import DraftHead
@@ -17,6 +19,7 @@ from edged.setup.draftroutes import Begun, DraftRoutes, Nothing, known, unknown
 from edged.setup.jobs.tasks import TaskDocument, Tasks
 from edged.setup.releases.routes import Activating, ReleaseDocument, activated
 from edged.setup.releases.service import Activation
+from edged.vision.boards.board import parse_boards
 from edged.vision.calibration.lenschoice import LensWish
 
 VIEW = "/views/{name:view_[0-9]{3}}"
@@ -132,3 +135,54 @@ class CalibrationRoutes:
     @route("DELETE", TASK, "End long work")
     async def _cancel(self, call: Call[Nothing]) -> TaskDocument:
         return await known(self._tasks.cancel(call.part("id")))
+
+
+Millimetres = Annotated[float, Field(ge=0.001, le=100_000)]
+
+
+class Checking(Leased):
+    """By a board, as `edged verify --board` takes it; or by a part: its job, and true lengths in mm.
+
+    lengths : by the name of a measurement of the job, of a circle (its diameter), or of two circles as A-B.
+    """
+
+    board: Annotated[str, Field(max_length=100)] | None = None
+    job: Name | None = None
+    lengths: Annotated[dict[Name, Millimetres], Field(max_length=20)] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Checking:
+        if (self.board is None) == (self.job is None) or (self.job is None) == bool(self.lengths):
+            raise ValueError("expected either board, or job with lengths")
+        return self
+
+
+class CheckRoutes:
+    """The routes."""
+
+    def __init__(self, checks: Checks) -> None:
+        self._checks = checks
+
+    @route("GET", "/checks", "The last check of the rig", role=Role.VIEWER)
+    async def _last(self, _call: Call[None]) -> Checked:
+        return await self._checks.last()
+
+    @route(
+        "POST",
+        "/checks",
+        "Take a pair of a board, or of a part of known size, and say whether the rig in use still holds",
+        status=201,
+        audit=True,
+        needs_lease=True,
+    )
+    async def _check(self, call: Call[Checking]) -> CheckDocument:
+        body, author = call.body, call.visitor.name
+        if body.board is not None:
+            boards = parse_boards(body.board)
+            if len(boards) != 1:
+                raise CalibrationError("expected one board")
+            document = await self._checks.by_board(body.token, author, boards[0])
+        else:
+            document = await self._checks.by_part(body.token, author, body.job or "", body.lengths)
+        call.trail.object = f"{document.calibration} {document.verdict}"
+        return document

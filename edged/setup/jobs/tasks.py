@@ -16,7 +16,7 @@ from edged.adapters.web.gate import code_of
 from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
 from edged.errors import EdgedError, UserError
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen
 from edged.setup.pairs import Progress
 
 log = logging.getLogger(__name__)

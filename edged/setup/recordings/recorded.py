@@ -15,7 +15,7 @@ from edged.domain.measurement import Reject, Status
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.payload import Json
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen
 
 MOST = 200
 """Recordings in one answer."""

@@ -16,7 +16,7 @@ from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.errors import FileFormatError
 from edged.payload import Json
 from edged.pictures.evidence import circle_outline, slot_outline, taught_outlines
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import apply, invert

@@ -10,8 +10,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.numerals import known
-from edged.setup.documents import PicturePaths
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen, PicturePaths
 from edged.setup.recordings.comparing import Compared, CycleComparison, FrameShift, TriedCycle
 
 MOST_LISTED = 200

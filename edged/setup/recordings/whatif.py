@@ -21,11 +21,12 @@ from edged.domain.measurement import Reject, Status
 from edged.errors import UserError
 from edged.files.recording import Recording
 from edged.pipeline import PairInspection, PreparedRig, inspect
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen
 from edged.setup.pairs import Progress, silent
 from edged.setup.recordings.recorded import reasons_of
 from edged.setup.recordings.recordedparts import PartSight, parts_of
 from edged.setup.recordings.regression import shown
+from edged.setup.teaching.editing import without_features
 from edged.vision.part.consistency import vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
@@ -174,20 +175,9 @@ def _names(job: Job) -> list[str]:
 
 def _without(job: Job, names: set[str]) -> Job:
     """The job without some features, and without what needs them."""
-    corners = tuple(corner for corner in job.corners if not names & set(corner.edges))
-    gone = names | {corner.name for corner in job.corners if corner not in corners}
-    if job.reference in gone:
+    changed = without_features(job, names)
+    if changed.kind_of(job.reference) is None:
         raise UserError(f"{job.reference} is the reference of the job {job.name}: it must stay")
-    sizes = tuple(size for size in job.measurements if not gone & set(size.of))
-    changed = replace(
-        job,
-        circles=tuple(circle for circle in job.circles if circle.name not in names),
-        edges=tuple(edge for edge in job.edges if edge.name not in names),
-        slots=tuple(slot for slot in job.slots if slot.name not in names),
-        corners=corners,
-        measurements=sizes,
-        witness=job.witness if job.witness in {size.name for size in sizes} else None,
-    )
     if not (changed.circles or changed.slots or len(changed.edges) > 1):
         raise UserError("a job needs a circle, a slot or two edges: nothing else tells where a part lies")
     return changed

@@ -12,8 +12,7 @@ from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, transform_of
 from edged.robot.pendant import PENDANTS, READING_CODES, brands_of, mm_per_unit
 from edged.robot.readings import PoseReading
-from edged.setup.documents import DraftHead, DraftSummary, PicturePaths, Trouble
-from edged.setup.frozen import Frozen
+from edged.setup.documents import DraftHead, DraftSummary, Frozen, PicturePaths, Trouble
 from edged.setup.inuse import RigInUse
 from edged.setup.registration.model import Place, RegistrationState, SkyDocument
 from edged.setup.registration.verdict import Judged, Row

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from edged.errors import CalibrationError
 from edged.robot.orientations import Brand
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen
 from edged.setup.history import Digest, History, Kept, Text
 from edged.vision.boards.board import parse_boards
 

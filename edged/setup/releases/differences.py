@@ -14,7 +14,7 @@ from pydantic import JsonValue
 from edged.domain.arrays import FloatArray
 from edged.errors import UserError
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen
 from edged.setup.releases.archive import Backup, restored
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply

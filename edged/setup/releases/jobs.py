@@ -16,7 +16,7 @@ from edged.domain.events import Command, CommandKind
 from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
 from edged.ports import Commander, Publisher
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen
 from edged.setup.history import Kept, Text
 from edged.setup.inuse import CellInUse
 from edged.setup.releases.jobsfolder import Jobs as Files

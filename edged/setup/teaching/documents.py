@@ -5,13 +5,13 @@ from __future__ import annotations
 from edged.setup.documents import (
     DraftHead,
     DraftSummary,
+    Frozen,
     PicturePaths,
     PlaceMm,
     SigmaAbc,
     SigmaXyz,
     Trouble,
 )
-from edged.setup.frozen import Frozen
 from edged.setup.outlines import Line
 from edged.setup.teaching.model import Shape
 

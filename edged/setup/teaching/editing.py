@@ -54,19 +54,22 @@ def edited(
 
 def _without(job: Job, left_out: set[str]) -> Job:
     """Without some features, and without what is of them. Raises `TeachError` when nothing remains."""
-    circles = tuple(circle for circle in job.circles if circle.name not in left_out)
-    slots = tuple(slot for slot in job.slots if slot.name not in left_out)
-    edges = tuple(edge for edge in job.edges if edge.name not in left_out)
-    gone = left_out & {edge.name for edge in job.edges}
-    corners = tuple(
-        corner for corner in job.corners if corner.name not in left_out and not gone & set(corner.edges)
-    )
-    places = [circle.name for circle in circles] + [slot.name for slot in slots]
-    places += [corner.name for corner in corners]
+    job = without_features(job, left_out)
+    places = [circle.name for circle in job.circles] + [slot.name for slot in job.slots]
+    places += [corner.name for corner in job.corners]
     if not places:
         raise TeachError(NOTHING_LEFT, "nothing_left")
-    kept = {*places, *(edge.name for edge in edges)}
-    sizes = tuple(size for size in job.measurements if set(size.of) <= kept)
+    return job if job.reference in places else replace(job, reference=places[0])
+
+
+def without_features(job: Job, names: set[str]) -> Job:
+    """Without features, and without the corners and sizes that are of them; the reference may be gone."""
+    circles = tuple(circle for circle in job.circles if circle.name not in names)
+    slots = tuple(slot for slot in job.slots if slot.name not in names)
+    edges = tuple(edge for edge in job.edges if edge.name not in names)
+    corners = tuple(one for one in job.corners if one.name not in names and not names & set(one.edges))
+    gone = names | {corner.name for corner in job.corners if corner not in corners}
+    sizes = tuple(size for size in job.measurements if not gone & set(size.of))
     witness = job.witness if job.witness in {size.name for size in sizes} else None
     return replace(
         job,
@@ -76,7 +79,6 @@ def _without(job: Job, left_out: set[str]) -> Job:
         corners=corners,
         measurements=sizes,
         witness=witness,
-        reference=job.reference if job.reference in places else places[0],
     )
 
 

@@ -6,8 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from edged.domain.numerals import known
-from edged.setup.documents import SigmaXyz, Trouble
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen, SigmaXyz, Trouble
 from edged.setup.trials.sigmamap import SigmaMap
 from edged.setup.trials.stilltest import StillResult, StillVerdict
 from edged.setup.trials.tried import TriedPart, sigma_of

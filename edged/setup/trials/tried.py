@@ -23,8 +23,7 @@ from edged.robot.budget import budget_of
 from edged.robot.orientations import Convention
 from edged.robot.picking import frame_of, picked, within
 from edged.robot.reading import PartReading, frame_name, reading_of
-from edged.setup.documents import PlaceMm, SigmaAbc, SigmaXyz
-from edged.setup.frozen import Frozen
+from edged.setup.documents import Frozen, PlaceMm, SigmaAbc, SigmaXyz
 from edged.setup.recordings.recorded import NOT_FOUND
 from edged.setup.recordings.recordedparts import Points, outline_in
 from edged.setup.trials.stilltest import Stand, StillResult, judged, noises_of

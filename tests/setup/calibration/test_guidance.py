@@ -17,8 +17,8 @@ from edged.files.rig import rig_of
 from edged.setup.calibration.drafts import keep_pair, views_of
 from edged.setup.calibration.guidance import guide, outlines_of
 from edged.setup.calibration.shown import off_px
-from edged.setup.calibration.solving import moved_um, solution_of
 from edged.setup.calibration.views import Looked, Views
+from edged.setup.calibration.work import moved_um, solution_of
 from edged.setup.pairs import Pair, Picture
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.calibration.nextbestview import plan_views
