@@ -16,7 +16,9 @@ log = logging.getLogger(__name__)
 class Frozen(BaseModel):
     """A model that does not change; made of values, or of the attributes of something that has the same."""
 
-    model_config = ConfigDict(frozen=True, from_attributes=True)
+    model_config = ConfigDict(
+        frozen=True, from_attributes=True, json_schema_serialization_defaults_required=True
+    )
 
 
 M = TypeVar("M", bound=Frozen)

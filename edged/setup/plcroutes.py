@@ -92,16 +92,16 @@ class PlcDocument(Answer):
     """How PLCs reach the cell. listening : Modbus is on; else nothing of it is known."""
 
     listening: bool
-    host: str | None
-    port: int | None
-    unit_id: int | None
-    word_order: str | None
-    base_address: int | None
-    convention: str | None
-    connected: int
-    owner: str | None
-    refused: list[str]
-    probes: list[ProbeDocument]
+    host: str | None = None
+    port: int | None = None
+    unit_id: int | None = None
+    word_order: str | None = None
+    base_address: int | None = None
+    convention: str | None = None
+    connected: int = 0
+    owner: str | None = None
+    refused: list[str] = []  # noqa: RUF012  (pydantic copies it)
+    probes: list[ProbeDocument] = []  # noqa: RUF012
     clients: list[ClientDocument]
 
 
@@ -121,9 +121,7 @@ class PlcRoutes:
         modbus = self._modbus
         clients = [ClientDocument(kind=kind, file=file) for kind, file in FILES.items()]
         if modbus is None:
-            nothing = dict.fromkeys(PlcDocument.model_fields)
-            off = {"listening": False, "connected": 0, "refused": [], "probes": [], "clients": clients}
-            return PlcDocument(**{**nothing, **off})
+            return PlcDocument(listening=False, clients=clients)
         now = modbus.settings
         known = constant_values(now.convention, 0, 0)
         return PlcDocument(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from http import HTTPStatus
 from typing import Any
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 from pydantic.json_schema import models_json_schema
 
 from edged import __version__
@@ -16,7 +16,9 @@ PLACE = "#/components/schemas/{model}"
 
 
 class ProblemDocument(Answer):
-    """What was wrong (RFC 9457)."""
+    """What was wrong (RFC 9457); without what there is nothing to say of."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=False)
 
     status: int
     code: str = Field(description="for programs")

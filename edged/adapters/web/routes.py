@@ -88,7 +88,9 @@ class Leased(Body):
 class Answer(BaseModel):
     """What is answered; also by the attributes of something that has the same."""
 
-    model_config = ConfigDict(frozen=True, from_attributes=True)
+    model_config = ConfigDict(
+        frozen=True, from_attributes=True, json_schema_serialization_defaults_required=True
+    )
 
 
 B = TypeVar("B")

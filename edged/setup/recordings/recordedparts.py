@@ -78,13 +78,13 @@ class PartSight(Frozen):
     good: bool
     measured: bool
     score: float | None
-    needed_score: float | None
+    needed_score: float | None = None
     at: list[float]
-    reasons: list[str]
-    place_mm: list[float | None] | None
-    sigma_um: list[float | None] | None
+    reasons: list[str] = []  # noqa: RUF012  (pydantic copies it)
+    place_mm: list[float | None] | None = None
+    sigma_um: list[float | None] | None = None
     features: list[FeatureSight]
-    sizes: list[SizeSight]
+    sizes: list[SizeSight] = []  # noqa: RUF012
 
 
 class _Record(BaseModel):
@@ -182,13 +182,8 @@ def taught_part(rig: StereoRig, job: Job) -> PartSight:
         good=True,
         measured=True,
         score=1.0,
-        needed_score=None,
         at=_pixel(reference),
-        reasons=[],
-        place_mm=None,
-        sigma_um=None,
         features=features,
-        sizes=[],
     )
 
 
@@ -212,7 +207,6 @@ def _measured(target: _Target, rig: StereoRig, job: Job, *, good: bool) -> PartS
         good=good,
         measured=True,
         score=target.score,
-        needed_score=None,
         at=[target.match.x_px, target.match.y_px],
         reasons=target.reject,
         place_mm=list(target.position_mm),
@@ -236,10 +230,7 @@ def _missed(missed: _Missed, rig: StereoRig, job: Job) -> PartSight:
         needed_score=missed.needed_score,
         at=[missed.match.x_px, missed.match.y_px],
         reasons=missed.reject,
-        place_mm=None,
-        sigma_um=None,
         features=features,
-        sizes=[],
     )
 
 

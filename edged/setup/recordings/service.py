@@ -43,8 +43,8 @@ class PairView(Frozen):
     """
 
     kind: str
-    number: int | None
-    at: str | None
+    number: int | None = None
+    at: str | None = None
     width: int
     height: int
     pictures: PicturePaths | None
@@ -72,14 +72,14 @@ class CycleDocument(CycleLine):
     or damaged; "snapshot", its own text is. beside : the newest good cycle of the job, if there is one.
     """
 
-    trouble: str | None
-    trouble_text: str
-    reference: str
-    folder: str | None
-    limits: RecordedLimits | None
-    now: PairView | None
-    taught: PairView | None
-    beside: PairView | None
+    trouble: str | None = None
+    trouble_text: str = ""
+    reference: str = ""
+    folder: str | None = None
+    limits: RecordedLimits | None = None
+    now: PairView | None = None
+    taught: PairView | None = None
+    beside: PairView | None = None
 
 
 class Cycles:
@@ -155,26 +155,22 @@ class Cycles:
         line = records.line(entry)
         if isinstance(line, Damaged):
             raise FileFormatError(line.why)
-        facts = {**line.model_dump(), "reference": ""}
-        nothing = dict.fromkeys(("folder", "limits", "now", "taught", "beside"))
+        facts = line.model_dump()
         snapshot, _ = recording.load_snapshot(entry.path)
         try:
             prepared, job = rig_and_job(entry.path, snapshot)
             digest = setup_of(entry.path, snapshot).job_digests[job.number]
             folder, is_same = self._folder_of(line.job, line.job_number, digest)
         except FileFormatError as error:
-            return CycleDocument(**facts, trouble="setup", trouble_text=str(error), **nothing)
+            return CycleDocument(**facts, trouble="setup", trouble_text=str(error))
         rig = prepared.rig
         try:
             parts = parts_of(snapshot, rig, job, str(entry.path))
         except FileFormatError as error:
-            return CycleDocument(
-                **facts, trouble="snapshot", trouble_text=str(error), reference="", **nothing
-            )
+            return CycleDocument(**facts, trouble="snapshot", trouble_text=str(error))
         return CycleDocument(
-            **{**facts, "reference": job.reference},
-            trouble=None,
-            trouble_text="",
+            **facts,
+            reference=job.reference,
             folder=folder,
             limits=_limits(job),
             now=_sight("now", rig, _pictures(line), parts, line),

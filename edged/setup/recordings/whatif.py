@@ -106,15 +106,15 @@ class Remedy(Frozen):
     after: list[float] | None
     cost: Cost
     change: Change
-    sigma_um: list[float | None] | None
+    sigma_um: list[float | None] | None = None
 
 
 class WhatIf(Frozen):
     """Both verdicts, and what would have helped; null where that was not asked."""
 
     before: CycleVerdict
-    after: CycleVerdict | None
-    helped: list[Remedy] | None
+    after: CycleVerdict | None = None
+    helped: list[Remedy] | None = None
 
 
 def what_if(
@@ -137,7 +137,7 @@ def what_if(
 
     before, seen = look(None)
     if change is not None:
-        return WhatIf(before=before, after=look(change)[0], helped=None)
+        return WhatIf(before=before, after=look(change)[0])
     tries = [] if before.status == Status.OK else list(_tries(job, seen))[:MOST_TRIES]
     helped: list[Remedy] = []
     for number, remedy in enumerate(tries):
@@ -146,7 +146,7 @@ def what_if(
         is_further = not any(known.code == remedy.code and known.name == remedy.name for known in helped)
         if after.status == Status.OK and is_further:
             helped.append(remedy.model_copy(update={"sigma_um": after.sigma_um}))
-    return WhatIf(before=before, after=None, helped=helped)
+    return WhatIf(before=before, helped=helped)
 
 
 def changed_job(job: Job, change: JobChange) -> Job:
@@ -293,4 +293,4 @@ def _remedy(
     change: Change,
     name: str | None = None,
 ) -> Remedy:
-    return Remedy(code=code, name=name, before=before, after=after, cost=cost, change=change, sigma_um=None)
+    return Remedy(code=code, name=name, before=before, after=after, cost=cost, change=change)

@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -41,14 +42,14 @@ class JobDocument(Frozen):
     name: str
     number: int
     features: int
-    last_used: str | None
-    cycles: int
-    ok_share: float | None
-    active: bool
-    editable: bool
-    retired: bool
-    retired_by: str | None
-    retired_at: str | None
+    last_used: str | None = None
+    cycles: int = 0
+    ok_share: float | None = None
+    active: bool = False
+    editable: bool = False
+    retired: bool = False
+    retired_by: str | None = None
+    retired_at: str | None = None
 
 
 class JobList(Frozen):
@@ -209,40 +210,20 @@ class Jobs:
         jobs = self._cell.job_lines()
         found = [self._document(line, jobs) for line in sorted(jobs.lines, key=lambda line: line.number)]
         for folder, kept in sorted(self._kept().items(), key=lambda item: item[1].number):
-            found.append(
-                JobDocument(
-                    folder=folder,
-                    name=kept.name,
-                    number=kept.number,
-                    features=kept.features,
-                    last_used=None,
-                    cycles=0,
-                    ok_share=None,
-                    active=False,
-                    editable=False,
-                    retired=True,
-                    retired_by=kept.by,
-                    retired_at=kept.at,
-                )
-            )
+            told = {"retired": True, "retired_by": kept.by, "retired_at": kept.at}
+            found.append(JobDocument(folder=folder, **kept.model_dump(exclude={"by", "at"}), **told))
         return JobList(jobs=found)
 
     def _document(self, line: JobLine, jobs: JobsInUse) -> JobDocument:
         use = self._use.of(line.number)
         last = datetime.fromtimestamp(use.last_ns * 1e-9, UTC) if use.last_ns else None
         return JobDocument(
-            folder=line.folder,
-            name=line.name,
-            number=line.number,
-            features=line.features,
+            **asdict(line),
             last_used=None if last is None else last.isoformat(timespec="seconds"),
             cycles=use.cycles,
             ok_share=use.good_share,
             active=line.number == self._use.active,
             editable=keeps_pair(jobs.folder / line.folder),
-            retired=False,
-            retired_by=None,
-            retired_at=None,
         )
 
     def _files(self, folder: str) -> dict[str, bytes]:

@@ -75,13 +75,13 @@ class StageNow(Answer):
 class TruthNow(Answer):
     """The last result beside the truth. error_mm : measured - true, rig frame; null: nothing to compare."""
 
-    at_ns: int | None
-    showing: Literal["part", "board", "nothing"] | None
-    rig_from_thing: list[list[float]] | None
-    status: str | None
-    error_mm: list[float] | None
-    sigma_mm: list[float] | None
-    angle_deg: float | None
+    at_ns: int | None = None
+    showing: Literal["part", "board", "nothing"] | None = None
+    rig_from_thing: list[list[float]] | None = None
+    status: str | None = None
+    error_mm: list[float] | None = None
+    sigma_mm: list[float] | None = None
+    angle_deg: float | None = None
 
 
 class StageRoutes:
@@ -166,8 +166,7 @@ class StageRoutes:
         last = self._last
         true = None if last is None else self._stage.cell.truth(last.exposed_ns)
         if last is None or true is None:
-            nothing = dict.fromkeys(TruthNow.model_fields)
-            return TruthNow(**nothing)
+            return TruthNow()
         seen = TruthComparison.of(last, true.rig_from_part) if true.thing is Thing.PART else None
         return TruthNow(
             at_ns=last.exposed_ns,

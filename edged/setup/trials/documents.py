@@ -21,18 +21,18 @@ class TrialDocument(Frozen):
     """
 
     on: bool
-    job: str | None
-    teaching: str | None
-    name: str
-    number: int
-    status: str | None
-    words_code: str | None
-    reasons: list[str]
-    targets: list[TriedPart]
-    limit_um: float | None
-    covered: list[list[float]]
-    covered_share: float | None
-    trouble: Trouble | None
+    job: str | None = None
+    teaching: str | None = None
+    name: str = ""
+    number: int = 0
+    status: str | None = None
+    words_code: str | None = None
+    reasons: list[str] = []  # noqa: RUF012  (pydantic copies it)
+    targets: list[TriedPart] = []  # noqa: RUF012
+    limit_um: float | None = None
+    covered: list[list[float]] = []  # noqa: RUF012
+    covered_share: float | None = None
+    trouble: Trouble | None = None
 
 
 class StillDocument(Frozen):

@@ -123,17 +123,6 @@ class _Trial:
             self.visited.add(cell)
 
 
-NOTHING = TrialDocument(
-    **dict.fromkeys(("job", "teaching", "status", "words_code", "limit_um", "covered_share", "trouble")),
-    on=False,
-    name="",
-    number=0,
-    reasons=[],
-    targets=[],
-    covered=[],
-)
-
-
 class Trials:
     """Used on the event loop only.
 
@@ -263,7 +252,7 @@ class Trials:
 
     def _document(self) -> TrialDocument:
         trial = self._known.get(self._tried)
-        return NOTHING if trial is None else trial.document(on=self.is_on)
+        return TrialDocument(on=False) if trial is None else trial.document(on=self.is_on)
 
     def _tell(self) -> TrialDocument:
         document = self._document()
