@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from edged.commands.boardoption import naming_board_option
+from edged.domain.numerals import known
 from edged.errors import UserError
 from edged.files.images import load_image
 from edged.files.jobs import load_job
@@ -58,8 +58,7 @@ def verify(
     elif job is not None and board is None:
         if not lengths:
             raise UserError(f"--job needs --length NAME=MM. {_WARNING}")
-        known = dict(map(_parse_length, lengths))
-        finding = by_part(rig, images, load_job(job), known, limits)
+        finding = by_part(rig, images, load_job(job), dict(map(_parse_length, lengths)), limits)
     else:
         raise UserError("state either --board SPEC or --job DIR, whichever the images show")
     if as_json:
@@ -87,24 +86,21 @@ def _parse_length(text: str) -> tuple[str, float]:
 
 
 def _to_json(finding: Finding, rig: StereoRig, limits: Limits) -> dict[str, Any]:
-    def number(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
     return {
         "verdict": finding.verdict,
         "calibration": rig.calibration_id,
         "reason": finding.reason,
-        "epipolar_rms_px": number(finding.epipolar_rms_px),
+        "epipolar_rms_px": known(finding.epipolar_rms_px),
         "max_epipolar_px": limits.epipolar_px,
         "max_length_error_percent": limits.length_percent,
         "lengths": [
             {
                 "name": length.name,
                 "true_mm": length.true_mm,
-                "measured_mm": number(length.measured_mm),
-                "sigma_mm": number(length.sigma_mm),
-                "error_mm": number(length.error_mm),
-                "error_percent": number(length.error_percent),
+                "measured_mm": known(length.measured_mm),
+                "sigma_mm": known(length.sigma_mm),
+                "error_mm": known(length.error_mm),
+                "error_percent": known(length.error_percent),
                 "verdict": length.verdict(limits.length_percent),
             }
             for length in finding.lengths

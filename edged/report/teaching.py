@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from edged import __version__
 from edged.domain.arrays import FloatArray, Image
+from edged.domain.numerals import known
 from edged.payload import Json
 from edged.pictures.evidence import taught_outlines
 from edged.report.charts import ACCENT, INK, Chart
@@ -75,9 +76,6 @@ def teaching_report(job: Job, taught: Taught, inspection: ModelInspection) -> st
 
 def inspection_to_json(job: Job, inspection: ModelInspection) -> Json:
     """The inspection as JSON."""
-
-    def known(value: float) -> float | None:
-        return float(value) if np.isfinite(value) else None
 
     return {
         "job": job.name,

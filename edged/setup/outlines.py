@@ -1,4 +1,4 @@
-"""Outlines of a part as lines in both raw pictures."""
+"""Outlines of a part as lines in both raw pictures, and the sizes of its features."""
 
 from __future__ import annotations
 
@@ -95,3 +95,11 @@ def _chains(points: FloatArray) -> list[list[int]]:
         if len(chain) > 1:
             chains.append(chain)
     return chains
+
+
+def taught_sizes(job: Job) -> dict[str, dict[str, float]]:
+    """Sizes of every feature, mm, by its name; the first tells most."""
+    found = {circle.name: {"diameter_mm": 2 * circle.radius_mm} for circle in job.circles}
+    found |= {slot.name: {"length_mm": slot.length_mm, "width_mm": slot.width_mm} for slot in job.slots}
+    found |= {edge.name: {"length_mm": edge.length_mm} for edge in job.edges}
+    return {**found, **{corner.name: {} for corner in job.corners}}

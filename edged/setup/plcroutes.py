@@ -101,7 +101,7 @@ class PlcDocument(Answer):
     connected: int = 0
     owner: str | None = None
     refused: list[str] = []  # noqa: RUF012  (pydantic copies it)
-    probes: list[ProbeDocument] = []  # noqa: RUF012
+    probes: list[ProbeDocument] = []  # noqa: RUF012  (likewise)
     clients: list[ClientDocument]
 
 

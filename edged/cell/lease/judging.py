@@ -13,6 +13,7 @@ from typing import Any
 from edged.cell.lease.notices import Notices
 from edged.domain.arrays import SIDES, Image, Side
 from edged.domain.frames import FramePair
+from edged.domain.numerals import known
 from edged.pictures.light import Advice, LightFigures, light_of
 from edged.vision.edges.sharpness import Sharpness, cost_of_spread, sharpness
 
@@ -41,8 +42,8 @@ class PictureQuality:
             "contrast_grey": self.light.contrast_grey,
             "bright_grey": self.light.bright_grey,
             "edge_spread_px": {
-                "median": _known(spread_px),
-                "map": [[_known(field) for field in row] for row in self.sharpness.fields_px.tolist()],
+                "median": known(spread_px),
+                "map": [[known(field) for field in row] for row in self.sharpness.fields_px.tolist()],
             },
             "sigma_z_factor": None if math.isnan(spread_px) else cost_of_spread(spread_px),
             "advice": {"code": str(self.advice), "exposure_factor": self.exposure_factor},
@@ -103,7 +104,3 @@ class PictureJudge:
             self._notices.publish("quality", self.latest)
         finally:
             self._task = None
-
-
-def _known(value: float) -> float | None:
-    return None if math.isnan(value) else value

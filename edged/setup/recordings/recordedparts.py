@@ -17,6 +17,7 @@ from edged.errors import FileFormatError
 from edged.payload import Json
 from edged.pictures.evidence import circle_outline, slot_outline, taught_outlines
 from edged.setup.documents import Frozen
+from edged.setup.outlines import taught_sizes
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.rigid import apply, invert
@@ -84,7 +85,7 @@ class PartSight(Frozen):
     place_mm: list[float | None] | None = None
     sigma_um: list[float | None] | None = None
     features: list[FeatureSight]
-    sizes: list[SizeSight] = []  # noqa: RUF012
+    sizes: list[SizeSight] = []  # noqa: RUF012  (likewise)
 
 
 class _Record(BaseModel):
@@ -172,9 +173,9 @@ def parts_of(snapshot: Json, rig: StereoRig, job: Job, place: str) -> list[PartS
 
 def taught_part(rig: StereoRig, job: Job) -> PartSight:
     """The part as it lay at teaching, seen by a rig."""
-    features = []
+    features, sizes_mm = [], taught_sizes(job)
     for name, outline in taught_outlines(job).items():
-        kind, size = _taught(job, name)
+        kind, size = job.kind_of(name) or "", sizes_mm[name]
         seen = outline_in(rig, apply(job.rig_from_part, outline))
         features.append(_feature(name, kind, size, size, None, None, seen))
     reference = rig.left.project(apply(job.rig_from_part, job.place_of(job.reference)[None]))[0]
@@ -192,9 +193,9 @@ def _measured(target: _Target, rig: StereoRig, job: Job, *, good: bool) -> PartS
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, np.array(target.position_mm, np.float64)
     now = _now(target, rotation)
-    features = []
+    features, sizes_mm = [], taught_sizes(job)
     for name, outline in taught_outlines(job).items():
-        kind, size = _taught(job, name)
+        kind, size = job.kind_of(name) or "", sizes_mm[name]
         if name in now:
             sizes, sigma, points = now[name]
             why = TOLERANCE if _is_off(job, name, size, sizes) else None
@@ -218,9 +219,9 @@ def _measured(target: _Target, rig: StereoRig, job: Job, *, good: bool) -> PartS
 
 def _missed(missed: _Missed, rig: StereoRig, job: Job) -> PartSight:
     """Where the part would be, were the match one: as far away as it looks small, not tilted."""
-    features = []
+    features, sizes_mm = [], taught_sizes(job)
     for name, outline in taught_outlines(job).items():
-        kind, size = _taught(job, name)
+        kind, size = job.kind_of(name) or "", sizes_mm[name]
         seen = outline_in(rig, _space(rig, job, missed.match, _thin(outline)))
         features.append(_feature(name, kind, size, None, None, NOT_FOUND, seen))
     return PartSight(
@@ -256,19 +257,6 @@ def _own(job: Job, pose: FloatArray) -> FloatArray:
     own = pose.copy()
     own[:3, 3] -= pose[:3, :3] @ job.place_of(job.reference)
     return np.asarray(own)
-
-
-def _taught(job: Job, name: str) -> tuple[str, dict[str, float]]:
-    """Kind and sizes of a feature, the first the one that tells most."""
-    kind = job.kind_of(name) or ""
-    if kind == "circle":
-        circle = next(circle for circle in job.circles if circle.name == name)
-        return kind, {"diameter_mm": 2 * circle.radius_mm}
-    if kind == "slot":
-        slot = next(slot for slot in job.slots if slot.name == name)
-        return kind, {"length_mm": slot.length_mm, "width_mm": slot.width_mm}
-    edge = next(edge for edge in job.edges if edge.name == name)
-    return kind, {"length_mm": edge.length_mm}
 
 
 def _now(

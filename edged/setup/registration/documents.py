@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.domain.numerals import known
 from edged.robot.orientations import Brand, transform_of
 from edged.robot.pendant import PENDANTS, READING_CODES, brands_of, mm_per_unit
 from edged.robot.readings import PoseReading
@@ -190,7 +191,7 @@ def document_of(
     pendant = None if state.brand is None else PENDANTS[state.brand]
     labels, units = (MM, ("mm",) * 3) if pendant is None else (pendant.labels, pendant.units)
     shown = 3 if state.kind == "touch" else None
-    known = all(map(math.isfinite, judged.sigma))
+    is_known = all(map(math.isfinite, judged.sigma))
     places, looked = _places(state, in_use, solved, judged)
     return RegistrationDocument(
         **state.head,
@@ -210,8 +211,8 @@ def document_of(
         trouble=judged.trouble,
         culprit=judged.culprit,
         figures={name: value for name, value in judged.figures.items() if math.isfinite(value)},
-        sigma_mm=list(judged.sigma[:3]) if known else None,
-        sigma_deg=list(judged.sigma[3:]) if known else None,
+        sigma_mm=list(judged.sigma[:3]) if is_known else None,
+        sigma_deg=list(judged.sigma[3:]) if is_known else None,
         conventions=readings_in(judged),
         sky=list(judged.sky.values()),
         missing=judged.missing or None,
@@ -267,9 +268,9 @@ def _sample(state: RegistrationState, name: str, judged: Judged, rig: StereoRig 
         used=why is None,
         why=why,
         why_text=text,
-        residual_mm=_finite(row.residual_mm),
-        held_out_mm=_finite(row.held_out_mm),
-        held_out_deg=_finite(row.held_out_deg),
+        residual_mm=known(row.residual_mm),
+        held_out_mm=known(row.held_out_mm),
+        held_out_deg=known(row.held_out_deg),
         pictures=None if place is not None else _pictures(state, name, rig),
     )
 
@@ -379,7 +380,3 @@ def _confirmed(state: RegistrationState) -> ConfirmedDocument | None:
         off_mm=list(confirmed.off_mm),
         distance_mm=math.hypot(*confirmed.off_mm),
     )
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray
-from edged.domain.frames import Frame, FramePair
+from edged.domain.frames import FramePair
 from edged.domain.measurement import Measurement, Reject, Target
+from edged.domain.numerals import known as known_or_none
 from edged.errors import TeachError
 from edged.files.images import load_image
 from edged.pictures.captions import reasons
@@ -28,6 +29,7 @@ from edged.setup.outlines import (
     line,
     seen_at,
     seen_by,
+    taught_sizes,
     thinned,
 )
 from edged.setup.pairs import Progress, silent
@@ -147,8 +149,8 @@ def see(order: LearningOrder, progress: Progress = silent) -> JobSeen:
 
 def _is_measured_alike(job: Job, other: Job) -> bool:
     """Whether two jobs of one teaching measure the same of a part."""
-    return (_taught_sizes(job), job.reference, job.measurements) == (
-        _taught_sizes(other),
+    return (taught_sizes(job), job.reference, job.measurements) == (
+        taught_sizes(other),
         other.reference,
         other.measurements,
     )
@@ -201,7 +203,7 @@ def _learnt(
     else:
         region, exclude = region_of(shapes, left.shape[1], left.shape[0])
         proposal = propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude)
-    pair = FramePair(Frame("left", 1, left, 0, 0), Frame("right", 1, right, 0, 0))
+    pair = FramePair.of_images(left, right)
     job = proposal.job
     found, moved = _measured(pair, job, prepared), None
     if drawing is not None:
@@ -290,12 +292,9 @@ def _features(job: Job, found: MeasuredPart | None, rig: StereoRig) -> list[Feat
     outlines = {**taught, **outlines}
     for corner in job.corners:
         outlines[corner.name] = apply(job.rig_from_part, job.place_of(corner.name)[None])
-    kinds = {circle.name: "circle" for circle in job.circles}
-    kinds |= {slot.name: "slot" for slot in job.slots}
-    kinds |= {edge.name: "edge" for edge in job.edges}
     seen = []
-    for name, size_mm in _taught_sizes(job).items():
-        kind = kinds.get(name, "corner")
+    for name, size_mm in taught_sizes(job).items():
+        kind = job.kind_of(name) or "corner"
         points = thinned(outlines[name], OUTLINE_POINTS if kind in {"circle", "slot"} else EDGE_POINTS)
         measured, sigma_um = sizes.get(name, (size_mm, math.nan))
         left, right = seen_by(points, rig)
@@ -305,20 +304,12 @@ def _features(job: Job, found: MeasuredPart | None, rig: StereoRig) -> list[Feat
                 kind=kind,
                 taken=True,
                 size={which: round(value, 5) for which, value in {**size_mm, **measured}.items()},
-                sigma_um=_known(sigma_um),
+                sigma_um=known_or_none(sigma_um, 3),
                 outline=Outline(left=line(left), right=line(right)),
                 why=None if name in sizes else "not_seen",
             )
         )
     return seen
-
-
-def _taught_sizes(job: Job) -> dict[str, dict[str, float]]:
-    """Sizes of every feature, mm, by its name."""
-    found = {circle.name: {"diameter_mm": 2 * circle.radius_mm} for circle in job.circles}
-    found |= {slot.name: {"length_mm": slot.length_mm, "width_mm": slot.width_mm} for slot in job.slots}
-    found |= {edge.name: {"length_mm": edge.length_mm} for edge in job.edges}
-    return {**found, **{corner.name: {} for corner in job.corners}}
 
 
 def _measured_sizes(target: Target) -> dict[str, tuple[dict[str, float], float]]:
@@ -360,8 +351,8 @@ def _size(spec: MeasurementSpec, found: Measurement | None, *, witness: bool) ->
         of=list(spec.of),
         nominal=None if spec.nominal is None else round(spec.nominal * scale, 5),
         tolerance=None if spec.tolerance is None else round(spec.tolerance * scale, 5),
-        measured=None if found is None else _known(found.value, 5),
-        sigma=None if found is None else _known(found.sigma, 5),
+        measured=None if found is None else known_or_none(found.value, 5),
+        sigma=None if found is None else known_or_none(found.sigma, 5),
         unit="deg" if spec.kind == "angle" else "mm",
         witness=witness,
         ok=None if found is None else found.ok,
@@ -376,10 +367,5 @@ def _predicted(target: Target) -> PredictedDocument | None:
     if not np.isfinite(sigma[:3]).all():
         return None
     x, y, z = (round(1e3 * value, 3) for value in sigma[:3].tolist())
-    a, b, c = (_known(math.degrees(value), 5) for value in sigma[3:].tolist())
+    a, b, c = (known_or_none(math.degrees(value), 5) for value in sigma[3:].tolist())
     return PredictedDocument(sigma_um=SigmaXyz(x=x, y=y, z=z), sigma_deg=SigmaAbc(a=a, b=b, c=c))
-
-
-def _known(value: float, digits: int = 3) -> float | None:
-    """None instead of NaN and infinity, which JSON does not have."""
-    return round(value, digits) if math.isfinite(value) else None

@@ -28,9 +28,9 @@ class TrialDocument(Frozen):
     status: str | None = None
     words_code: str | None = None
     reasons: list[str] = []  # noqa: RUF012  (pydantic copies it)
-    targets: list[TriedPart] = []  # noqa: RUF012
+    targets: list[TriedPart] = []  # noqa: RUF012  (likewise)
     limit_um: float | None = None
-    covered: list[list[float]] = []  # noqa: RUF012
+    covered: list[list[float]] = []  # noqa: RUF012  (likewise)
     covered_share: float | None = None
     trouble: Trouble | None = None
 
