@@ -122,6 +122,10 @@ def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: 
             return Triggering((Software(), Software()))
 
 
+ALIKE = ("device", "serial", "exposure_us", "gain_db", "packet_size", "packet_delay_us")
+"""What the configuration of a camera and the settings of its adapter call alike."""
+
+
 def _aravis(
     cameras: CamerasSection,
     sections: Sequence[CameraSection],
@@ -136,17 +140,12 @@ def _aravis(
     return AravisCamera(
         SIDES[side],
         AravisSettings(
-            device=section.device,
-            serial=section.serial,
-            exposure_us=section.exposure_us,
-            gain_db=section.gain_db,
+            **section.model_dump(include=set(ALIKE)),
             trigger=triggering.triggers[side],
             outputs=outputs,
             chunks=cameras.chunks,
             ptp=cameras.ptp,
             calibrated=calibrated,
-            packet_size=section.packet_size,
-            packet_delay_us=section.packet_delay_us,
             neighbour=neighbour.device,
             features=tuple(section.features),
         ),

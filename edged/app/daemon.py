@@ -22,8 +22,7 @@ from edged.cell.loaded import Setup
 from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CamerasSection
 from edged.errors import EdgedError, TookTooLong, UserError
-from edged.files.setupnote import SetupNote
-from edged.files.statefolder import setup_note, state_folder
+from edged.files.statefolder import SetupNote, setup_note, state_folder
 from edged.logs import fields
 from edged.ports import Publisher
 from edged.setup.cellfiles import exposed_secrets

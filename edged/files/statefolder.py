@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
+
+from edged.files.atomic import write_atomically
 
 INSTALLED = Path("/etc/edged")
 STATE = Path("/var/lib")
@@ -32,3 +35,28 @@ def _given() -> Path | None:
     """The directory that systemd gives a service."""
     given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     return Path(given) if given else None
+
+
+@dataclass(frozen=True, slots=True)
+class SetupNote:
+    """A file that is there while a person has the cell; it holds the name.
+
+    After a kill or a power cut the cell is in SETUP again, not ready.
+    """
+
+    path: Path
+
+    def is_taken(self) -> bool:
+        """Whether somebody has; True where that is not known."""
+        try:
+            return self.path.exists()
+        except OSError:
+            return True
+
+    def note(self, name: str) -> None:
+        """Somebody has. Raises `OSError`."""
+        write_atomically(self.path, f"{name}\n".encode())
+
+    def clear(self) -> None:
+        """Nobody has. Raises `OSError`."""
+        self.path.unlink(missing_ok=True)

@@ -32,7 +32,6 @@ from edged.plc.registers import (
     StatusBit,
 )
 from edged.robot.orientations import Convention
-from edged.robots.walk import SETTLE_S, SHIFTS_MM, TURNS_DEG
 
 TITLES = {TABLE[0]: f"target table, {len(TABLE)} rows", JOBS[0]: f"jobs, {len(JOBS)} rows"}
 
@@ -153,3 +152,16 @@ def _crc_of_4_bits(bits: int) -> int:
     for _ in range(4):
         bits = (bits >> 1) ^ (0xA001 if bits & 1 else 0)
     return bits
+
+
+# ten poses for a registration, about the one where the robot stands, the same for every robot: turned about
+# two axes across the tool by more than a hand-eye calibration needs, and about its own; shifted so that the
+# board is seen in other parts of both pictures
+TURNS_DEG = ((0, 0, 0), (14, 0, 0), (-14, 0, 5), (0, 14, 0), (0, -14, -5),
+             (8, 3, 20), (-10, 10, -20), (10, -10, 30), (-10, -10, -30), (0, 0, 40))  # fmt: skip
+"""About x, y, z of the tool."""
+SHIFTS_MM = ((0, 0, 0), (8, 4, 5), (-8, 4, -5), (8, -4, 5), (-8, -4, -5),
+             (0, 6, 8), (0, -6, -8), (10, 0, 0), (-10, 0, 0), (0, 0, 10))  # fmt: skip
+"""Along x, y, z of the tool."""
+SETTLE_S = 0.5
+"""At each pose, before the picture: the arm comes to rest after it has arrived."""

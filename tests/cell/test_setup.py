@@ -20,7 +20,7 @@ from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import CommandFailed, ExposureDone, Idle, Snapshot
 from edged.domain.measurement import Outcome, Status
 from edged.errors import BeingSetUp, FrameTimeout, ImageError, SetupRefused
-from edged.files.setupnote import SetupNote
+from edged.files.statefolder import SetupNote
 
 LACKING = replace(make_setup(), jobs={}, active_job=0, lacks=SetupSource.NO_CALIBRATION)
 

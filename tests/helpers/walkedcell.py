@@ -20,7 +20,7 @@ from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.arrays import FloatArray, Image
 from edged.files.rig import load_rig
 from edged.robot.orientations import Brand, pose_of
-from edged.robots.walk import SHIFTS_MM, TURNS_DEG
+from edged.robots.registervalues import SHIFTS_MM, TURNS_DEG
 from edged.sim.cell import VirtualCell, stereo_views
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera

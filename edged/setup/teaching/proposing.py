@@ -43,8 +43,7 @@ from edged.setup.teaching.documents import (
     SizeDocument,
     WarningDocument,
 )
-from edged.setup.teaching.editing import edited, lying
-from edged.setup.teaching.former import FormerFiles, picking_of, with_tolerances
+from edged.setup.teaching.editing import FormerFiles, edited, lying, picking_of, with_tolerances
 from edged.setup.teaching.model import (
     Content,
     Drawing,

@@ -24,8 +24,7 @@ from edged.setup.pairs import Progress
 from edged.setup.releases.jobsinuse import Candidate, JobLine
 from edged.setup.teaching.documents import ContoursDocument, DrawingDocument, TeachingDocument
 from edged.setup.teaching.drafts import TeachingDraft, TeachingDrafts
-from edged.setup.teaching.editing import edited
-from edged.setup.teaching.former import FormerFiles
+from edged.setup.teaching.editing import FormerFiles, edited
 from edged.setup.teaching.model import (
     Drawing,
     GripWanted,
