@@ -220,11 +220,12 @@ def setup_of(file: Path, snapshot: Json) -> MeasuredBy:
     folder = setup_folder(file.parent.parent, fingerprint)
     if not _IDENTITY.fullmatch(fingerprint) or not folder.is_dir():
         raise FileFormatError(f"{file}: its rig and jobs are not there: expected {folder}")
-    return _kept(folder)
+    # a fingerprint's rig and jobs do not change, but for somebody who edits a copy to see what comes of it
+    return _kept(folder, max((file.stat().st_mtime_ns for file in folder.rglob("*")), default=0))
 
 
-@lru_cache(maxsize=KEPT)  # a fingerprint's rig and jobs do not change
-def _kept(folder: Path) -> MeasuredBy:
+@lru_cache(maxsize=KEPT)
+def _kept(folder: Path, _changed_ns: int) -> MeasuredBy:
     return measured_by(_contents_of(folder), folder)
 
 
