@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -20,8 +20,6 @@ from edged.vision.geometry.camera import StereoRig
 if TYPE_CHECKING:  # the worker process knows rigs, and needs none of these
     from edged.cell.lease.notices import Notices
     from edged.cell.lease.session import SetupSession
-    from edged.config.configuration import Config
-    from edged.domain.frames import FramePair
     from edged.setup.jobs.tasks import Tasks
     from edged.setup.jobs.worker import Worker
     from edged.vision.part.job import Job
@@ -111,21 +109,6 @@ class CellInUse:
         return self.running.session
 
     @property
-    def config(self) -> Config:
-        """The configuration."""
-        return self.files.config
-
-    @property
-    def contents(self) -> Mapping[str, bytes]:
-        """Content of the files that results stand on, as `CellFiles` has them."""
-        return self.files.contents
-
-    @property
-    def fingerprint(self) -> str:
-        """Digest of all that results stand on."""
-        return self.files.fingerprint
-
-    @property
     def is_complete(self) -> bool:
         """Whether there are a rig and jobs."""
         return isinstance(self.files, CellFiles)
@@ -137,8 +120,8 @@ class CellInUse:
 
     def rig(self) -> RigInUse | None:
         """The rig; None without."""
-        content = self.contents.get("rig.json")
-        return None if content is None else RigInUse(self.calibration_id, content, self.config.cell.rig)
+        content = self.files.contents.get("rig.json")
+        return None if content is None else RigInUse(self.calibration_id, content, self.files.config.cell.rig)
 
     def needed_rig(self, purpose: str = "") -> RigInUse:
         """The rig. Raises `SetupRefused` without one; purpose : as in "no calibration to check"."""
@@ -152,33 +135,25 @@ class CellInUse:
 
     def job_lines(self) -> JobsInUse:
         """Names, numbers and folders of the jobs."""
-        section = self.config.cell
-        return JobsInUse(section.jobs, lines_in(self.contents), section.job or "")
+        section = self.files.config.cell
+        return JobsInUse(section.jobs, lines_in(self.files.contents), section.job or "")
 
     @property
     def convention(self) -> Convention:
         """How A, B, C state an orientation in the registers."""
-        return Convention[self.config.modbus.convention.upper()]
+        return Convention[self.files.config.modbus.convention.upper()]
 
     @property
     def brand(self) -> Brand:
         """Brand of the robot."""
-        socket = self.config.modbus.socket
+        socket = self.files.config.modbus.socket
         return BRANDS[self.convention] if socket is None else Brand(socket.brand)
 
     @property
     def recordings(self) -> Path | None:
         """The folder in which cycles are recorded; None where they are not."""
-        recorder = self.config.recorder
+        recorder = self.files.config.recorder
         return None if recorder is None else recorder.folder
-
-    def renew(self, token: str) -> None:
-        """Renew the lease. Raises `SetupRefused` for another token."""
-        self.session.renew_setup(token)
-
-    async def capture(self, token: str) -> FramePair:
-        """One exposure for the lease's holder. Raises `SetupRefused`, `CaptureError`."""
-        return await self.session.capture(token)
 
     async def reload(self) -> str:
         """Read the configuration again; returns why it was refused, or ""."""

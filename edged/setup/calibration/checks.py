@@ -107,7 +107,7 @@ class Checks:
         self, token: str, author: str, function: str, *what: object, **named: str
     ) -> CheckDocument:
         rig = self._cell.needed_rig("to check")
-        pair = await self._cell.capture(token)
+        pair = await self._cell.session.capture(token)
         images = pair.left.image, pair.right.image
         finding = await self._cell.worker.run(function, rig, images, *what, LIMITS)
         document = _document(finding, author, rig, **named)

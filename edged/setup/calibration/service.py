@@ -143,7 +143,7 @@ class Calibrations:
         self.drafts.current = identity
         if not opened.draft.state.boards:
             raise CalibrationError("which board is it? State it, or hold it before both cameras")
-        pair = await self._cell.capture(token)
+        pair = await self._cell.session.capture(token)
         await self._take(opened, pair.left.image, pair.right.image)
         return self.document(opened)
 
@@ -212,7 +212,7 @@ class Calibrations:
                 opened.guide.set(Guided(None, first_ghosts(board, watched.size, 0, share)))
         opened.waits = self._waits(opened)
         if opened.auto is not None and not opened.waits:
-            self._cell.renew(opened.auto)
+            self._cell.session.renew_setup(opened.auto)
             await self._take(opened, left, right)
             opened.stillness = Stillness()
         self.drafts.tell(opened)

@@ -56,7 +56,7 @@ class CameraService:
 
     def configured(self) -> dict[Side, dict[str, Any]]:
         """Configuration of each side, with what is tried."""
-        cameras, changes = self._cell.config.cameras, self._cell.session.camera_changes
+        cameras, changes = self._cell.files.config.cameras, self._cell.session.camera_changes
         return {
             side: {
                 "device": getattr(cameras, side).device or self._address(side),
@@ -74,7 +74,7 @@ class CameraService:
 
     async def found(self) -> list[dict[str, Any]]:
         """Every camera that answers, with the side that it is."""
-        if self._cell.config.cameras.source == "virtual-inprocess":
+        if self._cell.files.config.cameras.source == "virtual-inprocess":
             return [{**VIRTUAL, "side": side} for side in SIDES]
         cameras = [] if aravis_missing() else await asyncio.to_thread(list_cameras)
         devices = self._devices()
@@ -137,7 +137,7 @@ class CameraService:
             raise UserError(
                 "the rig was calibrated with the cameras as they are: calibrate, and activate both"
             )
-        rig = self._cell.config.cell.rig
+        rig = self._cell.files.config.cell.rig
         file = chosen_file(rig)
         before = await asyncio.to_thread(read_chosen, rig)
         await asyncio.to_thread(write_file, file, with_changes(before, file, stated))
@@ -164,7 +164,7 @@ class CameraService:
         return moved, True
 
     def _check_exchangeable(self) -> None:
-        if self._cell.config.cameras.source not in ("aravis", "virtual") or aravis_missing():
+        if self._cell.files.config.cameras.source not in ("aravis", "virtual") or aravis_missing():
             raise UserError("these cameras cannot be exchanged: they are not on a network")
 
     async def _waved_at(self, token: str) -> Side | None:
@@ -202,7 +202,7 @@ class CameraService:
 
     async def _try(self, token: str, cameras: Mapping[Side, ChosenCamera]) -> None:
         """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
-        tried, section = self._cell.session.camera_changes, self._cell.config.cameras
+        tried, section = self._cell.session.camera_changes, self._cell.files.config.cameras
         sides: dict[str, CameraSection] = {
             side: getattr(section, side).model_copy(update=change.stated())
             for side, change in cameras.items()

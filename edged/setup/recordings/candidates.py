@@ -33,23 +33,23 @@ class CandidateContents:
 
     async def of_calibration(self, identity: str) -> Contents:
         """By the rig of a draft that was solved. Raises `KeyError`, `EdgedError`."""
-        return {**self._cell.contents, RIG: await self._solution(identity)}
+        return {**self._cell.files.contents, RIG: await self._solution(identity)}
 
     async def of_teaching(self, identity: str) -> Contents:
         """By the job of a draft, as it would become active. Raises `KeyError`, `EdgedError`."""
-        job, active = await self._taught(identity), self._cell.contents
+        job, active = await self._taught(identity), self._cell.files.contents
         jobs = {name.removeprefix("jobs/"): data for name, data in active.items() if name.startswith("jobs/")}
         return contents_with(active, job.put(jobs))
 
     async def of_release(self, number: int) -> Contents:
         """By rig and jobs of a release, as it would become active. Raises `KeyError`, `EdgedError`."""
         kept = await asyncio.to_thread(self._releases.open, number)
-        jobs, active = jobs_of(kept), self._cell.contents
+        jobs, active = jobs_of(kept), self._cell.files.contents
         return {**(contents_with(active, jobs) if jobs else active), RIG: rig_in(kept).rig}
 
     async def of_change(self, name: str, change: JobChange) -> Contents:
         """By one job with other limits, features or contrast. Raises `UserError`."""
-        active = self._cell.contents
+        active = self._cell.files.contents
         place = PurePosixPath("jobs") / name
 
         def changed() -> dict[str, bytes]:

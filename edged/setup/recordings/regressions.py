@@ -54,7 +54,7 @@ class Regressions:
 
         Raises `UserError` where nothing runs, nothing is recorded, or nothing would be measured otherwise.
         """
-        active, fingerprint = self._cell.contents, self._cell.fingerprint
+        active, fingerprint = self._cell.files.contents, self._cell.files.fingerprint
         if not self._cell.is_complete:
             raise UserError("nothing is in use yet that it could be compared with")
         entries = await self._in_turn(lambda: self._concerned(active, candidate))
@@ -97,7 +97,7 @@ class Regressions:
 
         Raises `RegressionNeeded` unless all good cycles stay good, or somebody signs why they need not.
         """
-        active = self._cell.contents
+        active = self._cell.files.contents
         if not self._cell.is_complete or self._cell.recordings is None:
             return None
         entries = await self._in_turn(lambda: self._concerned(active, candidate))

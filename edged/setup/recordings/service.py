@@ -140,7 +140,7 @@ class Cycles:
 
     def _folder_of(self, name: str, number: int, digest: str | None) -> tuple[str | None, bool]:
         """The folder of the job that a recorded cycle is of, and whether that measures as it did then."""
-        job = job_of_cycle(facts_of_jobs(self._cell.contents), name, number)
+        job = job_of_cycle(facts_of_jobs(self._cell.files.contents), name, number)
         return (None, False) if job is None else (job.folder, job.digest == digest)
 
     def _listed(self, wanted: CycleFilter) -> CycleList:
@@ -199,7 +199,7 @@ class Cycles:
         return PicturePaths.below(f"{PLACE}/{line.number}/taught")
 
     def _taught_file(self, folder: str, side: Side) -> Path:
-        return self._cell.config.cell.jobs / folder / TAUGHT / f"{side}.png"
+        return self._cell.files.config.cell.jobs / folder / TAUGHT / f"{side}.png"
 
     def _picture(self, number: int, side: Side) -> bytes:
         return jpeg(recording.load_picture(self._known().entry(number).path, side), JPEG_QUALITY)

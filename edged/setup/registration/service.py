@@ -125,7 +125,7 @@ class Registrations:
             raise UserError(f"there is no job {job}")
         if job is None and not opened.draft.state.board:
             raise CalibrationError("which board, or which part? State one of them")
-        await self._keep_look(opened, await self._cell.capture(token), job)
+        await self._keep_look(opened, await self._cell.session.capture(token), job)
         return self.drafts.tell(opened)
 
     async def touch(self, identity: str, key: str, given: Given, revision: int | None = None) -> DraftHead:
@@ -154,7 +154,7 @@ class Registrations:
             raise CalibrationError("this registration is by touched points")
         numbers = None if given is None else _read(opened.draft.state, given)
         self._needed_rig()
-        return await self._keep_pose(opened, await self._cell.capture(token), numbers)
+        return await self._keep_pose(opened, await self._cell.session.capture(token), numbers)
 
     async def write(self, identity: str, name: str, given: Given, revision: int | None = None) -> DraftHead:
         """Say what the robot showed at a sample. Raises `KeyError`, `UserError`, `StaleDraft`."""

@@ -64,21 +64,21 @@ class Activation:
 
     @property
     def _rig(self) -> Path:
-        return self._cell.config.cell.rig
+        return self._cell.files.config.cell.rig
 
     @property
     def _jobs(self) -> Path:
-        return self._cell.config.cell.jobs
+        return self._cell.files.config.cell.jobs
 
     @property
     def fingerprint(self) -> str:
         """Fingerprint of the cell."""
-        return self._cell.fingerprint
+        return self._cell.files.fingerprint
 
     @property
     def active(self) -> int | None:
         """The release that the cell runs by; None for one that was changed by hand since."""
-        fingerprint = self._cell.fingerprint
+        fingerprint = self._cell.files.fingerprint
         found = (
             release.number
             for release in self._releases.all()
@@ -97,7 +97,7 @@ class Activation:
     def check(self, token: str | None) -> None:
         """Raises `SetupRefused` when nothing may be changed now, by somebody without or with a token."""
         if token is not None:
-            self._cell.renew(token)
+            self._cell.session.renew_setup(token)
         elif holder := self._cell.session.lease.name:
             raise SetupRefused(f"{holder} has the cell")
         self._check_unlocked()
@@ -182,7 +182,7 @@ class Activation:
 
     def _contents(self, wanted: _Parts) -> Contents:
         """What the cell would measure by."""
-        contents = contents_with(self._cell.contents, wanted.jobs)
+        contents = contents_with(self._cell.files.contents, wanted.jobs)
         return contents if wanted.rig is None else {**contents, RIG: wanted.rig}
 
     def _there(self) -> _Parts:
@@ -195,8 +195,8 @@ class Activation:
         if wanted.rig is None:
             raise UserError("there is no calibration: calibrate first")
         made = make(self._cell.path, RigFiles(wanted.rig, wanted.cameras), without_pictures(wanted.jobs))
-        if made.backup.fingerprint == self._cell.fingerprint:
-            raise UserError("the cell already runs with this")
+        if made.backup.fingerprint == self._cell.files.fingerprint:
+            raise UserError("the cell runs by this already")
         all_of_it = self._releases.all()
         return made, next(
             (release for release in all_of_it if release.fingerprint == made.backup.fingerprint), None

@@ -31,7 +31,7 @@ class Sources:
             rig = self._cell.needed_rig()
             return await asyncio.to_thread(recorded_pair, file, rig.calibration_id)
         if token is not None:
-            pair = await self._cell.capture(token)
+            pair = await self._cell.session.capture(token)
             return KeptPair(pair.left.image, pair.right.image)
         if replaced is None:
             raise TeachError("a job is taught from a fresh pair, a recorded one, or that which a job keeps")

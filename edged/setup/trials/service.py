@@ -156,7 +156,7 @@ class Trials:
 
         Raises `SetupRefused`, `UserError`, and `KeyError` for a draft that there is not.
         """
-        self._cell.renew(token)
+        self._cell.session.renew_setup(token)
         if on:
             self._tried = (await self._trial_of(what)).what
         self._token = token if on else None
@@ -178,7 +178,7 @@ class Trials:
 
     async def hold_still(self, token: str, what: What, pictures: int, author: str) -> str:
         """Begin the still test; returns the task. Raises as `turn`."""
-        self._cell.renew(token)
+        self._cell.session.renew_setup(token)
         if self._cell.tasks.is_running(self._still):
             raise SetupRefused("a still test is running")
         trial = await self._trial_of(what)
@@ -204,7 +204,7 @@ class Trials:
     async def _try(self, what: What, token: str, number: int, pair: FramePair) -> None:
         trial = self._known.get(what)
         try:
-            self._cell.renew(token)
+            self._cell.session.renew_setup(token)
             trial = await self._trial_of(what)
             images = pair.left.image, pair.right.image
             trial.note(number, await self._cell.worker.run("try_pair", self._setup(trial), images))
@@ -247,7 +247,7 @@ class Trials:
         return job
 
     def _setup(self, trial: _Trial) -> TrialSetup:
-        rig, bounds = self._cell.needed_rig(), self._cell.config.limits.bounds()
+        rig, bounds = self._cell.needed_rig(), self._cell.files.config.limits.bounds()
         return TrialSetup(rig.content, rig.path, trial.content, bounds, self._cell.convention)
 
     def _document(self) -> TrialDocument:
@@ -267,7 +267,7 @@ class Trials:
         stands: list[Stand | None] = []
         for number in range(pictures):
             progress(f"picture {number + 1} of {pictures}", number, pictures)
-            pair = await self._cell.capture(token)
+            pair = await self._cell.session.capture(token)
             images = pair.left.image, pair.right.image
             stands.append(await self._cell.worker.run("stand", self._setup(trial), images))
             if stands[-1] is None:

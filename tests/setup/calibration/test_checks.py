@@ -127,7 +127,7 @@ def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None
         found = []
         try:
             for rig in (true, wide):
-                save_rig(in_use.config.cell.rig, rig)
+                save_rig(in_use.files.config.cell.rig, rig)
                 await in_use.reload()
                 found.append(await checks.by_part("theirs", "Anna", job.name, {"c0": 28.0}))
                 known = await checks.last()
