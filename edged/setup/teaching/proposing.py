@@ -44,19 +44,8 @@ from edged.setup.teaching.documents import (
     WarningDocument,
 )
 from edged.setup.teaching.editing import FormerFiles, edited, lying, picking_of, with_tolerances
-from edged.setup.teaching.model import (
-    Content,
-    Drawing,
-    Mark,
-    Shapes,
-    region_of,
-)
-from edged.setup.teaching.proposal import (
-    Proposal,
-    WantedJob,
-    propose_from_drawing,
-    propose_from_pair,
-)
+from edged.setup.teaching.model import Content, Drawing, Mark, Shapes, region_of
+from edged.setup.teaching.proposal import Proposal, WantedJob, propose_from_drawing, propose_from_pair
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec

@@ -25,15 +25,7 @@ from edged.setup.releases.jobsinuse import Candidate, JobLine
 from edged.setup.teaching.documents import ContoursDocument, DrawingDocument, TeachingDocument
 from edged.setup.teaching.drafts import TeachingDraft, TeachingDrafts
 from edged.setup.teaching.editing import FormerFiles, edited
-from edged.setup.teaching.model import (
-    Drawing,
-    GripWanted,
-    Shape,
-    SizeWanted,
-    TapPlace,
-    TeachState,
-    nearest,
-)
+from edged.setup.teaching.model import Drawing, GripWanted, Shape, SizeWanted, TapPlace, TeachState, nearest
 from edged.setup.teaching.proposing import JobSeen, LearningOrder
 from edged.setup.teaching.sources import Sources
 from edged.setup.teaching.wishes import (
