@@ -93,13 +93,13 @@ def activate_again(cell: RunningCell, number: int) -> Release:
 
 def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: RunningCell) -> None:
     """The cell as it was found is a release, too: there is a way back from the first one."""
-    before, rig = cell.now.fingerprint, cell.wider(1.001)
+    before, rig = cell.now.files.fingerprint, cell.wider(1.001)
 
     release = activate(cell, rig)
 
     assert rig == cell.rig.read_bytes()
     assert (2, "Anna", "new board", 1) == (release.number, release.author, release.note, release.parent)
-    assert release.fingerprint == cell.now.fingerprint == read_cell(cell.config).fingerprint
+    assert release.fingerprint == cell.now.files.fingerprint == read_cell(cell.config).fingerprint
     found = cell.releases.get(1)
     assert (before, "edged", "as it was found") == (found.fingerprint, found.author, found.note)
     assert 2 == cell.activation.active
@@ -109,12 +109,12 @@ def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: Runn
 
 def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
     """It is the older release again, not a new one; and forth again, too."""
-    before, old = cell.now.fingerprint, cell.rig.read_bytes()
+    before, old = cell.now.files.fingerprint, cell.rig.read_bytes()
     activate(cell, cell.wider(1.001))
 
     back = activate_again(cell, 1)
 
-    assert (1, before, old) == (back.number, cell.now.fingerprint, cell.rig.read_bytes())
+    assert (1, before, old) == (back.number, cell.now.files.fingerprint, cell.rig.read_bytes())
     assert 1 == cell.activation.active
     assert 2 == len(cell.releases.get(1).activated)
     assert 2 == activate_again(cell, 2).number
@@ -158,17 +158,17 @@ def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerp
     cell: RunningCell,
 ) -> None:
     """With the pair that it keeps, beside the others; back and forth all bytes are the same."""
-    before, files = cell.now.fingerprint, cell.files()
+    before, files = cell.now.files.fingerprint, cell.files()
 
     release = activate_job(cell, "ring", 2)
 
     assert (2, ("flange", "ring"), 1) == (release.number, release.jobs, release.parent)
-    assert release.fingerprint == cell.now.fingerprint == read_cell(cell.config).fingerprint
+    assert release.fingerprint == cell.now.files.fingerprint == read_cell(cell.config).fingerprint
     after = cell.files()
     assert {**after, "jobs/ring/taught/left.png": b"pixels"} == after
     assert files.items() <= after.items()
     back = activate_again(cell, 1)
-    assert (1, before, files) == (back.number, cell.now.fingerprint, cell.files())
+    assert (1, before, files) == (back.number, cell.now.files.fingerprint, cell.files())
     assert (2, after) == (activate_again(cell, 2).number, cell.files())
     assert [] == [entry.name for entry in cell.config.parent.iterdir() if entry.name.startswith(".jobs")]
     activate_job(cell, "disc", 2, replaced="ring")
@@ -369,7 +369,7 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
         cell = RunningCell(root / "cell")
         cell.running.session.camera_changes = cameras
         start = len(record.calls)
-        before = cell.now.fingerprint
+        before = cell.now.files.fingerprint
         after = activate(cell, cell.wider(1.001)).fingerprint
     dice, found = random.Random(1), set()
     for number in range(40):
@@ -401,7 +401,7 @@ def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
         activate_job(cell, "ring", 2)
         activate_again(cell, 1)
         start = len(record.calls)
-        now = cell.now.fingerprint
+        now = cell.now.files.fingerprint
         after = activate_again(cell, 3).fingerprint
     dice, found = random.Random(4), set()
     for number in range(16):
@@ -430,7 +430,7 @@ def test_a_pair_is_kept_once_for_all_releases(cell: RunningCell) -> None:
     activate_again(cell, 1)
     after = activate_again(cell, 3)
     assert b"pixels" == (cell.jobs / "ring" / "taught" / "left.png").read_bytes()
-    assert after.fingerprint == cell.now.fingerprint
+    assert after.fingerprint == cell.now.files.fingerprint
     next(pictures.iterdir()).write_bytes(b"damaged")
     assert "ring/taught/left.png" not in cell.releases.jobs(3)
     for number in (2, 3):
