@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from edged.commands.boardoption import naming_board_option
 from edged.domain.numerals import known
 from edged.errors import UserError
 from edged.files.images import load_image
@@ -51,7 +52,8 @@ def verify(
         if lengths:
             raise UserError("--length belongs to --job; the length of a board is in its specification")
         shown = [Picture(str(path), partial(load_image, path)) for path in pictures]
-        boards, remark = boards_in(stated_boards(board), shown)
+        with naming_board_option():
+            boards, remark = boards_in(stated_boards(board), shown)
         if remark and not as_json:
             console.print(remark, markup=False, highlight=False, soft_wrap=True)
         finding = by_board(rig, images, boards, limits)

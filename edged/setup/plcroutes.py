@@ -172,18 +172,18 @@ class PlcRoutes:
         return web.Response(body=data, content_type="application/octet-stream", headers=headers)
 
 
-def _document(one: Exchange) -> ExchangeDocument:
-    at = datetime.fromtimestamp(one.began_ns / 1e9, UTC)
+def _document(exchange: Exchange) -> ExchangeDocument:
+    at = datetime.fromtimestamp(exchange.began_ns / 1e9, UTC)
     rungs = [
         RungDocument(
             **asdict(rung),
             after_ms=round(1e3 * rung.after_s, 1),
             by="plc" if rung.what in ("command", "acknowledged", "taken_down") else "cell",
         )
-        for rung in one.rungs
+        for rung in exchange.rungs
     ]
-    told = {**asdict(one), "hint": one.hint or None, "rungs": rungs}
-    return ExchangeDocument(**told, at=at.isoformat(timespec="milliseconds"), command=one.command)
+    told = {**asdict(exchange), "hint": exchange.hint or None, "rungs": rungs}
+    return ExchangeDocument(**told, at=at.isoformat(timespec="milliseconds"), command=exchange.command)
 
 
 def _packed(files: dict[str, str]) -> bytes:

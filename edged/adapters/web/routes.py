@@ -61,7 +61,7 @@ def _printable(text: str) -> str:
 
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
-"""Of a person or a thing, in one line."""
+"""Name of a person or a thing, one line."""
 Reason = Annotated[str, StringConstraints(min_length=1, max_length=500), AfterValidator(_printable)]
 """Why something is done, in one line."""
 Token = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
@@ -153,7 +153,7 @@ class Route:
     limit_bytes, by `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or nothing.
     status : of a success; left out: 200, or 204 without an answer.
     audit : noted with its outcome, also where it is refused. needs_lease : the body's `token` must be
-    that of whoever has the cell, and is a sign of life of theirs. is_by_itself : pages ask it without
+    that of the lease, and shows that its holder is there. is_by_itself : pages ask it without
     anybody's doing.
     """
 

@@ -170,7 +170,7 @@ def _changed(cycle: Compared) -> ChangedCycle:
     tried, apart = cycle.tried, cycle.apart
     before, after = tried.before, tried.after
     status = ["" if found is None else found.status for found in (before, after)]
-    why = before if one.is_good else after
+    why = before if cycle.is_good else after
     return ChangedCycle(
         number=tried.number,
         at=tried.at,
@@ -181,7 +181,7 @@ def _changed(cycle: Compared) -> ChangedCycle:
         apart_sigmas=None if apart is None else known(apart.sigmas, 2),
         apart_um=None if apart is None else _micrometres(apart.by_mm),
         turned_deg=None if apart is None else known(apart.turned_deg, 4),
-        lost=one.lost,
+        lost=cycle.lost,
         pictures=PicturePaths.below(f"{PLACE}/{tried.number}"),
     )
 

@@ -196,7 +196,7 @@ class Activation:
             raise UserError("there is no calibration: calibrate first")
         made = make(self._cell.path, RigFiles(wanted.rig, wanted.cameras), without_pictures(wanted.jobs))
         if made.backup.fingerprint == self._cell.files.fingerprint:
-            raise UserError("the cell runs by this already")
+            raise UserError("the cell already runs with this")
         all_of_it = self._releases.all()
         return made, next(
             (release for release in all_of_it if release.fingerprint == made.backup.fingerprint), None

@@ -195,8 +195,8 @@ def _angles(target: Target, reading: PartReading) -> SigmaAbc:
     a, b, c = (round(float(value), 5) for value in reading.sigma_deg)
     if target.free_axis is None:
         return SigmaAbc(a=a, b=b, c=c)
-    told = [value if value < UNKNOWN_DEG else None for value in (a, b, c)]
-    return SigmaAbc(a=told[0], b=told[1], c=told[2])
+    a_deg, b_deg, c_deg = (value if value < UNKNOWN_DEG else None for value in (a, b, c))
+    return SigmaAbc(a=a_deg, b=b_deg, c=c_deg)
 
 
 def terms_of(rig: StereoRig, target: Target) -> Terms | None:
