@@ -182,8 +182,8 @@ def _document(exchange: Exchange) -> ExchangeDocument:
         )
         for rung in exchange.rungs
     ]
-    told = {**asdict(exchange), "hint": exchange.hint or None, "rungs": rungs}
-    return ExchangeDocument(**told, at=at.isoformat(timespec="milliseconds"), command=exchange.command)
+    fields = {**asdict(exchange), "hint": exchange.hint or None, "rungs": rungs}
+    return ExchangeDocument(**fields, at=at.isoformat(timespec="milliseconds"), command=exchange.command)
 
 
 def _packed(files: dict[str, str]) -> bytes:

@@ -210,8 +210,8 @@ class Jobs:
         jobs = self._cell.job_lines()
         found = [self._document(line, jobs) for line in sorted(jobs.lines, key=lambda line: line.number)]
         for folder, kept in sorted(self._kept().items(), key=lambda item: item[1].number):
-            told = {"retired": True, "retired_by": kept.by, "retired_at": kept.at}
-            found.append(JobDocument(folder=folder, **kept.model_dump(exclude={"by", "at"}), **told))
+            retired = {"retired": True, "retired_by": kept.by, "retired_at": kept.at}
+            found.append(JobDocument(folder=folder, **kept.model_dump(exclude={"by", "at"}), **retired))
         return JobList(jobs=found)
 
     def _document(self, line: JobLine, jobs: JobsInUse) -> JobDocument:
