@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -216,8 +217,9 @@ def report(rows: list[Part]) -> None:
     print("|---|---|---:|---|---|---:|---:|---:|")
     for row in rows:
         error = " ".join(f"{value:.1f}" for value in row.error_um)
-        print(f"| {row.scene} | {row.design} | {row.tilt_deg:.0f} | {row.verdict} | {error} "
-              f"| {row.normal_deg:.3f} | {row.turn_deg:.3f} | {row.chi2:.2f} |")  # fmt: skip
+        line = (f"| {row.scene} | {row.design} | {row.tilt_deg:.0f} | {row.verdict} | {error} "
+                f"| {row.normal_deg:.3f} | {row.turn_deg:.3f} | {row.chi2:.2f} |")  # fmt: skip
+        print(re.sub(r"\bnan\b *", "", line))
     print("\n| | good | wrong | rms µm | normal rms ° | χ² |")
     print("|---|---|---|---:|---:|---:|")
     for name, some in groups(rows).items():

@@ -404,9 +404,10 @@ class Draw(Protocol):
 def drawn(
     design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
 ) -> tuple[tuple[Image, Image], dict[str, Any]]:
-    """Pictures of this world: those to teach from look as any other."""
-    del teaching
+    """Pictures of this world: parts are taught on a plain and dark table, and look as in any other scene."""
     look = Look.drawn(rng)
+    if teaching:
+        look = replace(look, table=min(look.table, 0.2), table_contrast=0.3 * look.table_contrast)
     return pictures(World(design, where, look, int(rng.integers(1 << 30))), world_rig()), asdict(look)
 
 
