@@ -328,9 +328,7 @@ def lights(
     where: FloatArray, bed: FloatArray, setting: Setting, rig: StereoRig, folder: Path
 ) -> dict[str, Any]:
     """Lamps, room and window, of radiance 1 on a level face."""
-    frame = bed.copy()
-    frame[:3, 3] = where[:3, 3]
-    eyes = [np.zeros(3), invert(np.asarray(rig.right_from_left))[:3, 3]]
+    frame, eyes = lamp_frame(where, bed, setting, rig), eyes_of(rig)
     shining = lamps(setting, [apply(invert(frame), eye[None])[0] for eye in eyes])
     name = write_ply(folder / "lamps.ply", apply(frame, shining.reshape(-1, 3)).reshape(-1, 3, 3))
     level = math.pi / irradiance(shining)
@@ -347,6 +345,20 @@ def lights(
         found["window"] = {"type": "ply", "filename": pane, "face_normals": True,
                            "emitter": {"type": "area", "radiance": 1.5}}  # fmt: skip
     return found
+
+
+def lamp_frame(where: FloatArray, bed: FloatArray, setting: Setting, rig: StereoRig) -> FloatArray:
+    """(4, 4) rig from lamps: dome and low band stand on the table, ring and bars hang beside the cameras."""
+    if setting.light not in ("dome", "low"):
+        return lying(rig, 0.0, 0.0, 0.0, tuple(where[:3, 3].tolist()))
+    frame = bed.copy()
+    frame[:3, 3] = where[:3, 3]
+    return frame
+
+
+def eyes_of(rig: StereoRig) -> list[FloatArray]:
+    """Where both cameras are (3,)."""
+    return [np.zeros(3), invert(np.asarray(rig.right_from_left))[:3, 3]]
 
 
 class Tracer:

@@ -49,18 +49,24 @@ def test_irradiance_is_that_of_known_lamps() -> None:
     assert abs(irradiance(photoworld.dome([np.array([0.0, 0.0, 1.0])])) / math.pi - 1) < 0.02
 
 
+@pytest.mark.parametrize("tilt_deg", [0.0, 45.0])
 @pytest.mark.parametrize("light", LIGHTS)
-def test_every_lamp_shines_down_on_the_part_and_stands_in_no_cameras_view(light: str) -> None:
-    """Something arrives at the face, and the lines from both cameras to the part pass by the lamp."""
-    rig, where = world_rig(), lying(world_rig(), 0.0, 0.0, 0.0)
-    eyes = [apply(invert(where), eye[None])[0]
-            for eye in (np.zeros(3), invert(np.asarray(rig.right_from_left))[:3, 3])]  # fmt: skip
-    shining = photoworld.lamps(replace(SETTING, light=light), eyes)
-    assert irradiance(shining) > 0
-    corners = shining.reshape(-1, 3)
-    for eye in eyes:
-        away = corners - (corners @ eye)[:, None] * eye / (eye @ eye)
-        assert np.linalg.norm(away, axis=1).min() > 10.0
+def test_every_lamp_shines_down_on_the_part_and_stands_in_no_cameras_view(
+    light: str, tilt_deg: float
+) -> None:
+    """Something arrives at the face, and the lines from both cameras to the part pass by, however it lies."""
+    rig, setting = world_rig(), replace(SETTING, light=light)
+    for side_deg in (0.0, 100.0, 180.0, 290.0):
+        where = lying(rig, tilt_deg, side_deg, 30.0)
+        frame = photoworld.lamp_frame(where, where, setting, rig)
+        eyes = [apply(invert(frame), eye[None])[0] for eye in photoworld.eyes_of(rig)]
+        shining = photoworld.lamps(setting, eyes)
+        assert irradiance(shining) > 0
+        corners = shining.reshape(-1, 3)
+        for eye in eyes:
+            away = corners - (corners @ eye)[:, None] * eye / (eye @ eye)
+            between = corners @ eye > 0
+            assert np.linalg.norm(away[between], axis=1).min() > 10.0
 
 
 @pytest.mark.parametrize("finish", FINISHES)
