@@ -41,8 +41,8 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(pictures: Path, tmp_path: Path) -> Path:
-    """A copy of the pictures that a test may spoil."""
-    return Path(shutil.copytree(pictures, tmp_path / "pictures"))
+    """A copy of four pairs that a test may spoil."""
+    return Path(shutil.copytree(pictures, tmp_path / "pictures", ignore=shutil.ignore_patterns("v[45]_*")))
 
 
 def run(
@@ -56,7 +56,8 @@ def run(
 
 @pytest.mark.slow
 def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
-    """The rig on disc is the rig that took the pictures, within its stated sigma; twice the same."""
+    """The rig on disc is the rig that took the pictures, within its stated sigma; twice the same, and
+    the old file stays beside the new one under its own calibration id."""
     output, report = tmp_path / "rig.json", tmp_path / "report.html"
     said = run(pictures, output, report)
     rig = load_rig(output)
@@ -77,22 +78,12 @@ def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
     assert rig.calibration_id in page
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
 
-    again = tmp_path / "again.json"
-    run(pictures, again)
-    assert json.loads(again.read_text()) == json.loads(output.read_text())
-
-
-@pytest.mark.slow
-def test_a_rig_that_is_replaced_is_kept(pictures: Path, tmp_path: Path) -> None:
-    """The old file stays beside the new one under its own calibration id."""
-    output = tmp_path / "rig.json"
-    run(pictures, output)
     old = output.read_bytes()
-    said = run(pictures, output, model="brown")
-    kept = tmp_path / f"rig.{json.loads(old)['calibration_id']}.json"
+    said = run(pictures, output)
+    kept = tmp_path / f"rig.{rig.calibration_id}.json"
     assert kept.read_bytes() == old
     assert kept.name in said
-    assert output.read_bytes() != old
+    assert json.loads(old) == json.loads(output.read_text())
 
 
 @pytest.mark.slow
@@ -127,7 +118,7 @@ def test_jpeg_and_bmp_are_read_too(folder: Path, tmp_path: Path) -> None:
             path.with_suffix(suffix.lower()).rename(path.with_suffix(suffix))
             path.unlink()
     run(folder, tmp_path / "rig.json")
-    assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 6
+    assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 4
 
 
 @pytest.mark.slow
@@ -154,8 +145,8 @@ def refused(
 def test_missing_halves_are_refused(folder: Path, tmp_path: Path) -> None:
     """A picture without its partner is an error that names both."""
     (folder / "v2_right.png").unlink()
-    (folder / "v4_left.png").unlink()
-    refused(folder, tmp_path, r"v2_left.png: v2_right is missing(.|\n)*v4_right.png: v4_left is missing")
+    (folder / "v3_left.png").unlink()
+    refused(folder, tmp_path, r"v2_left.png: v2_right is missing(.|\n)*v3_right.png: v3_left is missing")
 
 
 @pytest.mark.slow
@@ -169,8 +160,8 @@ def test_mixed_sizes_are_refused(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_broken_picture_is_refused(folder: Path, tmp_path: Path) -> None:
     """A file that is no picture is named."""
-    (folder / "v5_left.png").write_bytes(b"not a picture")
-    refused(folder, tmp_path, "v5_left.png: not an image")
+    (folder / "v3_left.png").write_bytes(b"not a picture")
+    refused(folder, tmp_path, "v3_left.png: not an image")
 
 
 @pytest.mark.slow
@@ -185,9 +176,9 @@ def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> 
         "--board: .*a chessboard of 8x6 inner corners, not dots:8x6:6[^;]*; state chessboard:8x6:",
         board="dots:8x6:6",
     )
-    for path in folder.glob("*.png"):
-        cv2.imwrite(str(path), np.random.default_rng(len(path.name)).integers(0, 9, (480, 640), np.uint8))
-    expected = r"0 of 6 pairs(.|\n)*v0: left: no 12x4 inner corners"
+    for grey, path in enumerate(sorted(folder.glob("*.png")), 90):
+        cv2.imwrite(str(path), np.full((480, 640), grey, np.uint8))
+    expected = r"0 of 4 pairs(.|\n)*v0: left: no 12x4 inner corners"
     refused(folder, tmp_path, expected, board="chessboard:12x4:6")
 
 
@@ -197,19 +188,18 @@ def test_without_a_board_the_pictures_are_asked(folder: Path, tmp_path: Path) ->
     refused(
         folder,
         tmp_path,
-        r"a chessboard of 8x6 inner corners \(6 of 6 .*(.|\n)*Measure the side of a square"
+        r"a chessboard of 8x6 inner corners \(4 of 4 .*(.|\n)*Measure the side of a square"
         r"(.|\n)*: chessboard:8x6:MM, or MM alone",
         board=None,
     )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("length", ["6", "6.0mm", "6,0 mm"])
-def test_a_length_alone_suffices(pictures: Path, tmp_path: Path, length: str) -> None:
+def test_a_length_alone_suffices(folder: Path, tmp_path: Path) -> None:
     """The board is recognised, said, and kept in the rig as if it had been stated in full."""
-    said = run(pictures, tmp_path / "rig.json", board=length)
+    said = run(folder, tmp_path / "rig.json", board="6,0 mm")
     first, second, *_ = said.splitlines()
-    assert "board chessboard:8x6:6: a chessboard of 8x6 inner corners (6 of 6 pictures looked at)" == first
+    assert "board chessboard:8x6:6: a chessboard of 8x6 inner corners (4 of 4 pictures looked at)" == first
     assert second.split() == ["left", "right"]  # progress leaves nothing where nobody looks
     assert "chessboard:8x6:6" == json.loads((tmp_path / "rig.json").read_text())["quality"]["board"]
 
@@ -218,12 +208,12 @@ def test_a_length_alone_suffices(pictures: Path, tmp_path: Path, length: str) ->
 def test_pictures_that_disagree_are_listed(folder: Path, tmp_path: Path) -> None:
     """Half of them with another board: each picture is named with what it shows, in folders' order."""
     other = parse_board("chessboard:7x5:6")
-    for number, pose in enumerate(board_poses(RIG, other, 3, seed=5)):
+    for number, pose in enumerate(board_poses(RIG, other, 2, seed=5)):
         cv2.imwrite(str(folder / f"v{number}_left.png"), draw_board(other, RIG.left, pose))
     refused(
         folder,
         tmp_path,
-        r"do not agree(.|\n)*v0_left.png: a chessboard of 7x5 inner corners(.|\n)*v5_left.png: a chess.*8x6",
+        r"do not agree(.|\n)*v0_left.png: a chessboard of 7x5 inner corners(.|\n)*v3_left.png: a chess.*8x6",
         board="6",
     )
 
@@ -264,7 +254,7 @@ def test_one_camera_twice_is_refused(folder: Path, tmp_path: Path) -> None:
     """Left and right from the same file: every pair is named, nothing is calibrated."""
     for left in folder.glob("*_left.png"):
         shutil.copy(left, left.with_name(left.name.replace("left", "right")))
-    refused(folder, tmp_path, r"0 of 6 pairs(.|\n)*v0: left: the left and the right picture are the same")
+    refused(folder, tmp_path, r"0 of 4 pairs(.|\n)*v0: left: the left and the right picture are the same")
 
 
 @pytest.mark.slow
@@ -285,20 +275,20 @@ def test_a_copied_pair_counts_once(folder: Path, tmp_path: Path) -> None:
         shutil.copy(folder / f"v2_{side}.png", folder / f"v9_{side}.png")
     said = run(folder, tmp_path / "rig.json")
     assert "v9: left: the same picture as in v2" in said
-    assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 6
+    assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 4
 
 
 @pytest.mark.slow
 def test_copies_of_one_pair_are_refused(folder: Path, tmp_path: Path) -> None:
     """One view, however often, is one view."""
-    for path in folder.glob("v[1-5]_*"):
+    for path in folder.glob("v[1-3]_*"):
         shutil.copy(folder / path.name.replace(path.name[1], "0"), path)
-    refused(folder, tmp_path, r"1 of 6 pairs(.|\n)*v1: left: the same picture as in v0")
+    refused(folder, tmp_path, r"1 of 4 pairs(.|\n)*v1: left: the same picture as in v0")
 
 
 def test_one_view_only_is_refused(folder: Path, tmp_path: Path) -> None:
     """One pair says nothing of focal length and distance."""
-    for path in folder.glob("v[1-5]_*"):
+    for path in folder.glob("v[1-3]_*"):
         path.unlink()
     refused(folder, tmp_path, "1 of 1 pairs show the board in both images, expected at least 3")
 
@@ -306,27 +296,27 @@ def test_one_view_only_is_refused(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_blurred_view_is_named(folder: Path, tmp_path: Path) -> None:
     """A view out of focus is used at its own precision, or left out; either way it is named."""
-    image = cv2.imread(str(folder / "v4_left.png"), cv2.IMREAD_GRAYSCALE)
-    cv2.imwrite(str(folder / "v4_left.png"), cv2.GaussianBlur(image, (0, 0), 3))
+    image = cv2.imread(str(folder / "v3_left.png"), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(folder / "v3_left.png"), cv2.GaussianBlur(image, (0, 0), 3))
     said = run(folder, tmp_path / "rig.json")
-    assert "v4" in said
+    assert "v3" in said
     assert "blurred" in said
 
 
 @pytest.mark.slow
-def test_the_board_is_stated_as_taken_on_trust(pictures: Path, tmp_path: Path) -> None:
+def test_the_board_is_stated_as_taken_on_trust(folder: Path, tmp_path: Path) -> None:
     """A wrong square size cannot be seen in pictures: it scales the baseline, and the output says so."""
-    said = run(pictures, tmp_path / "rig.json", board="chessboard:8x6:6.06")
+    said = run(folder, tmp_path / "rig.json", board="chessboard:8x6:6.06")
     assert "the pictures cannot prove it" in said
     assert load_rig(tmp_path / "rig.json").baseline_mm == pytest.approx(RIG.baseline_mm * 1.01, rel=1e-3)
 
 
 @pytest.mark.slow
-def test_a_registration_that_no_longer_holds_is_said(pictures: Path, tmp_path: Path) -> None:
+def test_a_registration_that_no_longer_holds_is_said(folder: Path, tmp_path: Path) -> None:
     """Replacing a rig that knows the robot warns; the new one does not know it; the old one is kept."""
     output = tmp_path / "rig.json"
     save_rig(output, replace(RIG, robot_from_rig=np.eye(4)))
-    said = run(pictures, output)
+    said = run(folder, output)
     assert "run `edged register` again" in said
     assert load_rig(output).robot_from_rig is None
     assert load_rig(tmp_path / "rig.test.json").robot_from_rig is not None

@@ -7,6 +7,7 @@ import datetime
 from pathlib import Path
 from types import TracebackType
 
+from argon2 import PasswordHasher
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import rsa
@@ -15,12 +16,12 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from edged.adapters.modbus import ModbusSettings
 from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings
-from edged.identity.passwords import hash_password
 from helpers.livecell import LiveCell
 from helpers.waiting import LIMIT_S
 
 PASSWORD = "a password for tests"
-PASSWORD_HASH = hash_password(PASSWORD)
+PASSWORD_HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
+"""Cheap to check."""
 JOBS = [(1, "job1"), (2, "job2")]
 
 

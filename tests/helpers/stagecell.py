@@ -14,11 +14,14 @@ from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
 from edged.commands.stage import USER, write_cell
 from edged.domain.arrays import SIDES, Image
+from edged.files.statefolder import state_folder
+from edged.identity.users import User, UserFile
 from edged.setup.stage.routes import StageRoutes
 from edged.sim.world import VirtualWorld
 from helpers.browsersession import PASSWORD, BrowserSession, Visitor, browsing
 from helpers.ports import free_port
 from helpers.waiting import WHOLE_S
+from helpers.webcell import HASH
 
 PATIENT = {"timeout_s = 2.0": "timeout_s = 10.0", "max_skew_ms = 50.0": "max_skew_ms = 1000.0"}
 """Pictures of a machine that does much else: nothing here moves while they are taken."""
@@ -65,6 +68,7 @@ async def staged(folder: Path, *, gige: bool = True) -> AsyncIterator[Newcomer]:
             assert usual in text
             text = text.replace(usual, patient)
         path.write_text(text)
+        UserFile(state_folder(path) / "users.json").put(User(name=USER, role="engineer", password_hash=HASH))
         routes = StageRoutes(world.stage)
         loaded = load_any_cell(path)
         daemon = Daemon(path, loaded, observers=[routes], world=world, routes=[routes, routes.robot])

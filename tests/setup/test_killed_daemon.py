@@ -17,21 +17,19 @@ from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig
+from edged.sim.cell import calibration_poses, demo_rig
+from edged.sim.stage import stage_board
 
 BOARD = "chessboard:11x8:4"
+POSES = list(calibration_poses(demo_rig(), stage_board(), 5))
 
 
 class Stage(Visitor):
     """Somebody at a daemon of its own."""
 
-    async def view(self, place: str) -> Any:
-        """Hold the board where the draft wants it, at first in the middle, and take a pair."""
-        draft = await self.until(
-            place, lambda one: not one["views"] or (one["suggestion"] and not one["guiding"])
-        )
-        ghost = draft["suggestion"] if draft["views"] else {"left": [], "right": []}
-        wanted = {side: ghost[side] for side in ("left", "right") if ghost[side]}
-        await self.ask("PUT", "stage/hand", wanted)
+    async def view(self, place: str, number: int) -> Any:
+        """Hold the board at one of a careful person's poses, and take a pair."""
+        await self.ask("PUT", "stage/hand", {"rig_from_board": POSES[number].tolist()})
         await self.until("stage", lambda one: not one["moving"])
         status = 503
         while status == 503:  # a picture that a busy machine has not drawn in time is taken again
@@ -71,8 +69,8 @@ def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
         await cell.ask("PUT", "stage", {"showing": "board", "still": True})
         draft = await cell.ask("POST", "calibrations", {"boards": [BOARD], "lens": "division"}, 201)
         kept["place"] = f"calibrations/{draft['id']}"
-        for _ in range(3):
-            kept["draft"] = await cell.view(kept["place"])
+        for number in range(3):
+            kept["draft"] = await cell.view(kept["place"], number)
 
     async def solving(cell: Stage) -> None:
         draft = await cell.ask("GET", kept["place"])
@@ -84,8 +82,8 @@ def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
         assert ("SETUP", True) == (now["state"], now["setup"]["unattended"])
         await cell.take()
         await cell.ask("PUT", "stage", {"showing": "board", "still": True})
-        for _ in range(2):
-            await cell.view(kept["place"])
+        for number in (3, 4):
+            await cell.view(kept["place"], number)
         task = (await cell.ask("POST", f"{kept['place']}/solve", {}, 202))["task"]
         await cell.until(f"tasks/{task}", lambda one: one["text"] != "waits for its turn")
 

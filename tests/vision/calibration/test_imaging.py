@@ -24,7 +24,7 @@ from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rectification import StereoImages, make_rectification
 
 BOARD = Chessboard(9, 7, 5.0)
-RIG = make_rig("division", 24.0)
+RIG = make_rig(focal_px=1590.0, size=(640, 480))
 CAMERA = RIG.left
 SIZE = (CAMERA.width, CAMERA.height)
 POSES = board_poses(RIG, BOARD, 3, 4)
