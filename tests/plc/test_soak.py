@@ -92,7 +92,7 @@ def test_a_cell_that_answers_twice_is_caught(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.slow
 def test_the_function_block_is_never_wrong_over_restarts_and_reloads() -> None:
     """In every scan xValid means: exposed after xExecute, not too old, of the job that was asked for."""
-    book = Soak(1, block_s=120.0).run(120.0)
+    book = Soak(1, block_s=60.0).run(60.0)
     assert [] == book.violations
     assert book.counts["scans of the function block with something valid"]
     assert book.counts["scans with a further part"]

@@ -86,20 +86,34 @@ def recognise_chessboard(image: Image) -> Chessboard | None:
     if not found or corners is None or squares is None:
         return None
     grid = np.asarray(corners, dtype=np.float64).reshape(*squares.shape[:2], 2)
-    if not _squares_touch(small, grid):
+    smooth = cv2.blur(small, (3, 3)).astype(np.float64)
+    if not _squares_touch(smooth, grid) or _squares_hold_markers(smooth, grid):
         return None
     return Chessboard(max(squares.shape), min(squares.shape), 1.0)
 
 
-def _squares_touch(image: Image, grid: FloatArray) -> bool:
+def _squares_touch(smooth: FloatArray, grid: FloatArray) -> bool:
     """Whether most corners are half dark, half bright; between round marks there is a gap."""
-    smooth = cv2.blur(image, (3, 3)).astype(np.float64)
     centres = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
     levels = smooth[tuple(np.rint(centres).astype(int)[..., ::-1].reshape(-1, 2).T)]
     x, y = np.rint(grid).astype(int).reshape(-1, 2).T
     dark, bright = np.percentile(levels, (25, 75))
     share = (smooth[y, x] - dark) / max(bright - dark, 1.0)
     return bool(0.25 < np.median(share) < 0.75)
+
+
+def _squares_hold_markers(smooth: FloatArray, grid: FloatArray) -> bool:
+    """Whether a third of the squares or more are not of one grey: half of a ChArUco board's hold a marker."""
+    a, b, c, d = (grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:])
+    shares = np.linspace(0.2, 0.8, 7)
+    greys = []
+    for u in shares:
+        for v in shares:
+            places = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+            x, y = np.rint(places).astype(int).reshape(-1, 2).T
+            greys.append(smooth[y, x])
+    contrast = float(np.ptp(np.percentile(greys, (10, 90))))
+    return bool(np.percentile(np.std(greys, axis=0), 67) > DETECTION.marked * contrast)
 
 
 def reduced(image: Image) -> tuple[Image, float]:

