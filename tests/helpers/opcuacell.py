@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import datetime
+import gc
+import pickle
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 
 from argon2 import PasswordHasher
+from asyncua.server.address_space import NodeManagementService
+from asyncua.server.standard_address_space import standard_address_space
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import rsa
@@ -90,6 +95,25 @@ def secure_settings(folder: Path, *, anonymous: bool = False) -> OpcUaSettings:
     )
 
 
+@cache
+def remember_standard_nodes() -> None:
+    """From now on asyncua makes the 6,000 nodes of the standard once, in three quarters of a second."""
+    make = standard_address_space.fill_address_space
+    made: list[bytes] = []
+
+    def fill(service: NodeManagementService) -> None:
+        space = vars(service)["_aspace"]
+        if made:
+            gc.disable()  # a reader that looks for garbage takes longer than making them
+            vars(space)["_nodes"] = pickle.loads(made[0])
+            gc.enable()
+        else:
+            make(service)
+            made.append(pickle.dumps(vars(space)["_nodes"], pickle.HIGHEST_PROTOCOL))
+
+    standard_address_space.fill_address_space = fill
+
+
 class OpcUaCell(LiveCell):
     """A live cell with OPC UA. Use it as a context."""
 
@@ -97,6 +121,7 @@ class OpcUaCell(LiveCell):
         self, settings: OpcUaSettings, modbus: ModbusSettings | None = None, period_s: float | None = None
     ) -> None:
         super().__init__(modbus, period_s)
+        remember_standard_nodes()
         self.jobs = list(JOBS)
         self.publisher = OpcUaPublisher(settings, lambda: self.server, lambda: self.jobs)
 
