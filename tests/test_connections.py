@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 
+import pytest
 from helpers.waiting import LIMIT_S, WHOLE_S, until
 
 from edged.connections import Rate, Rates, TcpClient, TcpListener
@@ -50,6 +51,7 @@ async def connect(listener: TcpListener) -> tuple[asyncio.StreamReader, asyncio.
     return await asyncio.open_connection("127.0.0.1", listener.port)
 
 
+@pytest.mark.slow
 def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -> None:
     """A hundred connections, descriptors for thirty: one line; when they have gone the next one is served."""
     command = [sys.executable, "-W", "error", "-c", FEW_DESCRIPTORS]

@@ -49,6 +49,7 @@ def test_the_names_are_those_of_the_library() -> None:
         edged.solve  # type: ignore[attr-defined]  # noqa: B018  (it is the look-up that is refused)
 
 
+@pytest.mark.slow
 def test_locate_gives_the_digits_of_the_pipeline(job: Job) -> None:
     """The same pose and covariance, bit by bit, also when a rig is used a second time."""
     part = flange()

@@ -237,6 +237,7 @@ def test_a_loose_plug_does_not_fill_the_log() -> None:
     assert 4 == len(faults.lines)
 
 
+@pytest.mark.slow
 def test_the_loop_logs_a_fault_with_its_cycle_and_once(caplog: pytest.LogCaptureFixture) -> None:
     """The real loop: many failed cycles are one error, and one recovery with their number."""
     with LiveCell(period_s=0.0) as cell, caplog.at_level(logging.INFO, "edged.cell.cycle"):

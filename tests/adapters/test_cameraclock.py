@@ -6,6 +6,7 @@ import math
 import time
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive.adapters import clock_extremes
@@ -48,6 +49,7 @@ READINGS = st.lists(
 )
 
 
+@pytest.mark.slow
 @given(
     offset_ns=st.integers(-(2**60), 2**60),
     drift=st.floats(-CLOCK_DRIFT * 0.99, CLOCK_DRIFT * 0.99),

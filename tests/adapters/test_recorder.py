@@ -103,6 +103,7 @@ def test_a_recording_is_lossless(tmp_path: Path) -> None:
     assert taken.versions == recording.versions()
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.data())
 def test_a_damaged_recording_is_named(data: st.DataObject) -> None:
@@ -139,6 +140,7 @@ def test_a_wrong_member_is_named(member: str, content: bytes, expected: str) -> 
         recording.decode(buffer.getvalue(), "file")
 
 
+@pytest.mark.slow
 def test_the_rings_keep_bad_cycles_longer(tmp_path: Path) -> None:
     """Many good cycles do not push out the bad one somebody will ask for."""
     statuses = [Status.LOW_QUALITY] + [Status.OK] * 7
@@ -185,6 +187,7 @@ def test_what_is_too_old_goes(tmp_path: Path) -> None:
     assert (recording.setup_folder(tmp_path, "11111111") / "rig.json").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restarted", [False, True])
 @pytest.mark.parametrize("days", [31, 3650, -3650])
 def test_a_clock_that_is_set_deletes_nothing(tmp_path: Path, days: int, restarted: bool) -> None:
@@ -413,6 +416,7 @@ def run_replay(
     return code, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_a_replay_is_bit_identical(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The pipeline is pure: the recorded exposure gives every digit again."""
     code, report = run_replay(recorded, capsys)
@@ -476,6 +480,7 @@ def test_a_difference_is_named(recorded: Path, tmp_path: Path, capsys: pytest.Ca
     assert 'status: "OK" -> "LOW_QUALITY"' in report["different"][0]["differences"]
 
 
+@pytest.mark.slow
 def test_the_limits_of_the_cell_are_those_of_the_recording(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -117,6 +117,7 @@ def test_only_events_of_the_loop_feed_the_watchdog(manager):
     assert "WATCHDOG=1" not in manager.told()
 
 
+@pytest.mark.slow
 def test_a_fast_cell_does_not_flood_the_manager(manager):
     """1000 cycles in a second are a handful of datagrams, and more than two a watchdog period."""
     bench = Bench(manager.address, watchdog_us="1000000")

@@ -34,6 +34,7 @@ def told(config: Path) -> tuple[float, float, float] | None:
     return rig.sigma_um
 
 
+@pytest.mark.slow
 def test_the_sigma_of_the_rig_is_what_its_covariance_does_where_parts_were_taught(tmp_path: Path) -> None:
     """A baseline that is uncertain alone moves the same pixels' point by as much; without one: not known."""
     cell = SmallCell(tmp_path, source="virtual-inprocess")

@@ -69,6 +69,7 @@ def reloaded(cell: tuple[Path, LoadedCell], error: Exception, monkeypatch: pytes
     return notes.told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "error",
     [
@@ -89,6 +90,7 @@ def test_whatever_cannot_be_read_is_a_refused_reload(
     assert str(error) in ended
 
 
+@pytest.mark.slow
 def test_a_bug_in_a_reload_shows_and_systemd_hears_that_it_is_over(
     cell: tuple[Path, LoadedCell], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,6 +102,7 @@ def test_a_bug_in_a_reload_shows_and_systemd_hears_that_it_is_over(
     assert ["a bug, see the log"] == told
 
 
+@pytest.mark.slow
 def test_an_error_without_words_is_named(
     cell: tuple[Path, LoadedCell], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -109,6 +112,7 @@ def test_an_error_without_words_is_named(
     assert "the running configuration stays: TimeoutError" in caplog.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "content", "problem"),
     [
@@ -231,6 +235,7 @@ def hanging_opcua(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SmallCell:
     return small
 
 
+@pytest.mark.slow
 def test_a_cell_measures_whose_opcua_server_does_not_start(
     hanging_opcua: SmallCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -253,6 +258,7 @@ def test_a_cell_measures_whose_opcua_server_does_not_start(
     asyncio.run(main())
 
 
+@pytest.mark.slow
 def test_a_stop_does_not_wait_for_a_server_that_hangs(hanging_opcua: SmallCell) -> None:
     """It ends within the time that systemd gives it."""
     path = hanging_opcua.config

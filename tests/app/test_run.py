@@ -40,6 +40,7 @@ class _Daemon:
     def stop(self) -> None: ...
 
 
+@pytest.mark.slow
 def test_what_is_loaded_is_not_searched_for_garbage_while_cycles_run() -> None:
     """A full collection of all modules would hold up the loop; garbage of cycles is still collected."""
     daemon = _Daemon()
@@ -89,6 +90,7 @@ def test_a_cell_loads_no_server_that_it_does_not_run() -> None:
     assert [] == [name for name in loaded if name.startswith(others)]
 
 
+@pytest.mark.slow
 def test_a_check_and_a_status_need_no_compiler() -> None:
     """Nor the networks of the daemon: who edits a configuration has the answer at once."""
     loaded = _modules_after("edged.cli.main, edged.commands.check, edged.commands.status")

@@ -55,6 +55,7 @@ def config(taught: Path, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_no_hash_is_published(config: Path) -> None:
     """What `edged/<cell>/config` answers, and whatever else shows a configuration, has asterisks instead."""
     loaded = load_cell(config)
@@ -198,6 +199,7 @@ def test_without_a_hash_everybody_may_read_the_configuration(taught: Path) -> No
     assert [] == exposed_secrets(taught / "cell.toml", load(taught / "cell.toml"))
 
 
+@pytest.mark.slow
 def test_check_doctor_and_daemon_say_it(
     config: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -508,6 +508,7 @@ def test_a_server_that_starts_slowly_is_named_and_started_later(
     asyncio.run(main())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
     kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
@@ -535,6 +536,7 @@ def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
     asyncio.run(main())
 
 
+@pytest.mark.slow
 def test_a_reload_does_not_wait_for_what_could_not_start_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -557,6 +559,7 @@ def test_a_reload_does_not_wait_for_what_could_not_start_before(
     asyncio.run(main())
 
 
+@pytest.mark.slow
 def test_a_server_that_does_not_close_is_left_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -323,6 +323,7 @@ def test_a_camera_is_found_by_its_serial_number(cell: Cell) -> None:
     assert 1 == cell.right_sensor.saw(frame.image)
 
 
+@pytest.mark.slow
 def test_two_cameras_behind_a_stereo_head(cell: Cell) -> None:
     """Pairs of one instant through capture, adapter, Aravis and UDP."""
     head = StereoHead(
@@ -343,6 +344,7 @@ def test_two_cameras_behind_a_stereo_head(cell: Cell) -> None:
 # --- set-up -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
     """What the config says is what the sensor is told, automatic off, and free features too."""
     camera = left_camera(exposure_us=1234.0, gain_db=6.0, features=({"Width": 160, "OffsetX": 32},))
@@ -422,6 +424,7 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(cell: Cell) -> Non
     run(script, left_camera(), left_camera())
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_closed_or_not_triggered_says_so(cell: Cell) -> None:
     """No call hangs for want of an earlier one."""
 

@@ -37,6 +37,7 @@ def held(cell: Cell) -> tuple[float, float]:
     return registers.number(g.EXPOSURE_TIME), registers.number(g.GAIN)
 
 
+@pytest.mark.slow
 def test_the_next_picture_is_exposed_as_adjusted(cell: Cell) -> None:
     """Without a new connection; what is not stated stays; the bounds are the camera's."""
 
@@ -56,6 +57,7 @@ def test_the_next_picture_is_exposed_as_adjusted(cell: Cell) -> None:
     run(script, left_camera())
 
 
+@pytest.mark.slow
 def test_what_the_camera_does_not_take_changes_nothing(cell: Cell) -> None:
     """Named with its bounds, before anything is written; the camera goes on."""
 
@@ -69,6 +71,7 @@ def test_what_the_camera_does_not_take_changes_nothing(cell: Cell) -> None:
     run(script, left_camera())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("configured", [None, 3000.0])
 def test_what_was_there_before_is_written_back(cell: Cell, configured: float | None) -> None:
     """What is configured; or, for a camera that is left as it is, what it was found with."""
@@ -86,6 +89,7 @@ def test_what_was_there_before_is_written_back(cell: Cell, configured: float | N
     run(script, left_camera(exposure_us=configured))
 
 
+@pytest.mark.slow
 def test_a_lost_connection_keeps_what_is_tried_and_a_lost_camera_gets_back_what_was(cell: Cell) -> None:
     """Opened again it has what was adjusted; another host's when all is undone, it gets it later."""
 
@@ -106,6 +110,7 @@ def test_a_lost_connection_keeps_what_is_tried_and_a_lost_camera_gets_back_what_
     run(script, left_camera())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clamped", [False, True])
 def test_firmware_that_locks_its_settings_is_opened_anew(
     clamped: bool, caplog: pytest.LogCaptureFixture
@@ -134,6 +139,7 @@ def test_firmware_that_locks_its_settings_is_opened_anew(
         run(script, left_camera())
 
 
+@pytest.mark.slow
 def test_each_picture_may_prove_the_exposure_that_is_tried(cell: Cell) -> None:
     """With chunk data a picture is compared with what is in force, not with what is configured."""
 
@@ -148,6 +154,7 @@ def test_each_picture_may_prove_the_exposure_that_is_tried(cell: Cell) -> None:
     run(script, left_camera(chunks=True, exposure_us=3000.0))
 
 
+@pytest.mark.slow
 def test_setup_tries_and_ready_has_what_is_configured(cell: Cell) -> None:
     """In the loop: adjusted through the head, told as a change, and undone before the cell is ready again."""
 

@@ -127,6 +127,7 @@ def test_packets_that_are_lost_for_good_are_a_fault_and_never_a_picture(cell: Ce
     assert {type(fault) for fault in line.faults} <= {FrameIncomplete, FrameTimeout, StreamStalled}
 
 
+@pytest.mark.slow
 def test_packets_that_are_lost_and_sent_again_are_no_fault(cell: Cell) -> None:
     """The same loss, one in a hundred: with resend every picture comes, whole."""
 
@@ -153,6 +154,7 @@ def test_a_stream_that_stalls_is_told_from_a_dead_camera(cell: Cell) -> None:
     assert ["left"] * len(line.faults) == [fault.camera for fault in line.faults]
 
 
+@pytest.mark.slow
 def test_a_frozen_image_is_caught_with_the_image(cell: Cell) -> None:
     """New numbers and the same pixels: 110, as long as it lasts."""
 
@@ -179,6 +181,7 @@ def test_a_pulled_cable_is_noticed_with_the_next_command_and_heals(cell: Cell) -
     assert {"left"} == {fault.camera for fault in line.faults}
 
 
+@pytest.mark.slow
 def test_a_camera_that_was_switched_off_and_on_is_taken_again(cell: Cell) -> None:
     """It answers, and belongs to nobody: 107, told from one that another host took; opened again."""
 
@@ -222,6 +225,7 @@ def test_a_frame_number_that_stands_still_is_no_new_picture(cell: Cell) -> None:
     assert {type(fault) for fault in line.faults} <= {FrameRepeated, FrameTimeout, StreamStalled}
 
 
+@pytest.mark.slow
 def test_packets_that_come_twice_or_in_another_order_are_no_fault(cell: Cell) -> None:
     """What a network with two ways does: every picture comes, whole."""
 

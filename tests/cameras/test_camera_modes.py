@@ -97,6 +97,7 @@ def pairs_of(cell: Cell, head: StereoHead, count: int, expose: Callable[[Cell], 
 # --- lines ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_pulse_on_both_lines_is_one_exposure(cell: Cell) -> None:
     """Exactly one picture a pulse, of the same instant, and timed by the cameras' own clocks."""
     pairs = pairs_of(cell, head({"mode": "line", "line": "Line1"}), 4, pulse)
@@ -108,6 +109,7 @@ def test_a_pulse_on_both_lines_is_one_exposure(cell: Cell) -> None:
         assert {TimeBase.CAMERA} == {pair.left.time_base, pair.right.time_base}
 
 
+@pytest.mark.slow
 def test_edge_delay_and_debounce_reach_the_camera(cell: Cell) -> None:
     """The registers hold what the configuration says, under the line that it names."""
     trigger = {"mode": "line", "line": "Line3", "edge": "falling", "delay_us": 150, "debounce_us": 40}
@@ -122,6 +124,7 @@ def test_edge_delay_and_debounce_reach_the_camera(cell: Cell) -> None:
     assert 0 == cell.left.registers.word(g.LINE_MODE + 4 * g.LINES["Line3"])
 
 
+@pytest.mark.slow
 def test_a_pulse_before_the_command_is_not_its_exposure(cell: Cell) -> None:
     """What was exposed before somebody asked shows the part where it was before."""
 
@@ -140,6 +143,7 @@ def test_a_pulse_before_the_command_is_not_its_exposure(cell: Cell) -> None:
     assert 2 == cell.left_sensor.saw(pair.left.image) == cell.right_sensor.saw(pair.right.image)
 
 
+@pytest.mark.slow
 def test_no_pulse_is_a_time_out(cell: Cell) -> None:
     """Both cameras waited in vain."""
 
@@ -150,6 +154,7 @@ def test_no_pulse_is_a_time_out(cell: Cell) -> None:
     run(script, head({"mode": "line"}, timeout_s=0.3))
 
 
+@pytest.mark.slow
 def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
     """Nobody asks; five pulses 100 ms apart are five pairs."""
 
@@ -189,6 +194,7 @@ def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pair(cell
 # --- chain ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["left", "right"])
 def test_one_camera_triggers_the_other(cell: Cell, first: str) -> None:
     """The first's exposure-active output feeds the other's input: one instant, one software command."""
@@ -223,6 +229,7 @@ def test_a_broken_wire_of_the_chain_names_the_camera_that_saw_nothing(cell: Cell
 KEYS = {"mode": "action", "device_key": 0xCAFE, "group_key": 2, "group_mask": 4}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broadcast", ["", "127.255.255.255"], ids=["unicast", "broadcast"])
 def test_one_action_command_exposes_both(cell: Cell, broadcast: str) -> None:
     """To each camera with its acknowledgement, or one datagram for all."""
@@ -248,6 +255,7 @@ def test_a_scheduled_action_exposes_both_at_the_same_ptp_time(cell: Cell) -> Non
         assert ("exposures by PTP", True) == (skew.what, abs(skew.ns) < 100_000)
 
 
+@pytest.mark.slow
 def test_a_schedule_without_ptp_is_refused_with_the_reason(cell: Cell) -> None:
     """Clocks that are not locked have no common time."""
 
@@ -258,6 +266,7 @@ def test_a_schedule_without_ptp_is_refused_with_the_reason(cell: Cell) -> None:
     run(script, head({**KEYS, "lead_ms": 50}))
 
 
+@pytest.mark.slow
 def test_a_schedule_that_is_too_short_is_told(cell: Cell) -> None:
     """A tenth of a microsecond ahead has passed before the command arrives."""
 
@@ -271,6 +280,7 @@ def test_a_schedule_that_is_too_short_is_told(cell: Cell) -> None:
 # --- strobe, formats, quirks, time ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
     """High while exposed, and only then."""
     edges: list[tuple[bool, int]] = []
@@ -305,6 +315,7 @@ def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) -> Non
         np.testing.assert_array_equal(shown, frame.image)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "quirk", [Quirk.MODE_BEFORE_SOURCE, Quirk.SOURCE_CLEARS_MODE, Quirk.EXPOSURE_TIME_ABS]
 )
@@ -320,6 +331,7 @@ def test_firmware_with_habits_is_triggered_all_the_same(quirk: Quirk) -> None:
         assert [1500.0] == [request.exposure_us for request in cell.left_sensor.requests]
 
 
+@pytest.mark.slow
 def test_a_clamped_exposure_is_named() -> None:
     """20 ms became 10 ms without a word: both are in the error."""
 
@@ -331,6 +343,7 @@ def test_a_clamped_exposure_is_named() -> None:
         run(script, left_camera(exposure_us=20_000.0))
 
 
+@pytest.mark.slow
 def test_a_camera_with_few_nodes_is_triggered_by_software() -> None:
     """No lines, no chunks, no PTP, no temperature: nothing of it is missed."""
 
@@ -343,6 +356,7 @@ def test_a_camera_with_few_nodes_is_triggered_by_software() -> None:
         assert 1 == cell.left_sensor.saw(frame.image)
 
 
+@pytest.mark.slow
 def test_an_exposure_that_changed_behind_our_back_is_a_fault(cell: Cell) -> None:
     """With chunk data each image says how long it was exposed: another time is no result."""
 
@@ -356,6 +370,7 @@ def test_an_exposure_that_changed_behind_our_back_is_a_fault(cell: Cell) -> None
     run(script, left_camera(exposure_us=2000.0, chunks=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tick_hz", [125_000_000, 1_000])
 def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None:
     """Ticks of 8 ns, and of a millisecond: the bound says so, the truth is within it."""
@@ -372,6 +387,7 @@ def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None:
             assert frame.exposed_bound_ns >= 10**9 / tick_hz / 2
 
 
+@pytest.mark.slow
 def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
     """Ten times what a crystal may be off: it is mapped anew with each reading, and said once."""
 
@@ -392,6 +408,7 @@ def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.LogCap
     assert "more than 200 ppm off" in line
 
 
+@pytest.mark.slow
 def test_a_clock_that_jumps_is_mapped_anew(cell: Cell) -> None:
     """Set back by an hour between two images: the next one is timed as well as the one before."""
 

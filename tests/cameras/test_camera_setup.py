@@ -60,6 +60,7 @@ def test_format_codes_are_those_that_aravis_knows() -> None:
 # --- identity -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_another_camera_than_the_expected_is_refused(cell: Cell) -> None:
     """Swapped addresses: the error names both serial numbers, and has a code of its own."""
     reason = refused(WrongCamera, serial="EDGED-T2")
@@ -67,6 +68,7 @@ def test_another_camera_than_the_expected_is_refused(cell: Cell) -> None:
     assert "camera left: 127.0.40.1 has the serial number 'EDGED-T1', expected 'EDGED-T2'" == reason
 
 
+@pytest.mark.slow
 def test_the_expected_camera_opens(cell: Cell) -> None:
     """With its serial number given beside the address."""
     run(lambda camera: camera.open(), left_camera(serial="EDGED-T1"))
@@ -91,6 +93,7 @@ def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
 # --- geometry -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_region_is_put_back_in_its_place(cell: Cell) -> None:
     """The calibration is of the whole image: the region lies where the sensor saw it, black around."""
     region = {"Width": 160, "Height": 100, "OffsetX": 32, "OffsetY": 20}
@@ -107,6 +110,7 @@ def test_a_region_is_put_back_in_its_place(cell: Cell) -> None:
     np.testing.assert_array_equal(whole, frame.image)
 
 
+@pytest.mark.slow
 def test_a_size_that_was_not_calibrated_is_refused(cell: Cell) -> None:
     """A rig of another sensor: both sizes are named before anything is measured."""
     reason = refused(calibrated=(1280, 960))
@@ -114,6 +118,7 @@ def test_a_size_that_was_not_calibrated_is_refused(cell: Cell) -> None:
     assert f"its image is {WIDTH}x{HEIGHT} px, the rig was calibrated with 1280x960" in reason
 
 
+@pytest.mark.slow
 def test_a_region_that_another_program_left_behind_is_refused(cell: Cell) -> None:
     """The picture looks the same and measures wrong: unless the configuration says so, it is an error."""
     cell.left.registers.put(g.WIDTH, 160)
@@ -124,12 +129,14 @@ def test_a_region_that_another_program_left_behind_is_refused(cell: Cell) -> Non
     run(lambda camera: camera.open(), left_camera(features=stated))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["TriggerMode", "TriggerSource", "AcquisitionMode"])
 def test_the_trigger_is_not_set_behind_its_back(cell: Cell, name: str) -> None:
     """Features that belong to the trigger mode are refused by name."""
     assert f"{name}: belongs to the trigger" in refused(features=({name: "Off"},))
 
 
+@pytest.mark.slow
 def test_groups_of_features_are_written_one_after_another(cell: Cell) -> None:
     """The later one counts; a mistake in the second keeps the first from being written."""
     run(lambda camera: camera.open(), left_camera(features=({"Gain": 3.0}, {"Gain": 5.0})))
@@ -142,6 +149,7 @@ def test_groups_of_features_are_written_one_after_another(cell: Cell) -> None:
 # --- the network ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_packet_delay_reaches_the_camera(cell: Cell) -> None:
     """In ticks of its clock; left to itself nothing is delayed on loopback."""
     run(lambda camera: camera.open(), left_camera(neighbour=RIGHT))
@@ -151,6 +159,7 @@ def test_the_packet_delay_reaches_the_camera(cell: Cell) -> None:
     assert 12_500 == cell.left.registers.word(g.PACKET_DELAY)
 
 
+@pytest.mark.slow
 def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
     """After five images: as many complete, none failed, the sensor's 41.5 °C, a clock known to 10 ms."""
 
@@ -174,6 +183,7 @@ def texts_of(head: StereoHead) -> dict[str, list[str]]:
     return {camera: [part["text"] for part in parts] for camera, parts in camera_facts(head).items()}
 
 
+@pytest.mark.slow
 def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) -> None:
     """That they are not connected while they are closed; then temperature, clock, images, packets of both."""
     section = CamerasSection.model_validate({"left": {"device": LEFT}, "right": {"device": RIGHT}})
@@ -196,6 +206,7 @@ def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) -> Non
 # --- time ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_time_of_an_exposure_is_within_its_stated_bound(cell: Cell) -> None:
     """UTC by the camera's stamp: the simulator knows the truth."""
 
@@ -215,6 +226,7 @@ def test_the_time_of_an_exposure_is_within_its_stated_bound(cell: Cell) -> None:
 # --- free run -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -> None:
     """Each capture is a new pair of one moment; nothing that was exposed before it was asked for."""
     head = StereoHead(
@@ -264,6 +276,7 @@ def test_what_a_free_running_camera_exposed_just_before_the_request_is_old(cell:
     assert min(asyncio.run(main())) > 0
 
 
+@pytest.mark.slow
 def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:
     """Exposure by exposure in order, none twice; the limit allows for any phase of both."""
     head = StereoHead(

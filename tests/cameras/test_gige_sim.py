@@ -184,6 +184,7 @@ def test_stopping_leaves_nothing_behind() -> None:
             pass
 
 
+@pytest.mark.slow
 @needs_aravis
 def test_aravis_finds_two_cameras_of_one_process() -> None:
     """Broadcast discovery is answered by both."""

@@ -145,6 +145,7 @@ def test_a_line_is_wired_one_way(camera: GigeCamera) -> None:
         assert camera.line("Line2").level(time.monotonic_ns()), "an inverted output rests high"
 
 
+@pytest.mark.slow
 def test_an_action_needs_both_keys_and_a_common_bit(camera: GigeCamera) -> None:
     """Others' actions are neither done nor acknowledged (GigE Vision 2.0, 14.3)."""
     with acquiring(ADDRESS, **ON_ACTION) as stream:

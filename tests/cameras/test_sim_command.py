@@ -89,6 +89,7 @@ def test_quit_ends_it() -> None:
     assert other.ended() == 0
 
 
+@pytest.mark.slow
 @tool("arv-tool-0.8", "aravis-tools-cli")
 def test_aravis_tool_lists_both_cameras(sim: Sim) -> None:
     """Vendor, model, serial number and address."""

@@ -189,6 +189,7 @@ def test_a_part_of_the_names():
     assert ["cell1", "cell1"] == [line.split()[0] for line in text.splitlines()]
 
 
+@pytest.mark.slow
 def test_a_script_waits_no_longer_than_it_says(capsys):
     """`--count 1 --timeout` where nobody publishes: exit status 1, and a word of why."""
     options = WatchOptions((f"tcp/127.0.0.1:{free_port()}",), count=1, timeout_s=4.5)
@@ -197,6 +198,7 @@ def test_a_script_waits_no_longer_than_it_says(capsys):
     assert "does a cell or router run and listen there?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_router_that_goes_is_said(capsys):
     """What stands on the screen is old from then on; when it is back, that is said too."""
     port, codes = free_port(), []
@@ -247,6 +249,7 @@ def test_certificates_that_cannot_be_are_refused(tmp_path, monkeypatch, options,
         watch(WatchOptions(connect, tls=tls), Console(file=io.StringIO()))
 
 
+@pytest.mark.slow
 def test_a_router_with_mtls_lets_a_certificate_in(tmp_path):
     """Certificate, key and authority of the command line; without them nothing is heard."""
     make_certificates(tmp_path)

@@ -176,6 +176,7 @@ def test_a_wrong_baseline_is_seen_by_the_length_and_not_by_the_rows(share: float
     assert lengths == pytest.approx([0.0, 100 * (share - 1)], abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_turned_camera_is_seen_by_the_rows() -> None:
     """The right camera nods by 1 mrad, 1.6 px; what no pose of the part explains of it is twice the limit."""
     flat = cells.flange()

@@ -95,6 +95,7 @@ def test_nobody_else_hears_of_pictures_in_setup() -> None:
     assert [] == [event for event in ear.events if isinstance(event, Snapshot | ExposureDone)]
 
 
+@pytest.mark.slow
 def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> None:
     """Not before: in SETUP a cable may be in somebody's hand."""
 
@@ -214,6 +215,7 @@ def test_setup_is_left_by_a_person_only() -> None:
     drive(LACKING, script)
 
 
+@pytest.mark.slow
 def test_no_tick_is_made_up_for_after_setup() -> None:
     """A free-running cell goes on with one cycle, and has missed none."""
 

@@ -702,6 +702,7 @@ def test_repeated_faults_do_not_grow_their_traceback() -> None:
     assert lengths[1] == lengths[-1]
 
 
+@pytest.mark.slow
 def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> None:
     """A thousand exposures with random faults: every pair that comes out is one exposure, and new."""
     random = np.random.default_rng(7)

@@ -229,6 +229,7 @@ def test_looking_at_the_audit_tells_nothing_of_roots(
     assert "treasure" not in "".join(capsys.readouterr())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OF_FILES)
 def test_a_daemon_that_is_root_follows_no_link_either(machine: Machine, name: str) -> None:
     """Its files' owner is the folder's, by descriptor; a link in place of one is an error or is replaced."""
@@ -297,6 +298,7 @@ def test_a_file_that_root_asks_for_is_not_written_through_a_folder_that_is_a_lin
     assert b"rig" == (machine.above / "aside" / "rig.json").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_backup_is_not_written_through_a_folder_that_is_a_link(cell: Path, machine: Machine) -> None:
     """It is refused where root's own folder would get it."""
     folder_linked(machine)
@@ -425,6 +427,7 @@ def test_roots_own_folder_needs_nobody_else(machine: Machine) -> None:
             assert (0, place) == (os.geteuid(), same)
 
 
+@pytest.mark.slow
 def test_root_runs_no_code_from_a_cache_of_the_daemons_user(machine: Machine) -> None:
     """numba runs what it finds in its cache: root compiles beside the program instead, and says so."""
     cache = machine.state / "numba"

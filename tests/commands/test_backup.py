@@ -55,6 +55,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_a_restored_cell_is_the_same_cell(cell: Path, archive: Archive, tmp_path: Path) -> None:
     """Every file to the last byte, and the fingerprint that its results carry, in another folder."""
     assert 0 == restore(archive[0], tmp_path / "new" / "cell", QUIET)

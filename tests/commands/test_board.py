@@ -27,6 +27,7 @@ def printed(spec: str, folder: Path, paper: str | None = None) -> Image:
     return np.ascontiguousarray(np.squeeze(page.render(scale=DPI / 72, grayscale=True).to_numpy()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spec", SPECS)
 def test_the_printed_board_is_found_in_its_size(spec: str, tmp_path: Path) -> None:
     """Every mark, and each distance of two to a thousandth: rounding of the page to whole px."""

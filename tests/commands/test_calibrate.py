@@ -109,6 +109,7 @@ def test_a_report_does_not_replace_the_rig(pictures: Path, tmp_path: Path) -> No
     assert not (tmp_path / "x.json").exists()
 
 
+@pytest.mark.slow
 def test_jpeg_and_bmp_are_read_too(folder: Path, tmp_path: Path) -> None:
     """Pictures may be of any format OpenCV reads without loss of meaning."""
     for number, suffix in ((0, ".jpg"), (1, ".bmp"), (2, ".TIF")):

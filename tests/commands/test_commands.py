@@ -87,6 +87,7 @@ def taught(pristine: Path, cell: VirtualCell) -> tuple[PreparedRig, Job]:
     return prepare(cell.rig), load_job(pristine / "jobs" / "flange")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(POSES))
 def test_the_part_is_located_anywhere(
     cell: VirtualCell, taught: tuple[PreparedRig, Job], number: int
@@ -107,6 +108,7 @@ def test_the_part_is_located_anywhere(
     assert again.targets[0].match == target.match
 
 
+@pytest.mark.slow
 def test_images_that_cannot_be_one_pair_are_no_result(
     cell: VirtualCell, taught: tuple[PreparedRig, Job]
 ) -> None:
@@ -217,6 +219,7 @@ def test_locate_refuses_what_it_cannot_use(
     assert err.startswith("edged: ")
 
 
+@pytest.mark.slow
 def test_every_command_has_help_under_both_names(edged: Edged) -> None:
     """-h as well as --help, also of commands of commands."""
     for command in ((), ("teach",), ("calibrate",), ("register",), ("register", "touch"), ("rig", "convert")):
@@ -272,6 +275,7 @@ def test_numbers_of_jobs_do_not_collide(edged: Edged, folder: Path) -> None:
     assert load_job(second).number == 2
 
 
+@pytest.mark.slow
 def test_an_edited_tolerance_survives_teaching_again(edged: Edged, folder: Path) -> None:
     """It is in the new job, and on the terminal."""
     path = folder / "jobs" / "flange" / "job.toml"
@@ -283,6 +287,7 @@ def test_an_edited_tolerance_survives_teaching_again(edged: Edged, folder: Path)
     assert load_job(folder / "jobs" / "flange").limits.max_sigma_mm == 0.04
 
 
+@pytest.mark.slow
 def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) -> None:
     """On the terminal, for programs and in the report, which shows the region; the job is written."""
     r = flange().region
@@ -297,6 +302,7 @@ def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) ->
     assert "what is cut red" in page
 
 
+@pytest.mark.slow
 def test_teach_says_what_a_tilt_takes(edged: Edged, folder: Path) -> None:
     """--tilt stands in the job; how many views that are and how deep the part then reaches is said."""
     code, out, err = edged(*teach_arguments(folder, tilt=45))

@@ -102,6 +102,7 @@ def test_mistakes_of_the_configuration_come_first(folder: Path, capsys: pytest.C
     assert f"{out.count('BAD')} checks, {out.count('BAD')} bad" in out
 
 
+@pytest.mark.slow
 def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folder: Path) -> None:
     """Machine, ports and cameras come before rig and jobs; pictures, which the rig judges, do not."""
     (folder / "rig.json").unlink()
@@ -141,6 +142,7 @@ def test_pictures_of_another_size_are_named(folder: Path) -> None:
     assert "calibrated for another size" in check.consequence
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing())
 def test_a_response_that_is_not_linear_is_named(folder: Path) -> None:
     """A camera whose Gamma is 0.5, as it says itself: with the remedy, and of the other one not a word."""
@@ -156,6 +158,7 @@ def test_a_response_that_is_not_linear_is_named(folder: Path) -> None:
     assert "right response" not in found
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing())
 def test_cameras_that_do_not_answer_are_named(folder: Path) -> None:
     """With those that do: it is mostly a mistyped serial number."""

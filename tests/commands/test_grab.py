@@ -161,6 +161,7 @@ def test_a_terminal_is_asked_before_each_pair(tmp_path: Path, monkeypatch: pytes
     assert 2 == len(re.findall("press Enter", said.getvalue()))
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_is_found_before_the_cameras_are(tmp_path: Path) -> None:
     """A file in its place is named; no camera is asked for."""
     options = DemoOptions(modbus_port=1, zenoh_port=2)
@@ -170,6 +171,7 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_cameras_are(tmp_pat
         grab(tmp_path / "cell.toml", tmp_path / "out", 1, "pair", Console())
 
 
+@pytest.mark.slow
 def test_grab_saves_pairs_for_calibrate_and_teach(tmp_path: Path) -> None:
     """Under the names that the other commands look for, without loss."""
     prepare_cell(tmp_path, VirtualCell(demo_rig(), demo_part()), DemoOptions(), gige=False)

@@ -69,6 +69,7 @@ def where(folder: Path, brand: Brand) -> str:
     return ",".join(f"{number:.9f}" for number in pose_of(brand, robot_from_tcp))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("brand", [Brand.KUKA, Brand.ABB, Brand.UR])
 def test_where_the_robot_stands_becomes_a_grasp(
     folder: Path, brand: Brand, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

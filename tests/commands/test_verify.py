@@ -86,6 +86,7 @@ def run(
     return code, said.getvalue()
 
 
+@pytest.mark.slow
 def test_a_rig_that_holds_is_ok(folder: Path) -> None:
     """The rig that took the picture passes; what the rows alone cannot see is said."""
     code, said = run(folder, board=SPEC)

@@ -224,6 +224,7 @@ def name_of(reader: str, what: str) -> str:
     return f"{reader}: {what}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "expected"),
     [pytest.param(name_of(*one[:2]), one[3], id=name_of(*one[:2])) for one in BOMBS],

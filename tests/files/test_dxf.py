@@ -171,6 +171,7 @@ def disordered(lines: list[Line], data: st.DataObject, gap_mm: float) -> list[Li
     return data.draw(st.permutations([(b, a) if flip else (a, b) for a, b, flip in pairs]))
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.data(), st.lists(st.integers(3, 7), min_size=1, max_size=4), st.sampled_from([0.0, 0.001, 0.0199]))
 def test_lines_in_any_order_and_direction_close(
@@ -185,6 +186,7 @@ def test_lines_in_any_order_and_direction_close(
     assert found == pytest.approx(sorted(polygon_area(n, 5.0) for n in corners), abs=40 * gap_mm + 1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.data(), st.integers(3, 6), st.sampled_from([2e-4, 0.005, 0.019]))
 def test_outlines_that_nearly_touch_stay_two(
@@ -201,6 +203,7 @@ def test_outlines_that_nearly_touch_stay_two(
     assert found == pytest.approx(sorted([polygon_area(corners, 5.0), polygon_area(4, 5.0)]), abs=0.01)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.data(), st.integers(3, 7))
 def test_a_line_drawn_twice_is_named(
@@ -244,6 +247,7 @@ def bomb(kind: str) -> Drawing:
     return document
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["circle", "arc", "ellipse", "bulge", "spline", "blocks"])
 def test_a_drawing_that_would_fill_the_memory_is_refused(kind: str, tmp_path: Path) -> None:
     """Before it is drawn in full, with a sentence, and a code for the page."""
@@ -252,6 +256,7 @@ def test_a_drawing_that_would_fill_the_memory_is_refused(kind: str, tmp_path: Pa
     assert "large" == caught.value.code
 
 
+@pytest.mark.slow
 def test_a_drawing_that_costs_too_much_is_refused(tmp_path: Path) -> None:
     """Whatever it is in it that costs so much: memory, or time. What is read afterwards is read as before."""
     document = ezdxf.new(units=MM)

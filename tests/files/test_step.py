@@ -100,6 +100,7 @@ def test_a_cut_rim_is_one_circle() -> None:
     assert 1 - 2 * math.asin(1.4 / 16) / math.tau == pytest.approx(rim.span, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_underside_shows_its_own_edges() -> None:
     """From below, the through holes on the lower face; the boss is not to be seen."""
     below = curves_towards(read_step(DATA / "D2.step"), np.array([0.0, 0.0, 1.0]))

@@ -106,6 +106,7 @@ def test_a_part_turned_inside_out_is_the_same_part(tmp_path: Path) -> None:
     assert (False, True) == (disc.hole, hole.hole)
 
 
+@pytest.mark.slow
 def test_a_part_of_200_000_facets_is_read(tmp_path: Path) -> None:
     """Its outer wall is of 50 rows; its rims have 2,000 chords each, and are two circles."""
     corners = ring(2000, 30.0, 20.0, 5.0, rows=50)

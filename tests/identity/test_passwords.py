@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from edged.identity.passwords import hash_password, is_password
 
 PASSWORD = "correct horse"
 
 
+@pytest.mark.slow
 def test_only_the_password_itself_fits_its_hash() -> None:
     """Not another one, nor the hash."""
     hashed = hash_password(PASSWORD)
@@ -16,6 +19,7 @@ def test_only_the_password_itself_fits_its_hash() -> None:
     assert not is_password(hashed, hashed)
 
 
+@pytest.mark.slow
 def test_two_hashes_of_one_password_differ() -> None:
     """Each has a salt: nobody sees who has the same password."""
     assert hash_password(PASSWORD) != hash_password(PASSWORD)

@@ -95,6 +95,7 @@ def test_shares_are_counted() -> None:
 # --- a hand is waved ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("waved", SIDES)
 def test_the_camera_with_the_hand_is_found(cell: VirtualCell, waved: Side) -> None:
     """Also with light that flickers by a fifth, with little light, and with a board that trembles in both."""

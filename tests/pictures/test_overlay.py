@@ -71,6 +71,7 @@ def with_reject(inspection: PairInspection, reject: Reject) -> PairInspection:
     return replace(inspection, measured=measured)
 
 
+@pytest.mark.slow
 def test_a_result_shows_verdict_reference_fits_and_residuals() -> None:
     """A green badge; in either image gold for the reference, green for the others, magenta for residuals."""
     _, job = taught()
@@ -84,6 +85,7 @@ def test_a_result_shows_verdict_reference_fits_and_residuals() -> None:
         assert min(count(images, colour) for colour in (GOLD, GREEN, MAGENTA)) > 10
 
 
+@pytest.mark.slow
 def test_a_rejected_result_is_red_and_says_why() -> None:
     """The badge and the mark on the part are red; every bit of the reasons has words."""
     _, job = taught()

@@ -31,6 +31,7 @@ WORD = st.integers(0, 0xFFFF)
 PAGE = Path(__file__).parents[2] / "docs/how-to/plc.md"
 
 
+@pytest.mark.slow
 @given(WORD, st.sampled_from(sorted(COMMANDS)), WORD, st.booleans(), st.booleans(), st.data())
 @settings(max_examples=100, derandomize=True)
 def test_a_request_is_read_as_it_was_written(

@@ -295,6 +295,7 @@ def test_the_table_lists_all_targets_and_shows_only_those_that_are_good() -> Non
     assert int(Reject.LOW_SCORE) == rows[1]["T1_REJECT"]
 
 
+@pytest.mark.slow
 @given(
     st.floats(allow_nan=True, allow_infinity=True),
     st.floats(allow_nan=True, allow_infinity=True),

@@ -77,6 +77,7 @@ def test_a_cell_that_leaves_the_old_result_up_is_caught(monkeypatch: pytest.Monk
     assert any("not the newest command" in violation for violation in Soak(1).run(600.0).violations)
 
 
+@pytest.mark.slow
 def test_a_cell_that_answers_twice_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor to a second answer."""
     real = hs.step
@@ -130,6 +131,7 @@ def found(what: str) -> bool:
     return Soak(1, until=what).run(3600.0).is_found
 
 
+@pytest.mark.slow
 def test_a_cell_that_runs_the_first_number_after_a_start_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """A PLC that goes on writing the same registers makes a new daemon run an old command."""
     real = hs.step

@@ -56,6 +56,7 @@ def published(target: Target, robot: FloatArray | None, registration: FloatArray
     return np.diag(robot_covariance(target, robot, registration))
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(MAGNITUDES, MAGNITUDES, MAGNITUDES, MAGNITUDES, st.integers(0, 10_000), st.booleans(), st.booleans())
 def test_the_terms_add_up_to_the_last_bit(

@@ -114,6 +114,7 @@ def test_one_wrong_point_stands_out_when_left_out() -> None:
     assert held_out[4] > 2 * np.sort(held_out)[-2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [5, 6, 12])
 def test_the_wrong_point_is_named_and_no_innocent_one(number: int) -> None:
     """4 mm in one point, wherever it lies: innocent points often have the larger held-out error."""
@@ -144,12 +145,14 @@ def test_of_four_points_in_a_plane_none_is_blamed_for_a_height() -> None:
     assert found.held_out_mm.min() > 0.4
 
 
+@pytest.mark.slow
 def test_good_points_have_no_culprit() -> None:
     """Of 300 draws of six points with noise, in fewer than one in fifty one is blamed."""
     rng = np.random.default_rng(6)
     assert sum(register_points(*points(rng, 6, 0.1)).culprit is not None for _ in range(300)) < 6
 
 
+@pytest.mark.slow
 def test_three_points_are_enough_and_know_how_little_they_know() -> None:
     """The error in units of the stated covariance is 1 in the mean also with three degrees of freedom."""
     rng, ratios = np.random.default_rng(7), []

@@ -71,6 +71,7 @@ def agree(wanted: FloatArray, seen: FloatArray) -> bool:
     return bool(np.abs((seen - wanted) / np.outer(sigma, sigma)).max() < 5 * np.sqrt(2 / DRAWS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_sigma_of_another_point_is_that_of_many_drawn_poses(seed: int) -> None:
     """70 mm beside the reference point, its axes turned over, in the rig's frame."""
@@ -80,6 +81,7 @@ def test_the_sigma_of_another_point_is_that_of_many_drawn_poses(seed: int) -> No
     assert agree(reporting(covariance).as_reported.covariance, seen_spread(poses, FAR))
 
 
+@pytest.mark.slow
 def test_the_registration_of_the_robot_is_in_it() -> None:
     """In the robot's frame, where the rig's place is drawn, too: it turns about the robot's origin."""
     covariance, registration = spread(4), 0.3 * spread(5)

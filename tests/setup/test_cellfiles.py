@@ -38,6 +38,7 @@ def folder(taught: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(taught, tmp_path / "cell"))
 
 
+@pytest.mark.slow
 def test_a_job_that_was_taught_again_is_one_job(folder: Path) -> None:
     """The older one that is kept beside it is no second job, and does not change the fingerprint."""
     assert (folder / "jobs" / "flange.old").is_dir()

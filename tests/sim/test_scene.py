@@ -83,6 +83,7 @@ def test_lenses_agree_with_the_pipelines(camera: CameraModel) -> None:
     np.testing.assert_allclose(lens.pixels_of_rays(camera, rays), pixels, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_lens_that_folds_is_refused() -> None:
     """A lens without a single ray for each pixel cannot be rendered and says so."""
     with pytest.raises(ValueError, match="folds"):
@@ -399,6 +400,7 @@ S = 1_000_000_000
 MS = 1_000_000
 
 
+@pytest.mark.slow
 def test_both_cameras_see_one_scene(cell: VirtualCell) -> None:
     """Two exposures a few ms apart are one pair, whatever their ids and whichever comes first."""
     assert seen_by(cell, "left", 1, 1 * S) == seen_by(cell, "right", 41, 1 * S + 8 * MS) == 0
@@ -494,6 +496,7 @@ def test_a_part_too_large_is_refused() -> None:
         next(calibration_views(demo_rig(), chessboard_plate(11, 8, 40.0), 1))
 
 
+@pytest.mark.slow
 def test_history_is_bounded(cell: VirtualCell) -> None:
     """Truth is forgotten in the end: a cell that runs for a year does not grow."""
     for k in range(1100):
@@ -505,6 +508,7 @@ def test_history_is_bounded(cell: VirtualCell) -> None:
 # --- calibration plates ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_chessboard_corners_are_where_the_truth_says() -> None:
     """OpenCV finds the corners of rendered boards at their projections: no half pixel, no swapped axis."""
     rig, plate = demo_rig(), chessboard_plate(11, 8, 4.0)

@@ -122,6 +122,7 @@ def test_who_is_asked_again_comes_nearer() -> None:
 # --- what is shown -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_board_is_where_the_truth_says_and_both_cameras_see_one_moment(cell: VirtualCell) -> None:
     """A board that moves all the time: its corners lie at their projections in both pictures of a pair."""
     cell.show("board", lambda at_ns: at(-12 + at_ns / S, -14, 200))
@@ -135,6 +136,7 @@ def test_a_board_is_where_the_truth_says_and_both_cameras_see_one_moment(cell: V
         np.testing.assert_allclose(found.pixels, cell.view(side).project(points)[found.ids], atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_covered_board_is_not_found_and_nothing_is_nothing(cell: VirtualCell) -> None:
     """Fingers hide marks; an empty table has neither board nor part."""
     cell.show("board", at(-12, -14, 200), covered=True)
@@ -156,6 +158,7 @@ def test_a_hand_before_one_camera_is_seen_by_that_one_alone(cell: VirtualCell) -
     cell.wave(None)
 
 
+@pytest.mark.slow
 def test_the_ring_of_a_lens_blurs_its_picture_alone() -> None:
     """Turned away from sharp, what a board's corners tell of the blur is what the ring says."""
     cell = VirtualCell(demo_rig(), demo_part(), board=stage_board())

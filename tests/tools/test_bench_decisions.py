@@ -42,6 +42,7 @@ def rejects(left: Image, right: Image) -> list[Reject]:
     return [target.reject for target in locate(frame_pair(left, right), taught().job, taught().rig).targets]
 
 
+@pytest.mark.slow
 def test_both_cameras_must_show_what_decides() -> None:
     """All circles agree, and the right camera shows the slot elsewhere: in doubt, as with a bar's edge."""
     (left, right), (_, turned) = seen(20.0), seen(110.0)
@@ -49,6 +50,7 @@ def test_both_cameras_must_show_what_decides() -> None:
     assert [Reject.AMBIGUOUS_ROTATION] == rejects(left, turned)
 
 
+@pytest.mark.slow
 def test_one_camera_decides_where_the_other_sees_nothing() -> None:
     """What is hidden on the right, whichever half of the part, speaks for no rotation there.
 

@@ -114,6 +114,7 @@ def test_every_command_is_in_the_readme() -> None:
     assert set() == set(typer.main.get_command(app).commands) - told
 
 
+@pytest.mark.slow
 def test_the_search_finds_commands_and_mistakes() -> None:
     """As many as there are pages with examples; an option that a command does not take is seen."""
     assert sum(len(list(_commands(page.read_text()))) for page in PAGES) > 50
@@ -191,6 +192,7 @@ CAPITALS = re.compile(r"\b(?:[A-Z]+[a-z]+){2,}\b|\b[A-Z]{2,}(?:_[A-Z0-9]+)+\b")
 """A class, a constant, a register, a bit."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_every_name_in_the_documentation_exists(page: Path) -> None:
     """Classes and constants in code, and options that a sentence names without their command."""

@@ -57,6 +57,7 @@ def _decorators(source: Path) -> Iterator[str]:
             yield ast.unparse(called).rpartition(".")[2]
 
 
+@pytest.mark.slow
 def test_every_kernel_is_compiled_by_warm() -> None:
     """It walks through edged.vision and edged.sim: elsewhere, one would be compiled when the cell starts."""
     walked = {
@@ -145,6 +146,7 @@ def _entered(work: Callable[[], object]) -> set[str]:
     return {_name(Path(name)) for name in entered if name.startswith(str(HOUSE))}
 
 
+@pytest.mark.slow
 def test_the_way_of_a_measurement_is_short() -> None:
     """From `inspect` to the demo's measured flange no more files are entered than today."""
     cell = VirtualCell(demo_rig(), demo_part())

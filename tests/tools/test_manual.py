@@ -79,6 +79,7 @@ def pages_of(site: Path) -> dict[str, _Html]:
     return {name: _Html((site / name).read_text()) for name in names}
 
 
+@pytest.mark.slow
 def test_every_page_of_the_manual_is_built(site: Path) -> None:
     """Each page of docs/, under its own name."""
     sources = {page.relative_to(ROOT / "docs") for page in PAGES}

@@ -42,6 +42,7 @@ def flaws(text: str) -> list[str]:
     return [*found, *([] if rows else ["no rows"])]
 
 
+@pytest.mark.slow
 def test_every_promise_names_a_test_that_is_there() -> None:
     """Whoever renames a test renames it on the page."""
     assert [] == flaws(PAGE.read_text())

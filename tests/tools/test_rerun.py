@@ -56,6 +56,7 @@ $ no command
 """
 
 
+@pytest.mark.slow
 def test_what_stood_below_a_command_is_replaced(tool: ModuleType, machine: object) -> None:
     """Files of the page are there, other blocks stay, a program of another terminal goes on."""
     expected = PAGE.replace("what it said long ago\n", "two\none\n").replace("and more\n", "")

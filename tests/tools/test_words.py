@@ -8,6 +8,8 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 TREES = {path: ast.parse(path.read_text()) for path in sorted((ROOT / "edged").rglob("*.py"))}
 
@@ -48,6 +50,7 @@ def _words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]
 
 
+@pytest.mark.slow
 def test_no_public_class_name_stands_twice() -> None:
     """But for those that are still to be renamed."""
     places = defaultdict[str, set[Path]](set)
@@ -59,6 +62,7 @@ def test_no_public_class_name_stands_twice() -> None:
     assert {} == {name: found for name, found in places.items() if len(found) > 1 and name not in TWICE}
 
 
+@pytest.mark.slow
 def test_names_are_words_of_the_field() -> None:
     """Modules and what they define; fewer of the banned words than there were, and never more."""
     found = Counter(

@@ -95,6 +95,7 @@ def on_the_page(
     asyncio.run(bounded())
 
 
+@pytest.mark.slow
 def test_thumbnails_open_and_zoom_with_wheel_buttons_and_keys() -> None:
     """A click enlarges a cycle; both pictures show the same part; the next cycle keeps it; Escape closes."""
 
@@ -134,6 +135,7 @@ def test_thumbnails_open_and_zoom_with_wheel_buttons_and_keys() -> None:
     on_the_page(test)
 
 
+@pytest.mark.slow
 def test_a_fault_opens_with_its_reason_and_its_count() -> None:
     """The first of two alike has its pictures; the live picture opens, too, and what comes later is newer."""
 
@@ -158,6 +160,7 @@ def test_a_fault_opens_with_its_reason_and_its_count() -> None:
     on_the_page(test)
 
 
+@pytest.mark.slow
 def test_the_sigma_has_a_bar_with_a_remedy_for_each_part() -> None:
     """As long as the sigma, each part by its share of the variance; what is beyond the limit is said."""
     target = make_target()
@@ -220,6 +223,7 @@ LANGUAGE = """(() => { const list = document.querySelector("#language"); list.va
   list.dispatchEvent(new Event("change", {bubbles: true})); })()"""
 
 
+@pytest.mark.slow
 def test_it_speaks_german_throughout() -> None:
     """As chosen, and after a reload: every word that can be read stands in the German texts; numbers have
     their comma; a browser in English says the same by the English texts.
@@ -254,6 +258,7 @@ def test_it_speaks_german_throughout() -> None:
     on_the_page(test)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 1280])
 def test_no_word_is_written_into_the_page(width: int) -> None:
     """With texts that are stretched and marked, whatever can be read or heard carries the mark, and fits; of
@@ -282,6 +287,7 @@ def test_no_word_is_written_into_the_page(width: int) -> None:
     on_the_page(test, width, 844, query="?pseudo")
 
 
+@pytest.mark.slow
 def test_texts_that_come_while_a_language_is_chosen_are_in_it() -> None:
     """Whichever of both ends first."""
 
@@ -293,6 +299,7 @@ def test_texts_that_come_while_a_language_is_chosen_are_in_it() -> None:
     on_the_page(test)
 
 
+@pytest.mark.slow
 def test_a_lost_cell_is_not_shown_as_present() -> None:
     """Also where the language is chosen meanwhile."""
 
@@ -308,6 +315,7 @@ def test_a_lost_cell_is_not_shown_as_present() -> None:
     on_the_page(test)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["leave", "freeze"])
 def test_a_page_that_comes_back_from_the_browsers_memory_is_live_again(way: str) -> None:
     """What stands on it is not shown as present until then; nothing is reloaded."""
@@ -323,6 +331,7 @@ def test_a_page_that_comes_back_from_the_browsers_memory_is_live_again(way: str)
     on_the_page(test)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 768, 1400])
 def test_nothing_is_wider_than_the_window(width: int) -> None:
     """Neither the page nor the enlarged pictures, which two fingers zoom."""

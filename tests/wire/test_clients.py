@@ -182,6 +182,7 @@ def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None
             client.locate()
 
 
+@pytest.mark.slow
 def test_structured_text_tries_all_jobs() -> None:
     """xAllJobs, taken at the rising edge like everything that says what to do."""
     cell = LiveCell()

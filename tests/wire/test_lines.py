@@ -538,6 +538,7 @@ def test_no_stranger_makes_a_robot_go(monkeypatch: pytest.MonkeyPatch) -> None:
         assert [LineStatus.NOT_UNDERSTOOD] * 8 == [robot.ask("")[1] for robot in robots]
 
 
+@pytest.mark.slow
 def test_a_robot_that_waits_for_its_picture_is_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its command is under way: seven others make room before it does."""
     monkeypatch.setattr(lines, "SILENT_S", 0.1)

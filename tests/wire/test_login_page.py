@@ -67,6 +67,7 @@ def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_best() ->
     run(test)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tag", "wrong", "differ", "short", "code", "wait", "storage"),
     [

@@ -568,6 +568,7 @@ def test_who_may_not_write_is_named_once(caplog: pytest.LogCaptureFixture) -> No
     assert {"refused_writer": "127.0.0.1"} == fields_of(line)
 
 
+@pytest.mark.slow
 def test_a_client_that_does_not_read_is_not_answered_for_ever() -> None:
     """Back-pressure: it cannot make the server buffer its answers; others are served meanwhile."""
 
@@ -1015,6 +1016,7 @@ def test_strangers_are_closed_before_the_handshake(tls: TlsSettings) -> None:
     serve_tls(settings, test)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [b"no TLS", b""], ids=["nonsense", "nothing"])
 def test_a_handshake_that_fails_leaves_no_memory(tls: TlsSettings, sent: bytes) -> None:
     """Its buffers, 256 KiB, go with it, without a search for garbage; so do those of a PLC that leaves."""

@@ -169,6 +169,7 @@ def test_part_after_part_by_mbpoll_on_the_serial_line(cable: SerialCable) -> Non
         assert 9 == status["NACK_REASON"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
 def test_tcp_and_rtu_at_once_by_mbpoll(cable: SerialCable) -> None:
     """The same by somebody else's implementation (libmodbus)."""

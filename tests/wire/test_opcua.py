@@ -194,6 +194,7 @@ def test_the_table_has_every_type_of_the_specification_and_each_number_once() ->
     assert [35, 1, 22, 2] == [kinds.count(kind) for kind in ("OT", "VT", "DT", "RT")]
 
 
+@pytest.mark.slow
 def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: OpcUaCell) -> None:
     """As the tables of the specification have them: names, types and arguments of methods."""
     model = read_model()
@@ -277,6 +278,7 @@ def test_a_job_is_a_recipe_and_comes_and_goes_with_the_configuration(open_cell: 
 # --- one command, one result -------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_single_job_ends_in_one_result_with_the_numbers_of_the_payload(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
@@ -306,6 +308,7 @@ def test_a_single_job_ends_in_one_result_with_the_numbers_of_the_payload(
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_an_acknowledged_result_falls_everywhere_in_one_write(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """Coordinates, the latest result and its flag: value gone, status BadNoData, told in one message."""
 
@@ -339,6 +342,7 @@ def test_an_acknowledged_result_falls_everywhere_in_one_write(cell: OpcUaCell, s
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_no_value_that_has_fallen_waits_in_a_slow_subscription(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
@@ -359,6 +363,7 @@ def test_no_value_that_has_fallen_waits_in_a_slow_subscription(
     assert {NO_DATA} == set(asyncio.run(run()))
 
 
+@pytest.mark.slow
 def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secure: OpcUaSettings) -> None:
     """Validity is a promise in time: after it no read gives a coordinate, and subscribers are told."""
 
@@ -379,6 +384,7 @@ def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secure: Op
     assert [NO_DATA, 0, NO_DATA] == [code for _, _, code in changes]
 
 
+@pytest.mark.slow
 def test_a_result_whose_time_is_over_is_not_shown_though_the_cell_is_busy_elsewhere(
     secure: OpcUaSettings,
 ) -> None:
@@ -403,6 +409,7 @@ def test_a_result_whose_time_is_over_is_not_shown_though_the_cell_is_busy_elsewh
         asyncio.run(run(cell))
 
 
+@pytest.mark.slow
 def test_no_read_sees_halves_of_two_results(secure: OpcUaSettings) -> None:
     """Head, tail and every block's sequence of one read belong to one result, in a cell that never rests."""
     names = [
@@ -427,6 +434,7 @@ def test_no_read_sees_halves_of_two_results(secure: OpcUaSettings) -> None:
     assert [] == [one for one in seen if len(set(one)) != 1]
 
 
+@pytest.mark.slow
 def test_a_part_that_no_robot_may_use_has_a_result_and_no_coordinate(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
@@ -446,6 +454,7 @@ def test_a_part_that_no_robot_may_use_has_a_result_and_no_coordinate(
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_verify_gives_no_coordinates_also_not_in_the_content(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """It answers OK or NOK: nothing for a robot."""
 
@@ -461,6 +470,7 @@ def test_verify_gives_no_coordinates_also_not_in_the_content(cell: OpcUaCell, se
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_a_recipe_is_prepared_by_the_handshakes_job_change(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """IsCompleted is false until RecipePrepared says so; one that is loaded needs no command."""
 
@@ -485,6 +495,7 @@ def test_a_recipe_is_prepared_by_the_handshakes_job_change(cell: OpcUaCell, secu
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_a_camera_that_fails_is_a_failed_result_and_the_state_error(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
@@ -511,6 +522,7 @@ def test_a_camera_that_fails_is_a_failed_result_and_the_state_error(
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_a_job_that_does_not_exist_runs_nothing(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """Neither by the specification's method nor by the cell's own: refused, as over Modbus."""
 
@@ -524,6 +536,7 @@ def test_a_job_that_does_not_exist_runs_nothing(cell: OpcUaCell, secure: OpcUaSe
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_only_one_client_commands_at_a_time_whatever_it_speaks(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
@@ -548,6 +561,7 @@ def test_only_one_client_commands_at_a_time_whatever_it_speaks(
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_who_hangs_up_gives_up_its_right_to_write(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """The next client need not wait until it lapses."""
 
@@ -562,6 +576,7 @@ def test_who_hangs_up_gives_up_its_right_to_write(cell: OpcUaCell, secure: OpcUa
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_what_a_cell_cannot_do_is_said(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """BadNotSupported, and the cell measures on."""
     cause = (ua.Variant(0, I32), ua.Variant("", ua.VariantType.String))
@@ -590,6 +605,7 @@ def test_what_a_cell_cannot_do_is_said(cell: OpcUaCell, secure: OpcUaSettings) -
 # --- who may -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_without_certificate_nothing_can_be_read_unless_it_is_allowed(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
@@ -606,6 +622,7 @@ def test_without_certificate_nothing_can_be_read_unless_it_is_allowed(
     asyncio.run(run())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "user", "password"),
     [
@@ -631,6 +648,7 @@ def test_a_wrong_password_no_user_and_a_strange_certificate_are_refused(
     assert 0 == cell.head.captures
 
 
+@pytest.mark.slow
 def test_a_strange_certificate_is_kept_so_that_it_can_be_trusted(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
@@ -649,6 +667,7 @@ def test_a_strange_certificate_is_kept_so_that_it_can_be_trusted(
     assert (folder / "stranger.der").read_bytes() in kept
 
 
+@pytest.mark.slow
 def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) -> None:
     """Also over an encrypted channel; and no password is taken over one that is not."""
 
@@ -698,6 +717,7 @@ def test_a_client_reaches_its_own_subscriptions_only(open_cell: OpcUaCell) -> No
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_a_network_that_is_not_listed_is_not_let_in(secure: OpcUaSettings) -> None:
     """Its connection is closed before a byte is read."""
 
@@ -790,6 +810,7 @@ print(json.dumps(said))
 """
 
 
+@pytest.mark.slow
 def test_another_client_commands_and_reads(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """python-opcua, encrypted; structures arrive under the specification's ids, in OPC UA's binary encoding.
 

@@ -69,6 +69,7 @@ def test_ten_thousand_hostile_frames_leave_no_trace() -> None:
     assert "every read was good" in run.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sent",
     [
@@ -145,6 +146,7 @@ def test_a_request_is_bounded(cell: OpcUaCell) -> None:
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_a_session_holds_a_share_and_no_more(cell: OpcUaCell) -> None:
     """Of subscriptions; they go with it."""
 
@@ -186,6 +188,7 @@ def users(clock: Clock, *, anonymous: bool = False) -> Users:
     return found
 
 
+@pytest.mark.slow
 def test_a_user_with_a_name_may_command_and_nobody_else() -> None:
     """Name and password; without a password who is anonymous may look, where that is allowed."""
     found = users(Clock(), anonymous=True).get_user(None, "operator", PASSWORD)
@@ -206,6 +209,7 @@ def test_no_password_is_looked_at_that_came_unencrypted() -> None:
     assert some.get_user(None, "operator", PASSWORD) is None
 
 
+@pytest.mark.slow
 def test_who_guesses_has_to_wait_and_others_need_not() -> None:
     """Five wrong ones, then not even the right one for half a minute; from another address it is taken."""
     clock = Clock()

@@ -239,6 +239,7 @@ def test_who_is_idle_is_told_so_and_wakes() -> None:
     run(test)
 
 
+@pytest.mark.slow
 def test_users_that_cannot_be_read_let_nobody_in(caplog: pytest.LogCaptureFixture) -> None:
     """It is in the journal; the page goes on, with its own password, and no code makes an engineer."""
 

@@ -29,6 +29,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WalkedCell]:
         yield cell
 
 
+@pytest.mark.slow
 def test_ten_poses_register_the_rig_and_the_robot_measures_at_once(cell: WalkedCell) -> None:
     """Until then nothing is measured; the answer says how good it is; the file of before is kept."""
     before = cell.rig
@@ -53,6 +54,7 @@ def test_ten_poses_register_the_rig_and_the_robot_measures_at_once(cell: WalkedC
     cell.arm.shows = "board"
 
 
+@pytest.mark.slow
 def test_what_adds_nothing_says_so(cell: WalkedCell) -> None:
     """Out of order, too few, the same pose again, no board, no pose: each its own number."""
     walk = cell.arm.walk()
@@ -78,6 +80,7 @@ def test_what_adds_nothing_says_so(cell: WalkedCell) -> None:
         assert NackReason.TURN_MORE == robot.ask("REGISTER_SOLVE")[0]
 
 
+@pytest.mark.slow
 def test_a_pose_that_was_said_wrongly_is_named(cell: WalkedCell) -> None:
     """One of ten is 5 mm off: it is rejected, and its number is in the answer; half of them: not good."""
     saved = cell.rig.robot_from_rig
@@ -103,6 +106,7 @@ def test_a_pose_that_was_said_wrongly_is_named(cell: WalkedCell) -> None:
     assert cell.error_mm() < GOOD_MM
 
 
+@pytest.mark.slow
 def test_another_makers_convention_is_found_out(cell: WalkedCell, caplog: pytest.LogCaptureFixture) -> None:
     """KUKA's angles sent to a cell that reads FANUC's: its own number, and the log says how they read."""
     with caplog.at_level("WARNING"), cell.robot() as robot:
@@ -135,6 +139,7 @@ def test_touched_points_register_it_and_mirrored_ones_do_not(cell: WalkedCell) -
     assert cell.error_mm() < 0.2
 
 
+@pytest.mark.slow
 def test_over_modbus_it_is_the_same(cell: WalkedCell) -> None:
     """The block `registration` speaks of the command by its sequence; a reload in between ends it."""
     client = ModbusTcpClient("127.0.0.1", port=cell.port, timeout=10)
@@ -199,6 +204,7 @@ def test_the_python_client_goes_step_by_step(cell: WalkedCell) -> None:
             client.register("REGISTER_SOLVE")
 
 
+@pytest.mark.slow
 def test_a_rig_that_was_changed_on_the_disc_is_not_written_over(cell: WalkedCell) -> None:
     """Somebody has calibrated anew and not reloaded yet: the registration is of the old cameras."""
     file = cell.config.with_name("rig.json")
@@ -214,6 +220,7 @@ def test_a_rig_that_was_changed_on_the_disc_is_not_written_over(cell: WalkedCell
         assert 0 == robot.ask("REGISTER_SOLVE")[0], "the poses are still there"
 
 
+@pytest.mark.slow
 def test_cameras_on_the_flange(tmp_path: Path) -> None:
     """flange_from_rig from ten poses over a board that lies still; TOUCH_START is refused there."""
     registration = 'board = "chessboard:9x6:4.0"\nmount = "flange"\nlimit_mm = 0.1'
@@ -229,6 +236,7 @@ def test_cameras_on_the_flange(tmp_path: Path) -> None:
         assert cell.rig.robot_from_rig is None
 
 
+@pytest.mark.slow
 def test_without_leave_no_program_registers_anything(tmp_path: Path) -> None:
     """No [registration], or one without a board: refused, and the cell goes on measuring."""
     with WalkedCell(tmp_path, Arm(), registration="") as cell, cell.robot() as robot:

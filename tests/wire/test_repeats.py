@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
 from helpers.browsersession import PASSWORD
 from helpers.webcell import Cell, run
 
@@ -17,6 +18,7 @@ def again(key: str) -> dict[str, str]:
     return {"Idempotency-Key": key}
 
 
+@pytest.mark.slow
 def test_what_is_sent_again_is_answered_as_before() -> None:
     """Also while the first is still being done; what else is sent with its key is refused."""
 
@@ -51,6 +53,7 @@ def test_what_was_refused_may_be_possible_later() -> None:
     run(test)
 
 
+@pytest.mark.slow
 def test_a_key_is_that_of_its_session_for_ten_minutes() -> None:
     """Others may use the same; what is old is forgotten, and what is too much; too long a key is none."""
 

@@ -62,6 +62,7 @@ def lying(x_mm: float, face_mm: tuple[float, float] = (20.0, 200.0)) -> Target:
     return replace(make_target(x_mm=x_mm), rig_from_part=make_transform((2.7, 0.3, 0.2), (x_mm, *face_mm)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda one: str(one.brand))
 def test_an_example_comes_to_the_part_along_its_tool_and_says_that_it_was_used(example: Example) -> None:
     """One picture; before the part (Yaskawa: its grasp), on the robot's side, and then, if at all, there."""

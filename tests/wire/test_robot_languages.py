@@ -177,6 +177,7 @@ class Liar:
         return bool(line) and said is not None
 
 
+@pytest.mark.slow
 @sides
 def test_a_pose_arrives_as_the_cell_measured_it(make: type[Any]) -> None:
     """Any pose, however the network cuts the line: to 1 µm and 0.001° and what a robot's 32 bits hold."""
@@ -196,6 +197,7 @@ def test_a_pose_arrives_as_the_cell_measured_it(make: type[Any]) -> None:
         assert 12 == cell.head.captures
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("configured", Brand)
 def test_a_program_moves_by_its_own_makers_pose_whatever_the_cell_is_set_to(configured: Brand) -> None:
     """Where the configured brand is another robot's the tool's axis points where the part's does, too."""
@@ -313,6 +315,7 @@ def test_karel_says_no_flange_where_a_tool_or_a_frame_is_active() -> None:
         assert side.locate() is not None
 
 
+@pytest.mark.slow
 @callers
 @pytest.mark.parametrize("found", [1, 3])
 def test_one_call_fetches_every_grasp(make: type[Any], found: int) -> None:
@@ -430,6 +433,7 @@ def test_no_robot_moves_by_the_rigs_frame_or_a_virtual_cell(
         assert (None, status) == (side.locate(), side.error())
 
 
+@pytest.mark.slow
 @sides
 @pytest.mark.parametrize("lie", LIES)
 def test_only_the_whole_answer_to_this_request_moves_the_robot(make: type[Any], lie: str) -> None:
@@ -476,6 +480,7 @@ def test_an_answer_that_came_too_late_is_never_used(make: type[Any]) -> None:
         assert 20.0 == numbers[0]
 
 
+@pytest.mark.slow
 @sides
 def test_a_cell_that_was_started_anew_is_spoken_to_as_before(make: type[Any]) -> None:
     """While it is down a command fails; afterwards the same program goes on, also with a used sequence."""

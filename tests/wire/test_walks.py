@@ -126,6 +126,7 @@ def walked(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         yield cell, lambda arm: walk(cell, arm)
 
 
+@pytest.mark.slow
 def test_a_program_that_sees_no_board_says_so_and_changes_nothing(walked: Walked) -> None:
     """Each pose is left out, and then there are too few."""
     cell, walk = walked

@@ -195,6 +195,7 @@ def test_a_viewer_hears_of_each_cycle() -> None:
     run(test)
 
 
+@pytest.mark.slow
 def test_a_viewer_that_does_not_read_holds_nothing_up() -> None:
     """Announcing is as quick as without it, and the connection holds no queue of states."""
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import pytest
 import zenoh
 from helpers.livecell import LiveCell
 from helpers.snapshots import make_snapshot
@@ -94,6 +95,7 @@ def plc_at(cell: LiveCell) -> Iterator[Plc]:
         plc.close()
 
 
+@pytest.mark.slow
 def test_a_camera_is_lost_and_returns() -> None:
     """NACK 6, RESULT 4, CAM_FAULT, ERROR 104, not READY; when it answers again: READY, and a good result."""
     with LiveCell(PATIENT) as cell, plc_at(cell) as plc:
@@ -187,6 +189,7 @@ def test_nine_commands_at_once() -> None:
         assert StatusBit.OVERRUN not in bits
 
 
+@pytest.mark.slow
 def test_zenohs_router_goes() -> None:
     """Registers go on, handshake and all."""
 

@@ -66,6 +66,7 @@ def python_threads() -> set[str]:
 REGISTERED = Registration(Method.HAND_EYE, 10, 9, 4, rms_mm=0.02)
 
 
+@pytest.mark.slow
 def test_every_cycle_arrives_in_order_and_documented():
     """A subscriber in another process sees each cycle once, in order, as the schema says."""
 

@@ -124,6 +124,7 @@ FALSE: dict[str, Callable[[Message], Message]] = {
 }
 
 
+@pytest.mark.slow
 def test_who_has_the_key_hears_the_cell_alone():
     """Not what others publish under the cell's name without it, whatever that is made of; each is counted."""
 
@@ -153,6 +154,7 @@ def dropped(subscriber: Subscriber) -> int:
     return sum(int(re.search(r": (\d+) messages?", text)[1]) for text in subscriber.listening.doubts())
 
 
+@pytest.mark.slow
 def test_who_comes_late_or_meets_a_restart_hears_the_cell():
     """The last result is signed, too; after a restart the counter goes on, though the session is another."""
 
@@ -173,6 +175,7 @@ def test_who_comes_late_or_meets_a_restart_hears_the_cell():
     asyncio.run(asyncio.wait_for(main(), WHOLE_S))
 
 
+@pytest.mark.slow
 def test_without_a_key_two_sessions_of_a_name_are_named():
     """A restart is none of that; a peer that publishes beside the cell is, as soon as the cell goes on."""
 
@@ -247,6 +250,7 @@ async def watched(
     return shown.getvalue(), capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_key", [True, False])
 def test_watch_shows_what_is_the_cells_own_and_says_what_is_not(
     has_key: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]

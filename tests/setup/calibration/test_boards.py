@@ -29,6 +29,7 @@ def drawn(board: NominalBoard, count: int) -> list[Picture]:
     return [picture(f"{board}_{n}", draw_board(board, SMALL.left, pose)) for n, pose in enumerate(poses)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("others", "blanks", "refused"), [(3, 2, True), (2, 2, False), (1, 5, False)])
 def test_another_board_must_be_in_most_pictures(others: int, blanks: int, refused: bool) -> None:
     """One odd picture among many without a board is no reason to stop; more than half of them are."""
@@ -40,6 +41,7 @@ def test_another_board_must_be_in_most_pictures(others: int, blanks: int, refuse
         check_board_shown(pictures, STATED)
 
 
+@pytest.mark.slow
 def test_what_looks_like_the_stated_board_is_no_other() -> None:
     """Columns and rows exchanged, or the same circles in other words: it was missed for another reason."""
     check_board_shown(drawn(STATED, 2), parse_board("chessboard:6x8:3"))

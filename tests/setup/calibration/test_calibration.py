@@ -160,6 +160,7 @@ def test_nothing_gives_no_rig() -> None:
         solve(Views([BOARD]), "division")
 
 
+@pytest.mark.slow
 def test_pairs_of_several_sizes_are_named(images: Images) -> None:
     """By the names of their pictures; the usual size is said."""
     left, right = images["v0"]

@@ -194,6 +194,7 @@ def test_pictures_are_files_of_the_draft(tmp_path: Path) -> None:
         again(tmp_path, draft)
 
 
+@pytest.mark.slow
 def test_a_kept_pair_is_found_again(tmp_path: Path) -> None:
     """What its files show after a restart is what was seen when they were written."""
     draft = begin(tmp_path)

@@ -44,6 +44,7 @@ def some(views: Views, count: int) -> Views:
     return chosen
 
 
+@pytest.mark.slow
 def test_too_few_views_say_so_and_ask_for_the_next_tilt(kept: tuple[Path, Views]) -> None:
     """With the solver's code; another tilt with each view."""
     one, two = guide(some(kept[1], 1), "division"), guide(some(kept[1], 2), "division")
@@ -54,6 +55,7 @@ def test_too_few_views_say_so_and_ask_for_the_next_tilt(kept: tuple[Path, Views]
     assert one.ghosts[0].code != two.ghosts[0].code
 
 
+@pytest.mark.slow
 def test_each_view_is_worth_what_the_ghost_promised(kept: tuple[Path, Views]) -> None:
     """A pair taken as it is drawn: its outline is the ghost's, and sigma falls to about what was said."""
     _, views = kept
@@ -78,6 +80,7 @@ def test_each_view_is_worth_what_the_ghost_promised(kept: tuple[Path, Views]) ->
     assert ghost.code not in [one.code for one in after.ghosts]
 
 
+@pytest.mark.slow
 def test_sigma_is_believed_the_more_views_there_are() -> None:
     """Of marks that are better than usual, few views state the usual sigma, many what they are worth."""
 
@@ -130,6 +133,7 @@ def test_a_draft_and_the_command_give_the_same_rig_to_the_last_bit(
     assert again["max"] < moved["rms"], "its own first solution lies nearer than the truth"
 
 
+@pytest.mark.slow
 def test_points_move_by_as_much_as_the_rig_did() -> None:
     """Ten micrometres of baseline more: points lie farther by their share; other cameras are not compared."""
     from dataclasses import replace

@@ -297,6 +297,7 @@ def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
     run(tmp_path, test)
 
 
+@pytest.mark.slow
 def test_another_board_than_the_stated_one_is_told_at_once(tmp_path: Path) -> None:
     """Before anybody has taken a view of it."""
 

@@ -58,6 +58,7 @@ def test_an_outline_is_where_the_board_is() -> None:
     assert not found.left.clipped
 
 
+@pytest.mark.slow
 def test_a_large_picture_is_looked_at_in_half_the_size() -> None:
     """Outlines are of the full one all the same."""
     rig, board = make_rig(), parse_board("chessboard:8x6:5")
@@ -71,6 +72,7 @@ def test_a_large_picture_is_looked_at_in_half_the_size() -> None:
     assert off_px(found.outlines, np.array(outlines_of(rig, board, pose))) < 1.5
 
 
+@pytest.mark.slow
 def test_why_there_is_none() -> None:
     """Too dark and too bright are told apart from a picture of something else; with the detector's words."""
     left, right = pairs(1)[0]
@@ -97,6 +99,7 @@ def test_glare_on_the_board_is_told() -> None:
     assert (True, False) == (found.left.clipped, found.right.clipped)
 
 
+@pytest.mark.slow
 def test_without_a_board_it_is_recognised() -> None:
     """Kind and size, in units of its pitch; and found at once."""
     found = watch(*pairs(1)[0], [])
@@ -190,6 +193,7 @@ def test_the_first_ghosts_are_as_far_as_the_board_is_held() -> None:
     assert pytest.approx(0.7, rel=0.05) == sizes[0] / sizes[1]
 
 
+@pytest.mark.slow
 def test_a_board_at_an_angle_looks_as_its_ghost() -> None:
     """What is drawn and what is found are the same four corners: held there, the board fills its ghost."""
     left, right = outlines_of(RIG, BOARD, POSE)

@@ -169,6 +169,7 @@ def test_a_task_that_takes_too_much_memory_fails_alone(task: str, size: int) -> 
     run(test, limits=TaskLimits(1024 * MIB, 60))
 
 
+@pytest.mark.slow
 def test_a_task_that_takes_too_long_is_ended() -> None:
     """By the processor time that it took itself, not that of the tasks before it; waiting is no work."""
 

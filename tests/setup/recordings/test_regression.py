@@ -100,6 +100,7 @@ def with_job(cell: Cell, tmp_path: Path, **changes: Any) -> Contents:
     return {**cell.files.contents, **changed}
 
 
+@pytest.mark.slow
 def test_the_same_job_and_rig_give_the_same_bits(cell: Cell) -> None:
     """Measured again, not only looked up: nothing differs, nothing is lost, no frame moves."""
     retold = {**cell.files.contents, "rig.json": cell.files.contents["rig.json"] + b"\n"}
@@ -167,6 +168,7 @@ def test_what_changes_no_measurement_concerns_no_cycle(cell: Cell) -> None:
     assert {1: 9} == successors(contents, called(contents, "flange", 9, max_rms_px=0.4))
 
 
+@pytest.mark.slow
 def test_a_feature_that_was_moved_is_caught(cell: Cell, tmp_path: Path) -> None:
     """A circle taught two millimetres too large is none of the part's: each good cycle becomes a bad one."""
     circle = cell.files.jobs[0].circles[0]
@@ -189,6 +191,7 @@ def test_places_that_move_are_told_in_both_sigmas(cell: Cell, tmp_path: Path) ->
     assert any(one.is_apart for one in result.compared)
 
 
+@pytest.mark.slow
 def test_the_common_motion_of_a_new_rig_is_told_apart(cell: Cell) -> None:
     """A principal point that moved turns all that the cameras see: that is told for all at once, and a
     tenth is left at most. A baseline that is too long is no motion, and is left whole.

@@ -84,6 +84,7 @@ async def tried(cell: RecordingCell, body: dict[str, object]) -> dict[str, objec
     return dict(result)
 
 
+@pytest.mark.slow
 def test_a_rig_that_makes_good_cycles_bad_is_signed_for_or_stays_out(
     recorded: Recorded, tmp_path: Path
 ) -> None:
@@ -151,6 +152,7 @@ def test_a_rig_that_makes_good_cycles_bad_is_signed_for_or_stays_out(
     beside(recorded, tmp_path, test)
 
 
+@pytest.mark.slow
 def test_a_changed_limit_is_tried_on_all_cycles(recorded: Recorded, tmp_path: Path) -> None:
     """Every good cycle is bad by a limit that none keeps; results are kept, the youngest first, and a
     damaged one harms none.
@@ -186,6 +188,7 @@ def test_a_changed_limit_is_tried_on_all_cycles(recorded: Recorded, tmp_path: Pa
     beside(recorded, tmp_path, test)
 
 
+@pytest.mark.slow
 def test_a_regression_is_cancelled_and_others_have_their_turn(
     recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,6 +208,7 @@ def test_a_regression_is_cancelled_and_others_have_their_turn(
     beside(recorded, tmp_path, test)
 
 
+@pytest.mark.slow
 def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_path: Path) -> None:
     """From a recorded pair, for the one that runs: refused untried; tried, the very same files pass."""
 
@@ -225,6 +229,7 @@ def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_pa
     beside(recorded, tmp_path, test)
 
 
+@pytest.mark.slow
 def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path: Path) -> None:
     """Renamed, renumbered, copied and retired at once; the recorded cycles stay those of the job. What an
     editor has changed in it meanwhile would become active with its name: that is measured, or signed for.

@@ -308,6 +308,7 @@ def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, t
         setup_of(folder / "cycles" / "a.zip", {"fingerprint": ".."})
 
 
+@pytest.mark.slow
 def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, tmp_path: Path) -> None:
     """List, document, both pictures as JPEG, and the change in the worker process; a picture of too many
     pixels is not unpacked; who asks wrongly is told what.

@@ -86,6 +86,7 @@ def posed(turns_deg: list[tuple[float, float, float]], brand: Brand | None = Bra
     return judge_poses(RIG, poses, BOARD, brand, "eye-to-hand", 0.5)
 
 
+@pytest.mark.slow
 def test_the_turn_that_poses_lack_is_told() -> None:
     """No turn at all; none but the wrist's; none but tilts one way; else each pose in its place."""
     assert "all" == posed([(0, 0, 0)] * 4).missing
@@ -99,6 +100,7 @@ def test_the_turn_that_poses_lack_is_told() -> None:
     assert [(0, 0), (20, -90), (20, 0), (0, 0)] == tilts
 
 
+@pytest.mark.slow
 def test_poses_that_no_equation_takes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """The linear algebra's own error has the code that the page has a sentence for."""
 

@@ -111,6 +111,7 @@ def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> N
     run(cell, test)
 
 
+@pytest.mark.slow
 def test_a_job_is_used_as_a_plc_would_change_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the next cycle on; how often it was of use is told; not while a PLC has the right to write."""
     cell = cell_with_jobs(tmp_path)

@@ -91,6 +91,7 @@ def activate_again(cell: RunningCell, number: int) -> Release:
     return asyncio.run(asked())
 
 
+@pytest.mark.slow
 def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: RunningCell) -> None:
     """The cell as it was found is a release, too: there is a way back from the first one."""
     before, rig = cell.now.files.fingerprint, cell.wider(1.001)
@@ -154,6 +155,7 @@ def activate_job(cell: RunningCell, name: str, number: int, replaced: str | None
     return asyncio.run(asked())
 
 
+@pytest.mark.slow
 def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerprint(
     cell: RunningCell,
 ) -> None:
@@ -180,6 +182,7 @@ def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerp
     assert after == cell.files()
 
 
+@pytest.mark.slow
 def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
     """Two of one number, one that cannot be read, and not the one that the configuration begins with."""
     files = cell.files()
@@ -209,6 +212,7 @@ def test_a_jobs_folder_that_cannot_be_written_is_named_with_its_remedy(
     assert files == cell.files()
 
 
+@pytest.mark.slow
 def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> None:
     """Before anything is written; what it says is kept; of the way back the reason is the signature."""
     asked: list[tuple[Mapping[str, bytes], str | None]] = []
@@ -232,6 +236,7 @@ def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> N
     assert (read_cell(cell.config).contents, "that was better") == asked[2]
 
 
+@pytest.mark.slow
 def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCell) -> None:
     """Also of a draft that renames and renumbers the job that it replaces: else its test would not count."""
     cell.config.write_text(cell.config.read_text().replace('job = "flange"', ""))
@@ -255,6 +260,7 @@ def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCe
     assert {"jobs/cover/job.toml", "jobs/cover/shape.npz"} == {name for name in tried if "jobs/" in name}
 
 
+@pytest.mark.slow
 def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> None:
     """Files byte for byte, no release that never was, and the reason is said."""
     files = cell.files()
@@ -288,6 +294,7 @@ def test_a_first_rig_that_is_refused_is_gone_again(cell: RunningCell) -> None:
     assert [] == cell.releases.all()
 
 
+@pytest.mark.slow
 def test_a_place_that_cannot_be_written_is_named_with_its_remedy(
     cell: RunningCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -332,6 +339,7 @@ def test_the_plant_forbids_it(cell: RunningCell) -> None:
     assert files == cell.files()
 
 
+@pytest.mark.slow
 def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
     """And go with it again: they are of one release."""
     cell.running.session.camera_changes = {"left": ChosenCamera(exposure_us=1234.0)}
@@ -387,6 +395,7 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     assert {before, after} == found
 
 
+@pytest.mark.slow
 def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
     template: Path, tmp_path: Path
 ) -> None:

@@ -56,6 +56,7 @@ def left_px(x: float, y: float) -> np.ndarray:
     return small_rig().left.project(place[None])[0]
 
 
+@pytest.mark.slow
 def test_every_feature_is_measured_also_where_circles_say_everything(tmp_path: Path) -> None:
     """Slots beside circles have sizes and sigmas of this pair, and they fit the truth."""
     draft = drafted(tmp_path, DISC)
@@ -86,6 +87,7 @@ def test_every_feature_is_measured_also_where_circles_say_everything(tmp_path: P
         seen(draft)
 
 
+@pytest.mark.slow
 def test_a_part_of_edges_alone_has_corners_for_a_reference(tmp_path: Path) -> None:
     """Without an edge its corners are gone, too; what is left says more vaguely where the part is."""
     draft = drafted(tmp_path, PLATE)

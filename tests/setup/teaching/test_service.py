@@ -57,6 +57,7 @@ def left_of(draft: dict[str, Any], key: str) -> np.ndarray[Any, Any]:
     return np.array(next(one for one in draft["features"] if one["key"] == key)["outline"]["left"])
 
 
+@pytest.mark.slow
 def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
     """Around the flange and nothing else, with true sizes, and a sigma that fits their errors."""
 

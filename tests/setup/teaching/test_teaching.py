@@ -57,6 +57,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_the_same_pair_gives_the_same_job_to_the_last_byte(
     flat: cells.Flange, folder: Path, tmp_path: Path
 ) -> None:
@@ -68,6 +69,7 @@ def test_the_same_pair_gives_the_same_job_to_the_last_byte(
     assert contents(folder / "jobs" / "flange") == contents(tmp_path / "flange")
 
 
+@pytest.mark.slow
 def test_what_people_changed_in_the_former_job_is_proposed_again(
     flat: cells.Flange, folder: Path, tmp_path: Path
 ) -> None:

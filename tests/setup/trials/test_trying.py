@@ -91,6 +91,7 @@ def of_pictures(poses: list[FloatArray], each: int) -> StillResult:
     return still_part(rig, job, seen)
 
 
+@pytest.mark.slow
 def test_the_noise_of_its_edges_is_the_scatter_of_a_part() -> None:
     """In each axis within a third; the sigma of the edges, in which texture and light are, is larger."""
     found = of_pictures([cells.pose((3.0, -4.0, 207.0), 70.0, 6.0)], 24)
@@ -102,6 +103,7 @@ def test_the_noise_of_its_edges_is_the_scatter_of_a_part() -> None:
     assert (found.edges_mm > 2 * found.noise_mm).all()
 
 
+@pytest.mark.slow
 def test_a_part_that_shakes_scatters_more_than_its_edges() -> None:
     """By a micrometre in every direction, which its sigma covers: no edge by itself is so unsteady."""
     rng, poses = np.random.default_rng(4), []
@@ -169,6 +171,7 @@ def test_what_was_not_found_or_not_allowed_has_its_reason() -> None:
     assert np.linalg.norm(np.array(missing).mean(axis=0) - seen) < 1.0
 
 
+@pytest.mark.slow
 def test_the_map_is_what_a_part_there_then_says() -> None:
     """At every place the order of the points, and the sigma of a measurement at the one nearest to it."""
     rig, job = taught()

@@ -193,6 +193,7 @@ def test_a_covered_corner_is_left_out() -> None:
     assert np.abs(again.pixels - true[again.ids]).max() < 0.1
 
 
+@pytest.mark.slow
 def test_corner_kernel_equals_its_plain_twin() -> None:
     """Residuals, normal equations and gradient of the kernel are those of the formula and its differences."""
     rng = np.random.default_rng(3)

@@ -48,6 +48,7 @@ def found_in(image: Image) -> Detection:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilts_rad", [TILTED, ALONG_ROWS], ids=["tilted", "along rows"])
 @pytest.mark.parametrize("camera", AS_CAMERAS_DO)
 def test_corners_of_a_processed_picture_are_where_they_say(

@@ -193,6 +193,7 @@ def test_a_symmetric_board_numbered_from_either_end(upside_down: bool) -> None:
     assert abs(found.rig.baseline_mm - rig.baseline_mm) < 0.1
 
 
+@pytest.mark.slow
 def test_two_boards_in_one_calibration() -> None:
     """Views of different boards are adjusted together."""
     rig = make_rig()

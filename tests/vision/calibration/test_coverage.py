@@ -34,6 +34,7 @@ def with_marks(calibration: Calibration, left_px: np.ndarray) -> Calibration:
     return replace(calibration, views=[replace(first, view=view)])
 
 
+@pytest.mark.slow
 def test_a_field_is_reached_by_a_mark_in_it(calibration: Calibration) -> None:
     """Middles of fields reach these and no others; a mark on the image's very edge counts, too."""
     field = np.array(SIZE) / (COLUMNS, ROWS)

@@ -47,6 +47,7 @@ def sigma_mm(calibration: Calibration) -> float:
     return float(np.sqrt(np.mean(np.einsum("nii->n", covariance))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "name", "model"),
     [
@@ -67,6 +68,7 @@ def test_the_true_lens_is_chosen(rig: StereoRig, name: str, model: str) -> None:
     assert expected == freedom_of(found.rig.left).distortion
 
 
+@pytest.mark.slow
 def test_a_simple_lens_is_known_better() -> None:
     """Of division lenses the sigma is below Brown-Conrady's, and above that of who knew the model."""
     views = views_of(DIVISION)
@@ -100,11 +102,13 @@ def test_views_that_determine_no_brown_lens_still_choose() -> None:
     assert np.linalg.eigvalsh(found.rig.covariance).min() > -1e-9 * np.trace(found.rig.covariance)
 
 
+@pytest.mark.slow
 def test_a_stated_model_is_not_questioned() -> None:
     """No other models are tried, and none are told."""
     assert () == calibrate_stereo(views_of(DIVISION), SIZE, SIZE, "brown").lenses
 
 
+@pytest.mark.slow
 def test_a_lens_that_folds_the_picture_is_not_chosen() -> None:
     """A polynomial that fits the marks in the middle best, and turns back further out, is no lens."""
     rig = make_rig("brown", focal_px=425.0, size=SIZE)

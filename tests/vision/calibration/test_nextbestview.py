@@ -78,6 +78,7 @@ def test_a_rig_of_unknown_covariance_adds_nothing() -> None:
     assert best_next_view(replace(known, rig=replace(known.rig, covariance=None))) is None
 
 
+@pytest.mark.slow
 def test_the_suggested_view_does_what_it_promises() -> None:
     """Taken and calibrated with, the view lowers the points' sigma by the share that was predicted."""
     before = calibration_of(RIG, 6, tilt_deg=12.0)
@@ -94,6 +95,7 @@ def test_the_suggested_view_does_what_it_promises() -> None:
     assert 1 - rms(after) / rms(before) == pytest.approx(advice.gain, abs=0.08)
 
 
+@pytest.mark.slow
 def test_a_plan_counts_the_views_to_a_goal() -> None:
     """None for what is reached, one for what the best view reaches; no number for what is out of reach."""
     calibration = calibration_of(RIG, 5)

@@ -35,6 +35,7 @@ def plain(rig: StereoRig) -> PlainRig:
     return PlainRig((camera(rig.left), camera(rig.right)), R, T, (rig.left.width, rig.left.height))
 
 
+@pytest.mark.slow
 def test_a_clean_disc_is_measured_to_micrometres() -> None:
     """Tilted, on pictures of 640x480 with the true cameras: 8 µm in depth, 3 µm in the radius, 0.1°.
 

@@ -70,6 +70,7 @@ def test_boards_in_one_half_of_the_image_are_no_good_calibration() -> None:
     assert any("hardly any in the upper left" in text and "of the left image" in text for text in verdict.why)
 
 
+@pytest.mark.slow
 def test_what_was_not_held_out_is_not_praised() -> None:
     """Without held-out views nothing but the fit speaks for a calibration."""
     poses = board_poses(RIG, BOARD, 8, 0)

@@ -63,6 +63,7 @@ def plain_disc() -> tuple[FloatArray, FloatArray]:
     return clean_greys(SMALL, scene((bare, TILTED), table=Surface(albedo=0.16)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("polarity", [-1, 0])
 def test_a_circle_is_recovered_from_a_poor_start(disc: tuple[Image, Image], polarity: int) -> None:
     """From 0.3 mm and 1° off: centre to 3 µm, radius to 2 µm, normal to 0.05°; the sign is found."""
@@ -78,6 +79,7 @@ def test_a_circle_is_recovered_from_a_poor_start(disc: tuple[Image, Image], pola
     assert fit.fit.rms_px < 0.1
 
 
+@pytest.mark.slow
 def test_measured_points_lie_on_the_circle(disc: tuple[Image, Image]) -> None:
     """The points given for pictures are on the projected true circle, to the precision of an edge."""
     fit = measured(RIG, disc, ALMOST)
@@ -126,6 +128,7 @@ def test_the_sigma_is_honest(plain_disc: tuple[FloatArray, FloatArray]) -> None:
     assert 0.7 < np.mean(chi2) < 1.4
 
 
+@pytest.mark.slow
 def test_the_scatter_is_near_the_bound(plain_disc: tuple[FloatArray, FloatArray]) -> None:
     """Over draws of noise the centre scatters by less than 1.3 times the Cramér-Rao bound.
 

@@ -51,6 +51,7 @@ def test_the_spread_is_that_of_lens_and_pixel(psf_px: float, off: float, scene: 
         assert seen.edges > 700
 
 
+@pytest.mark.slow
 def test_each_field_has_its_own_spread() -> None:
     """A lens that is sharp on the left and soft on the right; where nothing is, nothing is said."""
     views = [RenderedView(demo_rig().left, np.eye(4), Sensor(psf_sigma_px=psf)) for psf in (0.6, 1.4)]

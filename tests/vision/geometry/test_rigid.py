@@ -133,6 +133,7 @@ def test_nearest_rotation_removes_a_small_error(rotation: FloatArray) -> None:
     assert np.linalg.det(disturbed) > 0
 
 
+@pytest.mark.slow
 @given(transforms, st.integers(3, 12), st.integers(0, 2**32 - 1), st.floats(0.2, 5))
 def test_fit_rigid_finds_the_transform(pose: FloatArray, n: int, seed: int, scale: float) -> None:
     """From exact points the transform is found exactly, with the scale too where it is asked for."""

@@ -100,6 +100,7 @@ def test_no_face_is_no_evidence_for_a_few_points() -> None:
     assert nats[0] < EVIDENCE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lay", ["streaks", "rings"])
 def test_a_bare_face_is_no_evidence(lay: str) -> None:
     """Holes looked for where the textured face has none: seldom 4 nats, and never what decides."""
@@ -118,6 +119,7 @@ def test_a_bare_face_is_no_evidence(lay: str) -> None:
     assert max(strongest) < EVIDENCE - 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lay", ["streaks", "rings"])
 def test_the_parts_own_holes_are_evidence_on_a_textured_face(lay: str) -> None:
     """At the right rotation every other one is ruled out; at a wrong one others are left to be tried."""

@@ -80,6 +80,7 @@ def test_weak_contrast_is_said() -> None:
     assert any("more light" in warning for warning in inspection.warnings)
 
 
+@pytest.mark.slow
 def test_teach_writes_the_page_and_the_facts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One self-contained page, and the same as JSON."""
     flat = cells.flange()

@@ -58,6 +58,7 @@ def found_at(model: ShapeModel, image: Image, truth: tuple[float, float, float])
     return off < 0.3 and angle_between(matches[0].angle_rad, truth[2]) < math.radians(0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strength", [3.0, 10.0, 18.0])
 def test_a_textured_table_stays_out_of_the_model(strength: float) -> None:
     """A region nine times as large as the part: the model's points lie on its outline, on every level, and
@@ -171,6 +172,7 @@ def test_any_picture_is_a_model_or_an_error(data: st.DataObject) -> None:
         ShapeModel.from_arrays(model.to_arrays())
 
 
+@pytest.mark.slow
 def test_a_picture_of_50_megapixels_is_taught() -> None:
     """Only the region costs time: a part in the corner of 8200 by 6100 px."""
     image = np.full((6100, 8200), 70, np.uint8)

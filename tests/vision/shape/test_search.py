@@ -110,6 +110,7 @@ def test_the_shadow_is_not_taken_for_the_part(bracket: ShapeModel, angle: float)
     assert angle_between(match.angle_rad, angle) < math.radians(0.3)
 
 
+@pytest.mark.slow
 def test_an_edge_belongs_to_one_part() -> None:
     """No second angle iron is made of one arm of the first and clutter; two that touch are both found."""
     outline = np.array([(-60, -45), (-35, -45), (-35, 25), (55, 25), (55, 50), (-60, 50)], float)
@@ -170,6 +171,7 @@ def test_several_parts_best_first(bracket: ShapeModel) -> None:
     assert len(find_shapes(image, bracket, RIGID)) == 1
 
 
+@pytest.mark.slow
 def test_odd_hole_decides_the_rotation() -> None:
     """A flange with one hole missing is never turned by a hole, and the choice is not called ambiguous."""
     model = _teach(flange(odd=True))
@@ -189,6 +191,7 @@ def test_hidden_odd_hole_is_ambiguous() -> None:
     assert match.ambiguous
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("grey", "doubt"), [(115, False), (170, False), (200, True)])
 def test_bare_surface_decides_between_rotations(grey: float, doubt: bool) -> None:
     """One hole hidden, the place of the missing one seen: as many edges speak for a turn by 120°, but a
@@ -201,6 +204,7 @@ def test_bare_surface_decides_between_rotations(grey: float, doubt: bool) -> Non
     assert doubt or angle_between(match.angle_rad, 0.4) < 0.01
 
 
+@pytest.mark.slow
 def test_symmetric_part_has_one_canonical_angle() -> None:
     """Six equal holes: any of the six rotations is right; the reported one is within 30° of the taught."""
     model = _teach(flange(odd=False))
@@ -394,6 +398,7 @@ def test_foreign_arrays_are_refused_or_harmless(data: st.DataObject) -> None:
 _FUZZ = _teach(flange(odd=True))
 
 
+@pytest.mark.slow
 def test_thin_lines_keep_to_fine_levels() -> None:
     """A drawing of thin lines is found at any angle: coarse levels, where lines vanish, are not searched."""
     ring = ((disc(0, 0, 70), 20.0), (disc(0, 0, 68.4), 70.0))
@@ -431,6 +436,7 @@ def test_ignored_polarity_takes_what_local_polarity_refuses(bracket: ShapeModel)
     assert scores["ignore"] > scores["local"] + 0.1
 
 
+@pytest.mark.slow
 def test_many_parts_in_one_image() -> None:
     """As many parts as are asked for are found: the number of candidates grows with it."""
     small = tuple((points * 0.32, grey) for points, grey in BRACKET[:1])
@@ -496,6 +502,7 @@ def test_a_hidden_difference_is_never_decided_by_chance(seed: int) -> None:
         assert match.ambiguous or angle_between(match.angle_rad, angle) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(12), 284])
 def test_a_rotation_that_teaching_did_not_list_is_a_rival(seed: int) -> None:
     """What a search would accept is compared, whatever teaching found similar: right, or "ambiguous"."""
@@ -511,6 +518,7 @@ def test_a_rotation_that_teaching_did_not_list_is_a_rival(seed: int) -> None:
         assert match.ambiguous or angle_between(match.angle_rad, angle) < 0.02
 
 
+@pytest.mark.slow
 def test_only_what_two_rotations_do_not_share_can_decide() -> None:
     """A flange without one of six holes: each turn by 60° has one hole of its own, and lacks one."""
     model = _teach(flange(odd=True))
@@ -527,6 +535,7 @@ def test_only_what_two_rotations_do_not_share_can_decide() -> None:
     assert (found.similarity[5:] < 0.9).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", np.linspace(0, 2 * math.pi, 6, endpoint=False))
 def test_a_saturated_half_does_not_move_a_part(bracket: ShapeModel, side: float) -> None:
     """Where the sensor is saturated beside an edge, that edge tells no place: no 0.7 px without a word."""

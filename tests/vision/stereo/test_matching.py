@@ -198,6 +198,7 @@ def matches_on_a_flange(surface: Surface, seed: int = 3) -> tuple[NccMatches, Fl
     return matches, matches.disparity_px - disparity, found_mm[:, 2] - face_mm[:, 2]
 
 
+@pytest.mark.slow
 def test_points_of_a_part_are_where_they_are() -> None:
     """On a rendered pair of a flange, matched and triangulated points lie on the true face."""
     matches, error_px, error_mm = matches_on_a_flange(Surface(0.6, 0.1, 0.35, 1.0, 1))
@@ -207,6 +208,7 @@ def test_points_of_a_part_are_where_they_are() -> None:
     assert 0.5 < np.nanmean((error_px / matches.sigma_px) ** 2) < 1.5
 
 
+@pytest.mark.slow
 def test_grain_along_the_rows_widens_sigma() -> None:
     """On metal brushed along the rows a row that is off by little moves the match: sigma knows it."""
     chi2 = []
@@ -245,6 +247,7 @@ def test_stripes_along_the_row_are_refused() -> None:
     assert only(match_ncc(*noisy(stripes), POINTS, (-20, 20))) is PairingReason.EDGE_PARALLEL
 
 
+@pytest.mark.slow
 def test_unrelated_images_do_not_match() -> None:
     """Another scene in the right image gives no disparity at all."""
     left, _ = slanted_pair(random_texture(0), np.zeros(3))
@@ -267,6 +270,7 @@ def test_a_repeated_pattern_is_ambiguous() -> None:
     assert only(match_ncc(*noisy(pattern), POINTS, (-4, 4))) is PairingReason.ACCEPTED
 
 
+@pytest.mark.slow
 def test_the_way_back_must_agree() -> None:
     """A point whose match belongs to a better partner in the left image is refused."""
     rng = np.random.default_rng(3)
