@@ -45,6 +45,7 @@ def test_a_function_block_locates_a_part(make: type[S7 | TwinCat]) -> None:
 
 
 @makers
+@pytest.mark.slow
 def test_a_function_block_takes_a_command_back_when_the_link_is_down(make: type[S7 | TwinCat]) -> None:
     """uiError 101, the request's error; nothing runs when the link returns, and the next command does."""
     with LiveCell() as cell, make(cell.port) as plc:

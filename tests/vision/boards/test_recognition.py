@@ -68,6 +68,7 @@ def test_kind_and_size_are_seen(spec: str, expected: str) -> None:
         assert whole.diameter_mm == pytest.approx(board.diameter_mm, rel=0.08)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("board", "legacy"),
     [
@@ -90,6 +91,7 @@ def test_markers_tell_the_board(board: Charuco, legacy: bool) -> None:
     assert isinstance(detect_board(images[0], of_size(seen, 10.0)), Detection)
 
 
+@pytest.mark.slow
 def test_the_lowest_rows_come_from_the_picture_that_shows_them() -> None:
     """A picture without the last rows makes the board no smaller."""
     board = Charuco(8, 6, 10.0, 7.0, "5X5_250")
@@ -103,7 +105,6 @@ def test_the_lowest_rows_come_from_the_picture_that_shows_them() -> None:
     assert (8, 6, "5X5_50") == (both.columns, both.rows, both.dictionary)
 
 
-@pytest.mark.slow
 def test_a_real_board_is_recognised_by_most_pictures() -> None:
     """Held in a hand, in front of a room: where one picture sees a row too much or too few, most see 9x6."""
     pictures = sorted(REAL.glob("*.jpg"))
@@ -126,7 +127,6 @@ def test_nothing_is_seen_where_no_board_is() -> None:
     ]
 
 
-@pytest.mark.slow
 def test_no_majority_is_no_answer() -> None:
     """One picture of each of two boards leaves it open."""
     boards = [parse_board(spec) for spec in ("chessboard:8x6:3", "chessboard:7x5:3")]
