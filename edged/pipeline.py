@@ -22,6 +22,7 @@ from edged.vision.part.tilt import views_of
 from edged.vision.shape.params import SearchParams, ShapeMatch
 from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
+from edged.vision.solid.locate import locate_solid
 
 NEAR_SHARE = 0.7
 """Share of min_score that counts as a near miss: at half of it clutter looks like parts, and a search in
@@ -69,6 +70,8 @@ def inspect(
 ) -> PairInspection:
     """`locate` with the evidence: every part found, with its edges."""
     images = _rectified(pair, rig)
+    if job.body is not None:
+        return _inspect_solid(images, job, lap)
     rectified = images.rectified_left
     lap("rectify")
     matches = _found(rectified, job, job.search, rig)
@@ -82,6 +85,19 @@ def inspect(
             dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))
     lap("measure")
     nearest = None if matches else Nearest(lambda: _nearest(pair, job, rig))
+    return PairInspection(tuple(measured), tuple(dismissed), nearest)
+
+
+def _inspect_solid(images: StereoImages, job: Job, lap: Callable[[str], None]) -> PairInspection:
+    """`inspect` for a part whose body is known: it is looked for by all its edges, in both pictures."""
+    lap("rectify")
+    measured, dismissed, missed = locate_solid(images, job)
+    lap("find")
+    lap("measure")
+    nearest = None
+    if not measured and not dismissed:
+        miss = NearMiss(missed[0], job.search.min_score) if missed else None
+        nearest = Nearest(lambda: miss)
     return PairInspection(tuple(measured), tuple(dismissed), nearest)
 
 

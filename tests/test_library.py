@@ -90,7 +90,7 @@ def test_mistakes_are_refused_in_a_sentence() -> None:
         edged.calibrate([(image, image.astype(float))], "chessboard:9x6:25")  # type: ignore[list-item]  # on purpose
     with pytest.raises(errors.TeachError, match="expected up to 64 letters"):
         edged.teach(part.left, part.right, part.rig, name="a b")
-    with pytest.raises(errors.TeachError, match="expected above 0 and at most 45 degrees"):
+    with pytest.raises(errors.TeachError, match="expected more than 0 and at most 45 degrees"):
         edged.teach(part.left, part.right, part.rig, tilt_rad=1.0)
     with pytest.raises(errors.CalibrationError):
         edged.calibrate([(image, image)] * 3, "chessboard:9x6:25")

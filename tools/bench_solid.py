@@ -42,7 +42,7 @@ from edged.vision.geometry.rigid import invert, transform
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.teaching.cadjob import teach_model
-from edged.vision.teaching.cadsettling import settle
+from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.pair import teach
 
 DEPTH_SHARE = 0.22
@@ -167,12 +167,14 @@ def measure(
             read = read_model(dataset / "step" / f"{design}.step", "-z")
         if read is not None and options.alone is not None:
             job, _ = teach_model(read[0], read[1].curves, rig.rectification, options.alone, design)
-        else:
-            job = teach(*pair_of(pictured), rig.rectification, None, design)
-        if read is not None and options.alone is None:
-            settled = settle(job, read[1].curves, rig.rectification, design)
+        elif read is not None:
+            settled = teach_with_model(
+                *pair_of(pictured), rig.rectification, None, read[1].curves, design, design
+            )
             job = settled.job
             print("\n".join(settled.said))
+        else:
+            job = teach(*pair_of(pictured), rig.rectification, None, design)
     except EdgedError as error:
         here = [(p, one) for p, parts in truths.items() for one in parts if one["design"] == design]
         return [missed(path.stem, one, f"not taught: {error}") for path, one in here], 0.0

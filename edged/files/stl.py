@@ -38,7 +38,8 @@ def read_stl(path: Path, unit: str | None = None) -> CadModel:
     if unit is not None and unit not in UNITS:
         raise FileFormatError(f"{path}: unit {unit!r}: expected one of {', '.join(UNITS)}")
     data = read_bytes(path, "an STL file")
-    corners = _text(data, path) if _is_text(data) else _binary(data, path)
+    with np.errstate(invalid="ignore"):  # numbers that are none are found below
+        corners = _text(data, path) if _is_text(data) else _binary(data, path)
     if not len(corners):
         raise FileFormatError(f"{path}: no facet: expected the triangles of one part")
     if not np.isfinite(corners).all():

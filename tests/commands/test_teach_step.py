@@ -7,6 +7,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -33,6 +34,7 @@ from edged.pipeline import prepare
 from edged.robot.budget import budget_of
 from edged.robot.picking import RobotFrame, picked
 from edged.sim.render.scene import Disc, Hole, Part, Scene, Table
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.uncertainty import levered_covariance
 from edged.vision.part.job import Job, ModelPoint
@@ -61,7 +63,13 @@ def see(where: FloatArray, holes: tuple[Hole, ...] = HOLES, seed: int = 1) -> tu
 @functools.cache
 def taught() -> Job:
     """What the pair alone teaches."""
-    return teach_pair(*see(square()), prepare(small_rig()).rectification, None, "D3")
+    return teach_pair(*taught_pair(), prepare(small_rig()).rectification, None, "D3")
+
+
+@cache
+def taught_pair() -> tuple[Image, Image]:
+    """Of the part as it lies at teaching."""
+    return see(square())
 
 
 def write_pair(folder: Path, name: str, pair: tuple[Image, Image]) -> tuple[Path, Path]:
@@ -95,7 +103,7 @@ def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.Captu
 
 def test_settled_sizes_are_those_of_the_file() -> None:
     """A sharp part: every circle has the file's radius, and the distances between them to the last digit."""
-    job = settled(taught()).job
+    job = settled(taught(), taught_pair()).job
     assert {2.1, 1.4, 1.0, 1.9} == {round(one.radius_mm, 9) for one in job.circles}
     assert job.part_from_model is not None
     model_from_part = invert(job.part_from_model)
@@ -108,7 +116,7 @@ def test_a_moved_hole_is_another_revision() -> None:
     holes = (HOLES[0], Hole("h1", Disc(3.3, -7, 1.4)), *HOLES[2:])
     job = teach_pair(*see(square(), holes), prepare(small_rig()).rectification, None, "D3")
     with pytest.raises(TeachError, match="another revision") as caught:
-        settled(job)
+        settled(job, taught_pair())
     said = re.search(
         r"radius 1\.400 mm at \(3\.000, -7\.000, 0\.000\) and lies (\S+) mm aside", str(caught.value)
     )
@@ -120,7 +128,7 @@ def test_an_edge_break_is_stated_and_kept() -> None:
     """Holes that are 0.4 mm wider than in the file are their broken edges: as wide as seen."""
     job = taught()
     circles = tuple(replace(one, radius_mm=one.radius_mm + 0.4) for one in job.circles)
-    found = settled(replace(job, circles=circles))
+    found = settled(replace(job, circles=circles), taught_pair())
     said = [line for line in found.said if "edge break" in line]
     assert 1 == len(said)
     low, high = (float(number) for number in re.findall(r"(\d\.\d+)", said[0])[:2])
@@ -134,12 +142,12 @@ def test_a_smaller_hole_is_no_edge_break() -> None:
     job = taught()
     circles = tuple(replace(one, radius_mm=one.radius_mm - 0.2) for one in job.circles)
     with pytest.raises(TeachError, match=r"its radius is 0\.\d+ mm smaller"):
-        settled(replace(job, circles=circles))
+        settled(replace(job, circles=circles), taught_pair())
 
 
 def test_a_job_keeps_the_frame_on_disc(tmp_path: Path) -> None:
     """Written and read again to the last digit; a motion that is none is an error with the key's name."""
-    job = settled(taught()).job
+    job = settled(taught(), taught_pair()).job
     save_job(tmp_path / "job", job)
     again = load_job(tmp_path / "job")
     assert job.part_from_model is not None and again.part_from_model is not None
@@ -157,7 +165,7 @@ def test_the_frame_of_the_file_is_published_where_the_job_says_so(tmp_path: Path
         ModelPoint("tip", np.array([-14.5, 12.5, 6.0])),
         ModelPoint("far", np.array([4000.0, 0.0, 0.0])),
     )
-    job = replace(settled(taught()).job, points=points, report="tip")
+    job = replace(settled(taught(), taught_pair()).job, points=points, report="tip")
     save_job(tmp_path / "job", job)
     where = lying(small_rig(), 20.0, 60.0, 130.0)
     pair = frame_pair(*see(where, seed=4))
@@ -252,8 +260,10 @@ def stl_of(folder: Path, scale: float = 1.0) -> Path:
 def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
     """Radii and centres of the STEP file within 0.1 µm; what the facets leave open is in the job's sigma."""
     curves = read_model(stl_of(tmp_path), "-z")[1].curves
-    found = settle(taught(), curves, prepare(small_rig()).rectification, "D3.STL")
-    exact = settled(taught()).job
+    found = settle(
+        taught(), curves, StereoImages.of(prepare(small_rig()).rectification, *taught_pair()), "D3.STL"
+    )
+    exact = settled(taught(), taught_pair()).job
     assert "D3.STL: 11 of 11 curves lie where it has them" in found.said
     for one, other in zip(exact.circles, found.job.circles, strict=True):
         assert np.abs(one.centre_mm - other.centre_mm).max() < 1e-4
@@ -266,7 +276,9 @@ def test_radii_of_a_coarse_file_are_those_of_the_pair(tmp_path: Path) -> None:
     """Where chords leave 20 µm open, the pair knows better: said, and not in the sigma."""
     curves = read_model(stl_of(tmp_path), "-z")[1].curves
     coarse = replace(curves, circles=tuple(replace(one, sigma_mm=0.02) for one in curves.circles))
-    found = settle(taught(), coarse, prepare(small_rig()).rectification, "D3.STL")
+    found = settle(
+        taught(), coarse, StereoImages.of(prepare(small_rig()).rectification, *taught_pair()), "D3.STL"
+    )
     assert [one.radius_mm for one in taught().circles] == [one.radius_mm for one in found.job.circles]
     assert 0.0 == found.job.sigma_mm
     assert [line for line in found.said if "radius as seen" in line and "0.020 mm open: c0, c1" in line]
@@ -355,7 +367,7 @@ def test_an_axis_that_hides_every_feature_is_named() -> None:
 
 def test_a_pair_ends_the_vagueness_of_a_file_alone() -> None:
     """Taught again with both, the limit that such a job needs is not taken for a person's wish."""
-    again, said = carry_over(drawn(), settled(taught()).job)
+    again, said = carry_over(drawn(), settled(taught(), taught_pair()).job)
     assert 0.2 == again.limits.max_sigma_mm
     assert not [line for line in said if "max_sigma_mm" in line]
 

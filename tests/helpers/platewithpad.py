@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from edged.commands.teach import read_model
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, Image
 from edged.pipeline import prepare
 from edged.sim.render.scene import Disc, Hole, PolygonShape, Surface
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.teaching.cadsettling import Settled, settle
 from helpers.cells import small_rig
@@ -30,6 +31,7 @@ def square() -> FloatArray:
     return lying(small_rig(), 0.0, 0.0, 0.0)
 
 
-def settled(job: Job) -> Settled:
-    """With the file."""
-    return settle(job, read_model(STEP, "-z")[1].curves, prepare(small_rig()).rectification, "D3.step")
+def settled(job: Job, pair: tuple[Image, Image]) -> Settled:
+    """A job with the file, from the pair that taught it."""
+    images = StereoImages.of(prepare(small_rig()).rectification, *pair)
+    return settle(job, read_model(STEP, "-z")[1].curves, images, "D3.step")

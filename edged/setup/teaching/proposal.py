@@ -18,7 +18,7 @@ from edged.vision.shape.inspection import ModelInspection, inspect_model
 from edged.vision.shape.params import ModelParams
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves
-from edged.vision.teaching.cadsettling import settle
+from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.cuts import Cut, cut_edges
 from edged.vision.teaching.drawing import teach_drawing
 from edged.vision.teaching.pair import taught_mask, teach
@@ -82,13 +82,17 @@ def propose_from_pair(
     Raises `TeachError` for a pair that teaches nothing, or shows another part than the model.
     """
     name, number, params = wanted.name, wanted.number, wanted.params
-    job = teach(left, right, rectification, region, name, number, exclude=exclude, params=params)
+    settled: tuple[str, ...] = ()
+    if model is None:
+        job = teach(left, right, rectification, region, name, number, exclude=exclude, params=params)
+    else:
+        found = teach_with_model(
+            left, right, rectification, region, model.curves, model.name, name, number,
+            exclude=exclude, params=params,
+        )  # fmt: skip
+        job, settled = found.job, found.said
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
-    settled: tuple[str, ...] = ()
-    if model is not None:
-        found = settle(job, model.curves, rectification, model.name)
-        job, settled = found.job, found.said
     return _proposal(job, Taught(picture, None if region is None else mask, cuts, settled), wanted)
 
 

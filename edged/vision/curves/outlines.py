@@ -317,7 +317,7 @@ def circle_axes(normal: FloatArray) -> FloatArray:
 
 
 @kernel("UniTuple(f8, 6)(f8, f8, f8[::1], i8)", any_order=True)
-def _distort(u: float, v: float, lens: F64, model: int) -> tuple[float, float, float, float, float, float]:
+def distorted(u: float, v: float, lens: F64, model: int) -> tuple[float, float, float, float, float, float]:
     """The distorted point and its derivatives: x, y, dx/du, dx/dv, dy/du, dy/dv."""
     r2 = u * u + v * v
     if model == _DIVISION:
@@ -369,7 +369,7 @@ def _project_outline(view: _View, outline: CurveOutline, seen: ProjectedOutline)
         nearness = 1.0 / (axes[3, 2] + px * u2 + py * v2 + pz * n2)
         u = (axes[3, 0] + px * u0 + py * v0 + pz * n0) * nearness
         v = (axes[3, 1] + px * u1 + py * v1 + pz * n1) * nearness
-        x, y, xu, xv, yu, yv = _distort(u, v, view.lens, view.model)
+        x, y, xu, xv, yu, yv = distorted(u, v, view.lens, view.model)
         # d pixel / d u and v, then along the curve and across it
         xu, xv = focal[0] * xu * nearness, focal[0] * xv * nearness
         yu, yv = focal[1] * yu * nearness, focal[1] * yv * nearness

@@ -16,6 +16,8 @@ I64 = npt.NDArray[np.int64]
 MAX_TRIANGLES = 40_000
 """Of a part in a job; with more it is taught without its surface."""
 MAX_SIZE_MM = 1e4  # limit of a job file
+MAX_BREAK_MM = 10.0  # the same
+BREAKS = ("breaks_mm", "sigma_break_mm")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,19 +26,27 @@ class PartBody:
 
     points_mm (N, 3).  triangles (M, 3) : counter-clockwise seen from outside.
     lines (L, 4) : the sharp edges: both ends, as points, and the triangles on both sides.
+    breaks_mm (L,) : width of the edge break that the real part has there and the surface has not; None: none.
+    sigma_break_mm : of these widths.
     """
 
     points_mm: FloatArray
     triangles: I64
     lines: I64
+    breaks_mm: FloatArray | None = None
+    sigma_break_mm: float = 0.0
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """For a file; single precision is a nanometre of a part of a centimetre."""
-        return {
+        arrays: dict[str, npt.NDArray[Any]] = {
             "points_mm": self.points_mm.astype(np.float32),
             "triangles": self.triangles.astype(np.uint32),
             "lines": self.lines.astype(np.uint32),
         }
+        if self.breaks_mm is not None:
+            arrays["breaks_mm"] = self.breaks_mm.astype(np.float32)[:, None]
+            arrays["sigma_break_mm"] = np.full((1, 1), self.sigma_break_mm, np.float32)
+        return arrays
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody:
@@ -54,7 +64,20 @@ class PartBody:
             raise ValueError(f"lines: {len(lines)}, expected at most {3 * MAX_TRIANGLES}")
         if len(lines) and (lines[:, :2].max() >= len(points) or lines[:, 2:].max() >= len(triangles)):
             raise ValueError("lines: of points or triangles that are not there")
-        return PartBody(points, triangles, lines)
+        if "breaks_mm" not in arrays:
+            return PartBody(points, triangles, lines)
+        breaks, sigma = (_checked(arrays, name, 1, np.dtype(np.float32)) for name in BREAKS)
+        if len(breaks) != len(lines) or len(sigma) != 1:
+            raise ValueError(f"breaks_mm: {len(breaks)} of {len(lines)} lines, expected one each")
+        widths = np.append(breaks, sigma)
+        if not ((widths >= 0) & (widths < MAX_BREAK_MM)).all():
+            raise ValueError(f"breaks_mm: expected widths of 0 to {MAX_BREAK_MM:g} mm")
+        return PartBody(points, triangles, lines, breaks[:, 0].astype(np.float64), float(sigma[0, 0]))
+
+    @property
+    def sides(self) -> tuple[I64, I64]:
+        """Sides (K, 2) that two triangles share, as their points, and the numbers of both (K, 2)."""
+        return neighbours(self.triangles)
 
     @property
     def normals(self) -> FloatArray:
@@ -72,3 +95,23 @@ def _checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, wide: int, kind:
     if value.dtype != kind or value.ndim != 2 or value.shape[1] != wide:
         raise ValueError(f"{name}: {value.dtype} {value.shape}, expected {kind} (N, {wide})")
     return value
+
+
+def neighbours(triangles: I64) -> tuple[I64, I64]:
+    """Sides (K, 2) that two triangles (M, 3) share, as their points, and the numbers of both (K, 2)."""
+    sides, owner, start, count = all_sides(triangles)
+    start = start[count == 2]
+    return sides[start], np.stack([owner[start], owner[start + 1]], axis=1)
+
+
+def all_sides(triangles: I64) -> tuple[I64, I64, I64, I64]:
+    """Sides (K, 2) in order with their triangles (K,); where each other one begins, and how often it is."""
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    sides, owner = sides[sides[:, 0] != sides[:, 1]], owner[sides[:, 0] != sides[:, 1]]
+    order = np.lexsort((owner, sides[:, 1], sides[:, 0]))
+    sides, owner = sides[order], owner[order]
+    other = np.ones(len(sides), bool)
+    other[1:] = (sides[1:] != sides[:-1]).any(axis=1)
+    start = np.flatnonzero(other)
+    return sides, owner, start, np.diff(np.append(start, len(sides)))

@@ -218,6 +218,8 @@ class SolidParams:
     around_px: int = 1  # a point this near to what hides it counts as hidden
     behind_share: float = 0.015
     """Of the body's size: what lies less deep behind a surface is on it; chords are as coarse."""
+    behind_px: float = 3.5
+    """The same in pixels of the buffer: a face seen at 65 degrees is deeper by 2.1 in the next pixel."""
 
 
 SOLID = SolidParams()

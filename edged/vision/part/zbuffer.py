@@ -22,12 +22,17 @@ B64 = npt.NDArray[np.bool_]
 
 
 def hidden_points(
-    vertices_mm: FloatArray, triangles: I64, points_mm: FloatArray, camera_mm: FloatArray
+    vertices_mm: FloatArray,
+    triangles: I64,
+    points_mm: FloatArray,
+    camera_mm: FloatArray,
+    size_px: int = SOLID.size_px,
 ) -> npt.NDArray[np.bool_]:
     """(N,) whether the surface of a body hides points (N, 3) from a camera at camera_mm (3,).
 
     vertices_mm (K, 3), triangles (M, 3) : the body; all in one frame. A point on the surface is not hidden by
-    the surface about it. Nothing is hidden where the camera is inside, or beside itself with closeness.
+    the surface about it.  size_px : side of the buffer.
+    Nothing is hidden where the camera is inside, or too close.
     """
     middle = 0.5 * (vertices_mm.min(axis=0) + vertices_mm.max(axis=0))
     reach = float(np.linalg.norm(vertices_mm - middle, axis=1).max())
@@ -37,24 +42,25 @@ def hidden_points(
     z = unit(middle - camera_mm)
     x = unit(np.cross(np.eye(3)[int(np.abs(z).argmin())], z))
     frame = np.stack([x, np.cross(z, x), z])
-    scale = 0.5 * (SOLID.size_px - 3) * np.sqrt(distance**2 - reach**2) / reach
+    scale = 0.5 * (size_px - 3) * np.sqrt(distance**2 - reach**2) / reach
     body, seen = ((one - camera_mm) @ frame.T for one in (vertices_mm, points_mm))
-    buffer = np.full((SOLID.size_px, SOLID.size_px), np.inf)
-    fill_depths(_in_buffer(body, scale), np.ascontiguousarray(triangles, np.int64), buffer)
+    buffer = np.zeros((size_px, size_px))
+    fill_nearness(_in_buffer(body, scale, size_px), np.ascontiguousarray(triangles, np.int64), buffer)
     result = np.zeros(len(points_mm), np.bool_)
-    find_hidden(buffer, _in_buffer(seen, scale), 2 * SOLID.behind_share * reach, SOLID.around_px, result)
+    behind = 2 * reach * max(SOLID.behind_share, SOLID.behind_px / size_px)
+    find_hidden(buffer, _in_buffer(seen, scale, size_px), behind, SOLID.around_px, result)
     return result
 
 
-def _in_buffer(points: FloatArray, scale: float) -> FloatArray:
+def _in_buffer(points: FloatArray, scale: float, size_px: int) -> FloatArray:
     """(N, 3): column, row, and depth along the line of sight."""
     depth = points[:, 2:]
-    return np.ascontiguousarray(np.hstack([0.5 * SOLID.size_px + scale * points[:, :2] / depth, depth]))
+    return np.ascontiguousarray(np.hstack([0.5 * size_px + scale * points[:, :2] / depth, depth]))
 
 
 @kernel("void(f8[:, ::1], i8[:, ::1], f8[:, ::1])")
-def fill_depths(vertices: F64, triangles: I64, buffer: F64) -> None:
-    """Write the least depth of triangles into a buffer (H, W); vertices (K, 3) of column, row, depth.
+def fill_nearness(vertices: F64, triangles: I64, buffer: F64) -> None:
+    """Raise a buffer (H, W) to the inverse depth of triangles; vertices (K, 3) of column, row, depth.
 
     Inverse depth is linear in the picture. Pixels whose centre a triangle has are its own.
     """
@@ -62,33 +68,43 @@ def fill_depths(vertices: F64, triangles: I64, buffer: F64) -> None:
     for n in range(len(triangles)):
         a, b, c = vertices[triangles[n, 0]], vertices[triangles[n, 1]], vertices[triangles[n, 2]]
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if area == 0.0:
+        if not area < 0.0:  # turned away: behind a face of a closed body
             continue
-        left = max(int(np.ceil(min(a[0], b[0], c[0]))), 0)
-        right = min(int(np.floor(max(a[0], b[0], c[0]))), width - 1)
+        # inverse depth = base + by_column x + by_row y
+        near_a, near_b, near_c = 1.0 / a[2], 1.0 / b[2], 1.0 / c[2]
+        by_column = ((near_b - near_a) * (c[1] - a[1]) - (near_c - near_a) * (b[1] - a[1])) / area
+        by_row = ((near_c - near_a) * (b[0] - a[0]) - (near_b - near_a) * (c[0] - a[0])) / area
+        base = near_a - by_column * a[0] - by_row * a[1]
         top = max(int(np.ceil(min(a[1], b[1], c[1]))), 0)
         bottom = min(int(np.floor(max(a[1], b[1], c[1]))), height - 1)
-        near_a, near_b, near_c = 1.0 / a[2], 1.0 / b[2], 1.0 / c[2]
         for row in range(top, bottom + 1):
-            for column in range(left, right + 1):
-                of_b = ((column - a[0]) * (c[1] - a[1]) - (row - a[1]) * (c[0] - a[0])) / area
-                of_c = ((b[0] - a[0]) * (row - a[1]) - (b[1] - a[1]) * (column - a[0])) / area
-                of_a = 1.0 - of_b - of_c
-                if of_a < 0.0 or of_b < 0.0 or of_c < 0.0:
+            low, high = np.inf, -np.inf  # of the row within the triangle
+            for k in range(3):
+                one, two = (a, b) if k == 0 else ((b, c) if k == 1 else (c, a))
+                if (one[1] < row and two[1] < row) or (one[1] > row and two[1] > row):
                     continue
-                depth = 1.0 / (of_a * near_a + of_b * near_b + of_c * near_c)
-                if depth < buffer[row, column]:
-                    buffer[row, column] = depth
+                if one[1] == two[1]:
+                    low, high = min(low, one[0], two[0]), max(high, one[0], two[0])
+                else:
+                    at = one[0] + (row - one[1]) / (two[1] - one[1]) * (two[0] - one[0])
+                    low, high = min(low, at), max(high, at)
+            if not low <= high:
+                continue
+            first, last = max(int(np.ceil(low)), 0), min(int(np.floor(high)), width - 1)
+            line, start = buffer[row], base + by_row * row
+            for column in range(first, last + 1):
+                line[column] = max(line[column], start + by_column * column)
 
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8, i8, b1[::1])")
 def find_hidden(buffer: F64, points: F64, behind: float, around: int, hidden: B64) -> None:
-    """Fill hidden (N,): points (N, 3) that lie deeper than a margin behind a nearby pixel."""
+    """Fill hidden (N,): points (N, 3) deeper than a margin behind a nearby pixel of inverse depths."""
     height, width = buffer.shape
     for n in range(len(points)):
         hidden[n] = False
         column, row = int(np.rint(points[n, 0])), int(np.rint(points[n, 1]))
+        nearness = 1.0 / (points[n, 2] - behind)
         for y in range(max(row - around, 0), min(row + around, height - 1) + 1):
             for x in range(max(column - around, 0), min(column + around, width - 1) + 1):
-                if buffer[y, x] < points[n, 2] - behind:
+                if buffer[y, x] > nearness:
                     hidden[n] = True

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,11 +61,16 @@ class _Curves:
 
 
 def register(
-    circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature], model: ModelCurves, what: str
+    circles: Sequence[CircleFeature],
+    edges: Sequence[EdgeFeature],
+    model: ModelCurves,
+    what: str,
+    tell: Callable[[Sequence[FloatArray]], int | None] = lambda _poses: None,
 ) -> ModelRegistration:
     """Where a model lies in the part frame of taught circles and edges.
 
     The model's up is taken to be the part's -z.  what : the model's name, for messages.
+    tell : says which of several part_from_model (4, 4) is right where the curves alone do not; None: unknown.
     Raises `TeachError` where it does not fit, fits in more ways than one, or fits only in a mirror.
     """
     if not model.circles and not model.edges:
@@ -90,11 +95,19 @@ def register(
             "counterpart, and its up axis as the part lies"
         )
     if not found:
-        raise TeachError(_no_fit(what, 0, taught.count))
-    _check_rivals(found, drawn, what)
-    pose, partners = _refined(circles, edges, taught, model, drawn, found[0][1])
+        raise TeachError(_no_fit(what, 0, taught.count), "no_fit")
+    rivals = _rivals(found, drawn)
+    which = tell([one @ transform(turned, np.zeros(3)) for one in rivals]) if len(rivals) > 1 else 0
+    if which is None:
+        turn = math.degrees(_turn_of(np.linalg.inv(rivals[0]) @ rivals[1]))
+        raise TeachError(
+            f"{what}: fits the part turned by {abs(turn):.0f}° as well: expected a pair that shows what "
+            "tells its rotation",
+            "open_turn",
+        )
+    pose, partners = _refined(circles, edges, taught, model, drawn, rivals[which])
     if len(partners) < max(CAD.min_matched * taught.count, min(CAD.min_curves, taught.count)):
-        raise TeachError(_no_fit(what, len(partners), taught.count))
+        raise TeachError(_no_fit(what, len(partners), taught.count), "no_fit")
     names = {one.name for one in partners}
     taught_names = [*(one.name for one in circles), *(one.name for one in edges)]
     missing = tuple(name for name in taught_names if name not in names)
@@ -285,20 +298,22 @@ def _worth(aside: FloatArray, deeper: FloatArray, wide: FloatArray) -> FloatArra
     return np.asarray(np.where(ratio < 1.0, worth, 0.0).max(axis=1))
 
 
-def _check_rivals(found: list[tuple[float, FloatArray]], drawn: _Curves, what: str) -> None:
-    """Another way that agrees as well must be the same to the model, too: else nothing tells which it is."""
+def _rivals(found: list[tuple[float, FloatArray]], drawn: _Curves) -> list[FloatArray]:
+    """The best way, and others that agree as well but are not the same to the model."""
     score, pose = found[0]
     itself = _scores(drawn, drawn, np.zeros((1, 4)))[0]
+    rivals = [pose]
     for other, there in found[1:]:
         if other < score * (1 - CAD.rival):
             break
         motion = np.linalg.inv(pose) @ there
-        turn = math.atan2(motion[1, 0], motion[0, 0])
-        if _scores(drawn, drawn, np.array([[turn, *motion[:3, 3]]]))[0] < 0.95 * itself:
-            raise TeachError(
-                f"{what}: fits the part turned by {abs(math.degrees(turn)):.0f}° as well: expected a pair "
-                "that shows a curve which tells its rotation"
-            )
+        if _scores(drawn, drawn, np.array([[_turn_of(motion), *motion[:3, 3]]]))[0] < 0.95 * itself:
+            rivals.append(there)
+    return rivals
+
+
+def _turn_of(motion: FloatArray) -> float:
+    return math.atan2(motion[1, 0], motion[0, 0])
 
 
 # --- what is left ---------------------------------------------------------------------------------------

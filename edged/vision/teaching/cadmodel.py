@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import unit
+from edged.vision.part.body import all_sides, neighbours
 from edged.vision.teaching.params import CAD
 
 IntArray = npt.NDArray[np.int64]
@@ -153,16 +154,9 @@ def welded(corners_mm: FloatArray) -> tuple[FloatArray, IntArray]:
     return points[first], triangles[whole]
 
 
-def neighbours(triangles: IntArray) -> tuple[IntArray, IntArray]:
-    """Sides (K, 2) that two triangles (M, 3) share, as their points, and the numbers of both (K, 2)."""
-    sides, owner, start, count = _sides(triangles)
-    start = start[count == 2]
-    return sides[start], np.stack([owner[start], owner[start + 1]], axis=1)
-
-
 def open_sides(triangles: IntArray) -> tuple[int, int]:
     """How many sides of triangles (M, 3) not just one other one shares, and how many bodies they are."""
-    _, _, _, count = _sides(triangles)
+    _, _, _, count = all_sides(triangles)
     label = np.arange(triangles.max() + 1)
     while True:  # the least number that a body's points know of, each time twice as far off
         least = label[triangles].min(axis=1)
@@ -174,19 +168,6 @@ def open_sides(triangles: IntArray) -> tuple[int, int]:
         if np.array_equal(lower, label):
             return int(count[count != 2].sum()), len(np.unique(label[triangles[:, 0]]))
         label = lower
-
-
-def _sides(triangles: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Sides (K, 2) in order with their triangles (K,); where each other one begins, and how often it is."""
-    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    owner = np.repeat(np.arange(len(triangles)), 3)
-    sides, owner = sides[sides[:, 0] != sides[:, 1]], owner[sides[:, 0] != sides[:, 1]]
-    order = np.lexsort((owner, sides[:, 1], sides[:, 0]))
-    sides, owner = sides[order], owner[order]
-    other = np.ones(len(sides), bool)
-    other[1:] = (sides[1:] != sides[:-1]).any(axis=1)
-    start = np.flatnonzero(other)
-    return sides, owner, start, np.diff(np.append(start, len(sides)))
 
 
 def _meetings(model: CadModel) -> Iterator[_Meeting]:

@@ -14,13 +14,17 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.errors import TeachError
-from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, unit
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job
 from edged.vision.part.params import MEASURING
+from edged.vision.solid.breaks import lay_with_breaks, likeliest, widths_of_lines
+from edged.vision.solid.edgemodel import model_of
+from edged.vision.solid.evidence import sigmas_of
+from edged.vision.solid.params import DECISION
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import ModelRegistration, Partner, register
-from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves, ModelEdge
+from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
 from edged.vision.teaching.params import CAD
 
 
@@ -40,25 +44,37 @@ class _Reach:
     depth_mm: float
 
 
-def settle(job: Job, model: ModelCurves, rectification: Rectification, what: str) -> Settled:
+def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Settled:
     """The job with the model's numbers, as far as the pair agrees with them, and with its frame.
 
-    what : the model's name, for messages.
+    images : the pair that the job was taught from.  what : the model's name, for messages.
     Raises `TeachError` for the model of another part, of its mirror image or of another revision.
     """
-    found = register(job.circles, job.edges, model, what)
+    rectification = images.rectification
+    drawn = body_of(model.model, np.eye(4))
+
+    def tell(poses: Sequence[FloatArray]) -> int | None:
+        """The way to lay the model that the pictures show, beyond the curves that were taught."""
+        if drawn is None:
+            return None
+        return likeliest(images, model_of(drawn), [job.rig_from_part @ one for one in poses])
+
+    found = register(job.circles, job.edges, model, what, tell)
     depth_mm = float(job.rig_from_part[2, 3])
     aside_mm = MEASURING.displaced_px * depth_mm / rectification.focal_px
     reach = _Reach(aside_mm, aside_mm * max(1.0, depth_mm / rectification.baseline_mm))
     partners = {one.name: one for one in found.partners}
     _check_revision(job, model, found, reach, what)
     settled = [name for name, one in partners.items() if _agrees(job, one, reach, model)]
+    body = body_of(model.model, found.part_from_model)
+    laid, measured = laid_on_pair(
+        replace(job, part_from_model=found.part_from_model, body=body), images, what
+    )
+    part_from_model = found.part_from_model
     circles = tuple(
         replace(
             one,
-            centre_mm=_snapped(
-                apply(found.part_from_model, model.circles[partners[one.name].index].centre_mm)
-            ),
+            centre_mm=_snapped(apply(part_from_model, model.circles[partners[one.name].index].centre_mm)),
             radius_mm=_radius_mm(one, model.circles[partners[one.name].index]),
         )
         if one.name in settled
@@ -69,28 +85,51 @@ def settle(job: Job, model: ModelCurves, rectification: Rectification, what: str
                if one.name in settled}  # fmt: skip
     used = [sigma_mm for sigma_mm in faceted.values() if sigma_mm <= CAD.fine_mm]
     edges = tuple(
-        _on_model(one, model, partners[one.name], found) if one.name in settled else one for one in job.edges
+        _on_model(one, model, partners[one.name], part_from_model) if one.name in settled else one
+        for one in job.edges
     )
     taken = replace(
-        job,
+        laid,
         circles=circles,
         edges=edges,
-        part_from_model=found.part_from_model,
         sigma_mm=round(
             math.hypot(max(used, default=0.0), max(_contradicting(found, settled), default=0.0)), 6
         ),
-        body=body_of(model.model, found.part_from_model, _gone(found.partners, settled, model)),
     )
     said = _summary(settled, found, what), *_breaks(found.partners, settled), *_others(found)
-    return Settled(taken, (*said, *_coarse(faceted)))
+    return Settled(taken, (*said, *_coarse(faceted), *measured))
 
 
-def _gone(
-    partners: Sequence[Partner], settled: Sequence[str], model: ModelCurves
-) -> list[ModelCircle | ModelEdge]:
-    """Curves of the model that an edge break has taken away: the pair shows another edge instead."""
-    gone = [one for one in partners if one.name not in settled]
-    return [model.circles[one.index] if one.kind == "circle" else model.edges[one.index] for one in gone]
+def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[str]]:
+    """The job with its body where the pair shows it best, and the edge breaks that the file does not have.
+
+    And what a person should know. Raises `TeachError` for a pair that does not show it there.
+    """
+    if job.body is None:
+        return job, []
+    laid = lay_with_breaks(images, model_of(job.body), job.rig_from_part)
+    if laid is None or sigmas_of(laid.evidence.log_ratio()) < DECISION.certain:
+        raise TeachError(
+            f"{what}: the pair shows too few of the model's edges where its curves say it lies: expected "
+            "the model of this part, and a pair that shows it whole",
+            "not_shown",
+        )
+    widths = widths_of_lines(laid.model, job.body.points_mm, job.body.lines)
+    body = replace(job.body, breaks_mm=widths, sigma_break_mm=laid.sigma_break_mm)
+    limits, widest = job.limits, float(widths.max(initial=0.0))
+    if limits.radius_tolerance_mm is not None:  # another light may show a rim's other end
+        limits = replace(limits, radius_tolerance_mm=round(limits.radius_tolerance_mm + widest, 4))
+    taken = replace(job, body=body, rig_from_part=laid.fit.pose, limits=limits)
+    return taken, _said(widths)
+
+
+def _said(widths_mm: FloatArray) -> list[str]:
+    """Edge breaks in words."""
+    broken = widths_mm[widths_mm > 0]
+    if not len(broken):
+        return []
+    low, high = np.percentile(broken, (5, 95))
+    return [f"edge breaks of {low:.2f} to {high:.2f} mm that the model does not have, by the pair"]
 
 
 def _radius_mm(seen: CircleFeature, drawn: ModelCircle) -> float:
@@ -127,10 +166,12 @@ def _aside_limit(job: Job, name: str, reach: _Reach) -> float:
     return reach.aside_mm + CAD.scale_share * float(np.linalg.norm(arm[:2]))
 
 
-def _on_model(edge: EdgeFeature, model: ModelCurves, one: Partner, found: ModelRegistration) -> EdgeFeature:
+def _on_model(
+    edge: EdgeFeature, model: ModelCurves, one: Partner, part_from_model: FloatArray
+) -> EdgeFeature:
     """The stretch that the pair shows, on the model's line."""
     line = model.edges[one.index]
-    start, end = (apply(found.part_from_model, point) for point in (line.start_mm, line.end_mm))
+    start, end = (apply(part_from_model, point) for point in (line.start_mm, line.end_mm))
     along = unit(end - start)
     ends = [
         _snapped(start + float((point - start) @ along) * along) for point in (edge.start_mm, edge.end_mm)

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import unit
+from edged.vision.part.body import neighbours
 from edged.vision.teaching.cadmodel import (
     CadModel,
     IntArray,
@@ -23,7 +24,6 @@ from edged.vision.teaching.cadmodel import (
     ModelCurves,
     ModelEdge,
     merged_circles,
-    neighbours,
     triangle_normals,
 )
 from edged.vision.teaching.params import CAD

@@ -112,6 +112,8 @@ class CadParams:
     sight_points: int = 48  # of a curve, at which hiding is tested
     near_mm: float = 0.6  # between the curves of a part and of another revision of it
     break_mm: float = 1.0  # the largest edge break
+    taught_tilt_rad: float = math.radians(20.0)  # of a part that lies for teaching
+    taught_range: float = 1.6  # of its distance, against where both cameras look
     min_arm_mm: float = 1.0  # between two curves that tell a turn
     same_turn_rad: float = math.radians(1.5)  # between two turns that are one
     turn_bin_rad: float = math.radians(0.5)  # of the histogram of turns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -177,3 +178,23 @@ def test_a_part_of_too_many_triangles_has_no_body() -> None:
     """Rather than a job that takes seconds a picture."""
     points, triangles = welded(ring(2000, 30.0, 20.0, 5.0, rows=20))
     assert body_of(CadModel(points, triangles, np.arange(len(triangles)), ()), np.eye(4)) is None
+
+
+def test_edge_breaks_are_kept_and_checked() -> None:
+    """What a pair has shown of the breaks is in the file; widths that are none are refused."""
+    plain = body("D3")
+    widths = np.linspace(0.0, 0.5, len(plain.lines))
+    broken = replace(plain, breaks_mm=widths, sigma_break_mm=0.01)
+    again = PartBody.from_arrays(broken.to_arrays())
+    assert again.breaks_mm is not None
+    assert np.abs(again.breaks_mm - widths).max() < 1e-6
+    assert 0.01 == pytest.approx(again.sigma_break_mm)
+    assert PartBody.from_arrays(plain.to_arrays()).breaks_mm is None
+    arrays = broken.to_arrays()
+    for wrong in (
+        np.full_like(arrays["breaks_mm"], np.nan),
+        -arrays["breaks_mm"] - 1,
+        arrays["breaks_mm"][:-1],
+    ):
+        with pytest.raises(ValueError, match="breaks_mm"):
+            PartBody.from_arrays(arrays | {"breaks_mm": wrong})

@@ -143,7 +143,7 @@ def test_what_the_pair_must_show_and_does_not_is_said() -> None:
     model = model_of("D1")
     circles, _ = taught(model, placed(0.2, 0.0, 0.0, 0.0))
     bolts = tuple(one for one in circles if one.radius_mm == pytest.approx(1.8))
-    with pytest.raises(TeachError, match="as well: expected a pair that shows a curve which tells"):
+    with pytest.raises(TeachError, match="as well: expected a pair that shows what tells"):
         register(bolts, (), model, "D1")
 
 

@@ -1,0 +1,235 @@
+"""All edges of a solid part, as curves in its frame with both faces beside each.
+
+A machined edge is a pair of edges: where two faces meet, an edge break (chamfer, rounding) of width b makes
+two of one, b away from it within either face. Which of both a picture shows depends on light and view, so
+the model holds both.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+from edged.vision.geometry.rigid import unit
+from edged.vision.kernels.jit import B1, F2, I1
+from edged.vision.part.body import PartBody
+from edged.vision.solid.params import MODEL
+
+I64 = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeModel:
+    """Edges of a part as segments, those of one smooth curve behind each other, and the surface between.
+
+    start, end (E, 3) mm.  normals (E, 2, 3) : of both faces, outwards.  inward (E, 2, 3) : within either
+    face, away from the edge.  chain (E,) : number of the curve.
+    sharp (E,) : an edge from all sides; otherwise a piece of a curved wall, seen where it is the outline.
+    breaks_mm (E,) : width of the edge break that the surface does not have.
+    vertices (V, 3), triangles (T, 3) : the surface, empty where it is not known.
+    centre (3,), size_mm : of the part; poses are turned about the centre.
+    """
+
+    start: FloatArray
+    end: FloatArray
+    normals: FloatArray
+    inward: FloatArray
+    chain: I64
+    sharp: npt.NDArray[np.bool_]
+    breaks_mm: FloatArray
+    vertices: FloatArray
+    triangles: I64
+    centre: FloatArray
+    size_mm: float
+
+    @property
+    def breakable(self) -> npt.NDArray[np.bool_]:
+        """(E,) whether an edge can be broken: an outer one, and none of the two ends of a break itself."""
+        outer = np.einsum("ej,ej->e", self.inward[:, 0], self.normals[:, 1]) < MODEL.convex
+        steep = np.einsum("ej,ej->e", self.normals[:, 0], self.normals[:, 1]) < MODEL.steep
+        return np.asarray(self.sharp & outer & steep)
+
+
+class EdgePoints(NamedTuple):
+    """Points along the edges of a model.
+
+    points (N, 3), along (N, 3) unit; normals (N, 6) : of both faces.  by_break (N, 3) : motion by the width
+    of the edge break.  curve (N,) : number of the edge, other for both edges of a break; samples of one
+    follow each other.  sharp (N,) : as in the model.
+    """
+
+    points: F2
+    along: F2
+    normals: F2
+    by_break: F2
+    curve: I1
+    sharp: B1
+
+
+def model_of(body: PartBody) -> EdgeModel:
+    """The edges of a part's surface."""
+    sides, beside = body.sides
+    normals = body.normals
+    flat = np.einsum("ej,ej->e", normals[beside[:, 0]], normals[beside[:, 1]])
+    kept = flat < MODEL.flat
+    sides, beside, sharp = sides[kept], beside[kept], (flat < MODEL.sharp)[kept]
+    order, flipped, chain = _chained(body.points_mm, sides, sharp)
+    sides[flipped] = sides[flipped][:, ::-1]
+    sides, beside, sharp, chain = sides[order], beside[order], sharp[order], chain[order]
+    start, end = body.points_mm[sides[:, 0]], body.points_mm[sides[:, 1]]
+    along = (end - start) / np.maximum(np.linalg.norm(end - start, axis=1, keepdims=True), MODEL.tiny_mm)
+    middles = body.points_mm[body.triangles].mean(axis=1)
+    inward = np.empty((len(sides), 2, 3))
+    for k in (0, 1):
+        inward[:, k] = np.cross(normals[beside[:, k]], along)
+        away = middles[beside[:, k]] - 0.5 * (start + end)
+        inward[:, k] *= np.sign(np.einsum("ej,ej->e", inward[:, k], away))[:, None]
+    low, high = body.points_mm.min(axis=0), body.points_mm.max(axis=0)
+    breaks = np.zeros(len(sides)) if body.breaks_mm is None else _breaks(body, body.breaks_mm, sides)
+    model = EdgeModel(start, end, normals[beside], inward, chain, sharp, breaks,
+                      body.points_mm, body.triangles, 0.5 * (low + high),
+                      float(np.linalg.norm(high - low)))  # fmt: skip
+    model.breaks_mm[~model.breakable] = 0.0
+    return model
+
+
+def _breaks(body: PartBody, widths_mm: FloatArray, sides: I64) -> FloatArray:
+    """(E,) widths of the edge breaks along sides (E, 2) of triangles."""
+    widths = {
+        (min(a, b), max(a, b)): width
+        for (a, b), width in zip(body.lines[:, :2].tolist(), widths_mm.tolist(), strict=True)
+    }
+    return np.array([widths.get((min(a, b), max(a, b)), 0.0) for a, b in sides.tolist()])
+
+
+def _chained(
+    points: FloatArray, sides: I64, sharp: npt.NDArray[np.bool_]
+) -> tuple[I64, npt.NDArray[np.bool_], I64]:
+    """Order (E,) in which the sharp sides of one smooth curve follow each other, head to tail.
+
+    And which sides (E,) are to be flipped for that, and the number of each one's curve (E,).
+    """
+    at: dict[int, list[int]] = defaultdict(list)
+    for side in np.flatnonzero(sharp).tolist():
+        for vertex in sides[side].tolist():
+            at[vertex].append(side)
+    heading = points[sides[:, 1]] - points[sides[:, 0]]
+    heading /= np.maximum(np.linalg.norm(heading, axis=1, keepdims=True), MODEL.tiny_mm)
+    used, flipped, chain = (
+        np.zeros(len(sides), bool),
+        np.zeros(len(sides), bool),
+        np.zeros(len(sides), np.int64),
+    )
+    order: list[int] = []
+    number = 0
+    for first in np.flatnonzero(sharp).tolist():
+        if used[first]:
+            continue
+        used[first] = True
+        ways = []
+        for onward in (1, 0):  # from its end, then from its beginning
+            walked = _walk(first, onward, at, sides, heading, used)
+            ways.append([(side, back if onward else not back) for side, back in walked])
+        for side, back in [*ways[1][::-1], (first, False), *ways[0]]:
+            order.append(side)
+            chain[side], flipped[side] = number, back
+        number += 1
+    smooth = np.flatnonzero(~sharp)
+    chain[smooth] = number + np.arange(len(smooth))
+    return np.concatenate([np.array(order, np.int64), smooth]), flipped, chain
+
+
+def _walk(
+    first: int,
+    onward: int,
+    at: dict[int, list[int]],
+    sides: I64,
+    heading: FloatArray,
+    used: npt.NDArray[np.bool_],
+) -> list[tuple[int, bool]]:
+    """Sides that go on smoothly from one end of a side, each with whether it is walked backwards."""
+    vertex, way = int(sides[first, onward]), heading[first] * (1.0 if onward else -1.0)
+    walked: list[tuple[int, bool]] = []
+    while True:
+        for side in at[vertex]:
+            back = int(sides[side, 0]) != vertex
+            ahead = -heading[side] if back else heading[side]
+            if not used[side] and float(ahead @ way) > MODEL.smooth:
+                break
+        else:
+            return walked
+        used[side], way = True, ahead
+        vertex = int(sides[side, 0] if back else sides[side, 1])
+        walked.append((side, back))
+
+
+@lru_cache(maxsize=64)  # of a few jobs at a few spacings
+def sampled(model: EdgeModel, spacing_mm: float) -> EdgePoints:
+    """Points along all edges of a model, evenly spaced along each curve."""
+    broken = model.breaks_mm > 0
+    both = [
+        _along(model, np.flatnonzero(~broken), None, spacing_mm),
+        *(_along(model, np.flatnonzero(broken), side, spacing_mm) for side in (0, 1)),
+    ]
+    return EdgePoints._make(np.ascontiguousarray(np.concatenate(field)) for field in zip(*both, strict=True))
+
+
+def _along(model: EdgeModel, rows: I64, side: int | None, spacing_mm: float) -> EdgePoints:
+    """Samples of some segments; of broken ones, of the edge within one of both faces."""
+    by_break = np.zeros((len(rows), 3)) if side is None else model.inward[rows, side]
+    shift = model.breaks_mm[rows, None] * by_break
+    start, end = model.start[rows] + shift, model.end[rows] + shift
+    curve = model.chain[rows] * 3 + (0 if side is None else side + 1)
+    length = np.linalg.norm(end - start, axis=1)
+    total = np.cumsum(length)
+    new = np.r_[True, curve[1:] != curve[:-1]][: len(rows)]
+    base = np.maximum.accumulate(np.where(new, total - length, 0.0)) if len(rows) else total
+    first, last = (np.ceil(place / spacing_mm - 0.5) for place in (total - length - base, total - base))
+    count = (last - first).astype(np.int64)
+    row = np.repeat(np.arange(len(rows)), count)
+    number = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
+    share = ((number + 0.5) * spacing_mm - (total - length - base)[row]) / np.maximum(
+        length[row], MODEL.tiny_mm
+    )
+    along = (end - start) / np.maximum(length, MODEL.tiny_mm)[:, None]
+    return EdgePoints(
+        start[row] + share[:, None] * (end - start)[row],
+        along[row],
+        model.normals[rows].reshape(-1, 6)[row],
+        by_break[row],
+        curve[row],
+        model.sharp[rows][row],
+    )
+
+
+def curve_model(
+    curves: list[tuple[FloatArray, FloatArray]], breaks_mm: list[float], up: FloatArray
+) -> EdgeModel:
+    """Edges of a part of which no surface is known: polylines on level faces.
+
+    curves : of each its points (N, 3) and, of each segment, the direction (N - 1, 3) out of the material in
+    the face.  up (3,) : normal of the faces.
+    """
+    start = np.concatenate([points[:-1] for points, _ in curves])
+    end = np.concatenate([points[1:] for points, _ in curves])
+    out = np.concatenate([unit_rows(away) for _, away in curves])
+    level = np.tile(unit(up), (len(start), 1))
+    chain = np.repeat(np.arange(len(curves)), [len(points) - 1 for points, _ in curves])
+    widths = np.repeat(np.asarray(breaks_mm, np.float64), [len(points) - 1 for points, _ in curves])
+    low, high = start.min(axis=0), start.max(axis=0)
+    return EdgeModel(
+        start, end, np.stack([level, out], axis=1), np.stack([-out, -level], axis=1), chain,
+        np.ones(len(start), bool), widths, np.zeros((0, 3)), np.zeros((0, 3), np.int64),
+        0.5 * (low + high), float(np.linalg.norm(high - low)),
+    )  # fmt: skip
+
+
+def unit_rows(vectors: FloatArray) -> FloatArray:
+    """Vectors (N, 3) of length one."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))

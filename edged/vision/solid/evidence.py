@@ -1,0 +1,119 @@
+"""What both pictures say for a pose, against chance and against each other pose.
+
+Edges are looked for at every sample that a pose predicts. An edge within a pixel may be there by chance, the
+more often the more edges the surroundings have; and an edge that is there may not show, where two surfaces
+happen to be as bright. Neighbouring samples see the same thing: they say together what one would.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.lock import MOST, Pyramids, find_edges, seen_by
+from edged.vision.solid.params import EVIDENCE, LOCK
+
+B64 = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEvidence:
+    """What the samples of a pose say, both cameras behind each other.
+
+    hit (M,) : an edge lies within a pixel.  chance (M,) : probability of that by chance.
+    curve (M,) : number of the model's curve.  pixels (M, 2), camera (M,).
+    """
+
+    hit: B64
+    chance: FloatArray
+    curve: npt.NDArray[np.int64]
+    pixels: FloatArray
+    camera: npt.NDArray[np.int64]
+
+    def log_ratio(self, chosen: B64 | None = None) -> FloatArray:
+        """(K,) log likelihood of the part against chance, of each block of the chosen samples."""
+        rows = np.arange(len(self.hit)) if chosen is None else np.flatnonzero(chosen)
+        if not len(rows):
+            return np.zeros(0)
+        key = self.curve[rows] * 2 + self.camera[rows]
+        new = np.r_[True, key[1:] != key[:-1]]
+        place = np.arange(len(rows)) - np.maximum.accumulate(np.where(new, np.arange(len(rows)), 0))
+        first = np.flatnonzero(new | (place % EVIDENCE.block == 0))
+        counts = np.diff(np.r_[first, len(rows)])
+        share = np.add.reduceat(self.hit[rows].astype(np.float64), first) / counts
+        chance = np.clip(np.add.reduceat(self.chance[rows], first) / counts, 0.02, 0.95)
+        shown = EVIDENCE.shown * EVIDENCE.found + (1 - EVIDENCE.shown) * chance
+        whole = counts / EVIDENCE.block
+        return np.asarray(
+            whole * (share * np.log(shown / chance) + (1 - share) * np.log((1 - shown) / (1 - chance)))
+        )
+
+    def share(self, chosen: B64 | None = None) -> float:
+        """Share of the chosen samples with an edge; NaN without any."""
+        hit = self.hit if chosen is None else self.hit[chosen]
+        return float(hit.mean()) if len(hit) else math.nan
+
+
+def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseEvidence:
+    """What both pictures show of a part at a pose, rig_from_part (4, 4)."""
+    hits, chances, curves, pixels, cameras = [], [], [], [], []
+    for k, seen in enumerate(seen_by(model, pyramids, pose, 0, EVIDENCE.spacing_px)):
+        offsets = np.full((len(seen.row), MOST), np.nan)
+        find_edges(
+            *pyramids.slopes[0][k], seen.pixels, seen.normals, seen.curve,
+            EVIDENCE.reach_px, EVIDENCE.together, LOCK.fine_px, offsets,
+        )  # fmt: skip
+        away = np.abs(offsets)
+        hits.append(np.nanmin(np.where(np.isfinite(away), away, np.inf), axis=1) < EVIDENCE.agree_px)
+        # edges per px beside the own one, over a stretch of the curve
+        beside = ((away > EVIDENCE.own_px) & (away < EVIDENCE.reach_px)).sum(axis=1)
+        density = beside / (2 * (EVIDENCE.reach_px - EVIDENCE.own_px))
+        density = _smooth(density)
+        chances.append(1 - np.exp(-2 * EVIDENCE.agree_px * density))
+        curves.append(seen.curve)
+        pixels.append(seen.pixels)
+        cameras.append(np.full(len(seen.row), k))
+    return PoseEvidence(*(np.concatenate(first) for first in (hits, chances, curves, pixels, cameras)))
+
+
+def _smooth(density: FloatArray) -> FloatArray:
+    """The density averaged along the samples."""
+    if not len(density):
+        return density
+    kernel = np.ones(EVIDENCE.stretch) / EVIDENCE.stretch
+    return np.convolve(np.pad(density, EVIDENCE.stretch // 2, mode="edge"), kernel, mode="valid")[
+        : len(density)
+    ]
+
+
+def apart(mine: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]) -> B64:
+    """(M,) which samples of one pose the other does not predict within a few pixels."""
+    result = np.ones(len(mine.hit), bool)
+    for k, (height, width) in enumerate(shapes):
+        drawn = np.zeros((height, width), np.uint8)
+        theirs = np.rint(other.pixels[other.camera == k]).astype(np.int64)
+        drawn[theirs[:, 1], theirs[:, 0]] = 1
+        drawn = np.asarray(cv2.dilate(drawn, np.ones((2 * EVIDENCE.apart_px + 1,) * 2, np.uint8)), np.uint8)
+        rows = np.flatnonzero(mine.camera == k)
+        own = np.rint(mine.pixels[rows]).astype(np.int64)
+        result[rows] = drawn[own[:, 1], own[:, 0]] == 0
+    return result
+
+
+def margin_over(first: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]) -> float:
+    """Sigmas by which one pose is likelier than another, where only one of them predicts an edge."""
+    mine = first.log_ratio(apart(first, other, shapes))
+    theirs = other.log_ratio(apart(other, first, shapes))
+    return sigmas_of(np.concatenate([mine, -theirs]))
+
+
+def sigmas_of(ratios: FloatArray) -> float:
+    """A sum of log ratios in its own sigmas."""
+    spread = math.sqrt(len(ratios)) * float(ratios.std()) if len(ratios) else 0.0
+    return float(ratios.sum()) / max(spread, 1.0)

@@ -1,0 +1,201 @@
+"""Parts of a job with a known body, found and measured in a pair: tilted, stepped, with broken edges.
+
+Nothing of a flat face is used: all edges of the part, those of its edge breaks among them, are looked for in
+both pictures, locked as one, weighed against chance and against every rival, and measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Match, NotMeasured, Reject, Target
+from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rigid import apply, skew, transform
+from edged.vision.part import measured as parts
+from edged.vision.part.body import PartBody
+from edged.vision.part.consistency import judged
+from edged.vision.part.flatness import with_flatness
+from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
+from edged.vision.part.heights import with_heights
+from edged.vision.part.job import Job
+from edged.vision.part.measure import published, with_free_axis
+from edged.vision.part.solid import fitted
+from edged.vision.solid.edgemodel import EdgeModel, model_of
+from edged.vision.solid.evidence import evidence_of, margin_over, sigmas_of
+from edged.vision.solid.lock import LaidPose, Pyramids, lay, schedule
+from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of, turned_rad
+from edged.vision.solid.params import DECISION
+from edged.vision.solid.profiles import ProfileFit, best_fit
+from edged.vision.solid.symmetry import is_round, like_turns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundPart:
+    """A part at a place: how it was laid, what speaks for it, and for how much more than for any rival.
+
+    certain : the pictures show the part rather than chance, by so many sigmas.  margin : the same against the
+    nearest rival; inf without one.
+    """
+
+    laid: LaidPose
+    certain: float
+    margin: float
+
+
+def locate_solid(
+    images: StereoImages, job: Job
+) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
+    """All parts of a job in a pair, those that could not be measured, and the nearest misses.
+
+    The job has a body.
+    """
+    wanted = wanted_of(job)
+    pyramids = pyramids_of(images, wanted)
+    measured: list[parts.MeasuredPart] = []
+    dismissed: list[NotMeasured] = []
+    missed: list[Match] = []
+    for place in find_places(wanted, pyramids):
+        found = weighed(wanted.model, pyramids, place, _turns(job, wanted.model))
+        match = _match(images, job, found.laid)
+        if found.certain < DECISION.certain:
+            missed.append(match)
+            continue
+        if len(measured) + len(dismissed) == job.search.max_matches:
+            break
+        result = measure_found(images, job, wanted.model, pyramids, found, match)
+        if isinstance(result, parts.MeasuredPart):
+            measured.append(result)
+        else:
+            dismissed.append(NotMeasured(match, result))
+    return measured, dismissed, missed
+
+
+def wanted_of(job: Job) -> SearchedPart:
+    """What is looked for, of a job with a body."""
+    assert job.body is not None
+    model = edges_of(job.body)
+    place = apply(job.rig_from_part, model.centre)
+    # as the search has it, within the limits, which are of the reference point
+    taught = float(apply(job.rig_from_part, job.place_of(job.reference))[2])
+    near, far = (taught / scale for scale in (job.search.scale_max, job.search.scale_min))
+    near, far = max(near, job.limits.depth_mm[0]), min(far, job.limits.depth_mm[1])
+    near, far = (float(np.linalg.norm(place)) * depth / taught for depth in (near, far))
+    tilt = DECISION.lying_rad if job.tilt_rad is None else job.tilt_rad
+    return SearchedPart(model, tilt + DECISION.tilt_margin_rad, (near, far), place)
+
+
+@lru_cache(maxsize=16)
+def edges_of(body: PartBody) -> EdgeModel:
+    """The edge model of a body, made once."""
+    return model_of(body)
+
+
+def _axis(job: Job) -> tuple[float, float]:
+    x, y, _ = job.place_of(job.reference)
+    return float(x), float(y)
+
+
+def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
+    """Motions that leave the part like itself, about its reference and about its middle."""
+    axes = {_axis(job), (float(model.centre[0]), float(model.centre[1]))}
+    if any(is_round(model, axis) for axis in axes):
+        return ()
+    return tuple(motion for axis in sorted(axes) for motion in like_turns(model, axis))
+
+
+def weighed(model: EdgeModel, pyramids: Pyramids, place: PartPlace, turns: Sequence[FloatArray]) -> FoundPart:
+    """The best pose at a place, against chance and against its rivals there."""
+    fine = schedule(len(pyramids.cameras) - 1)[2][-DECISION.rival_steps :]
+    poses = list(place.modes)
+    for motion in turns:
+        pose = np.asarray(place.best.pose @ motion)
+        if any(turned_rad(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
+            continue
+        laid = lay(model, pyramids, pose, fine)
+        if laid is not None and laid.mean > DECISION.worth * place.best.mean:
+            poses.append(laid)
+    shapes = [grey.shape for grey in pyramids.grey[0]]
+    seen = [evidence_of(model, pyramids, mode.pose) for mode in poses]
+    best = max(range(len(poses)), key=lambda k: float(seen[k].log_ratio().sum()))
+    margin = math.inf
+    for k, other in enumerate(seen):
+        if k != best and turned_rad(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
+            margin = min(margin, margin_over(seen[best], other, shapes))
+    return FoundPart(poses[best], sigmas_of(seen[best].log_ratio()), margin)
+
+
+def _match(images: StereoImages, job: Job, laid: LaidPose) -> Match:
+    """A pose as a match of the left picture: where its reference is, its turn against the taught one."""
+    reference = apply(laid.pose, job.place_of(job.reference))
+    x, y = images.rig.left.project(reference[None])[0]
+    taught = job.rig_from_part[:3, :3]
+    between = laid.pose[:3, :3] @ taught.T
+    angle = math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+    scale = float(apply(job.rig_from_part, job.place_of(job.reference))[2] / reference[2])
+    return Match(float(x), float(y), angle, scale, scale, laid.mean)
+
+
+def measure_found(
+    images: StereoImages, job: Job, model: EdgeModel, pyramids: Pyramids, found: FoundPart, match: Match
+) -> parts.MeasuredPart | Reject:
+    """A found part measured; the reason when that is not possible."""
+    fit = best_fit(model, pyramids, images, found.laid.pose, _held(job, model))
+    if fit is None:
+        return Reject.FEW_EDGES
+    target = _target(job, model, fit, match)
+    reject = Reject.NONE if found.margin > DECISION.certain else Reject.AMBIGUOUS_ROTATION
+    # each curve by itself, free, as far as it is alone: that is where sizes come from
+    whole = fitted(images, job, fit.pose)
+    alone = None if whole is None else whole.alone(images)
+    if alone is not None:
+        target = replace(target, circles=tuple(mode.circle for mode in circles_in_rig(alone)))
+        target = with_features(target, job, alone)
+    target = replace(target, reject=reject, measurements=measure_sizes(job, alone, target.circles))
+    # what the profiles scatter is in the sigma, by blocks: a face of another break is no other part
+    evidence = parts.Evidence(
+        float(found.laid.agreeing.min()),
+        0.0,
+        fit.row_shift_px,
+        fit.row_sigma_px,
+        fit.growth,
+        fit.growth_sigma,
+    )
+    result = parts.MeasuredPart(target, evidence, () if whole is None else whole.fit.fits)
+    kinds = {spec.kind for spec in job.measurements}
+    if "height" in kinds:
+        result = with_heights(result, images, job)
+    if "flatness" in kinds:
+        result = with_flatness(result, images, job)
+    target = judged(job, images.rectification, with_free_axis(job, result.target), evidence)
+    return replace(result, target=published(job, target))
+
+
+def _held(job: Job, model: EdgeModel) -> FloatArray | None:
+    """(3,) axis of a part that looks alike from all sides about it."""
+    return np.array([0.0, 0.0, 1.0]) if is_round(model, _axis(job)) else None
+
+
+def _target(job: Job, model: EdgeModel, fit: ProfileFit, match: Match) -> Target:
+    """The part where a fit puts it."""
+    body = job.body
+    assert body is not None
+    rotation, reference = fit.pose[:3, :3], job.place_of(job.reference)
+    lift = np.zeros((6, 6))  # of (position, rotation vector) in rig axes to the twist
+    lift[:3, :3], lift[:3, 3:] = -rotation @ skew(reference - model.centre), rotation
+    lift[3:, :3] = rotation
+    edges = fit.edges + body.sigma_break_mm**2 * np.outer(fit.by_break, fit.by_break)
+    return Target(
+        job=job.name,
+        match=match,
+        rig_from_part=transform(rotation, apply(fit.pose, reference)),
+        covariance=lift @ (edges + fit.calibration) @ lift.T,
+        by_edges=lift @ edges @ lift.T,
+        circles=(),
+        epipolar_rms_px=math.nan,
+    )

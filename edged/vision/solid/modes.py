@@ -1,0 +1,120 @@
+"""Where a part lies in a pair, with no start given: the modes that survive from many views to few poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rigid import apply
+from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.lock import LaidPose, Pyramids, lay, schedule
+from edged.vision.solid.params import MODES, LockStep
+from edged.vision.solid.scan import starts_of, top_level
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartPlace:
+    """Poses that were laid at one place of the scene, those that most agrees with first."""
+
+    modes: tuple[LaidPose, ...]
+
+    @property
+    def best(self) -> LaidPose:
+        """The one that most agrees with."""
+        return self.modes[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchedPart:
+    """What is looked for, and where.
+
+    tilt_rad : most lean of the part's -z from the bisector of both cameras.  distances_mm : nearest and
+    farthest of its centre from the left camera.  place (3,) : where it was taught, rig frame.
+    """
+
+    model: EdgeModel
+    tilt_rad: float
+    distances_mm: tuple[float, float]
+    place: FloatArray
+
+
+def pyramids_of(images: StereoImages, wanted: SearchedPart) -> Pyramids:
+    """Both pictures down to the size at which the part is looked for."""
+    top = top_level(images.rig, wanted.model, float(np.linalg.norm(wanted.place)))
+    return Pyramids(images.rig, images.raw, top + 1)
+
+
+def find_places(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:
+    """Where the part may lie, by falling agreement."""
+    model, top = wanted.model, len(pyramids.cameras) - 1
+    starts = starts_of(
+        model, pyramids.rig, pyramids.grey[top], top, wanted.tilt_rad, wanted.distances_mm, wanted.place
+    )
+    coarse, middle, fine = schedule(top)
+    laid = _laid(model, pyramids, [candidate.pose for both in starts for candidate in both], coarse, wanted)
+    laid = _unlike(model, laid, MODES.kept_middle, MODES.kept_at_place)
+    laid = _laid(model, pyramids, [candidate.pose for candidate in laid], middle, wanted)
+    laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)
+    laid = _laid(model, pyramids, [candidate.pose for candidate in laid], fine, wanted)
+    places: list[list[LaidPose]] = []
+    for candidate in _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place):
+        near = [
+            place for place in places if _apart(model, place[0], candidate) < MODES.same_place * model.size_mm
+        ]
+        if near:
+            near[0].append(candidate)
+        else:
+            places.append([candidate])
+    return [PartPlace(tuple(place)) for place in places]
+
+
+def _laid(
+    model: EdgeModel,
+    pyramids: Pyramids,
+    poses: Sequence[FloatArray],
+    steps: Sequence[LockStep],
+    wanted: SearchedPart,
+) -> list[LaidPose]:
+    """Poses laid by some steps, by falling agreement, without those that ran away."""
+    found = [lay(model, pyramids, pose, steps) for pose in poses]
+    near, far = wanted.distances_mm
+    kept = []
+    for candidate in found:
+        if candidate is None:
+            continue
+        distance = float(np.linalg.norm(apply(candidate.pose, model.centre)))
+        if near * (1 - MODES.margin) <= distance <= far * (1 + MODES.margin):
+            kept.append(candidate)
+    return sorted(kept, key=lambda candidate: -candidate.mean)
+
+
+def _unlike(model: EdgeModel, laid: Sequence[LaidPose], most: int, at_place: int) -> list[LaidPose]:
+    """The first ones that differ, and not too many of one place."""
+    kept: list[LaidPose] = []
+    for candidate in laid:
+        near = [other for other in kept if _apart(model, candidate, other) < MODES.same_place * model.size_mm]
+        alike = any(
+            _apart(model, candidate, other) < MODES.alike_mm
+            and turned_rad(candidate.pose, other.pose) < MODES.alike_rad
+            for other in near
+        )
+        if alike or len(near) >= at_place:
+            continue
+        kept.append(candidate)
+        if len(kept) == most:
+            break
+    return kept
+
+
+def _apart(model: EdgeModel, candidate: LaidPose, other: LaidPose) -> float:
+    return float(np.linalg.norm(apply(candidate.pose, model.centre) - apply(other.pose, model.centre)))
+
+
+def turned_rad(candidate: FloatArray, other: FloatArray) -> float:
+    """Angle between two poses (4, 4)."""
+    return math.acos(float(np.clip((np.trace(candidate[:3, :3].T @ other[:3, :3]) - 1) / 2, -1.0, 1.0)))

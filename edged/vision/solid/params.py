@@ -1,0 +1,283 @@
+"""The tuned numbers of the stages in this package, each with its source."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeModelParams:
+    """Edges of a part's surface.
+
+    Where a line names no source, `tools/bench ablate --only EdgeModelParams` shows what the number earns.
+    """
+
+    sharp: float = math.cos(math.radians(20.0))
+    """Cosine between two facets: with less they meet in an edge, otherwise in a rounding."""
+    flat: float = 1.0 - 1e-7  # cosine: flat to rounding
+    smooth: float = 0.8  # cosine between two sides of one curve: arcs have at least ten chords
+    convex: float = -0.2  # cosine between a face and the way into the other one
+    steep: float = 0.5  # cosine between two faces: with more the edge is an end of a chamfer of 45 degrees
+    tiny_mm: float = 1e-9  # against a division by 0
+
+
+MODEL = EdgeModelParams()
+
+
+@dataclass(frozen=True, slots=True)
+class VisibilityParams:
+    """What a camera sees of an edge model.
+
+    Where a line names no source, `tools/bench ablate --only SightParams` shows what the number earns.
+    """
+
+    border_px: float = 3.0  # of the picture: profiles reach across it
+    slant: float = 0.15
+    """Sine between an edge and the line of sight: flatter, its place across says little of the part."""
+    alike: float = 0.03  # of two scales: samples stay for smaller changes
+    buffer_px: tuple[int, ...] = (384, 384, 256, 256)
+    """Side of the z-buffer by level: with less, a step of a mm in a part of 40 is lost in its margin."""
+
+
+VISIBILITY = VisibilityParams()
+
+
+@dataclass(frozen=True, slots=True)
+class LockStep:
+    """One step of a lock.
+
+    level : of the pyramids.  reach_px : to the edges.  spacing_px : between samples.  along_px : of the curve
+    whose profiles are averaged.  cap_px : of the residuals' sigma.
+    """
+
+    level: int
+    reach_px: float
+    spacing_px: float
+    along_px: float
+    cap_px: float
+
+
+LockSteps = tuple[tuple[float, float, float, float], ...]
+"""Reach, spacing, along and cap of the steps at one level."""
+
+
+@dataclass(frozen=True, slots=True)
+class LockParams:
+    """The joint lock onto both pictures.
+
+    Where a line names no source, `tools/bench ablate --only LockParams` shows what the number earns.
+    """
+
+    most: int = 4  # edges of a profile
+    min_slope: float = 1.5  # grey values per px
+    rival_share: float = 0.35  # of a profile's steepest slope, from which another one is a candidate
+    smoothing_px: float = 0.8
+    """With the lens' 0.55 px about the optimal width (Canny 1986, doi:10.1109/TPAMI.1986.4767851)."""
+    fine_px: float = 0.5  # step of the profiles
+    coarse_px: float = 1.0  # for a reach beyond the next
+    coarse_reach_px: float = 6.0  # from there on
+    own_px: float = 0.3  # two edges nearer than that are one
+    merged_px: float = 3.2
+    """Two steps nearer than 2.6 blurs of lens and operator (0.97 px) shift each other; with a margin."""
+    merged_weight: float = 0.25  # of an edge that is somewhere in an interval
+    rounds: int = 6  # of reweighting
+    min_sigma_px: float = 0.4  # of the robust scale: candidates are good to a tenth of a px
+    still: float = 1e-5  # mm or the like at the part's rim: a smaller change ends the rounds
+    ridge: float = 1e-6  # of the trace: unseen turns stay as they are
+    fewest: int = 30  # samples in each camera, five for each unknown
+    max_turn_rad: float = 0.25  # of one step
+    agree_px: float = 1.0  # between an edge and a pose that it agrees with
+    coarse: LockSteps = ((12, 2.0, 8, 8.0), (9, 2.0, 8, 5.0), (7, 2.0, 8, 3.0), (5, 2.0, 8, 2.0))
+    """On the top level: views are 13 degrees apart there."""
+    middle: LockSteps = ((10, 2.5, 10, 5.0), (8, 2.5, 10, 4.0), (6, 2.5, 10, 3.0), (4, 2.5, 10, 2.0))
+    """On the level below."""
+    between: LockSteps = ((6, 3.0, 12, 3.0), (5, 3.0, 12, 2.5), (4, 3.0, 12, 2.0))
+    """On the levels between that and the picture itself."""
+    fine: LockSteps = (
+        (6, 3.0, 12, 2.0), (4, 3.0, 12, 1.2), (2.5, 3.0, 12, 0.8), (2.5, 3.0, 12, 0.8), (2.0, 3.0, 12, 0.6),
+    )  # fmt: skip
+    """In the picture itself."""
+
+
+LOCK = LockParams()
+
+
+@dataclass(frozen=True, slots=True)
+class ViewScanParams:
+    """The scan of both pictures for views of a part.
+
+    Where a line names no source, `tools/bench ablate --only ViewScanParams` shows what the number earns.
+    """
+
+    size_px: float = 64.0  # of the part's diagonal at the top level
+    smallest_px: float = 64.0  # of the picture there
+    lean_rad: float = math.radians(13.0)  # between views: the lock comes from 12 degrees off in 4 of 5 cases
+    turn_rad: float = math.radians(10.0)  # between views
+    scale: float = 0.06  # between two distances
+    max_lean_rad: float = math.radians(65.0)  # beyond it a face is a line
+    points: int = 120  # of a view
+    glance_points: int = 32  # of them that all places are compared with
+    peaks: int = 2  # places of a view
+    looked_at: int = 600  # of all of them that are compared with all points
+    spacing_px: float = 1.0  # between the points of a view before some are drawn
+    fewest: int = 20  # points of a view
+    smoothing_px: float = 0.7  # of the picture at that level
+    around_px: int = 7  # in which the strongest gradient is the measure of contrast
+    min_contrast: float = 2.0  # grey values per px: less is noise
+    contrast_share: float = 0.15  # of the picture's steep gradients, below which one counts less
+    high_percent: float = 98.0  # percentile of the gradients that is called steep
+    least_cos: float = 0.7  # between gradient and edge: 45 degrees fit not at all
+    same_place: float = 0.35  # of the part's size: starts nearer to each other are of one part
+    places: int = 14  # of a scene that are kept
+    kept: int = 16  # starts of the best place
+    kept_elsewhere: int = 6  # starts of any other
+    alike: float = 0.15  # of its size, and
+    alike_rad: float = math.radians(12.0)  # within which two starts are one
+
+
+SCAN = ViewScanParams()
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileParams:
+    """The fit of whole profiles.
+
+    Where a line names no source, `tools/bench ablate --only ProfileParams` shows what the number earns.
+    """
+
+    drawn_px: float = 0.7  # between samples that neighbours are found by: none is missed
+    every: int = 4  # of these that is measured: about the correlation length of a pixel and a lens
+    step_px: float = 0.5  # of a profile
+    half_px: float = 5.0  # of its length
+    widest_px: float = 2.0  # of the search: the lock is good to one
+    own_px: float = 0.3  # two edges nearer than that are one
+    reach_px: float = 8.0  # of neighbours that a profile shows
+    together: int = 2  # profiles on either side that are averaged: 12 px of texture
+    damping: float = 0.05  # of the steps' heights
+    blurs_px: tuple[float, ...] = (0.45, 0.6, 0.8, 1.1, 1.5)  # of lens and pixel, the best of them
+    min_weight: float = 4.0  # 1 / px²: half a pixel
+    model_px: float = 0.1  # of an edge against its model: grain, burrs
+    light_px: float = 0.08
+    """Another light draws all edges to their darker side by up to a sixth of a pixel (`LIGHT_PX`): half."""
+    first_sigmas_px: tuple[float, ...] = (1.0, 0.5)  # of each round of profiles
+    min_sigma_px: float = 0.05  # of the robust scale
+    rounds: int = 10  # of reweighting
+    still_mm: float = 1e-6  # at the rim of the part: less ends the rounds
+    fewest: int = 40  # profiles
+    max_condition: float = 1e10  # of the normal equations
+    block: int = 30  # profiles of a block of the jackknife, at least
+    most_blocks: int = 24  # that the longest curves are cut into
+
+
+PROFILE = ProfileParams()
+
+
+@dataclass(frozen=True, slots=True)
+class ModesParams:
+    """Poses that are kept from stage to stage.
+
+    Where a line names no source, `tools/bench ablate --only ModesParams` shows what the number earns.
+    """
+
+    kept_middle: int = 14  # poses that are laid on the level below the top
+    kept_at_place: int = 8  # of them, of one part
+    kept_fine: int = 8  # poses that are laid finely
+    fine_at_place: int = 4  # of them, of one part
+    same_place: float = 0.35  # of the part's size: nearer poses are of one part
+    alike_mm: float = 1.5  # nearer, and
+    alike_rad: float = math.radians(4.0)  # turned by less, two poses are one
+    margin: float = 0.1  # of the distances' limits
+
+
+MODES = ModesParams()
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceParams:
+    """What speaks for a pose.
+
+    Where a line names no source, `tools/bench ablate --only EvidenceParams` shows what the number earns.
+    """
+
+    spacing_px: float = 3.0  # between samples
+    together: int = 2  # samples on either side whose profiles are averaged
+    block: int = 4  # samples that see the same thing: 12 px of texture
+    agree_px: float = 1.0  # between an edge and a pose that it agrees with
+    own_px: float = 2.0  # farther edges are others
+    reach_px: float = 8.0  # within which edges are counted
+    stretch: int = 15  # samples along which the density of edges is averaged
+    found: float = 0.95  # probability that an edge that shows is found
+    shown: float = 0.85  # probability that an edge shows
+    apart_px: int = 3  # between edges that two poses have in common
+
+
+EVIDENCE = EvidenceParams()
+
+
+@dataclass(frozen=True, slots=True)
+class SymmetryParams:
+    """Turns that leave a part like itself.
+
+    Where a line names no source, `tools/bench ablate --only SymmetryParams` shows what the number earns.
+    """
+
+    step_rad: float = math.radians(2.5)  # between turns that are compared
+    points: int = 250  # over the part's size, between samples
+    near: float = 0.01  # of its size: points that are one
+    min_share: float = 0.55  # of the edges: rivals with fewer in common are told apart by half of all samples
+    most: int = 12  # turns
+    round_share: float = 0.97  # of the edges that any turn leaves where they are
+
+
+SYMMETRY = SymmetryParams()
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionParams:
+    """What is taken for a part, and for its pose.
+
+    Where a line names no source, `tools/bench ablate --only DecisionParams` shows what the number earns.
+    """
+
+    certain: float = 4.0
+    """Sigmas by which a part must be likelier than chance, and a pose than its rivals: 3e-5 by chance, for a
+    few dozen looks at a pair."""
+    lying_rad: float = math.radians(8.0)  # tilt of parts of a job that allows for none
+    tilt_margin_rad: float = math.radians(5.0)  # added to the allowed tilt: views are 13 degrees apart
+    rival_steps: int = 4  # of the fine lock, for a turn that leaves the part like itself
+    worth: float = 0.6  # of the best agreement, from which a turned pose is weighed
+    same_turn_rad: float = math.radians(3.0)  # between two poses that are one
+
+
+DECISION = DecisionParams()
+
+
+@dataclass(frozen=True, slots=True)
+class BreaksParams:
+    """Edge breaks by teaching.
+
+    Where a line names no source, `tools/bench ablate --only BreaksParams` shows what the number earns.
+    """
+
+    tried_mm: tuple[float, ...] = (0.0, 0.07, 0.14, 0.24, 0.36, 0.5, 0.7)  # ISO 13715: 0.1 to 0.5 is usual
+    usual_mm: float = 0.15  # to look for a part by: between the edges of one of 0.3 and none
+    most_mm: float = 1.0  # of a break
+    least_mm: float = 0.02  # less is a sharp edge for any camera
+    levels: int = 3  # of the pyramids
+    steps: tuple[LockStep, ...] = (
+        LockStep(2, 6, 2.5, 10, 3.0), LockStep(2, 4, 2.5, 10, 2.0),
+        LockStep(1, 5, 3.0, 12, 2.5), LockStep(1, 4, 3.0, 12, 2.0),
+        LockStep(0, 4, 3.0, 12, 1.2), LockStep(0, 2.5, 3.0, 12, 0.8), LockStep(0, 2.5, 3.0, 12, 0.8),
+    )  # fmt: skip
+    """Of the lock, from a millimetre off."""
+    rounds: int = 4  # of pose and widths in turn
+    blur_px: float = 0.6  # of a lens in focus and its pixels
+    better: float = 0.08  # by which breaks must lessen the misfit to be believed
+    min_weight: float = 4.0  # 1 / px²
+    model_px: float = 0.1  # of an edge against its model: grain, burrs, light
+    correlated: float = 4.0  # profiles that err alike
+    alike_mm: float = 0.1  # spread of the breaks of one part
+
+
+BREAKS = BreaksParams()

@@ -1,0 +1,378 @@
+"""The pose by whole grey-value profiles across all edges, and what its blocks of curves say of its error.
+
+A profile is a constant and blurred steps of free height, at the sample's own edge and at its neighbours where
+the model has them: one shift for all. Two edges that the lens merges are then two steps, not one edge
+somewhere between.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+from edged.vision.edges.subpixel import edge_profiles
+from edged.vision.geometry.projection import shifts_by_calibration
+from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rigid import apply
+from edged.vision.kernels.cholesky import factorise, substitute
+from edged.vision.kernels.jit import kernel
+from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.lock import Pyramids, scale_at
+from edged.vision.solid.params import PROFILE, VISIBILITY
+from edged.vision.solid.visible import VisibleSamples, find_neighbours, moved, samples_at, see
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+
+# numba freezes globals when it compiles: kernels read these by name
+STEP_PX = PROFILE.step_px
+WIDEST_PX = PROFILE.widest_px
+DAMPING = PROFILE.damping
+EDGES = 5
+"""Steps of a profile: a sample's own edge, and two neighbours on either side."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profiles:
+    """What the profiles of one camera say.
+
+    seen : the samples.  shift_px (M,) : of all edges of a profile along the normal.  weight (M,) : 1 / px², 0
+    where the profile says nothing.  height (M,) : of the sample's own step, grey values.
+    """
+
+    seen: VisibleSamples
+    shift_px: FloatArray
+    weight: FloatArray
+    height: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProfileFit:
+    """A pose rig_from_part (4, 4) by profiles.
+
+    edges (6, 6) : covariance of the twist (turn about the part's axes and centre, shift along them) by the
+    edges, jackknifed, and by light that draws all of them alike.  by_break (6,) : motion by the width of the
+    edge breaks, per mm.  calibration (6, 6).
+    rms_px : of the residuals, weighted.  used : samples.
+    row_shift_px, row_sigma_px : by which the right picture shows the part across its rows.
+    growth, growth_sigma : by which share the part seems larger.  blur_px : of its edges.
+    """
+
+    pose: FloatArray
+    edges: FloatArray
+    by_break: FloatArray
+    calibration: FloatArray
+    rms_px: float
+    used: int
+    row_shift_px: float
+    row_sigma_px: float
+    growth: float
+    growth_sigma: float
+    blur_px: float = 0.0
+
+
+def profiles_of(
+    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float
+) -> list[Profiles]:
+    """Shifts of the profiles in both pictures at a pose."""
+    result = []
+    samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
+    for k, image in enumerate(images.raw):
+        dense = see(model, samples, pyramids.cameras[0].view(k, model, pose), VISIBILITY.buffer_px[0])
+        near = np.empty((len(dense.row), EDGES - 1))
+        find_neighbours(
+            dense.pixels,
+            dense.normals,
+            dense.curve,
+            pyramids.drawn[0][k],
+            PROFILE.own_px,
+            PROFILE.reach_px,
+            near,
+        )
+        some = slice(None, None, PROFILE.every)
+        seen = VisibleSamples._make(np.ascontiguousarray(field[some]) for field in dense)
+        near = np.ascontiguousarray(near[some])
+        grey, _ = edge_profiles(image, seen.pixels, seen.normals, PROFILE.half_px, PROFILE.step_px)
+        shift, weight, height = (np.zeros(len(seen.row)) for _ in range(3))
+        find_shifts(grey, seen.curve, near, blur_px, PROFILE.together, shift, weight, height)
+        result.append(Profiles(seen, shift, weight, height))
+    return result
+
+
+def fit_profiles(
+    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
+    held: FloatArray | None = None,
+) -> ProfileFit | None:  # fmt: skip
+    """The pose by profiles from one that is good to a pixel; None where they say too little.
+
+    held (3,) : axis of the part about which nothing tells its turn.
+    """
+    fit: ProfileFit | None = None
+    for first_sigma_px in PROFILE.first_sigmas_px:
+        both = profiles_of(model, pyramids, images, pose, blur_px)
+        fit = _fitted(model, images, pose, both, first_sigma_px, held)
+        if fit is None:
+            return None
+        pose = fit.pose
+    return fit
+
+
+def best_fit(
+    model: EdgeModel,
+    pyramids: Pyramids,
+    images: StereoImages,
+    pose: FloatArray,
+    held: FloatArray | None = None,
+) -> ProfileFit | None:
+    """The fit of profiles with the blur that leaves least."""
+    found: ProfileFit | None = None
+    for blur in PROFILE.blurs_px:
+        fit = fit_profiles(model, pyramids, images, pose, blur, held)
+        if fit is not None:
+            fit = replace(fit, blur_px=blur)
+        if fit is None or (found is not None and fit.rms_px > found.rms_px):
+            break
+        found = fit
+    return found
+
+
+def _fitted(
+    model: EdgeModel, images: StereoImages, pose: FloatArray, both: list[Profiles], first_sigma_px: float,
+    held: FloatArray | None,
+) -> ProfileFit | None:  # fmt: skip
+    scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
+    design = np.concatenate([profiles.seen.design for profiles in both]) / scale
+    shift, base = (
+        np.concatenate([getattr(profiles, name) for profiles in both]) for name in ("shift_px", "weight")
+    )
+    block = np.concatenate([profiles.seen.curve * 2 + k for k, profiles in enumerate(both)])
+    good = base > PROFILE.min_weight
+    if good.sum() < PROFILE.fewest:
+        return None
+    variance = 1 / np.maximum(base, 1e-9) + PROFILE.model_px**2
+    delta, weights = np.zeros(6), np.where(good, 1 / variance, 0.0)
+    for number in range(PROFILE.rounds):
+        left = shift - design @ delta
+        sigma = (
+            max(1.4826 * float(np.median(np.abs(left[good]))), PROFILE.min_sigma_px)
+            if number
+            else first_sigma_px
+        )
+        share = left / (4.685 * sigma)
+        weights = np.where(good & (np.abs(share) < 1), (1 - share**2) ** 2, 0.0) / variance
+        normal = design.T @ (weights[:, None] * design)
+        if held is not None:
+            normal[:3, :3] += np.trace(normal) * np.outer(held, held)
+        if not np.linalg.cond(normal) < PROFILE.max_condition:
+            return None
+        new = np.linalg.solve(normal, design.T @ (weights * shift))
+        still, delta = float(np.abs(new - delta).max()) < PROFILE.still_mm, new
+        if still:
+            break
+    left = shift - design @ delta
+    inverse = np.linalg.inv(normal)
+    response = inverse @ (weights[:, None] * design).T  # (6, M): of the twist to each shift
+    height = np.sign(np.concatenate([profiles.height for profiles in both]))
+    by_light = PROFILE.light_px * (response @ height)
+    by_break = response @ np.concatenate([profiles.seen.by_break for profiles in both])
+    edges = _jackknife(design, weights, left, inverse, _blocks(block)) + np.outer(by_light, by_light)
+    units = np.outer(scale, scale)
+    calibration = _by_calibration(images, model, pose, both, response)
+    extra = _extra(images, model, pose, both, design, left, weights, edges, inverse)
+    return ProfileFit(
+        moved(model, pose, delta / scale), edges / units, -by_break / scale, calibration / units,
+        float(np.sqrt(np.sum(weights * left**2) / weights.sum())), int((weights > 0).sum()), *extra,
+    )  # fmt: skip
+
+
+def _blocks(curve: I64) -> I64:
+    """(M,) numbers of the blocks of a jackknife: each curve in each camera, long ones cut."""
+    longest = max(PROFILE.block, len(curve) // PROFILE.most_blocks)
+    _, number, count = np.unique(curve, return_inverse=True, return_counts=True)
+    place = np.empty(len(curve), np.int64)
+    place[np.argsort(number, kind="stable")] = np.concatenate([np.arange(n) for n in count])
+    _, result = np.unique(number * 10_000 + place // longest, return_inverse=True)
+    return np.asarray(result, np.int64)
+
+
+def _jackknife(
+    design: FloatArray, weights: FloatArray, left: FloatArray, inverse: FloatArray, block: I64
+) -> FloatArray:
+    """Covariance (6, 6), each block left out once.
+
+    Source: C. F. J. Wu, "Jackknife, bootstrap and other resampling methods", Annals of Statistics, 1986.
+
+
+    left (M,) : residuals of the fit.
+    """
+    count = int(block.max()) + 1
+    normals, rights = np.zeros((count, 6, 6)), np.zeros((count, 6))
+    weighted = weights[:, None] * design
+    np.add.at(rights, block, weighted * left[:, None])
+    np.add.at(normals, block, weighted[:, :, None] * design[:, None, :])
+    whole = np.linalg.inv(inverse)
+    moves = []
+    for profiles, right in zip(normals, rights, strict=True):
+        rest = whole - profiles
+        if np.linalg.cond(rest) < PROFILE.max_condition:
+            moves.append(-np.linalg.solve(rest, right))
+    spread = np.array(moves)
+    return np.asarray((len(spread) - 1) / len(spread) * (spread.T @ spread))
+
+
+def _by_calibration(
+    images: StereoImages, model: EdgeModel, pose: FloatArray, both: list[Profiles], response: FloatArray
+) -> FloatArray:
+    """(6, 6) of the twist by the rig's covariance."""
+    covariance = images.rig.covariance
+    if covariance is None:
+        return np.zeros((6, 6))
+    samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
+    shifts = []
+    for k, profiles in enumerate(both):
+        points = apply(pose, samples.points[profiles.seen.row])
+        shifts.append(
+            shifts_by_calibration(images.rig, points, profiles.seen.normals, profiles.seen.normals)[k]
+        )
+    by_parameter = response @ np.concatenate(shifts)
+    return np.asarray(by_parameter @ covariance @ by_parameter.T)
+
+
+def _extra(
+    images: StereoImages, model: EdgeModel, pose: FloatArray, both: list[Profiles], design: FloatArray,
+    left: FloatArray, weights: FloatArray, edges: FloatArray, inverse: FloatArray,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Row shift and growth with their sigmas: each as one more unknown beside the pose."""
+    across = _across_rows(images)
+    rows = np.concatenate([np.zeros(len(both[0].seen.row)), both[1].seen.normals @ across])
+    samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
+    outward = np.concatenate(
+        [
+            np.einsum(
+                "mj,mj->m", profiles.seen.design[:, 3:], samples.points[profiles.seen.row] - model.centre
+            )
+            for profiles in both
+        ]
+    )
+    # how much more the edges scatter than their weights say, as the jackknife has seen it
+    excess = max(float(np.trace(edges @ np.linalg.inv(inverse))) / 6, 1.0)
+    found = []
+    for column in (rows, outward):
+        rest = column - design @ (inverse @ (design.T @ (weights * column)))
+        power = float(rest @ (weights * column))
+        if not power > 0:
+            found += [math.nan, math.inf]
+            continue
+        found += [float(rest @ (weights * left)) / power, math.sqrt(excess / power)]
+    return found[0], found[1], found[2], found[3]
+
+
+def _across_rows(images: StereoImages) -> FloatArray:
+    """(2,) unit: in the right raw picture, across the rows, at its middle."""
+    camera, rectification = images.rig.right, images.rectification
+    middle = rectification.rectify_points("right", np.array([[0.5 * camera.width, 0.5 * camera.height]]))
+    ends = rectification.raw_points("right", np.vstack([middle, np.add(middle, (0.0, 1.0))]))
+    along = ends[1] - ends[0]
+    return np.asarray(along / np.linalg.norm(along))
+
+
+@kernel("f8(f8)", inline=True)
+def _edge_step(x: float) -> float:
+    """A step blurred by a Gaussian of unit width."""
+    return 0.5 * (1.0 + math.erf(x * 0.7071067811865476))
+
+
+@kernel("f8(f8[::1], f8[::1], i8, f8, f8, f8[:, ::1], f8[:, ::1], f8[::1])")
+def misfit(
+    grey: F64, edges: F64, many: int, shift: float, blur: float, terms: F64, normal: F64, height: F64
+) -> float:
+    """Square sum that blurred steps at edges + shift leave of a profile, their heights fitted to height.
+
+    grey (S,) : at places STEP_PX apart about 0.  edges (many,).  terms, normal, height : buffers.
+    """
+    count, size = len(grey), many + 1
+    middle = count // 2
+    for s in range(count):
+        terms[s, 0] = 1.0
+        for e in range(many):
+            x = (STEP_PX * (s - middle) - edges[e] - shift) / blur
+            terms[s, e + 1] = 0.0 if x < -6.0 else (1.0 if x > 6.0 else _edge_step(x))
+    for i in range(size):
+        height[i] = 0.0
+        for s in range(count):
+            height[i] += terms[s, i] * grey[s]
+        for j in range(i + 1):
+            total = DAMPING if i == j else 0.0
+            for s in range(count):
+                total += terms[s, i] * terms[s, j]
+            normal[i, j] = total
+    factorise(normal, size)
+    substitute(normal, height, size)
+    result = 0.0
+    for s in range(count):
+        left = grey[s]
+        for i in range(size):
+            left -= terms[s, i] * height[i]
+        result += left * left
+    return result
+
+
+@kernel("void(f8[:, ::1], i8[::1], f8[:, ::1], f8, i8, f8[::1], f8[::1], f8[::1])")
+def find_shifts(
+    profiles: F64, curve: I64, near: F64, blur: float, together: int, shift: F64, weight: F64, height: F64
+) -> None:
+    """Fill shift (M,), px, weight (M,), 1 / px², and height (M,) from profiles (M, S).
+
+    near (M, 4) : offsets of neighbouring edges, NaN where there are fewer.  together : profiles on either
+    side along the same curve that are averaged. weight 0: the best shift lies at the end of the search.
+    """
+    count, size = profiles.shape
+    grey, edges = np.empty(size), np.empty(EDGES)
+    terms, normal, steps = np.empty((size, EDGES + 1)), np.empty((EDGES + 1, EDGES + 1)), np.empty(EDGES + 1)
+    half = STEP_PX * (size // 2)
+    grid = round(WIDEST_PX / 0.5)
+    for m in range(count):
+        first, last = m, m
+        while first > 0 and m - first < together and curve[first - 1] == curve[m]:
+            first -= 1
+        while last < count - 1 and last - m < together and curve[last + 1] == curve[m]:
+            last += 1
+        bad = False
+        for s in range(size):
+            total = 0.0
+            for n in range(first, last + 1):
+                total += profiles[n, s]
+            grey[s] = total / (last - first + 1)
+            bad |= not np.isfinite(grey[s])
+        if bad:
+            continue
+        edges[0], many = 0.0, 1
+        for k in range(EDGES - 1):
+            if np.isfinite(near[m, k]) and abs(near[m, k]) < half + WIDEST_PX:
+                edges[many] = near[m, k]
+                many += 1
+        least, at = np.inf, 0
+        for g in range(-grid, grid + 1):
+            value = misfit(grey, edges, many, 0.5 * g, blur, terms, normal, steps)
+            if value < least:
+                least, at = value, g
+        if abs(at) == grid:
+            continue
+        d = 0.5 * at
+        for h in (0.25, 0.12):
+            before = misfit(grey, edges, many, d - h, blur, terms, normal, steps)
+            here = misfit(grey, edges, many, d, blur, terms, normal, steps)
+            after = misfit(grey, edges, many, d + h, blur, terms, normal, steps)
+            bend = before - 2 * here + after
+            if bend > 1e-9:
+                d += min(max(0.5 * h * (before - after) / bend, -h), h)
+        before = misfit(grey, edges, many, d - 0.25, blur, terms, normal, steps)
+        after = misfit(grey, edges, many, d + 0.25, blur, terms, normal, steps)
+        here = misfit(grey, edges, many, d, blur, terms, normal, steps)
+        shift[m], height[m] = d, steps[1]
+        curvature = max((before - 2 * here + after) / 0.0625, 0.0)
+        weight[m] = min(0.5 * curvature / (here / (size - 3) + 0.5), 400.0)

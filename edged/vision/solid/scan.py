@@ -1,0 +1,315 @@
+"""Where a part may lie, by views of its edges compared with the gradients of either picture at a small size.
+
+No threshold decides: the best views of either camera are starts, and what becomes of them is the lock's to
+tell. A view counts by how well the gradients' directions fit, |cos|, and by their contrast to what is near.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.rigid import apply, invert, rotation_matrix, transform, unit
+from edged.vision.kernels.jit import kernel
+from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.params import SCAN, VISIBILITY
+from edged.vision.solid.visible import Cameras, at_level, samples_at, see, view_of
+
+F64 = npt.NDArray[np.float64]
+I64 = npt.NDArray[np.int64]
+U8 = npt.NDArray[np.uint8]
+
+BINS = 8
+"""Directions of an edge, sign aside."""
+FULL = 15
+"""Response of a gradient that fits: sums of 16 fit a byte."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewSet:
+    """Views of a part by one camera.
+
+    rotations (V, 3, 3) : camera_from_part, of a part on the optical axis.  offsets (V, P, 2) : px from the
+    image of its centre; bins (V, P) : direction of the edge there; in random order.
+    distance_mm : of its centre.
+    """
+
+    rotations: FloatArray
+    offsets: FloatArray
+    bins: I64
+    distance_mm: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScannedPose:
+    """A view that fits: pose rig_from_part (4, 4), and its response in [0, 1]."""
+
+    pose: FloatArray
+    response: float
+
+
+def top_level(rig: StereoRig, model: EdgeModel, distance_mm: float) -> int:
+    """Level at which the part is about as large as the scan wants it."""
+    size_px = model.size_mm * rig.left.fx / distance_mm
+    smallest = min(rig.left.width, rig.left.height)
+    fits = int(math.log2(max(smallest / SCAN.smallest_px, 1.0)))
+    return max(0, min(round(math.log2(max(size_px / SCAN.size_px, 1.0))), fits))
+
+
+@lru_cache(maxsize=16)  # of a few jobs, by either camera
+def view_set(
+    model: EdgeModel, camera: CameraModel, level: int, lean_rad: float, distance_mm: float
+) -> ViewSet:
+    """Views of a part from all sides that lean by up to so much from its -z."""
+    small = at_level(camera, level)
+    plain = replace(small, model="division", distortion=(0.0,), cx=0.0, cy=0.0, width=10**6, height=10**6)
+    rng = np.random.default_rng(0)
+    turns = np.arange(0.0, 2 * math.pi, SCAN.turn_rad)
+    px_per_mm = small.fx / distance_mm
+    samples = samples_at(model, px_per_mm, SCAN.spacing_px)
+    rotations, offsets, bins = [], [], []
+    for base in _leans(lean_rad):
+        pose = transform(base, np.array([0.0, 0.0, distance_mm]) - base @ model.centre)
+        view = view_of(plain, pose, model.centre)
+        shifted = view._replace(centre=np.full(2, 5e5))
+        seen = see(model, samples, shifted, VISIBILITY.buffer_px[-1])
+        if len(seen.row) < SCAN.fewest:
+            continue
+        chosen = rng.permutation(len(seen.row))[: SCAN.points]
+        chosen = np.resize(chosen, SCAN.points)
+        offset = seen.pixels[chosen] - 5e5
+        angle = np.arctan2(seen.normals[chosen, 1], seen.normals[chosen, 0])
+        for turn in turns:
+            c, s = math.cos(turn), math.sin(turn)
+            rotations.append(rotation_matrix(np.array([0.0, 0.0, turn])) @ base)
+            offsets.append(offset @ np.array([[c, s], [-s, c]]))
+            bins.append(np.rint((angle + turn) * BINS / math.pi).astype(np.int64) % BINS)
+    return ViewSet(np.array(rotations), np.array(offsets), np.array(bins), distance_mm)
+
+
+def _leans(lean_rad: float) -> list[FloatArray]:
+    """Rotations by leans of up to so much to all sides, a step apart."""
+    rings = np.linspace(0.0, lean_rad, max(math.ceil(lean_rad / SCAN.lean_rad), 1) + 1)
+    found: list[FloatArray] = []
+    for lean in rings:
+        count = max(1, math.ceil(2 * math.pi * math.sin(lean) / SCAN.lean_rad))
+        sides = 2 * math.pi * np.arange(count) / count
+        axes = np.column_stack([np.cos(sides), np.sin(sides), np.zeros(count)])
+        found.extend(rotation_matrix(lean * axis) for axis in axes)
+    return found
+
+
+def responses(grey: npt.NDArray[np.float32]) -> U8:
+    """(8, H, W): how well a pixel's gradient fits each direction, 0 to FULL, spread by a pixel."""
+    soft = cv2.GaussianBlur(grey, (0, 0), SCAN.smoothing_px)
+    gx, gy = (cv2.Sobel(soft, cv2.CV_32F, 1 - k, k, scale=1 / 8) for k in (0, 1))
+    strength, direction = np.hypot(gx, gy), np.arctan2(gy, gx)
+    floor = max(SCAN.min_contrast, SCAN.contrast_share * float(np.percentile(strength, SCAN.high_percent)))
+    around = cv2.dilate(strength, np.ones((SCAN.around_px,) * 2, np.uint8))
+    weight = np.clip(strength / np.maximum(0.5 * around, floor), 0.0, 1.0)
+    maps = np.empty((BINS, *grey.shape), np.uint8)
+    for k in range(BINS):
+        fit = np.clip(
+            (np.abs(np.cos(direction - k * math.pi / BINS)) - SCAN.least_cos) / (1 - SCAN.least_cos), 0, 1
+        )
+        maps[k] = cv2.dilate(np.rint(FULL * weight * fit).astype(np.uint8), np.ones((3, 3), np.uint8))
+    return maps
+
+
+def scan(
+    model: EdgeModel, rig: StereoRig, camera: int, grey: npt.NDArray[np.float32], level: int,
+    tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
+) -> list[ScannedPose]:  # fmt: skip
+    """The best views of a part in one camera's picture, best first.
+
+    grey : the picture at a level.  tilt_rad : of the part's -z from the bisector of both cameras.
+    distances_mm : nearest and farthest of the part's centre from the camera.
+    place (3,) : rig frame, where parts lie, more or less: the bisector is that of there.
+    """
+    cameras = Cameras.of(rig, level)
+    own = cameras.models[camera]
+    rig_from_camera = invert(cameras.from_rig[camera])
+    eyes = [invert(start)[:3, 3] for start in cameras.from_rig]
+    away = [unit(place - eye) for eye in eyes]
+    bisector = cameras.from_rig[camera][:3, :3] @ unit(away[0] + away[1])
+    ray = cameras.from_rig[camera][:3, :3] @ away[camera]
+    vergence = math.acos(float(np.clip(bisector @ ray, -1.0, 1.0)))
+    middle_mm = math.sqrt(distances_mm[0] * distances_mm[1])
+    full = (rig.left, rig.right)[camera]
+    lean = min(tilt_rad + vergence, SCAN.max_lean_rad)
+    views = view_set(model, full, level, round(lean, 3), round(middle_mm, 1))
+    # what a view's part leans against the bisector, for a part on the line of sight to the place
+    to_place = _turn_onto(np.array([0.0, 0.0, 1.0]), ray)
+    leaning = (to_place @ views.rotations)[:, :, 2] @ bisector
+    allowed = np.flatnonzero(leaning > math.cos(tilt_rad))
+    maps = responses(grey)
+    spread = math.log(distances_mm[1] / distances_mm[0])
+    count = max(1, math.ceil(spread / SCAN.scale))
+    scales = np.exp(np.linspace(0.5 * spread, -0.5 * spread, count)) if count > 1 else np.ones(1)
+    found = _best(views, allowed, scales, maps)
+    return _unlike(model, [_start(model, views, own, rig_from_camera, start) for start in found])
+
+
+def _start(
+    model: EdgeModel, views: ViewSet, camera: CameraModel, rig_from_camera: FloatArray,
+    found: tuple[float, int, float, float, float],
+) -> ScannedPose:  # fmt: skip
+    """The pose of a view at a place of the picture."""
+    response, view, size, x, y = found
+    ray = unit(np.append(camera.normalise(np.array([x, y])), 1.0))
+    rotation = _turn_onto(np.array([0.0, 0.0, 1.0]), ray) @ views.rotations[view]
+    pose = transform(rotation, ray * views.distance_mm / size - rotation @ model.centre)
+    return ScannedPose(np.asarray(rig_from_camera @ pose), response)
+
+
+def _unlike(model: EdgeModel, starts: Sequence[ScannedPose]) -> list[ScannedPose]:
+    """The best starts that differ from each other: many at the best place, some at others."""
+    centres = np.array([apply(start.pose, model.centre) for start in starts]).reshape(-1, 3)
+    rotations = np.array([start.pose[:3, :3] for start in starts])
+    kept: list[int] = []
+    places: list[int] = []
+    many: list[int] = []
+    for k in range(len(starts)):
+        apart = np.linalg.norm(centres[kept] - centres[k], axis=1)
+        cosines = 0.5 * (np.einsum("nij,ij->n", rotations[kept], rotations[k]) - 1.0)
+        if ((apart < SCAN.alike * model.size_mm) & (cosines > math.cos(SCAN.alike_rad))).any():
+            continue
+        here = np.flatnonzero(
+            np.linalg.norm(centres[places] - centres[k], axis=1) < SCAN.same_place * model.size_mm
+        )
+        if not len(here):
+            if len(places) == SCAN.places:
+                continue
+            places.append(k)
+            many.append(1)
+        elif many[here[0]] == (SCAN.kept if here[0] == 0 else SCAN.kept_elsewhere):
+            continue
+        else:
+            many[here[0]] += 1
+        kept.append(k)
+    return [starts[k] for k in kept]
+
+
+def _turn_onto(source: FloatArray, to: FloatArray) -> FloatArray:
+    """The least rotation (3, 3) that takes one unit vector to another."""
+    axis = np.cross(source, to)
+    size = float(np.linalg.norm(axis))
+    if size < 1e-12:
+        return np.eye(3)
+    return np.asarray(rotation_matrix(axis / size * math.atan2(size, float(source @ to))))
+
+
+def _best(
+    views: ViewSet, allowed: I64, scales: FloatArray, maps: U8
+) -> list[tuple[float, int, float, float, float]]:
+    """(response, view, scale, x, y), best first: all views at every second pixel, the best of them finely."""
+    reach = int(np.abs(views.offsets[allowed]).max() * scales.max()) + 3
+    reach += reach % 2
+    padded = np.pad(maps, ((0, 0), (reach, reach + 1), (reach, reach + 1)))
+    height, width = maps.shape[1] // 2, maps.shape[2] // 2
+    # every second pixel, by phase
+    phases = np.ascontiguousarray(
+        np.stack(
+            [[padded[:, y::2, x::2][:, : height + reach, : width + reach] for x in (0, 1)] for y in (0, 1)]
+        )
+    )
+    pairs = list(itertools.product(allowed.tolist(), scales.tolist()))
+    chosen = np.array([view for view, _ in pairs], np.int64)
+    sizes = np.array([scale for _, scale in pairs])
+    peaks = np.empty((len(pairs), SCAN.peaks, 3))
+    glance(phases, views.offsets, views.bins, chosen, sizes, reach, SCAN.glance_points, peaks)
+    flat = peaks.reshape(-1, 3)
+    order = np.argsort(-flat[:, 0], kind="stable")[: SCAN.looked_at]
+    rows = order // SCAN.peaks
+    result = np.empty((len(order), 3))
+    look(padded, views.offsets, views.bins, chosen[rows], sizes[rows], reach, flat[order, 1:], result)
+    best = np.argsort(-result[:, 0], kind="stable")
+    return [
+        (
+            float(result[k, 0]),
+            int(chosen[rows[k]]),
+            float(sizes[rows[k]]),
+            float(result[k, 1]),
+            float(result[k, 2]),
+        )
+        for k in best
+    ]
+
+
+@kernel("void(u1[:, :, :, :, ::1], f8[:, :, ::1], i8[:, ::1], i8[::1], f8[::1], i8, i8, f8[:, :, ::1])")
+def glance(
+    phases: U8, offsets: F64, bins: I64, chosen: I64, sizes: F64, reach: int, points: int, peaks: F64
+) -> None:
+    """Fill peaks (K, N, 3): the N best places of each view at its size, at every second pixel: sum, x, y.
+
+    phases (2, 2, 8, H, W) : responses at every second pixel, padded by reach / 2.  points : of a view, that
+    are summed.
+    """
+    pad = reach // 2
+    height, width = phases.shape[3] - 2 * pad, phases.shape[4] - 2 * pad
+    total = np.empty((height, width), np.uint16)
+    for k in range(len(chosen)):
+        view = chosen[k]
+        total[:] = 0
+        for p in range(points):
+            dx = int(np.rint(offsets[view, p, 0] * sizes[k]))
+            dy = int(np.rint(offsets[view, p, 1] * sizes[k]))
+            plane = phases[dy & 1, dx & 1, bins[view, p]]
+            x0, y0 = pad + (dx >> 1), pad + (dy >> 1)
+            for y in range(height):
+                row, sums = plane[y0 + y, x0 : x0 + width], total[y]
+                for x in range(width):
+                    sums[x] += row[x]
+        for n in range(peaks.shape[1]):
+            most, at_x, at_y = 0, 0, 0
+            for y in range(height):
+                for x in range(width):
+                    if total[y, x] > most:
+                        most, at_x, at_y = total[y, x], x, y
+            peaks[k, n, 0], peaks[k, n, 1], peaks[k, n, 2] = most, 2 * at_x, 2 * at_y
+            total[max(0, at_y - 2) : at_y + 3, max(0, at_x - 2) : at_x + 3] = 0
+
+
+@kernel("void(u1[:, :, ::1], f8[:, :, ::1], i8[:, ::1], i8[::1], f8[::1], i8, f8[:, ::1], f8[:, ::1])")
+def look(
+    padded: U8, offsets: F64, bins: I64, chosen: I64, sizes: F64, reach: int, places: F64, result: F64
+) -> None:
+    """Fill result (K, 3): response in [0, 1], x, y of each view about its place (K, 2), by all its points."""
+    points = offsets.shape[1]
+    for k in range(len(chosen)):
+        view, most = chosen[k], -1
+        for y in range(-1, 2):
+            for x in range(-1, 2):
+                total = 0
+                for p in range(points):
+                    column = reach + int(places[k, 0]) + x + int(np.rint(offsets[view, p, 0] * sizes[k]))
+                    row = reach + int(places[k, 1]) + y + int(np.rint(offsets[view, p, 1] * sizes[k]))
+                    if 0 <= row < padded.shape[1] and 0 <= column < padded.shape[2]:
+                        total += padded[bins[view, p], row, column]
+                if total > most:
+                    most = total
+                    result[k, 0] = total / (FULL * points)
+                    result[k, 1], result[k, 2] = places[k, 0] + x, places[k, 1] + y
+
+
+def starts_of(
+    model: EdgeModel, rig: StereoRig, pictures: Sequence[npt.NDArray[np.float32]], level: int,
+    tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
+) -> list[list[ScannedPose]]:  # fmt: skip
+    """`scan` in both pictures."""
+    result = []
+    for camera in (0, 1):
+        apart = float(np.linalg.norm(place - invert(Cameras.of(rig, 0).from_rig[camera])[:3, 3]))
+        share = apart / float(np.linalg.norm(place))
+        near, far = distances_mm[0] * share, distances_mm[1] * share
+        result.append(scan(model, rig, camera, pictures[camera], level, tilt_rad, (near, far), place))
+    return result

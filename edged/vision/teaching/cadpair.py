@@ -1,0 +1,127 @@
+"""A part taught from a pair and its CAD model together.
+
+What the pair teaches by itself is laid onto the model first. Where it does not tell how, for it shows few
+curves or bad ones, the model is looked for in both pictures as a part of a job would be; then the
+features are the model's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray, Image
+from edged.errors import TeachError
+from edged.vision.geometry.rectification import Rectification, StereoImages
+from edged.vision.geometry.rigid import apply, invert, transform, unit
+from edged.vision.part.job import usual_limits
+from edged.vision.shape.params import ModelParams
+from edged.vision.solid.breaks import with_breaks
+from edged.vision.solid.edgemodel import model_of
+from edged.vision.solid.locate import weighed
+from edged.vision.solid.modes import SearchedPart, find_places, pyramids_of
+from edged.vision.solid.params import BREAKS, DECISION
+from edged.vision.solid.symmetry import like_turns
+from edged.vision.teaching.cadbody import body_of
+from edged.vision.teaching.cadjob import teach_model
+from edged.vision.teaching.cadmatch import levelled
+from edged.vision.teaching.cadmodel import ModelCurves
+from edged.vision.teaching.cadsettling import Settled, laid_on_pair, settle
+from edged.vision.teaching.pair import taught_mask, teach
+from edged.vision.teaching.params import CAD
+from edged.vision.teaching.region import Area
+
+OPEN = ("no_feature", "one_sided", "open_turn", "not_shown", "no_fit")
+"""Codes of what a pair alone may fail in, and still show the model."""
+
+
+def teach_with_model(
+    left: Image,
+    right: Image,
+    rectification: Rectification,
+    region: Area | None,
+    curves: ModelCurves,
+    what: str,
+    name: str,
+    number: int = 1,
+    *,
+    exclude: Sequence[Area] = (),
+    params: ModelParams | None = None,
+) -> Settled:
+    """Learn the part inside a region, and where its model lies; arguments as `pair.teach` has them.
+
+    what : the model's name, for messages.
+    Raises `TeachError` for a pair that shows no part of that model, its mirror image or another revision.
+    """
+    images = StereoImages.of(rectification, left, right)
+    try:
+        job = teach(left, right, rectification, region, name, number, exclude=exclude, params=params)
+        return settle(job, curves, images, what)
+    except TeachError as error:
+        if error.code not in OPEN:
+            raise
+        mask = taught_mask(region, exclude, rectification)
+        pose = _looked_for(images, curves, mask)
+        if pose is None:
+            raise
+        return _from_model(images, curves, pose, what, name, number, params)
+
+
+def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> FloatArray | None:
+    """rig_from_model (4, 4) of what is seen within a mask of the rectified left picture; None: nothing."""
+    level = transform(levelled(curves.up), np.zeros(3))
+    body = body_of(curves.model, level)
+    if body is None:
+        return None
+    sharp = model_of(body)
+    model = with_breaks(sharp, np.full(len(sharp.start), BREAKS.usual_mm))
+    place = _where_axes_meet(images)
+    distance = float(np.linalg.norm(place))
+    distances = distance / CAD.taught_range, distance * CAD.taught_range
+    wanted = SearchedPart(model, CAD.taught_tilt_rad, distances, place)
+    pyramids = pyramids_of(images, wanted)
+    for found in find_places(wanted, pyramids):
+        centre = images.rig.left.project(apply(found.best.pose, model.centre)[None])
+        x, y = np.rint(images.rectification.rectify_points("left", centre)[0]).astype(int)
+        if not (0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x] > 0):
+            continue
+        best = weighed(
+            model, pyramids, found, like_turns(model, (float(model.centre[0]), float(model.centre[1])))
+        )
+        if min(best.certain, best.margin) < DECISION.certain:
+            return None
+        return np.asarray(best.laid.pose @ level)
+    return None
+
+
+def _where_axes_meet(images: StereoImages) -> FloatArray:
+    """(3,) rig frame: the point that both cameras look at, nearest to both optical axes."""
+    right = invert(np.asarray(images.rig.right_from_left))
+    axes = np.stack([np.array([0.0, 0.0, 1.0]), -unit(right[:3, 2])], axis=1)
+    along, _ = np.linalg.lstsq(axes, right[:3, 3], rcond=None)[0]
+    baseline = images.rig.baseline_mm
+    return np.array([0.0, 0.0, float(np.clip(along, baseline, 20 * baseline))])
+
+
+def _from_model(
+    images: StereoImages, curves: ModelCurves, rig_from_model: FloatArray, what: str, name: str, number: int,
+    params: ModelParams | None,
+) -> Settled:  # fmt: skip
+    """The job of a model that a pair shows: its features are the model's, its place and breaks the pair's."""
+    centre = 0.5 * (curves.model.points_mm.min(axis=0) + curves.model.points_mm.max(axis=0))
+    depth_mm = float(apply(rig_from_model, centre)[2])
+    job, _ = teach_model(curves.model, curves, images.rectification, depth_mm, name, number, params)
+    assert job.part_from_model is not None
+    pixel_mm = depth_mm / images.rectification.focal_px
+    job = replace(
+        job,
+        rig_from_part=rig_from_model @ invert(job.part_from_model),
+        sigma_mm=0.0,
+        calibration_id=images.rig.calibration_id,
+        limits=usual_limits(depth_mm, pixel_mm, job.shape, job.circles, job.reference),
+    )
+    taken, measured = laid_on_pair(job, images, what)
+    found = f"{what}: looked for by all its edges, for the pair alone does not tell how it lies"
+    return Settled(taken, (found, *measured))
