@@ -224,6 +224,7 @@ class SymmetryParams:
 
     step_rad: float = math.radians(2.5)  # between turns that are compared
     points: int = 250  # over the part's size, between samples
+    least_rad: float = math.radians(8.0)  # the lock comes from less
     near: float = 0.01  # of its size: points that are one
     min_share: float = 0.55  # of the edges: rivals with fewer in common are told apart by half of all samples
     most: int = 12  # turns

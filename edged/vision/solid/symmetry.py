@@ -21,7 +21,9 @@ def like_turns(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray,
     peaks = [
         k
         for k in range(len(turns))
-        if shares[k] >= SYMMETRY.min_share and shares[k] >= max(shares[k - 1], shares[(k + 1) % len(shares)])
+        if SYMMETRY.least_rad < turns[k] < 2 * math.pi - SYMMETRY.least_rad
+        and shares[k] >= SYMMETRY.min_share
+        and shares[k] >= max(shares[k - 1], shares[(k + 1) % len(shares)])
     ]
     peaks.sort(key=lambda k: -shares[k])
     middle = np.array([*axis, 0.0])

@@ -1,0 +1,120 @@
+"""The edge model of a solid, what a camera sees of it, and what its profiles measure."""
+
+from __future__ import annotations
+
+import functools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.cells import small_rig
+from helpers.tilted import lying
+
+from edged.domain.arrays import FloatArray
+from edged.files.step import read_step
+from edged.vision.geometry.rigid import apply
+from edged.vision.kernels.jit import for_kernel
+from edged.vision.solid.breaks import with_breaks
+from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled
+from edged.vision.solid.profiles import find_shifts
+from edged.vision.solid.symmetry import like_turns
+from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, see
+from edged.vision.teaching.cadbody import body_of
+
+CAD = Path(__file__).parents[2] / "data" / "cad"
+
+
+@functools.cache
+def model(name: str = "D3", break_mm: float = 0.0) -> EdgeModel:
+    """Of a file, its outer edges broken by so much."""
+    body = body_of(read_step(CAD / f"{name}.step"), np.eye(4))
+    assert body is not None
+    plain = model_of(body)
+    return with_breaks(plain, np.full(len(plain.start), break_mm))
+
+
+def seen(part: EdgeModel, where: FloatArray, camera: int) -> VisibleSamples:
+    """Samples half a millimetre apart, in a picture of 640 x 480."""
+    return see(part, sampled(part, 0.5), Cameras.of(small_rig(), 0).view(camera, part, where), 384)
+
+
+def test_samples_move_in_the_picture_as_the_design_says() -> None:
+    """By each of the six small motions of the part, and by wider breaks, to a hundredth of the motion."""
+    where = lying(small_rig(), 30.0, 20.0, 40.0)
+    for camera in (0, 1):
+        view = Cameras.of(small_rig(), 0)
+        for k in range(6):
+            twist = np.zeros(6)
+            twist[k] = 1e-4
+            before = seen(model(), where, camera)
+            points = sampled(model(), 0.5).points[before.row]
+            there = view.from_rig[camera] @ moved(model(), where, twist)
+            after = view.models[camera].project(apply(there, points))
+            along = np.einsum("mi,mi->m", after - before.pixels, before.normals)
+            assert along == pytest.approx(
+                1e-4 * before.design[:, k], abs=1e-6 * np.abs(before.design[:, k]).max()
+            )
+
+
+def test_both_edges_of_a_break_lie_apart_by_its_width() -> None:
+    """0.3 mm in either face, and only at outer edges that are no break themselves."""
+    narrow, broken = sampled(model("D3", 0.1), 0.5), sampled(model("D3", 0.4), 0.5)
+    assert narrow.sharp.sum() > 1.6 * sampled(model(), 0.5).sharp.sum()
+    moves = np.linalg.norm(broken.by_break, axis=1)
+    assert set(np.round(moves, 9)) == {0.0, 1.0}
+    hub = model("D4", 0.2)  # drawn with its breaks
+    beside = np.einsum("ej,ej->e", hub.normals[:, 0], hub.normals[:, 1])
+    assert (hub.breaks_mm[np.abs(beside - math.sqrt(0.5)) < 0.01] == 0).all()
+
+
+def test_neighbours_are_the_edges_that_a_sample_would_meet() -> None:
+    """Two parallel edges, 3 px apart: each has the other one as its neighbour, on the right side."""
+    x = np.arange(20.0, 80.0, 0.7)
+    pixels = np.concatenate([np.column_stack([x, np.full_like(x, y)]) for y in (40.0, 43.0)])
+    normals = np.tile([0.0, 1.0], (len(pixels), 1))
+    curve = np.repeat([4, 5], len(x))
+    drawn, near = np.full((100, 100), -1, np.int32), np.empty((len(pixels), 4))
+    find_neighbours(pixels, normals, for_kernel(curve, np.int64), drawn, 0.3, 8.0, near)
+    assert near[: len(x), 0] == pytest.approx(3.0)
+    assert near[len(x) :, 2] == pytest.approx(-3.0)
+    assert np.isnan(near[: len(x), 1:]).all()
+    assert (drawn == -1).all()
+
+
+@pytest.mark.parametrize("gap_px", [1.0, 2.0, 4.0])
+def test_two_merged_edges_are_measured_as_one_pair(gap_px: float) -> None:
+    """A bright break between a dark wall and a grey face, blurred by 0.6 px: within 0.02 px of its shift."""
+    places = np.arange(-10, 11) * 0.5
+    shift, blur = 0.37, 0.6
+
+    def step(at: float) -> FloatArray:
+        return np.array([0.5 * (1 + math.erf((x - at) / blur / math.sqrt(2))) for x in places])
+
+    grey = 40.0 + 130.0 * step(shift) - 60.0 * step(shift + gap_px)
+    profiles, near = np.tile(grey, (5, 1)), np.full((5, 4), np.nan)
+    near[:, 0] = gap_px
+    found, weight, height = np.zeros(5), np.zeros(5), np.zeros(5)
+    find_shifts(profiles, np.zeros(5, np.int64), near, blur, 2, found, weight, height)
+    assert found == pytest.approx(shift, abs=0.02)
+    assert (weight > 0).all()
+    assert height == pytest.approx(130.0, rel=0.12)  # damped, where both hardly part
+
+
+def test_turns_that_leave_a_part_like_itself_are_its_rivals() -> None:
+    """A flange with four holes, one of them odd: by quarter turns; an L-shaped plate by none."""
+    flange = model("D1")
+    turns = {
+        round(math.degrees(math.atan2(one[1, 0], one[0, 0]))) % 360 for one in like_turns(flange, (0.0, 0.0))
+    }
+    assert all(any(abs(turn - quarter) < 4 for turn in turns) for quarter in (90, 180, 270))
+    plate = model("D3")
+    assert not like_turns(plate, (float(plate.centre[0]), float(plate.centre[1])))
+
+
+def test_a_part_hides_its_own_far_side() -> None:
+    """Seen from above, no sample of the bottom outline is left but what stands out beside the top."""
+    bottom = float(model().vertices[:, 2].max())
+    points = sampled(model(), 0.5).points[seen(model(), lying(small_rig(), 0.0, 0.0, 0.0), 0).row]
+    low = points[np.abs(points[:, 2] - bottom) < 1e-6]
+    assert len(low) < 0.3 * (np.abs(sampled(model(), 0.5).points[:, 2] - bottom) < 1e-6).sum()
