@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.vision.geometry.rigid import unit
 from edged.vision.kernels.jit import B1, F2, I1
 from edged.vision.part.body import PartBody
 from edged.vision.solid.params import MODEL
@@ -206,30 +205,3 @@ def _along(model: EdgeModel, rows: I64, side: int | None, spacing_mm: float) -> 
         curve[row],
         model.sharp[rows][row],
     )
-
-
-def curve_model(
-    curves: list[tuple[FloatArray, FloatArray]], breaks_mm: list[float], up: FloatArray
-) -> EdgeModel:
-    """Edges of a part of which no surface is known: polylines on level faces.
-
-    curves : of each its points (N, 3) and, of each segment, the direction (N - 1, 3) out of the material in
-    the face.  up (3,) : normal of the faces.
-    """
-    start = np.concatenate([points[:-1] for points, _ in curves])
-    end = np.concatenate([points[1:] for points, _ in curves])
-    out = np.concatenate([unit_rows(away) for _, away in curves])
-    level = np.tile(unit(up), (len(start), 1))
-    chain = np.repeat(np.arange(len(curves)), [len(points) - 1 for points, _ in curves])
-    widths = np.repeat(np.asarray(breaks_mm, np.float64), [len(points) - 1 for points, _ in curves])
-    low, high = start.min(axis=0), start.max(axis=0)
-    return EdgeModel(
-        start, end, np.stack([level, out], axis=1), np.stack([-out, -level], axis=1), chain,
-        np.ones(len(start), bool), widths, np.zeros((0, 3)), np.zeros((0, 3), np.int64),
-        0.5 * (low + high), float(np.linalg.norm(high - low)),
-    )  # fmt: skip
-
-
-def unit_rows(vectors: FloatArray) -> FloatArray:
-    """Vectors (N, 3) of length one."""
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))
