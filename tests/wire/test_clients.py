@@ -283,7 +283,7 @@ def test_the_python_client_says_that_the_cell_was_started_anew(client_module: Mo
             return restart() if len(looks) > 1 else real(block, shift)
 
         client.read = read
-        with pytest.raises(client_module.NoAnswer, match="started anew"):
+        with pytest.raises(client_module.NoAnswer, match="was restarted"):
             client.locate()
         client.read = real
         client.close()

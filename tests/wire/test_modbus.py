@@ -564,7 +564,7 @@ def test_who_may_not_write_is_named_once(caplog: pytest.LogCaptureFixture) -> No
 
     serve(test, ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),)))
     (line,) = [record for record in caplog.records if "refused" in record.message]
-    assert "127.0.0.1 wrote, and was refused with exception 1: it is not in modbus.writers" in line.message
+    assert "127.0.0.1 wrote and was refused with exception 1: it is not in modbus.writers" in line.message
     assert {"refused_writer": "127.0.0.1"} == fields_of(line)
 
 
