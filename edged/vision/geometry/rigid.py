@@ -114,6 +114,16 @@ def rotation_vector(rotation: FloatArray) -> FloatArray:
     return np.asarray(q[1:] * (angle / half_sine))
 
 
+def turn_between(first: FloatArray, second: FloatArray) -> float:
+    """The angle, rad in [0, pi], that turns one rotation (3, 3) or transform (4, 4) to the other.
+
+    >>> round(turn_between(about_z(1.0), transform(about_z(-0.5), np.zeros(3))), 9)
+    1.5
+    """
+    between = first[:3, :3].T @ second[:3, :3]
+    return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(between)) - 1.0))))
+
+
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
     """The rotation (3, 3) nearest to a matrix (3, 3) in the Frobenius norm."""
     u, _, vt = np.linalg.svd(matrix)

@@ -26,7 +26,7 @@ from edged.vision.curves.planefit import PlaneFit, fit_plane
 from edged.vision.edges.candidates import candidates
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import about_z, apply, transform, wrapped
+from edged.vision.geometry.rigid import about_z, apply, transform, turn_between, wrapped
 from edged.vision.part.body import PartBody
 from edged.vision.part.bodysight import sight_of
 from edged.vision.part.circles import rival_turns
@@ -147,7 +147,7 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
         return None
     if match.ambiguous and not roundish and not motions:
         return best, 0.0
-    other = next((one for one in found if _turn_between(one, best) > SOLID.same_turn_rad), None)
+    other = next((one for one in found if turn_between(one.pose, best.pose) > SOLID.same_turn_rad), None)
     if other is None:
         return best, 1.0
     # a single curve tells them apart, and on a face full of edges it may agree by chance: 0.85 was seen
@@ -256,11 +256,6 @@ def _about(turn: float, source: FloatArray, to: FloatArray) -> FloatArray:
     """The motion (4, 4) in the face that turns and lays one point on another."""
     rotation = about_z(turn)
     return transform(rotation, to - rotation @ source)
-
-
-def _turn_between(one: Lock, two: Lock) -> float:
-    between = one.pose[:3, :3].T @ two.pose[:3, :3]
-    return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(between)) - 1.0))))
 
 
 def _is_turned(images: StereoImages, job: Job, match: ShapeMatch, found: Lock) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, NotMeasured, Reject, Target
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import apply, skew, transform
+from edged.vision.geometry.rigid import apply, skew, transform, turn_between
 from edged.vision.part import measured as parts
 from edged.vision.part.body import PartBody
 from edged.vision.part.consistency import judged
@@ -29,7 +29,7 @@ from edged.vision.part.solid import fitted
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.evidence import evidence_of, margin_over, sigmas_of
 from edged.vision.solid.lock import LaidPose, Pyramids, lay, schedule
-from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of, turned_rad
+from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import DECISION
 from edged.vision.solid.profiles import ProfileFit, best_fit
 from edged.vision.solid.symmetry import is_round, like_turns
@@ -115,7 +115,7 @@ def weighed(model: EdgeModel, pyramids: Pyramids, place: PartPlace, turns: Seque
     poses = list(place.modes)
     for motion in turns:
         pose = np.asarray(place.best.pose @ motion)
-        if any(turned_rad(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
+        if any(turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
             continue
         laid = lay(model, pyramids, pose, fine)
         if laid is not None and laid.mean > DECISION.worth * place.best.mean:
@@ -125,7 +125,7 @@ def weighed(model: EdgeModel, pyramids: Pyramids, place: PartPlace, turns: Seque
     best = max(range(len(poses)), key=lambda k: float(seen[k].log_ratio().sum()))
     margin = math.inf
     for k, other in enumerate(seen):
-        if k != best and turned_rad(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
+        if k != best and turn_between(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
             margin = min(margin, margin_over(seen[best], other, shapes))
     return FoundPart(poses[best], sigmas_of(seen[best].log_ratio()), margin)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.lock import LaidPose, Pyramids, lay, schedule
 from edged.vision.solid.params import MODES, LockStep
@@ -100,7 +99,7 @@ def _unlike(model: EdgeModel, laid: Sequence[LaidPose], most: int, at_place: int
         near = [other for other in kept if _apart(model, candidate, other) < MODES.same_place * model.size_mm]
         alike = any(
             _apart(model, candidate, other) < MODES.alike_mm
-            and turned_rad(candidate.pose, other.pose) < MODES.alike_rad
+            and turn_between(candidate.pose, other.pose) < MODES.alike_rad
             for other in near
         )
         if alike or len(near) >= at_place:
@@ -113,8 +112,3 @@ def _unlike(model: EdgeModel, laid: Sequence[LaidPose], most: int, at_place: int
 
 def _apart(model: EdgeModel, candidate: LaidPose, other: LaidPose) -> float:
     return float(np.linalg.norm(apply(candidate.pose, model.centre) - apply(other.pose, model.centre)))
-
-
-def turned_rad(candidate: FloatArray, other: FloatArray) -> float:
-    """Angle between two poses (4, 4)."""
-    return math.acos(float(np.clip((np.trace(candidate[:3, :3].T @ other[:3, :3]) - 1) / 2, -1.0, 1.0)))

@@ -22,6 +22,7 @@ from edged.vision.geometry.rigid import (
     rotation_vector,
     skew,
     transform,
+    turn_between,
     unit,
     wrapped,
 )
@@ -45,6 +46,16 @@ def test_products_of_two_vectors_are_numpys(a: FloatArray, b: FloatArray) -> Non
     np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
     if a @ a > 1e-12:
         np.testing.assert_allclose(unit(a), a / np.linalg.norm(a), rtol=1e-14)
+
+
+@given(transforms, unit_vectors, angles)
+def test_the_turn_between_two_poses_is_that_of_one_to_the_other(
+    pose: FloatArray, axis: FloatArray, angle: float
+) -> None:
+    """About any axis, wherever they are, in either order."""
+    turned = pose @ transform(rotation_matrix(axis * angle), np.ones(3))
+    assert turn_between(pose, turned) == pytest.approx(angle, abs=1e-6)
+    assert turn_between(turned, pose) == pytest.approx(angle, abs=1e-6)
 
 
 @given(unit_vectors, angles)
