@@ -276,13 +276,10 @@ def camera_pose(rig: StereoRig, side: str) -> tuple[CameraModel, FloatArray]:
 def project_outline(rig: StereoRig, side: str, face: Face, outline: CurveOutline) -> ProjectedOutline:
     """Project samples of the curves of a face into a raw image."""
     camera, camera_from_rig = camera_pose(rig, side)
-    lens = np.zeros(5)
-    lens[: len(camera.distortion)] = camera.distortion
     view = _View(
         np.array([camera.fx, camera.fy]),
         np.array([camera.cx, camera.cy]),
-        lens,
-        _DIVISION if camera.model == "division" else _BROWN,
+        *packed_lens(camera),
         for_kernel(camera_from_rig, np.float64),
         for_kernel(np.vstack([face.axes, face.origin]), np.float64),
     )
@@ -314,6 +311,13 @@ def circle_axes(normal: FloatArray) -> FloatArray:
     length = math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
     u, v, w = across[0] / length, across[1] / length, across[2] / length
     return np.array([[u, v, w], [y * w - z * v, z * u - x * w, x * v - y * u]])
+
+
+def packed_lens(camera: CameraModel) -> tuple[F64, int]:
+    """A camera's lens as `distorted` takes it: coefficients (5,), 0 where there is none, and the model."""
+    lens = np.zeros(5)
+    lens[: len(camera.distortion)] = camera.distortion
+    return lens, _DIVISION if camera.model == "division" else _BROWN
 
 
 @kernel("UniTuple(f8, 6)(f8, f8, f8[::1], i8)", any_order=True)

@@ -138,14 +138,14 @@ def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measure
         result = _from_edges(images, job, match)
     if isinstance(result, Reject):
         return result
-    result = _with_sizes_apart(result, images, job)
+    result = with_sizes_apart(result, images, job)
     target = judged(job, images.rectification, result.target, result.evidence)
     if target.reject is Reject.NONE and is_contradicted(images, job, match, target):
         target = replace(target, reject=Reject.AMBIGUOUS_ROTATION)
     return replace(result, target=target)
 
 
-def _with_sizes_apart(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
+def with_sizes_apart(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
     """A part with its heights and its flatness, if they are asked for."""
     kinds = {spec.kind for spec in job.measurements}
     if "height" in kinds:
@@ -158,7 +158,7 @@ def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measur
     result = measure_solid(images, job, match)
     if isinstance(result, Reject):
         return result
-    result = _with_sizes_apart(result, images, job)
+    result = with_sizes_apart(result, images, job)
     target = judged(job, images.rectification, with_free_axis(job, result.target), result.evidence)
     return replace(result, target=target)
 

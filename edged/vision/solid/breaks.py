@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
+from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over
 from edged.vision.solid.lock import Pyramids, lay, scale_at
@@ -156,7 +157,9 @@ def _widths(
         1 / (1 / np.maximum(base, 1e-9) + BREAKS.model_px**2),
         0.0,
     )
-    weight = weight * _robust(shift, weight)
+    used = weight > 0
+    if used.any():
+        weight *= tukey_weights(shift, max(mad_sigma(shift[used]), BREAKS.min_sigma_px))
     widths = model.breaks_mm.copy()
     number = model.chain
     power = np.bincount(curve, weight * by_break**2, minlength=number.max() + 1) / BREAKS.correlated
@@ -171,15 +174,6 @@ def _widths(
         else BREAKS.alike_mm
     )
     return widths, sigma
-
-
-def _robust(shift: FloatArray, weight: FloatArray) -> FloatArray:
-    used = weight > 0
-    if not used.any():
-        return np.ones(len(shift))
-    sigma = max(1.4826 * float(np.median(np.abs(shift[used]))), 0.1)
-    share = shift / (4.685 * sigma)
-    return np.asarray(np.where(np.abs(share) < 1, (1 - share**2) ** 2, 0.0))
 
 
 def widths_of_lines(model: EdgeModel, points_mm: FloatArray, lines: npt.NDArray[np.int64]) -> FloatArray:

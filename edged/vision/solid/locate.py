@@ -20,11 +20,9 @@ from edged.vision.geometry.rigid import apply, skew, transform, turn_between
 from edged.vision.part import measured as parts
 from edged.vision.part.body import PartBody
 from edged.vision.part.consistency import judged
-from edged.vision.part.flatness import with_flatness
 from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
-from edged.vision.part.heights import with_heights
 from edged.vision.part.job import Job
-from edged.vision.part.measure import published, with_free_axis
+from edged.vision.part.measure import published, with_free_axis, with_sizes_apart
 from edged.vision.part.solid import fitted
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.evidence import evidence_of, margin_over, sigmas_of
@@ -61,13 +59,13 @@ def locate_solid(
     dismissed: list[NotMeasured] = []
     missed: list[Match] = []
     for place in find_places(wanted, pyramids):
+        if len(measured) + len(dismissed) == job.search.max_matches:
+            break
         found = weighed(wanted.model, pyramids, place, _turns(job, wanted.model))
         match = _match(images, job, found.laid)
         if found.certain < DECISION.certain:
             missed.append(match)
             continue
-        if len(measured) + len(dismissed) == job.search.max_matches:
-            break
         result = measure_found(images, job, wanted.model, pyramids, found, match)
         if isinstance(result, parts.MeasuredPart):
             measured.append(result)
@@ -167,11 +165,7 @@ def measure_found(
         fit.growth_sigma,
     )
     result = parts.MeasuredPart(target, evidence, () if whole is None else whole.fit.fits)
-    kinds = {spec.kind for spec in job.measurements}
-    if "height" in kinds:
-        result = with_heights(result, images, job)
-    if "flatness" in kinds:
-        result = with_flatness(result, images, job)
+    result = with_sizes_apart(result, images, job)
     target = judged(job, images.rectification, with_free_axis(job, result.target), evidence)
     return replace(result, target=published(job, target))
 

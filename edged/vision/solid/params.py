@@ -29,7 +29,7 @@ MODEL = EdgeModelParams()
 class VisibilityParams:
     """What a camera sees of an edge model.
 
-    Where a line names no source, `tools/bench ablate --only SightParams` shows what the number earns.
+    Where a line names no source, `tools/bench ablate --only VisibilityParams` shows what the number earns.
     """
 
     border_px: float = 3.0  # of the picture: profiles reach across it
@@ -277,6 +277,7 @@ class BreaksParams:
     better: float = 0.08  # by which breaks must lessen the misfit to be believed
     min_weight: float = 4.0  # 1 / px²
     model_px: float = 0.1  # of an edge against its model: grain, burrs, light
+    min_sigma_px: float = 0.1  # of the robust scale
     correlated: float = 4.0  # profiles that err alike
     alike_mm: float = 0.1  # spread of the breaks of one part
 

@@ -20,6 +20,7 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.lock import Pyramids, scale_at
 from edged.vision.solid.params import PROFILE, VISIBILITY
@@ -157,13 +158,8 @@ def _fitted(
     delta, weights = np.zeros(6), np.where(good, 1 / variance, 0.0)
     for number in range(PROFILE.rounds):
         left = shift - design @ delta
-        sigma = (
-            max(1.4826 * float(np.median(np.abs(left[good]))), PROFILE.min_sigma_px)
-            if number
-            else first_sigma_px
-        )
-        share = left / (4.685 * sigma)
-        weights = np.where(good & (np.abs(share) < 1), (1 - share**2) ** 2, 0.0) / variance
+        sigma = max(mad_sigma(left[good]), PROFILE.min_sigma_px) if number else first_sigma_px
+        weights = np.where(good, tukey_weights(left, sigma), 0.0) / variance
         normal = design.T @ (weights[:, None] * design)
         if held is not None:
             normal[:3, :3] += np.trace(normal) * np.outer(held, held)

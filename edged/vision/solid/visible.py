@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.vision.curves.outlines import distorted
+from edged.vision.curves.outlines import distorted, packed_lens
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix, transform
 from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
@@ -26,7 +26,6 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 B64 = npt.NDArray[np.bool_]
 
-_DIVISION, _BROWN = 0, 1  # lens models, as the kernels know them
 # numba freezes globals when it compiles: kernels read these by name
 BORDER_PX = VISIBILITY.border_px
 SLANT = VISIBILITY.slant
@@ -96,12 +95,9 @@ class Cameras:
 
 def view_of(camera: CameraModel, camera_from_part: FloatArray, middle: FloatArray) -> PartView:
     """A camera at a part."""
-    lens = np.zeros(5)
-    lens[: len(camera.distortion)] = camera.distortion
     return PartView(
         np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy]),
-        np.array([camera.width, camera.height], np.float64), lens,
-        _DIVISION if camera.model == "division" else _BROWN,
+        np.array([camera.width, camera.height], np.float64), *packed_lens(camera),
         for_kernel(camera_from_part, np.float64), np.ascontiguousarray(invert(camera_from_part)[:3, 3]),
         np.ascontiguousarray(middle),
     )  # fmt: skip
