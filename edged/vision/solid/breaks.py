@@ -99,12 +99,9 @@ def _misfits(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray
 ) -> tuple[npt.NDArray[np.int64], FloatArray]:
     """Of each profile its curve (M,), and its square misfit (M,) px², at most 1."""
-    both = profiles_of(model, pyramids, images, pose, BREAKS.blur_px)
-    curve = np.concatenate([side.seen.curve // 3 for side in both])
-    shift, weight = (
-        np.concatenate([getattr(side, name) for side in both]) for name in ("shift_px", "weight")
-    )
-    return curve, np.where(weight > BREAKS.min_weight, np.minimum(shift**2, 1.0), 1.0)
+    profiles = profiles_of(model, pyramids, images, pose, BREAKS.blur_px)
+    good = profiles.weight > BREAKS.min_weight
+    return profiles.seen.curve // 3, np.where(good, np.minimum(profiles.shift_px**2, 1.0), 1.0)
 
 
 def _without_needless(
@@ -144,14 +141,9 @@ def _widths(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray
 ) -> tuple[FloatArray, float]:
     """Widths (E,) of the breaks by the profiles at a pose, each curve's own, and their sigma."""
-    both = profiles_of(model, pyramids, images, pose, BREAKS.blur_px)
-    curve = np.concatenate([trial.seen.curve // 3 for trial in both])
-    by_break, shift, base = (
-        np.concatenate(values)
-        for values in zip(
-            *((trial.seen.by_break, trial.shift_px, trial.weight) for trial in both), strict=True
-        )
-    )
+    profiles = profiles_of(model, pyramids, images, pose, BREAKS.blur_px)
+    curve, by_break = profiles.seen.curve // 3, profiles.seen.by_break
+    shift, base = profiles.shift_px, profiles.weight
     weight = np.where(
         (np.abs(by_break) > 0) & (base > BREAKS.min_weight),
         1 / (1 / np.maximum(base, 1e-9) + BREAKS.model_px**2),

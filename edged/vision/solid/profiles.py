@@ -39,13 +39,16 @@ EDGES = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """What the profiles of one camera say.
+    """What the profiles of both cameras say, those of the left one first.
 
-    seen : the samples.  shift_px (M,) : of all edges of a profile along the normal.  weight (M,) : 1 / px², 0
-    where the profile says nothing.  height (M,) : of the sample's own step, grey values.
+    seen : the samples.  camera (M,) : 0 left, 1 right.  points (M, 3) : of the part frame.
+    shift_px (M,) : of all edges of a profile along the normal.  weight (M,) : 1 / px², 0 where the profile
+    says nothing.  height (M,) : of the sample's own step, grey values.
     """
 
     seen: VisibleSamples
+    camera: I64
+    points: FloatArray
     shift_px: FloatArray
     weight: FloatArray
     height: FloatArray
@@ -78,9 +81,10 @@ class ProfileFit:
 
 def profiles_of(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float
-) -> list[Profiles]:
+) -> Profiles:
     """Shifts of the profiles in both pictures at a pose."""
-    result = []
+    by_camera: list[VisibleSamples] = []
+    measured: list[list[FloatArray]] = []
     samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
     for k, image in enumerate(images.raw):
         dense = see(model, samples, pyramids.cameras[0].view(k, model, pose), VISIBILITY.buffer_px[0])
@@ -98,10 +102,14 @@ def profiles_of(
         seen = VisibleSamples._make(np.ascontiguousarray(field[some]) for field in dense)
         near = np.ascontiguousarray(near[some])
         grey, _ = edge_profiles(image, seen.pixels, seen.normals, PROFILE.half_px, PROFILE.step_px)
-        shift, weight, height = (np.zeros(len(seen.row)) for _ in range(3))
-        find_shifts(grey, seen.curve, near, blur_px, PROFILE.together, shift, weight, height)
-        result.append(Profiles(seen, shift, weight, height))
-    return result
+        found = [np.zeros(len(seen.row)) for _ in range(3)]
+        find_shifts(grey, seen.curve, near, blur_px, PROFILE.together, *found)
+        measured.append(found)
+        by_camera.append(seen)
+    both = VisibleSamples._make(np.concatenate(field) for field in zip(*by_camera, strict=True))
+    camera = np.repeat([0, 1], [len(seen.row) for seen in by_camera])
+    shift, weight, height = (np.concatenate(values) for values in zip(*measured, strict=True))
+    return Profiles(both, camera, samples.points[both.row], shift, weight, height)
 
 
 def fit_profiles(
@@ -114,8 +122,8 @@ def fit_profiles(
     """
     fit: ProfileFit | None = None
     for first_sigma_px in PROFILE.first_sigmas_px:
-        both = profiles_of(model, pyramids, images, pose, blur_px)
-        fit = _fitted(model, images, pose, both, first_sigma_px, held)
+        profiles = profiles_of(model, pyramids, images, pose, blur_px)
+        fit = _fitted(model, images, pose, profiles, first_sigma_px, held)
         if fit is None:
             return None
         pose = fit.pose
@@ -142,15 +150,12 @@ def best_fit(
 
 
 def _fitted(
-    model: EdgeModel, images: StereoImages, pose: FloatArray, both: list[Profiles], first_sigma_px: float,
+    model: EdgeModel, images: StereoImages, pose: FloatArray, profiles: Profiles, first_sigma_px: float,
     held: FloatArray | None,
 ) -> ProfileFit | None:  # fmt: skip
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
-    design = np.concatenate([profiles.seen.design for profiles in both]) / scale
-    shift, base = (
-        np.concatenate([getattr(profiles, name) for profiles in both]) for name in ("shift_px", "weight")
-    )
-    block = np.concatenate([profiles.seen.curve * 2 + k for k, profiles in enumerate(both)])
+    design = profiles.seen.design / scale
+    shift, base = profiles.shift_px, profiles.weight
     good = base > PROFILE.min_weight
     if good.sum() < PROFILE.fewest:
         return None
@@ -172,13 +177,13 @@ def _fitted(
     left = shift - design @ delta
     inverse = np.linalg.inv(normal)
     response = inverse @ (weights[:, None] * design).T  # (6, M): of the twist to each shift
-    height = np.sign(np.concatenate([profiles.height for profiles in both]))
-    by_light = PROFILE.light_px * (response @ height)
-    by_break = response @ np.concatenate([profiles.seen.by_break for profiles in both])
-    edges = _jackknife(design, weights, left, inverse, _blocks(block)) + np.outer(by_light, by_light)
+    by_light = PROFILE.light_px * (response @ np.sign(profiles.height))
+    by_break = response @ profiles.seen.by_break
+    block = _blocks(2 * profiles.seen.curve + profiles.camera)
+    edges = _jackknife(design, weights, left, inverse, block) + np.outer(by_light, by_light)
     units = np.outer(scale, scale)
-    calibration = _by_calibration(images, model, pose, both, response)
-    extra = _extra(images, model, pose, both, design, left, weights, edges, inverse)
+    calibration = _by_calibration(images, pose, profiles, response)
+    extra = _extra(_added(model, images, profiles), design, left, weights, edges, inverse)
     return ProfileFit(
         moved(model, pose, delta / scale), edges / units, -by_break / scale, calibration / units,
         float(np.sqrt(np.sum(weights * left**2) / weights.sum())), int((weights > 0).sum()), *extra,
@@ -221,43 +226,39 @@ def _jackknife(
 
 
 def _by_calibration(
-    images: StereoImages, model: EdgeModel, pose: FloatArray, both: list[Profiles], response: FloatArray
+    images: StereoImages, pose: FloatArray, profiles: Profiles, response: FloatArray
 ) -> FloatArray:
     """(6, 6) of the twist by the rig's covariance."""
     covariance = images.rig.covariance
     if covariance is None:
         return np.zeros((6, 6))
-    samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
     shifts = []
-    for k, profiles in enumerate(both):
-        points = apply(pose, samples.points[profiles.seen.row])
+    for k in (0, 1):
+        mine = profiles.camera == k
+        normals = profiles.seen.normals[mine]
         shifts.append(
-            shifts_by_calibration(images.rig, points, profiles.seen.normals, profiles.seen.normals)[k]
+            shifts_by_calibration(images.rig, apply(pose, profiles.points[mine]), normals, normals)[k]
         )
     by_parameter = response @ np.concatenate(shifts)
     return np.asarray(by_parameter @ covariance @ by_parameter.T)
 
 
+def _added(model: EdgeModel, images: StereoImages, profiles: Profiles) -> tuple[FloatArray, FloatArray]:
+    """(M,) motion along the normals by a shift of the right picture across its rows, and by growth."""
+    rows, right = np.zeros(len(profiles.camera)), profiles.camera == 1
+    rows[right] = profiles.seen.normals[right] @ _across_rows(images)
+    return rows, np.einsum("mj,mj->m", profiles.seen.design[:, 3:], profiles.points - model.centre)
+
+
 def _extra(
-    images: StereoImages, model: EdgeModel, pose: FloatArray, both: list[Profiles], design: FloatArray,
-    left: FloatArray, weights: FloatArray, edges: FloatArray, inverse: FloatArray,
+    added: tuple[FloatArray, FloatArray], design: FloatArray, left: FloatArray, weights: FloatArray,
+    edges: FloatArray, inverse: FloatArray,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Row shift and growth with their sigmas: each as one more unknown beside the pose."""
-    across = _across_rows(images)
-    rows = np.concatenate([np.zeros(len(both[0].seen.row)), both[1].seen.normals @ across])
-    samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
-    outward = np.concatenate(
-        [
-            np.einsum(
-                "mj,mj->m", profiles.seen.design[:, 3:], samples.points[profiles.seen.row] - model.centre
-            )
-            for profiles in both
-        ]
-    )
     # how much more the edges scatter than their weights say, as the jackknife has seen it
     excess = max(float(np.trace(edges @ np.linalg.inv(inverse))) / 6, 1.0)
     found = []
-    for column in (rows, outward):
+    for column in added:
         rest = column - design @ (inverse @ (design.T @ (weights * column)))
         power = float(rest @ (weights * column))
         if not power > 0:
