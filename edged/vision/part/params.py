@@ -174,8 +174,6 @@ class SolidParams:
     good_share: float = 0.75  # agreement in both cameras at which no better pose is looked for
     max_step_rad: float = 0.2  # of the pose
     lock_rounds: int = 5  # of reweighting in one step
-    min_seen: float = 0.2
-    """Share of a curve that the part does not hide, to say anything for or against a pose."""
     stretches: int = 48  # of a curve, each with a sign of its own
     rival_px: float = 4.5  # a nearer second edge displaces the first one, whatever the operator
     reach_px: float = 8.0  # of the profiles

@@ -26,8 +26,6 @@ from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
-from edged.vision.part.body import PartBody
-from edged.vision.part.bodysight import hidden_samples
 from edged.vision.part.params import SOLID
 
 F64 = npt.NDArray[np.float64]
@@ -73,19 +71,16 @@ def lock(
     curves: Sequence[Curve],
     pose: FloatArray,
     rival_of: Lock | None = None,
-    body: PartBody | None = None,
     *,
     unknowns: int = ALL,
 ) -> Lock | None:
     """Lay curves of the part's frame onto the edges of both images, from a pose rig_from_part (4, 4).
 
     unknowns : `TURN_HELD` for circles about one axis.  rival_of : another pose; this one is good to a few px,
-    and asked for only if it comes near to that one in what agrees with it.  body : what it hides of itself,
-    once the pose is good to a few px, is neither looked for nor missed. None where the images do not show so
-    many of the curves, or the pose runs away.
+    and asked for only if it comes near to that one in what agrees with it.
+    None where the images do not show so many of the curves, or the pose runs away.
     """
     found: Lock | None = None
-    hidden: B64 | None = None
     phases: tuple[tuple[tuple[float, ...], float], ...] = (
         (SOLID.far_px, SOLID.far_spacing_px),
         (SOLID.near_px, SOLID.spacing_px),
@@ -102,12 +97,8 @@ def lock(
             return None
         outline, starts = spread(images, curves, pose, spacing_px)
         together = max(1, round(SOLID.along_px / spacing_px))
-        if body is not None and spacing_px == SOLID.spacing_px:
-            hidden = hidden_samples(body, images.rig, pose, outline.points)
         for reach in reaches:
-            found = _step(
-                images, curves, outline, starts, pose, reach, together, hidden=hidden, unknowns=unknowns
-            )
+            found = _step(images, curves, outline, starts, pose, reach, together, unknowns=unknowns)
             if found is None:
                 return None
             pose = found.pose
@@ -126,7 +117,6 @@ def lock(
             SOLID.near_px[-1],
             together,
             most_sigma_px=SOLID.tight_sigma_px,
-            hidden=hidden,
         )
         if moved is None:
             return found
@@ -186,13 +176,11 @@ def _step(
     together: int,
     *,
     most_sigma_px: float = math.inf,
-    hidden: B64 | None = None,
     unknowns: int = ALL,
 ) -> Lock | None:
     """The pose that fits the edges within reach best, and how many agree with it.
 
-    most_sigma_px : by which edges scatter that are taken for the curves' own.  hidden (2, N) : samples that a
-    camera cannot see.
+    most_sigma_px : by which edges scatter that are taken for the curves' own.
     """
     face = Face(pose[:3, 3], pose[:3, :3].T)
     expected = np.repeat([float(curve.polarity) for curve in curves], np.diff(starts))
@@ -207,8 +195,6 @@ def _step(
         odds.append(edges.slope * expected[:, None] < 0)
         designs.append(seen.design)
     design, offset, odd = np.concatenate(designs), np.concatenate(offsets), np.concatenate(odds)
-    if hidden is not None:
-        offset[hidden.ravel()] = np.nan
     delta, left = np.zeros(ALL), np.full(len(offset), np.nan)
     asked = np.ascontiguousarray(design[:, :unknowns])
     if not _settle(asked, offset, odd, most_sigma_px, delta[:unknowns], left):
@@ -222,15 +208,8 @@ def _step(
     )
     agree = (np.abs(left) < SOLID.agree_px).reshape(2, -1)
     by_curve = np.add.reduceat(agree, starts[:-1], axis=1, dtype=np.float64) / np.diff(starts)
-    agreeing = agree.mean(axis=1)
-    if hidden is not None:
-        agreeing = agree.sum(axis=1) / np.maximum((~hidden).sum(axis=1), 1)
-        seen_of = 1.0 - np.add.reduceat(hidden, starts[:-1], axis=1, dtype=np.float64) / np.diff(starts)
-        by_curve = np.where(
-            seen_of < SOLID.min_seen, agreeing[:, None], by_curve / np.maximum(seen_of, SOLID.min_seen)
-        )
     moved_px = float(np.sqrt(np.mean((design[np.isfinite(left)] @ delta) ** 2)))
-    return Lock(np.asarray(pose @ motion), agreeing, by_curve, moved_px)
+    return Lock(np.asarray(pose @ motion), agree.mean(axis=1), by_curve, moved_px)
 
 
 @kernel("b1(f8[:, ::1], f8[:, ::1], b1[:, ::1], f8, f8[::1], f8[::1])")

@@ -119,10 +119,10 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
     could not tell turns apart, and the features have none to try.
     """
     curves = curves_of(job)
-    best = _best_of(images, curves, _starts(images, job, match), body=job.body)
+    best = _best_of(images, curves, _starts(images, job, match))
     if best is None or (best.share < SOLID.good_share and not _tells_turn(job, best)):
         poses = list(_starts(images, job, match))
-        best = _best_of(images, curves, _turned(images, curves, job, poses), best, body=job.body)
+        best = _best_of(images, curves, _turned(images, curves, job, poses), best)
     if job.tilt_rad is not None and (
         best is None or best.share < SOLID.min_camera_share or best.mean < SOLID.min_share
     ):
@@ -131,15 +131,13 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
         return None
     found, motions, roundish = [best], _rival_motions(job), _is_roundish(job)
     if roundish and not _tells_turn(job, best):
-        others = [
-            lock(images, curves, pose, body=job.body) for pose in _turned(images, curves, job, [best.pose])
-        ]
+        others = [lock(images, curves, pose) for pose in _turned(images, curves, job, [best.pose])]
         found += [one for one in others if one is not None]
         best = max(found, key=lambda one: one.mean)
     for motion in motions:
         turned = best.pose @ motion
         if glance(images, curves, turned) > best.mean - SOLID.rival_share:
-            one = lock(images, curves, turned, rival_of=best, body=job.body)
+            one = lock(images, curves, turned, rival_of=best)
             found += [] if one is None else [one]
     found.sort(key=lambda one: -one.mean)
     best = found[0]
@@ -168,7 +166,7 @@ def _leaning(images: StereoImages, job: Job, match: ShapeMatch, tilt_rad: float)
         poses = _turned(images, curves, job, [one.pose for one in rims[:1]])
     else:
         poses = leaning(images, curves, starts, tilt_rad)
-    best = _best_of(images, curves, poses, body=job.body)
+    best = _best_of(images, curves, poses)
     return best if best is not None and best.mean >= SOLID.leant_share else None
 
 
@@ -188,11 +186,10 @@ def _best_of(
     curves: Sequence[Curve],
     poses: Iterable[FloatArray],
     best: Lock | None = None,
-    body: PartBody | None = None,
 ) -> Lock | None:
     """The lock that most of the part agrees with, of several starts; the first good one settles it."""
     for pose in poses:
-        one = lock(images, curves, pose, body=body)
+        one = lock(images, curves, pose)
         if one is not None and (best is None or one.mean > best.mean):
             best = one
         if one is not None and one.share >= SOLID.good_share:

@@ -31,7 +31,7 @@ class EdgeModel:
     face, away from the edge.  chain (E,) : number of the curve.
     sharp (E,) : an edge from all sides; otherwise a piece of a curved wall, seen where it is the outline.
     breaks_mm (E,) : width of the edge break that the surface does not have.
-    vertices (V, 3), triangles (T, 3) : the surface, empty where it is not known.
+    vertices (V, 3), triangles (T, 3) : the surface.
     centre (3,), size_mm : of the part; poses are turned about the centre.
     """
 

@@ -54,11 +54,6 @@ class PoseEvidence:
             whole * (share * np.log(shown / chance) + (1 - share) * np.log((1 - shown) / (1 - chance)))
         )
 
-    def share(self, chosen: B64 | None = None) -> float:
-        """Share of the chosen samples with an edge; NaN without any."""
-        hit = self.hit if chosen is None else self.hit[chosen]
-        return float(hit.mean()) if len(hit) else math.nan
-
 
 def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseEvidence:
     """What both pictures show of a part at a pose, rig_from_part (4, 4)."""
@@ -79,7 +74,7 @@ def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseE
         curves.append(seen.curve)
         pixels.append(seen.pixels)
         cameras.append(np.full(len(seen.row), k))
-    return PoseEvidence(*(np.concatenate(first) for first in (hits, chances, curves, pixels, cameras)))
+    return PoseEvidence(*(np.concatenate(both) for both in (hits, chances, curves, pixels, cameras)))
 
 
 def _smooth(density: FloatArray) -> FloatArray:

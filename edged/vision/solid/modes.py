@@ -55,7 +55,7 @@ def find_places(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:
         model, pyramids.rig, pyramids.grey[top], top, wanted.tilt_rad, wanted.distances_mm, wanted.place
     )
     coarse, middle, fine = schedule(top)
-    laid = _laid(model, pyramids, [candidate.pose for both in starts for candidate in both], coarse, wanted)
+    laid = _laid(model, pyramids, starts, coarse, wanted)
     laid = _unlike(model, laid, MODES.kept_middle, MODES.kept_at_place)
     laid = _laid(model, pyramids, [candidate.pose for candidate in laid], middle, wanted)
     laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)

@@ -8,7 +8,7 @@ somewhere between.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -61,9 +61,9 @@ class ProfileFit:
     edges (6, 6) : covariance of the twist (turn about the part's axes and centre, shift along them) by the
     edges, jackknifed, and by light that draws all of them alike.  by_break (6,) : motion by the width of the
     edge breaks, per mm.  calibration (6, 6).
-    rms_px : of the residuals, weighted.  used : samples.
+    rms_px : of the residuals, weighted.
     row_shift_px, row_sigma_px : by which the right picture shows the part across its rows.
-    growth, growth_sigma : by which share the part seems larger.  blur_px : of its edges.
+    growth, growth_sigma : by which share the part seems larger.
     """
 
     pose: FloatArray
@@ -71,12 +71,10 @@ class ProfileFit:
     by_break: FloatArray
     calibration: FloatArray
     rms_px: float
-    used: int
     row_shift_px: float
     row_sigma_px: float
     growth: float
     growth_sigma: float
-    blur_px: float = 0.0
 
 
 def profiles_of(
@@ -141,8 +139,6 @@ def best_fit(
     found: ProfileFit | None = None
     for blur in PROFILE.blurs_px:
         fit = fit_profiles(model, pyramids, images, pose, blur, held)
-        if fit is not None:
-            fit = replace(fit, blur_px=blur)
         if fit is None or (found is not None and fit.rms_px > found.rms_px):
             break
         found = fit
@@ -186,7 +182,7 @@ def _fitted(
     extra = _extra(_added(model, images, profiles), design, left, weights, edges, inverse)
     return ProfileFit(
         moved(model, pose, delta / scale), edges / units, -by_break / scale, calibration / units,
-        float(np.sqrt(np.sum(weights * left**2) / weights.sum())), int((weights > 0).sum()), *extra,
+        float(np.sqrt(np.sum(weights * left**2) / weights.sum())), *extra,
     )  # fmt: skip
 
 
@@ -232,14 +228,9 @@ def _by_calibration(
     covariance = images.rig.covariance
     if covariance is None:
         return np.zeros((6, 6))
-    shifts = []
-    for k in (0, 1):
-        mine = profiles.camera == k
-        normals = profiles.seen.normals[mine]
-        shifts.append(
-            shifts_by_calibration(images.rig, apply(pose, profiles.points[mine]), normals, normals)[k]
-        )
-    by_parameter = response @ np.concatenate(shifts)
+    points, normals = apply(pose, profiles.points), profiles.seen.normals
+    shifts = shifts_by_calibration(images.rig, points, normals, normals)
+    by_parameter = response @ shifts[profiles.camera, np.arange(len(points))]
     return np.asarray(by_parameter @ covariance @ by_parameter.T)
 
 

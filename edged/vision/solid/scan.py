@@ -49,14 +49,6 @@ class ViewSet:
     distance_mm: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ScannedPose:
-    """A view that fits: pose rig_from_part (4, 4), and its response in [0, 1]."""
-
-    pose: FloatArray
-    response: float
-
-
 def top_level(rig: StereoRig, model: EdgeModel, distance_mm: float) -> int:
     """Level at which the part is about as large as the scan wants it."""
     size_px = model.size_mm * rig.left.fx / distance_mm
@@ -128,8 +120,8 @@ def responses(grey: npt.NDArray[np.float32]) -> U8:
 def scan(
     model: EdgeModel, rig: StereoRig, camera: int, grey: npt.NDArray[np.float32], level: int,
     tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
-) -> list[ScannedPose]:  # fmt: skip
-    """The best views of a part in one camera's picture, best first.
+) -> list[FloatArray]:  # fmt: skip
+    """Poses rig_from_part (4, 4) of the best views of a part in one camera's picture, best first.
 
     grey : the picture at a level.  tilt_rad : of the part's -z from the bisector of both cameras.
     distances_mm : nearest and farthest of the part's centre from the camera.
@@ -138,7 +130,7 @@ def scan(
     cameras = Cameras.of(rig, level)
     own = cameras.models[camera]
     rig_from_camera = invert(cameras.from_rig[camera])
-    eyes = [invert(start)[:3, 3] for start in cameras.from_rig]
+    eyes = [invert(camera_from_rig)[:3, 3] for camera_from_rig in cameras.from_rig]
     away = [unit(place - eye) for eye in eyes]
     bisector = cameras.from_rig[camera][:3, :3] @ unit(away[0] + away[1])
     ray = cameras.from_rig[camera][:3, :3] @ away[camera]
@@ -156,25 +148,25 @@ def scan(
     count = max(1, math.ceil(spread / SCAN.scale))
     scales = np.exp(np.linspace(0.5 * spread, -0.5 * spread, count)) if count > 1 else np.ones(1)
     found = _best(views, allowed, scales, maps)
-    return _unlike(model, [_start(model, views, own, rig_from_camera, start) for start in found])
+    return _unlike(model, [_start(model, views, own, rig_from_camera, view) for view in found])
 
 
 def _start(
     model: EdgeModel, views: ViewSet, camera: CameraModel, rig_from_camera: FloatArray,
     found: tuple[float, int, float, float, float],
-) -> ScannedPose:  # fmt: skip
-    """The pose of a view at a place of the picture."""
-    response, view, size, x, y = found
+) -> FloatArray:  # fmt: skip
+    """The pose rig_from_part (4, 4) of a view at a place of the picture."""
+    _, view, size, x, y = found
     ray = unit(np.append(camera.normalise(np.array([x, y])), 1.0))
     rotation = _turn_onto(np.array([0.0, 0.0, 1.0]), ray) @ views.rotations[view]
     pose = transform(rotation, ray * views.distance_mm / size - rotation @ model.centre)
-    return ScannedPose(np.asarray(rig_from_camera @ pose), response)
+    return np.asarray(rig_from_camera @ pose)
 
 
-def _unlike(model: EdgeModel, starts: Sequence[ScannedPose]) -> list[ScannedPose]:
+def _unlike(model: EdgeModel, starts: Sequence[FloatArray]) -> list[FloatArray]:
     """The best starts that differ from each other: many at the best place, some at others."""
-    centres = np.array([apply(start.pose, model.centre) for start in starts]).reshape(-1, 3)
-    rotations = np.array([start.pose[:3, :3] for start in starts])
+    centres = np.array([apply(start, model.centre) for start in starts]).reshape(-1, 3)
+    rotations = np.array([start[:3, :3] for start in starts])
     kept: list[int] = []
     places: list[int] = []
     many: list[int] = []
@@ -304,12 +296,12 @@ def look(
 def starts_of(
     model: EdgeModel, rig: StereoRig, pictures: Sequence[npt.NDArray[np.float32]], level: int,
     tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
-) -> list[list[ScannedPose]]:  # fmt: skip
-    """`scan` in both pictures."""
-    result = []
+) -> list[FloatArray]:  # fmt: skip
+    """`scan` in both pictures, those of the left one first."""
+    result: list[FloatArray] = []
     for camera in (0, 1):
         apart = float(np.linalg.norm(place - invert(Cameras.of(rig, 0).from_rig[camera])[:3, 3]))
         share = apart / float(np.linalg.norm(place))
         near, far = distances_mm[0] * share, distances_mm[1] * share
-        result.append(scan(model, rig, camera, pictures[camera], level, tilt_rad, (near, far), place))
+        result.extend(scan(model, rig, camera, pictures[camera], level, tilt_rad, (near, far), place))
     return result

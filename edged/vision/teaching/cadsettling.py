@@ -66,11 +66,9 @@ def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Set
     partners = {one.name: one for one in found.partners}
     _check_revision(job, model, found, reach, what)
     settled = [name for name, one in partners.items() if _agrees(job, one, reach, model)]
-    body = body_of(model.model, found.part_from_model)
-    laid, measured = laid_on_pair(
-        replace(job, part_from_model=found.part_from_model, body=body), images, what
-    )
     part_from_model = found.part_from_model
+    body = body_of(model.model, part_from_model)
+    laid, measured = laid_on_pair(replace(job, part_from_model=part_from_model, body=body), images, what)
     circles = tuple(
         replace(
             one,
