@@ -166,14 +166,3 @@ def _widths(
         else BREAKS.alike_mm
     )
     return widths, sigma
-
-
-def widths_of_lines(model: EdgeModel, points_mm: FloatArray, lines: npt.NDArray[np.int64]) -> FloatArray:
-    """(L,) widths of the breaks of a body's sharp edges, lines (L, 4) between points (N, 3)."""
-    middles = {
-        tuple(np.rint(1e4 * (start + end)).astype(np.int64).tolist()): width
-        for start, end, width in zip(model.start, model.end, model.breaks_mm, strict=True)
-        if width > 0
-    }
-    keys = np.rint(1e4 * (points_mm[lines[:, 0]] + points_mm[lines[:, 1]])).astype(np.int64)
-    return np.array([middles.get(tuple(key), 0.0) for key in keys.tolist()])

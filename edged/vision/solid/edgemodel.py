@@ -27,14 +27,16 @@ I64 = npt.NDArray[np.int64]
 class EdgeModel:
     """Edges of a part as segments, those of one smooth curve behind each other, and the surface between.
 
-    start, end (E, 3) mm.  normals (E, 2, 3) : of both faces, outwards.  inward (E, 2, 3) : within either
-    face, away from the edge.  chain (E,) : number of the curve.
+    sides (E, 2) : both ends, as vertices.  start, end (E, 3) mm.
+    normals (E, 2, 3) : of both faces, outwards.  inward (E, 2, 3) : within either face, away from the edge.
+    chain (E,) : number of the curve.
     sharp (E,) : an edge from all sides; otherwise a piece of a curved wall, seen where it is the outline.
     breaks_mm (E,) : width of the edge break that the surface does not have.
     vertices (V, 3), triangles (T, 3) : the surface.
     centre (3,), size_mm : of the part; poses are turned about the centre.
     """
 
+    sides: I64
     start: FloatArray
     end: FloatArray
     normals: FloatArray
@@ -90,19 +92,24 @@ def model_of(body: PartBody) -> EdgeModel:
         away = middles[beside[:, k]] - 0.5 * (start + end)
         inward[:, k] *= np.sign(np.einsum("ej,ej->e", inward[:, k], away))[:, None]
     low, high = body.points_mm.min(axis=0), body.points_mm.max(axis=0)
-    breaks = np.zeros(len(sides)) if body.breaks_mm is None else _breaks(body, body.breaks_mm, sides)
-    model = EdgeModel(start, end, normals[beside], inward, chain, sharp, breaks,
+    breaks = np.zeros(len(sides))
+    if body.breaks_mm is not None:
+        breaks = widths_of(sides, body.lines[:, :2], body.breaks_mm)
+    model = EdgeModel(sides, start, end, normals[beside], inward, chain, sharp, breaks,
                       body.points_mm, body.triangles, 0.5 * (low + high),
                       float(np.linalg.norm(high - low)))  # fmt: skip
     model.breaks_mm[~model.breakable] = 0.0
     return model
 
 
-def _breaks(body: PartBody, widths_mm: FloatArray, sides: I64) -> FloatArray:
-    """(E,) widths of the edge breaks along sides (E, 2) of triangles."""
+def widths_of(sides: I64, known: I64, widths_mm: FloatArray) -> FloatArray:
+    """(E,) widths of the edge breaks along sides (E, 2), given as vertices, from those of known ones (K, 2).
+
+    Either way round; 0 along sides that are not known.
+    """
     widths = {
         (min(a, b), max(a, b)): width
-        for (a, b), width in zip(body.lines[:, :2].tolist(), widths_mm.tolist(), strict=True)
+        for (a, b), width in zip(known.tolist(), widths_mm.tolist(), strict=True)
     }
     return np.array([widths.get((min(a, b), max(a, b)), 0.0) for a, b in sides.tolist()])
 

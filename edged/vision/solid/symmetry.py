@@ -14,7 +14,6 @@ from edged.vision.solid.edgemodel import EdgeModel, sampled
 from edged.vision.solid.params import SYMMETRY
 
 
-@lru_cache(maxsize=16)  # of a few jobs
 def like_turns(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray, ...]:
     """Motions (4, 4) about a line along z at axis (x, y) that lay most edges on edges, best first."""
     turns, shares = _shares(model, axis)
@@ -32,12 +31,12 @@ def like_turns(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray,
     )
 
 
-@lru_cache(maxsize=16)
 def is_round(model: EdgeModel, axis: tuple[float, float]) -> bool:
     """Whether all turns about a line along z at axis (x, y) leave all edges where they are."""
     return bool(_shares(model, axis)[1].min() > SYMMETRY.round_share)
 
 
+@lru_cache(maxsize=16)  # of a few jobs
 def _shares(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """Turns, and the share of edge points that have another one near after each."""
     samples = sampled(model, model.size_mm / SYMMETRY.points)

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import apply
 from edged.vision.part.body import MAX_TRIANGLES, PartBody, neighbours
-from edged.vision.teaching.cadmodel import (
-    CadModel,
-    triangle_normals,
-    welded,
-)
-from edged.vision.teaching.params import CAD
+from edged.vision.solid.params import MODEL
+from edged.vision.teaching.cadmodel import CadModel, triangle_normals, welded
 
 
 def body_of(model: CadModel, part_from_model: FloatArray) -> PartBody | None:
@@ -29,6 +23,6 @@ def body_of(model: CadModel, part_from_model: FloatArray) -> PartBody | None:
     plain = CadModel(points, triangles, np.arange(len(triangles)), ())
     outside = triangle_normals(plain)[1]
     sides, beside = neighbours(triangles)
-    sharp = np.einsum("ij,ij->i", outside[beside[:, 0]], outside[beside[:, 1]]) < math.cos(CAD.body_sharp_rad)
+    sharp = np.einsum("ij,ij->i", outside[beside[:, 0]], outside[beside[:, 1]]) < MODEL.sharp
     lines = np.column_stack([sides, beside])[sharp]
     return PartBody(apply(part_from_model, points), triangles, lines)

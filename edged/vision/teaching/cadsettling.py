@@ -18,8 +18,8 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, unit
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job
 from edged.vision.part.params import MEASURING
-from edged.vision.solid.breaks import lay_with_breaks, likeliest, widths_of_lines
-from edged.vision.solid.edgemodel import model_of
+from edged.vision.solid.breaks import lay_with_breaks, likeliest
+from edged.vision.solid.edgemodel import model_of, widths_of
 from edged.vision.solid.evidence import sigmas_of
 from edged.vision.solid.params import DECISION
 from edged.vision.teaching.cadbody import body_of
@@ -51,10 +51,10 @@ def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Set
     Raises `TeachError` for the model of another part, of its mirror image or of another revision.
     """
     rectification = images.rectification
-    drawn = body_of(model.model, np.eye(4))
 
     def tell(poses: Sequence[FloatArray]) -> int | None:
         """The way to lay the model that the pictures show, beyond the curves that were taught."""
+        drawn = body_of(model.model, np.eye(4))
         if drawn is None:
             return None
         return likeliest(images, model_of(drawn), [job.rig_from_part @ one for one in poses])
@@ -112,7 +112,7 @@ def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[s
             "the model of this part, and a pair that shows it whole",
             "not_shown",
         )
-    widths = widths_of_lines(laid.model, job.body.points_mm, job.body.lines)
+    widths = widths_of(job.body.lines[:, :2], laid.model.sides, laid.model.breaks_mm)
     body = replace(job.body, breaks_mm=widths, sigma_break_mm=laid.sigma_break_mm)
     limits, widest = job.limits, float(widths.max(initial=0.0))
     if limits.radius_tolerance_mm is not None:  # another light may show a rim's other end

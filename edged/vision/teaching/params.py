@@ -99,7 +99,6 @@ class CadParams:
     Where a line names no source, `tools/bench ablate --only CadParams` shows what the number earns.
     """
 
-    body_sharp_rad: float = math.radians(20.0)  # between two triangles: less is within a rounding
     sigma_mm: float = 0.1
     """Of what a model alone says of a real part's edges: edge breaks are 0.1-0.5 mm (ISO 13715)."""
     max_sigma_mm: float = 0.3  # a job's limit; twice the above, across the face, is in every result
