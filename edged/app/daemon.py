@@ -180,7 +180,7 @@ class Daemon:
                 log.error("reload refused, the running configuration stays: %s", why)  # noqa: TRY400
                 self._notifier.reloaded(refused=why)
                 return why
-            except Exception:
+            except Exception:  # any: systemd waits to hear that the reload has ended; the bug goes on
                 self._notifier.reloaded(refused="a bug, see the log")
                 raise
             self._running.loaded, self._running.head = loaded, head or self._running.head
