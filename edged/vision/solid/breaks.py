@@ -1,8 +1,10 @@
 """A body laid on the pair that a part was taught from, and the edge breaks that its file does not know.
 
 Which width is right cannot be told by the share of edges that are found: with no breaks a model of a broken
-part agreed by 0.93, half a millimetre off. It is told by how much of the pictures' edges is explained against
-chance, and by the profiles, which see both edges of a break apart or together.
+part agreed by 0.93, half a millimetre off. It is told by the profiles, which see both edges of a break apart
+or together: the pose and the widths of all curves are fitted from several common widths, and those that leave
+the profiles least misfit are taken. Breaks are believed where they lessen it by a share, of the whole part
+and of each curve.
 """
 
 from __future__ import annotations
@@ -45,9 +47,9 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     pyramids = Pyramids(images.rig, images.raw, BREAKS.levels)
     best: tuple[float, _Refined] | None = None
     for width in BREAKS.tried_mm:
-        start = with_breaks(model, np.full(len(model.start), width))
-        laid = lay(start, pyramids, pose, BREAKS.steps)
-        found = None if laid is None else _refined(start, pyramids, images, laid.pose)
+        broken = with_breaks(model, np.full(len(model.start), width))
+        laid = lay(broken, pyramids, pose, BREAKS.steps)
+        found = None if laid is None else _refined(broken, pyramids, images, laid.pose)
         if found is None:
             continue
         # a model with breaks can take the form of one without: it has to be better to be believed

@@ -152,7 +152,7 @@ def measure_found(
     whole = fitted(images, job, fit.pose)
     alone = None if whole is None else whole.alone(images)
     if alone is not None:
-        target = replace(target, circles=tuple(mode.circle for mode in circles_in_rig(alone)))
+        target = replace(target, circles=tuple(placed.circle for placed in circles_in_rig(alone)))
         target = with_features(target, job, alone)
     target = replace(target, reject=reject, measurements=measure_sizes(job, alone, target.circles))
     # what the profiles scatter is in the sigma, by blocks: a face of another break is no other part

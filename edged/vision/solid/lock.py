@@ -155,12 +155,10 @@ def step(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, how: LockStep) 
 
 def _intervals(near: FloatArray) -> tuple[FloatArray, FloatArray]:
     """low, high (M,): the interval about a sample that merged edges span; 0, 0 for a single one."""
-    inner = np.fmax(near[:, 0], 0.0), np.fmin(near[:, 2], 0.0)
-    nearer = np.abs(inner[0]), np.abs(inner[1])
-    laid_one, two = np.isfinite(near[:, 0]), np.isfinite(near[:, 2])
-    up = laid_one & (~two | (nearer[0] <= nearer[1]))
-    down = two & ~up
-    return np.where(down, near[:, 2], 0.0), np.where(up, near[:, 0], 0.0)
+    above, below = near[:, 0], near[:, 2]  # the nearest edge on either side, NaN without one
+    up = np.isfinite(above) & ~(-below < above)
+    down = np.isfinite(below) & ~up
+    return np.where(down, below, 0.0), np.where(up, above, 0.0)
 
 
 def lay(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[LockStep]) -> LaidPose | None:

@@ -203,7 +203,6 @@ def _jackknife(
 
     Source: C. F. J. Wu, "Jackknife, bootstrap and other resampling methods", Annals of Statistics, 1986.
 
-
     left (M,) : residuals of the fit.
     """
     count = int(block.max()) + 1
@@ -213,8 +212,8 @@ def _jackknife(
     np.add.at(normals, block, weighted[:, :, None] * design[:, None, :])
     whole = np.linalg.inv(inverse)
     moves = []
-    for profiles, right in zip(normals, rights, strict=True):
-        rest = whole - profiles
+    for normal, right in zip(normals, rights, strict=True):
+        rest = whole - normal
         if np.linalg.cond(rest) < PROFILE.max_condition:
             moves.append(-np.linalg.solve(rest, right))
     spread = np.array(moves)

@@ -137,15 +137,15 @@ def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> Edg
 def find_facing(samples: EdgePoints, view: PartView, facing: B64) -> None:
     """Fill facing (N,): sharp edges with a face towards the camera, smooth walls where they are outline."""
     for n in range(len(samples.points)):
-        nearer = two = 0.0
+        first = second = 0.0
         for i in range(3):
             to_eye = view.eye[i] - samples.points[n, i]
-            nearer += to_eye * samples.normals[n, i]
-            two += to_eye * samples.normals[n, 3 + i]
+            first += to_eye * samples.normals[n, i]
+            second += to_eye * samples.normals[n, 3 + i]
         if samples.sharp[n]:
-            facing[n] = nearer > 0.0 or two > 0.0
+            facing[n] = first > 0.0 or second > 0.0
         else:
-            facing[n] = (nearer > 0.0) != (two > 0.0)
+            facing[n] = (first > 0.0) != (second > 0.0)
 
 
 @kernel(
