@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from edged.files.step import read_step
 from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.jit import for_kernel
 from edged.vision.solid.breaks import with_breaks
-from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled
+from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled, widths_of
 from edged.vision.solid.profiles import find_shifts
 from edged.vision.solid.symmetry import like_turns
 from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, see
@@ -66,6 +67,20 @@ def test_both_edges_of_a_break_lie_apart_by_its_width() -> None:
     hub = model("D4", 0.2)  # drawn with its breaks
     beside = np.einsum("ej,ej->e", hub.normals[:, 0], hub.normals[:, 1])
     assert (hub.breaks_mm[np.abs(beside - math.sqrt(0.5)) < 0.01] == 0).all()
+
+
+@pytest.mark.parametrize("name", ["D1", "D2", "D3", "D4"])
+def test_a_body_keeps_the_breaks_that_a_pair_has_shown(name: str) -> None:
+    """The width of each edge goes to the body's line between the same vertices, and comes back from there."""
+    body = body_of(read_step(CAD / f"{name}.step"), np.eye(4))
+    assert body is not None
+    plain = model_of(body)
+    shown = with_breaks(plain, np.random.default_rng(0).uniform(0.1, 0.6, len(plain.start)))
+    widths = widths_of(body.lines[:, :2], shown.sides, shown.breaks_mm)
+    again = model_of(replace(body, breaks_mm=widths))
+    assert (shown.breaks_mm > 0).any()
+    assert np.array_equal(shown.breaks_mm, again.breaks_mm)
+    assert np.array_equal(widths, widths_of(body.lines[:, 1::-1], shown.sides, shown.breaks_mm))
 
 
 def test_neighbours_are_the_edges_that_a_sample_would_meet() -> None:
