@@ -22,7 +22,9 @@ from edged.vision.part.tilt import views_of
 from edged.vision.shape.params import SearchParams, ShapeMatch
 from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
+from edged.vision.solid.curvemodel import count_curves
 from edged.vision.solid.locate import locate_solid
+from edged.vision.solid.params import CURVES
 
 NEAR_SHARE = 0.7
 """Share of min_score that counts as a near miss: at half of it clutter looks like parts, and a search in
@@ -84,8 +86,17 @@ def inspect(
         else:
             dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))
     lap("measure")
+    if _by_all_edges(job) and not any(part.target.reject is Reject.NONE for part in measured):
+        again = _inspect_solid(images, job, lap)
+        if again.measured:
+            return again
     nearest = None if matches else Nearest(lambda: _nearest(pair, job, rig))
     return PairInspection(tuple(measured), tuple(dismissed), nearest)
+
+
+def _by_all_edges(job: Job) -> bool:
+    """Whether a part that its shape does not find is looked for by all of its taught edges."""
+    return (job.solid or job.tilt_rad is not None) and count_curves(job) >= CURVES.fewest
 
 
 def _inspect_solid(images: StereoImages, job: Job, lap: Callable[[str], None]) -> PairInspection:

@@ -358,6 +358,13 @@ class JobFile(_Section):
     sigma_mm: float = Field(
         0.0, ge=0, le=1, description="of the taught features themselves, for a job from a model alone"
     )
+    break_mm: float | None = Field(
+        None,
+        ge=0,
+        le=2,
+        description="width of the part's edge breaks, of a job taught from pictures alone; 0: sharp edges, "
+        "not given: not known",
+    )
     limits: _Limits
     search: _Search
     picking: _Picking = _Picking()
@@ -475,4 +482,5 @@ class JobFile(_Section):
             points=tuple(point.value() for point in self.point),
             report=self.report,
             sigma_mm=self.sigma_mm,
+            break_mm=self.break_mm,
         )

@@ -51,6 +51,7 @@ def to_toml(job: Job) -> str:
         *(f"    {_numbers(row)}," for row in job.rig_from_part),
         "]",
         *_model_to_toml(job),
+        *_break_to_toml(job),
         "",
         "[limits]   # a result beyond them is published as not good, with the reason",
         f"depth_mm = {_numbers(limits.depth_mm)}   # nearest and farthest, rig z",
@@ -87,6 +88,14 @@ def to_toml(job: Job) -> str:
     lines += _points_to_toml(job)
     lines += [*_grasps_to_toml(job.picking.grasps), *_features_to_toml(job), *_measurements_to_toml(job)]
     return "\n".join(lines) + "\n"
+
+
+def _break_to_toml(job: Job) -> list[str]:
+    if job.body is not None:
+        return []
+    what = "width of the part's edge breaks (chamfers, roundings); 0: sharp. Your drawing knows better."
+    width = "# break_mm = 0.2" if job.break_mm is None else f"break_mm = {job.break_mm!r}"
+    return [f"{width}   # {what}"]
 
 
 def _model_to_toml(job: Job) -> list[str]:

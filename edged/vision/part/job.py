@@ -177,6 +177,7 @@ class Job:
     points : of that frame.  report : whose pose is published: "reference", "model" or the name of a point.
     body : its surface, where its CAD model is known; None: what it hides of itself is not known.
     sigma_mm : of all features together, of a job from a model alone: the part's edge breaks are unknown.
+    break_mm : width of the edge breaks, of a job taught from pictures alone; None: not known.
     """
 
     name: str
@@ -200,6 +201,7 @@ class Job:
     report: str = "reference"
     body: PartBody | None = None
     sigma_mm: float = 0.0
+    break_mm: float | None = None
 
     @property
     def reference_circle(self) -> CircleFeature:

@@ -19,10 +19,12 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
+from edged.vision.part.job import Job
+from edged.vision.solid.curvemodel import count_curves, curve_model
 from edged.vision.solid.edgemodel import EdgeModel
-from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over
+from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over, sigmas_of
 from edged.vision.solid.lock import Pyramids, lay, scale_at
-from edged.vision.solid.params import BREAKS, DECISION, PROFILE
+from edged.vision.solid.params import BREAKS, CURVES, DECISION, PROFILE
 from edged.vision.solid.profiles import ProfileFit, best_fit, fit_profiles, profiles_of
 
 
@@ -66,6 +68,37 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     # another light moves the seen ends of a break against each other
     by_light_mm = PROFILE.light_px / scale_at(images.rig, fit.pose, model) if found.sigma_break_mm else 0.0
     return LaidBody(found.model, fit, math.hypot(found.sigma_break_mm, 2 * by_light_mm), evidence)
+
+
+def shown_break(images: StereoImages, job: Job) -> float | None:
+    """Width of the edge breaks of a job's part, mm, by the pair that it was taught from alone.
+
+    Face-on, a break shows both of its edges here and there. None where it does not, or there is none.
+    """
+    if count_curves(job) < CURVES.fewest:
+        return None
+    pyramids = Pyramids(images.rig, images.raw, 1)
+    px_per_mm = images.rig.left.fx / float(job.rig_from_part[2, 3])
+    widths = np.arange(BREAKS.apart_px, BREAKS.widest_mm * px_per_mm, 0.5) / px_per_mm
+    gains = np.zeros(len(widths))
+    for k, width in enumerate(widths):
+        seen = evidence_of(curve_model(job, float(width)), pyramids, job.rig_from_part)
+        beside = seen.curve % 3 == 2
+        for shown in BREAKS.shown:
+            ratios = seen.log_ratio(beside, shown)
+            if sigmas_of(ratios) > DECISION.certain:
+                gains[k] = max(gains[k], float(ratios.sum()))
+    if not gains.any():
+        return None
+    best = int(gains.argmax())
+    near = slice(max(best - 2, 0), best + 3)
+    width = float(np.average(widths[near], weights=gains[near]))
+    model = curve_model(job, width)
+    for _ in range(BREAKS.rounds):
+        own, _ = _widths(model, pyramids, images, job.rig_from_part)
+        width = float(np.median(own))
+        model = curve_model(job, width)
+    return float(round(width, 4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,33 +28,30 @@ class EdgeModel:
     """Edges of a part as segments, those of one smooth curve behind each other, and the surface between.
 
     sides (E, 2) : both ends, as vertices.  start, end (E, 3) mm.
-    normals (E, 2, 3) : of both faces, outwards.  inward (E, 2, 3) : within either face, away from the edge.
-    chain (E,) : number of the curve.
+    normals (E, 2, 3) : of both faces, outwards.  chain (E,) : number of the curve.
     sharp (E,) : an edge from all sides; otherwise a piece of a curved wall, seen where it is the outline.
+    breakable (E,) : an outer edge, and none of the two ends of a break itself.
+    by_break (E, 2, 3) : where both edges of a break lie, of the segment, by its width.
     breaks_mm (E,) : width of the edge break that the surface does not have.
-    vertices (V, 3), triangles (T, 3) : the surface.
+    vertices (V, 3), triangles (T, 3) : the surface; empty where it is not known, and nothing hides.
     centre (3,), size_mm : of the part; poses are turned about the centre.
+    taught_px : sigma of the place at which either camera had all of its edges at teaching.
     """
 
     sides: I64
     start: FloatArray
     end: FloatArray
     normals: FloatArray
-    inward: FloatArray
     chain: I64
     sharp: npt.NDArray[np.bool_]
+    breakable: npt.NDArray[np.bool_]
+    by_break: FloatArray
     breaks_mm: FloatArray
     vertices: FloatArray
     triangles: I64
     centre: FloatArray
     size_mm: float
-
-    @property
-    def breakable(self) -> npt.NDArray[np.bool_]:
-        """(E,) whether an edge can be broken: an outer one, and none of the two ends of a break itself."""
-        outer = np.einsum("ej,ej->e", self.inward[:, 0], self.normals[:, 1]) < MODEL.convex
-        steep = np.einsum("ej,ej->e", self.normals[:, 0], self.normals[:, 1]) < MODEL.steep
-        return np.asarray(self.sharp & outer & steep)
+    taught_px: float = 0.0
 
 
 class EdgePoints(NamedTuple):
@@ -91,15 +88,17 @@ def model_of(body: PartBody) -> EdgeModel:
         inward[:, k] = np.cross(normals[beside[:, k]], along)
         away = middles[beside[:, k]] - 0.5 * (start + end)
         inward[:, k] *= np.sign(np.einsum("ej,ej->e", inward[:, k], away))[:, None]
-    low, high = body.points_mm.min(axis=0), body.points_mm.max(axis=0)
-    breaks = np.zeros(len(sides))
+    # an outer edge, and none of the two ends of a break itself
+    outer = np.einsum("ej,ej->e", inward[:, 0], normals[beside[:, 1]]) < MODEL.convex
+    steep = np.einsum("ej,ej->e", normals[beside[:, 0]], normals[beside[:, 1]]) < MODEL.steep
+    breakable, breaks = sharp & outer & steep, np.zeros(len(sides))
     if body.breaks_mm is not None:
-        breaks = widths_of(sides, body.lines[:, :2], body.breaks_mm)
-    model = EdgeModel(sides, start, end, normals[beside], inward, chain, sharp, breaks,
-                      body.points_mm, body.triangles, 0.5 * (low + high),
-                      float(np.linalg.norm(high - low)))  # fmt: skip
-    model.breaks_mm[~model.breakable] = 0.0
-    return model
+        breaks = np.where(breakable, widths_of(sides, body.lines[:, :2], body.breaks_mm), 0.0)
+    low, high = body.points_mm.min(axis=0), body.points_mm.max(axis=0)
+    return EdgeModel(
+        sides, start, end, normals[beside], chain, sharp, breakable, inward, breaks, body.points_mm,
+        body.triangles, 0.5 * (low + high), float(np.linalg.norm(high - low)),
+    )  # fmt: skip
 
 
 def widths_of(sides: I64, known: I64, widths_mm: FloatArray) -> FloatArray:
@@ -188,7 +187,7 @@ def sampled(model: EdgeModel, spacing_mm: float) -> EdgePoints:
 
 def _along(model: EdgeModel, rows: I64, side: int | None, spacing_mm: float) -> EdgePoints:
     """Samples of some segments; of broken ones, of the edge within one of both faces."""
-    by_break = np.zeros((len(rows), 3)) if side is None else model.inward[rows, side]
+    by_break = np.zeros((len(rows), 3)) if side is None else model.by_break[rows, side]
     shift = model.breaks_mm[rows, None] * by_break
     start, end = model.start[rows] + shift, model.end[rows] + shift
     curve = model.chain[rows] * 3 + (0 if side is None else side + 1)

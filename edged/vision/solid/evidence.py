@@ -36,8 +36,11 @@ class PoseEvidence:
     pixels: FloatArray
     camera: npt.NDArray[np.int64]
 
-    def log_ratio(self, chosen: B64 | None = None) -> FloatArray:
-        """(K,) log likelihood of the part against chance, of each block of the chosen samples."""
+    def log_ratio(self, chosen: B64 | None = None, shown: float = EVIDENCE.shown) -> FloatArray:
+        """(K,) log likelihood of the part against chance, of each block of the chosen samples.
+
+        shown : probability that an edge shows.
+        """
         rows = np.arange(len(self.hit)) if chosen is None else np.flatnonzero(chosen)
         if not len(rows):
             return np.zeros(0)
@@ -48,11 +51,17 @@ class PoseEvidence:
         counts = np.diff(np.r_[first, len(rows)])
         share = np.add.reduceat(self.hit[rows].astype(np.float64), first) / counts
         chance = np.clip(np.add.reduceat(self.chance[rows], first) / counts, 0.02, 0.95)
-        shown = EVIDENCE.shown * EVIDENCE.found + (1 - EVIDENCE.shown) * chance
+        hit = shown * EVIDENCE.found + (1 - shown) * chance
         whole = counts / EVIDENCE.block
         return np.asarray(
-            whole * (share * np.log(shown / chance) + (1 - share) * np.log((1 - shown) / (1 - chance)))
+            whole * (share * np.log(hit / chance) + (1 - share) * np.log((1 - hit) / (1 - chance)))
         )
+
+    def present(self) -> float:
+        """Share of the model's curves that the pictures rather show than not, both edges of each together."""
+        numbers = self.curve // 3
+        sums = [float(self.log_ratio(numbers == number).sum()) for number in np.unique(numbers)]
+        return float(np.mean(np.array(sums) > 0)) if sums else 0.0
 
 
 def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseEvidence:

@@ -12,36 +12,39 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, NotMeasured, Reject, Target
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, skew, transform, turn_between
 from edged.vision.part import measured as parts
-from edged.vision.part.body import PartBody
 from edged.vision.part.consistency import judged
 from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
 from edged.vision.part.job import Job
 from edged.vision.part.measure import published, with_free_axis, with_sizes_apart
 from edged.vision.part.solid import fitted
+from edged.vision.solid.curvemodel import curve_model
 from edged.vision.solid.edgemodel import EdgeModel, model_of
-from edged.vision.solid.evidence import evidence_of, margin_over, sigmas_of
+from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin_over, sigmas_of
 from edged.vision.solid.lock import LaidPose, Pyramids, lay, schedule
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
-from edged.vision.solid.params import DECISION
+from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.solid.profiles import ProfileFit, best_fit
 from edged.vision.solid.symmetry import is_round, like_turns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundPart:
-    """A part at a place: how it was laid, what speaks for it, and for how much more than for any rival.
+    """A part at a place: by which model, how it was laid, and what is seen of it.
 
-    certain : the pictures show the part rather than chance, by so many sigmas.  margin : the same against the
-    nearest rival; inf without one.
+    certain : either picture shows the part rather than chance, by so many sigmas.  margin : both show it
+    rather than the nearest rival; inf without one.
     """
 
+    model: EdgeModel
     laid: LaidPose
+    seen: PoseEvidence
     certain: float
     margin: float
 
@@ -51,22 +54,28 @@ def locate_solid(
 ) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
     """All parts of a job in a pair, those that could not be measured, and the nearest misses.
 
-    The job has a body.
+    The job has a body, or is looked for by its taught curves alone.
     """
+    models = models_of(job)
     wanted = wanted_of(job)
     pyramids = pyramids_of(images, wanted)
     measured: list[parts.MeasuredPart] = []
     dismissed: list[NotMeasured] = []
     missed: list[Match] = []
+    taken: list[FoundPart] = []
+    shapes = [grey.shape for grey in pyramids.grey[0]]
     for place in find_places(wanted, pyramids):
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
-        found = weighed(wanted.model, pyramids, place, _turns(job, wanted.model))
+        found = _likeliest(job, models, pyramids, place)
         match = _match(images, job, found.laid)
-        if found.certain < DECISION.certain:
+        alone = _certain(found.seen, _not_of(found, taken, shapes))  # not by the edges of another part
+        present = found.seen.present() if job.body is None else 1.0
+        if min(found.certain, alone) < DECISION.certain or present < DECISION.present:
             missed.append(match)
             continue
-        result = measure_found(images, job, wanted.model, pyramids, found, match)
+        taken.append(found)
+        result = measure_found(images, job, found, pyramids, match)
         if isinstance(result, parts.MeasuredPart):
             measured.append(result)
         else:
@@ -75,9 +84,8 @@ def locate_solid(
 
 
 def wanted_of(job: Job) -> SearchedPart:
-    """What is looked for, of a job with a body."""
-    assert job.body is not None
-    model = edges_of(job.body)
+    """What is looked for, of a job."""
+    model = models_of(job)[0]
     place = apply(job.rig_from_part, model.centre)
     # as the search has it, within the limits, which are of the reference point
     taught = float(apply(job.rig_from_part, job.place_of(job.reference))[2])
@@ -89,9 +97,12 @@ def wanted_of(job: Job) -> SearchedPart:
 
 
 @lru_cache(maxsize=16)
-def edges_of(body: PartBody) -> EdgeModel:
-    """The edge model of a body, made once."""
-    return model_of(body)
+def models_of(job: Job) -> tuple[EdgeModel, ...]:
+    """The edges of a job's part, made once: one model, or one for each width that its breaks may have."""
+    if job.body is not None:
+        return (model_of(job.body),)
+    widths = BREAKS.unknown_mm if job.break_mm is None else (job.break_mm,)
+    return tuple(curve_model(job, width) for width in widths)
 
 
 def _axis(job: Job) -> tuple[float, float]:
@@ -107,25 +118,56 @@ def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
     return tuple(motion for axis in sorted(axes) for motion in like_turns(model, axis))
 
 
+def _likeliest(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, place: PartPlace) -> FoundPart:
+    """The best pose at a place by the likeliest of several models."""
+    found = weighed(models[0], pyramids, place, _turns(job, models[0]))
+    fine = schedule(len(pyramids.cameras) - 1)[1]
+    for model in models[1:]:
+        laid = [lay(model, pyramids, mode.pose, fine) for mode in place.modes[:1]]
+        modes = tuple(pose for pose in laid if pose is not None)
+        if modes:
+            other = weighed(model, pyramids, PartPlace(modes), _turns(job, model))
+            found = max(found, other, key=lambda part: part.certain)
+    return found
+
+
 def weighed(model: EdgeModel, pyramids: Pyramids, place: PartPlace, turns: Sequence[FloatArray]) -> FoundPart:
     """The best pose at a place, against chance and against its rivals there."""
-    fine = schedule(len(pyramids.cameras) - 1)[2][-DECISION.rival_steps :]
+    fine = schedule(len(pyramids.cameras) - 1)[1][-DECISION.rival_steps :]
     poses = list(place.modes)
-    for motion in turns:
-        pose = np.asarray(place.best.pose @ motion)
-        if any(turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
-            continue
-        laid = lay(model, pyramids, pose, fine)
-        if laid is not None and laid.mean > DECISION.worth * place.best.mean:
-            poses.append(laid)
-    shapes = [grey.shape for grey in pyramids.grey[0]]
     seen = [evidence_of(model, pyramids, mode.pose) for mode in poses]
+    if max(_certain(one) for one in seen) > 0:  # else no turn makes it a part
+        for motion in turns:
+            pose = np.asarray(place.best.pose @ motion)
+            if any(turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
+                continue
+            laid = lay(model, pyramids, pose, fine)
+            if laid is not None and laid.mean > DECISION.worth * place.best.mean:
+                poses.append(laid)
+                seen.append(evidence_of(model, pyramids, laid.pose))
+    shapes = [grey.shape for grey in pyramids.grey[0]]
     best = max(range(len(poses)), key=lambda k: float(seen[k].log_ratio().sum()))
     margin = math.inf
     for k, other in enumerate(seen):
         if k != best and turn_between(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
             margin = min(margin, margin_over(seen[best], other, shapes))
-    return FoundPart(poses[best], sigmas_of(seen[best].log_ratio()), margin)
+    return FoundPart(model, poses[best], seen[best], _certain(seen[best]), margin)
+
+
+def _certain(seen: PoseEvidence, chosen: npt.NDArray[np.bool_] | None = None) -> float:
+    """Sigmas by which the camera that says less shows the part, of all its samples or of chosen ones (M,)."""
+    some = np.ones(len(seen.hit), bool) if chosen is None else chosen
+    return min(sigmas_of(seen.log_ratio(some & (seen.camera == k))) for k in (0, 1))
+
+
+def _not_of(
+    found: FoundPart, others: Sequence[FoundPart], shapes: list[tuple[int, int]]
+) -> npt.NDArray[np.bool_]:
+    """(M,) which samples of a part lie beside those of parts that were found before it."""
+    chosen = np.ones(len(found.seen.hit), bool)
+    for other in others:
+        chosen &= apart(found.seen, other.seen, shapes)
+    return chosen
 
 
 def _match(images: StereoImages, job: Job, laid: LaidPose) -> Match:
@@ -140,9 +182,10 @@ def _match(images: StereoImages, job: Job, laid: LaidPose) -> Match:
 
 
 def measure_found(
-    images: StereoImages, job: Job, model: EdgeModel, pyramids: Pyramids, found: FoundPart, match: Match
+    images: StereoImages, job: Job, found: FoundPart, pyramids: Pyramids, match: Match
 ) -> parts.MeasuredPart | Reject:
     """A found part measured; the reason when that is not possible."""
+    model = found.model
     fit = best_fit(model, pyramids, images, found.laid.pose, _held(job, model))
     if fit is None:
         return Reject.FEW_EDGES
@@ -177,13 +220,15 @@ def _held(job: Job, model: EdgeModel) -> FloatArray | None:
 
 def _target(job: Job, model: EdgeModel, fit: ProfileFit, match: Match) -> Target:
     """The part where a fit puts it."""
-    body = job.body
-    assert body is not None
     rotation, reference = fit.pose[:3, :3], job.place_of(job.reference)
     lift = np.zeros((6, 6))  # of (position, rotation vector) in rig axes to the twist
     lift[:3, :3], lift[:3, 3:] = -rotation @ skew(reference - model.centre), rotation
     lift[3:, :3] = rotation
-    edges = fit.edges + body.sigma_break_mm**2 * np.outer(fit.by_break, fit.by_break)
+    if job.body is not None:
+        sigma_break = job.body.sigma_break_mm
+    else:
+        sigma_break = BREAKS.unknown_sigma_mm if job.break_mm is None else BREAKS.taught_sigma_mm
+    edges = fit.edges + sigma_break**2 * np.outer(fit.by_break, fit.by_break)
     return Target(
         job=job.name,
         match=match,

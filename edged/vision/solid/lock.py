@@ -172,12 +172,11 @@ def lay(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[
     return laid
 
 
-def schedule(top: int) -> tuple[tuple[LockStep, ...], tuple[LockStep, ...], tuple[LockStep, ...]]:
-    """Coarse, middle and fine steps for pyramids whose top level is this one."""
-    coarse = tuple(_at(LOCK.coarse, top))
-    middle = tuple(_at(LOCK.middle, max(top - 1, 0)))
+def schedule(top: int) -> tuple[tuple[LockStep, ...], tuple[LockStep, ...]]:
+    """Coarse and fine steps for pyramids whose top level is this one, from the level below it on."""
+    coarse = tuple(_at(LOCK.middle, max(top - 1, 0)))
     between = [how for level in range(max(top - 2, 0), 0, -1) for how in _at(LOCK.between, level)]
-    return coarse, middle, (*between, *_at(LOCK.fine, 0))
+    return coarse, (*between, *_at(LOCK.fine, 0))
 
 
 def _at(steps: Sequence[tuple[float, float, float, float]], level: int) -> list[LockStep]:

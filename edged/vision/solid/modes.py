@@ -50,14 +50,10 @@ def pyramids_of(images: StereoImages, wanted: SearchedPart) -> Pyramids:
 
 def find_places(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:
     """Where the part may lie, by falling agreement."""
-    model, top = wanted.model, len(pyramids.cameras) - 1
-    starts = starts_of(
-        model, pyramids.rig, pyramids.grey[top], top, wanted.tilt_rad, wanted.distances_mm, wanted.place
-    )
-    coarse, middle, fine = schedule(top)
+    model = wanted.model
+    starts = starts_of(model, pyramids.rig, pyramids.grey, wanted.tilt_rad, wanted.distances_mm, wanted.place)
+    coarse, fine = schedule(len(pyramids.cameras) - 1)
     laid = _laid(model, pyramids, starts, coarse, wanted)
-    laid = _unlike(model, laid, MODES.kept_middle, MODES.kept_at_place)
-    laid = _laid(model, pyramids, [candidate.pose for candidate in laid], middle, wanted)
     laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)
     laid = _laid(model, pyramids, [candidate.pose for candidate in laid], fine, wanted)
     places: list[list[LaidPose]] = []

@@ -88,10 +88,8 @@ class LockParams:
     fewest: int = 30  # samples in each camera, five for each unknown
     max_turn_rad: float = 0.25  # of one step
     agree_px: float = 1.0  # between an edge and a pose that it agrees with
-    coarse: LockSteps = ((12, 2.0, 8, 8.0), (9, 2.0, 8, 5.0), (7, 2.0, 8, 3.0), (5, 2.0, 8, 2.0))
-    """On the top level: views are 13 degrees apart there."""
     middle: LockSteps = ((10, 2.5, 10, 5.0), (8, 2.5, 10, 4.0), (6, 2.5, 10, 3.0), (4, 2.5, 10, 2.0))
-    """On the level below."""
+    """On the level below the top: to there the responses have led."""
     between: LockSteps = ((6, 3.0, 12, 3.0), (5, 3.0, 12, 2.5), (4, 3.0, 12, 2.0))
     """On the levels between that and the picture itself."""
     fine: LockSteps = (
@@ -114,12 +112,12 @@ class ViewScanParams:
     smallest_px: float = 64.0  # of the picture there
     lean_rad: float = math.radians(13.0)  # between views: the lock comes from 12 degrees off in 4 of 5 cases
     turn_rad: float = math.radians(10.0)  # between views
-    scale: float = 0.06  # between two distances
+    scale: float = 0.12  # between two distances: a part of 64 px changes by 4 px either way
     max_lean_rad: float = math.radians(65.0)  # beyond it a face is a line
     points: int = 120  # of a view
     glance_points: int = 32  # of them that all places are compared with
     peaks: int = 2  # places of a view
-    looked_at: int = 600  # of all of them that are compared with all points
+    looked_at: int = 400  # of all of them that are compared with all points
     spacing_px: float = 1.0  # between the points of a view before some are drawn
     fewest: int = 20  # points of a view
     smoothing_px: float = 0.7  # of the picture at that level
@@ -130,13 +128,37 @@ class ViewScanParams:
     least_cos: float = 0.7  # between gradient and edge: 45 degrees fit not at all
     same_place: float = 0.35  # of the part's size: starts nearer to each other are of one part
     places: int = 14  # of a scene that are kept
-    kept: int = 16  # starts of the best place
-    kept_elsewhere: int = 6  # starts of any other
+    kept: int = 40  # starts of the best place
+    kept_elsewhere: int = 10  # starts of any other
     alike: float = 0.15  # of its size, and
     alike_rad: float = math.radians(12.0)  # within which two starts are one
 
 
 SCAN = ViewScanParams()
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseClimbParams:
+    """What becomes of views in both pictures, before any edge is looked for.
+
+    Where a line names no source, `tools/bench ablate --only ResponseClimbParams` shows what the number earns.
+    """
+
+    halvings: int = 4  # of the steps
+    rounds: int = 3  # of all six directions at one size of steps
+    turn_rad: float = math.radians(6.0)  # first step: half of what lies between two views
+    shift_px: float = 1.0  # first step, at the size of the scan
+    sought_share: float = 0.6  # of what lies between two scales, either way: half, and a margin
+    sought_px: float = 0.7  # between two distances, in the other picture
+    climbed: int = 96  # of the best poses of either camera
+    every: int = 2  # of a view's points, at first
+    climbed_finely: int = 48  # of these
+    kept: int = 24  # of what they become
+    kept_at_place: int = 10  # of the best place
+    kept_elsewhere: int = 4  # of any other
+
+
+CLIMB = ResponseClimbParams()
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,8 +202,6 @@ class ModesParams:
     Where a line names no source, `tools/bench ablate --only ModesParams` shows what the number earns.
     """
 
-    kept_middle: int = 14  # poses that are laid on the level below the top
-    kept_at_place: int = 8  # of them, of one part
     kept_fine: int = 8  # poses that are laid finely
     fine_at_place: int = 4  # of them, of one part
     same_place: float = 0.35  # of the part's size: nearer poses are of one part
@@ -244,6 +264,9 @@ class DecisionParams:
     certain: float = 4.0
     """Sigmas by which a part must be likelier than chance, and a pose than its rivals: 3e-5 by chance, for a
     few dozen looks at a pair."""
+    present: float = 2 / 3
+    """Of the curves of a part that is known by them alone: one of which a third is covered is still measured,
+    one that lacks more is another part with the same outline."""
     lying_rad: float = math.radians(8.0)  # tilt of parts of a job that allows for none
     tilt_margin_rad: float = math.radians(5.0)  # added to the allowed tilt: views are 13 degrees apart
     rival_steps: int = 4  # of the fine lock, for a turn that leaves the part like itself
@@ -280,6 +303,30 @@ class BreaksParams:
     min_sigma_px: float = 0.1  # of the robust scale
     correlated: float = 4.0  # profiles that err alike
     alike_mm: float = 0.1  # spread of the breaks of one part
+    apart_px: float = 3.0  # between both edges of a break that a picture keeps apart
+    widest_mm: float = 0.85  # that is looked for in a pair without a model
+    shown: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85)  # of the second edges
+    unknown_mm: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6)  # tried where no picture has told
+    unknown_sigma_mm: float = 0.08  # of these: half of what lies between them
+    taught_sigma_mm: float = 0.03  # of a width that a pair alone shows
 
 
 BREAKS = BreaksParams()
+
+
+@dataclass(frozen=True, slots=True)
+class CurvesParams:
+    """Edges of a part that was taught from pictures alone.
+
+    Where a line names no source, `tools/bench ablate --only CurvesParams` shows what the number earns.
+    """
+
+    sagitta_mm: float = 5e-4  # of the chords of an arc
+    pieces: int = 8  # of a straight edge
+    same_face_mm: float = 1.0  # between heights of curves around one face, broken edges among them
+    level_mm: float = 0.06  # of a taught height
+    fewest: int = 3  # curves: with fewer, chance and a taught tilt are not told from the part
+    taught_px: float = 1 / 6  # between teaching's light and another one (`LIGHT_PX`), in either camera
+
+
+CURVES = CurvesParams()

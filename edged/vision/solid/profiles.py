@@ -7,6 +7,7 @@ somewhere between.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -177,6 +178,9 @@ def _fitted(
     by_break = response @ profiles.seen.by_break
     block = _blocks(2 * profiles.seen.curve + profiles.camera)
     edges = _jackknife(design, weights, left, inverse, block) + np.outer(by_light, by_light)
+    for camera, axis in itertools.product((0, 1), (0, 1)):
+        by_teaching = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
+        edges += model.taught_px**2 * np.outer(by_teaching, by_teaching)
     units = np.outer(scale, scale)
     calibration = _by_calibration(images, pose, profiles, response)
     extra = _extra(_added(model, images, profiles), design, left, weights, edges, inverse)

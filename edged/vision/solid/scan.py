@@ -18,10 +18,11 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.camera import CameraModel, StereoRig
-from edged.vision.geometry.rigid import apply, invert, rotation_matrix, transform, unit
+from edged.vision.geometry.rigid import invert, rotation_matrix, transform, unit
 from edged.vision.kernels.jit import kernel
+from edged.vision.solid.climb import FULL, Eye, climb, eye_of, seek
 from edged.vision.solid.edgemodel import EdgeModel
-from edged.vision.solid.params import SCAN, VISIBILITY
+from edged.vision.solid.params import CLIMB, SCAN, VISIBILITY
 from edged.vision.solid.visible import Cameras, at_level, samples_at, see, view_of
 
 F64 = npt.NDArray[np.float64]
@@ -30,8 +31,6 @@ U8 = npt.NDArray[np.uint8]
 
 BINS = 8
 """Directions of an edge, sign aside."""
-FULL = 15
-"""Response of a gradient that fits: sums of 16 fit a byte."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,12 +39,16 @@ class ViewSet:
 
     rotations (V, 3, 3) : camera_from_part, of a part on the optical axis.  offsets (V, P, 2) : px from the
     image of its centre; bins (V, P) : direction of the edge there; in random order.
+    points, along (L, P, 3) : the same on the part, for each lean; lean (V,) : of a view.
     distance_mm : of its centre.
     """
 
     rotations: FloatArray
     offsets: FloatArray
     bins: I64
+    points: FloatArray
+    along: FloatArray
+    lean: I64
     distance_mm: float
 
 
@@ -69,6 +72,7 @@ def view_set(
     px_per_mm = small.fx / distance_mm
     samples = samples_at(model, px_per_mm, SCAN.spacing_px)
     rotations, offsets, bins = [], [], []
+    points, along = [], []
     for base in _leans(lean_rad):
         pose = transform(base, np.array([0.0, 0.0, distance_mm]) - base @ model.centre)
         view = view_of(plain, pose, model.centre)
@@ -78,6 +82,8 @@ def view_set(
             continue
         chosen = rng.permutation(len(seen.row))[: SCAN.points]
         chosen = np.resize(chosen, SCAN.points)
+        points.append(samples.points[seen.row[chosen]])
+        along.append(samples.along[seen.row[chosen]])
         offset = seen.pixels[chosen] - 5e5
         angle = np.arctan2(seen.normals[chosen, 1], seen.normals[chosen, 0])
         for turn in turns:
@@ -85,7 +91,11 @@ def view_set(
             rotations.append(rotation_matrix(np.array([0.0, 0.0, turn])) @ base)
             offsets.append(offset @ np.array([[c, s], [-s, c]]))
             bins.append(np.rint((angle + turn) * BINS / math.pi).astype(np.int64) % BINS)
-    return ViewSet(np.array(rotations), np.array(offsets), np.array(bins), distance_mm)
+    lean = np.repeat(np.arange(len(points)), len(turns))
+    return ViewSet(
+        np.array(rotations), np.array(offsets), np.array(bins), np.array(points), np.array(along), lean,
+        distance_mm,
+    )  # fmt: skip
 
 
 def _leans(lean_rad: float) -> list[FloatArray]:
@@ -118,13 +128,13 @@ def responses(grey: npt.NDArray[np.float32]) -> U8:
 
 
 def scan(
-    model: EdgeModel, rig: StereoRig, camera: int, grey: npt.NDArray[np.float32], level: int,
+    model: EdgeModel, rig: StereoRig, camera: int, maps: U8, level: int,
     tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
-) -> list[FloatArray]:  # fmt: skip
-    """Poses rig_from_part (4, 4) of the best views of a part in one camera's picture, best first.
+) -> tuple[ViewSet, I64, FloatArray]:  # fmt: skip
+    """The best views of a part in one camera's picture: their set, numbers (K,) and rig_from_part (K, 4, 4).
 
-    grey : the picture at a level.  tilt_rad : of the part's -z from the bisector of both cameras.
-    distances_mm : nearest and farthest of the part's centre from the camera.
+    maps : `responses` of the picture at a level.  tilt_rad : of the part's -z from the bisector of both
+    cameras.  distances_mm : nearest and farthest of the part's centre from the camera.
     place (3,) : rig frame, where parts lie, more or less: the bisector is that of there.
     """
     cameras = Cameras.of(rig, level)
@@ -143,12 +153,12 @@ def scan(
     to_place = _turn_onto(np.array([0.0, 0.0, 1.0]), ray)
     leaning = (to_place @ views.rotations)[:, :, 2] @ bisector
     allowed = np.flatnonzero(leaning > math.cos(tilt_rad))
-    maps = responses(grey)
     spread = math.log(distances_mm[1] / distances_mm[0])
     count = max(1, math.ceil(spread / SCAN.scale))
     scales = np.exp(np.linspace(0.5 * spread, -0.5 * spread, count)) if count > 1 else np.ones(1)
     found = _best(views, allowed, scales, maps)
-    return _unlike(model, [_start(model, views, own, rig_from_camera, view) for view in found])
+    poses = [_start(model, views, own, rig_from_camera, view) for view in found]
+    return views, np.array([view for _, view, *_ in found], np.int64), np.array(poses).reshape(-1, 4, 4)
 
 
 def _start(
@@ -163,14 +173,14 @@ def _start(
     return np.asarray(rig_from_camera @ pose)
 
 
-def _unlike(model: EdgeModel, starts: Sequence[FloatArray]) -> list[FloatArray]:
-    """The best starts that differ from each other: many at the best place, some at others."""
-    centres = np.array([apply(start, model.centre) for start in starts]).reshape(-1, 3)
-    rotations = np.array([start[:3, :3] for start in starts])
+def _unlike(model: EdgeModel, poses: FloatArray, most: int, elsewhere: int) -> list[int]:
+    """Which poses (K, 4, 4), best first, differ from each other: many at the best place, some at others."""
+    centres = poses[:, :3, :3] @ model.centre + poses[:, :3, 3]
+    rotations = poses[:, :3, :3]
     kept: list[int] = []
     places: list[int] = []
     many: list[int] = []
-    for k in range(len(starts)):
+    for k in range(len(poses)):
         apart = np.linalg.norm(centres[kept] - centres[k], axis=1)
         cosines = 0.5 * (np.einsum("nij,ij->n", rotations[kept], rotations[k]) - 1.0)
         if ((apart < SCAN.alike * model.size_mm) & (cosines > math.cos(SCAN.alike_rad))).any():
@@ -183,12 +193,12 @@ def _unlike(model: EdgeModel, starts: Sequence[FloatArray]) -> list[FloatArray]:
                 continue
             places.append(k)
             many.append(1)
-        elif many[here[0]] == (SCAN.kept if here[0] == 0 else SCAN.kept_elsewhere):
+        elif many[here[0]] == (most if here[0] == 0 else elsewhere):
             continue
         else:
             many[here[0]] += 1
         kept.append(k)
-    return [starts[k] for k in kept]
+    return kept
 
 
 def _turn_onto(source: FloatArray, to: FloatArray) -> FloatArray:
@@ -294,14 +304,60 @@ def look(
 
 
 def starts_of(
-    model: EdgeModel, rig: StereoRig, pictures: Sequence[npt.NDArray[np.float32]], level: int,
+    model: EdgeModel, rig: StereoRig, pictures: Sequence[Sequence[npt.NDArray[np.float32]]],
     tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
 ) -> list[FloatArray]:  # fmt: skip
-    """`scan` in both pictures, those of the left one first."""
-    result: list[FloatArray] = []
+    """Poses rig_from_part (4, 4) that both pictures suggest, best first.
+
+    pictures : of both cameras at each level of the pyramids.  What either camera's views suggest is sought
+    along their lines of sight, and climbed in both pictures at the top level, then on the one below.
+    """
+    top = len(pictures) - 1
+    both = [_Seen.of(rig, level, pictures[level], place) for level in (top, max(top - 1, 0))]
+    found: list[tuple[float, FloatArray]] = []
     for camera in (0, 1):
-        apart = float(np.linalg.norm(place - invert(Cameras.of(rig, 0).from_rig[camera])[:3, 3]))
-        share = apart / float(np.linalg.norm(place))
+        eye = invert(Cameras.of(rig, 0).from_rig[camera])[:3, 3]
+        share = float(np.linalg.norm(place - eye)) / float(np.linalg.norm(place))
         near, far = distances_mm[0] * share, distances_mm[1] * share
-        result.extend(scan(model, rig, camera, pictures[camera], level, tilt_rad, (near, far), place))
-    return result
+        views, numbers, poses = scan(
+            model, rig, camera, both[0].maps[camera], top, tilt_rad, (near, far), place
+        )
+        lean, scores = views.lean[numbers], np.empty(len(poses))
+        reach = CLIMB.sought_share * SCAN.scale
+        step = CLIMB.sought_px / (both[0].eyes[0].focal[0] * rig.baseline_mm / float(place[2]))
+        shares = np.exp(np.arange(-reach, reach + step, step))
+        seek(views.points, views.along, lean, poses, *both[0].eyes, *both[0].maps,
+             np.tile(eye, (len(poses), 1)), model.centre, shares, scores)  # fmt: skip
+        order = np.argsort(-scores, kind="stable")
+        rows = order[_unlike(model, poses[order], SCAN.kept, SCAN.kept_elsewhere)[: CLIMB.climbed]]
+        lean, poses, scores = lean[rows], poses[rows], scores[rows]
+        climb(views.points, views.along, lean, poses, *both[0].eyes, *both[0].maps, model.centre,
+              both[0].steps, CLIMB.every, scores)  # fmt: skip
+        rows = np.argsort(-scores, kind="stable")[: CLIMB.climbed_finely]
+        lean, poses, scores = lean[rows], poses[rows], scores[rows]
+        climb(views.points, views.along, lean, poses, *both[1].eyes, *both[1].maps, model.centre,
+              both[1].steps, 1, scores)  # fmt: skip
+        found += [(float(score), pose) for score, pose in zip(scores, poses, strict=True)]
+    found.sort(key=lambda scored: -scored[0])
+    poses = np.array([pose for _, pose in found]).reshape(-1, 4, 4)
+    return [poses[k] for k in _unlike(model, poses, CLIMB.kept_at_place, CLIMB.kept_elsewhere)[: CLIMB.kept]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Both cameras at one level: as kernels take them, their responses, and first steps (6,) to climb by."""
+
+    eyes: tuple[Eye, Eye]
+    maps: tuple[U8, U8]
+    steps: FloatArray
+
+    @staticmethod
+    def of(
+        rig: StereoRig, level: int, pictures: Sequence[npt.NDArray[np.float32]], place: FloatArray
+    ) -> _Seen:
+        cameras = Cameras.of(rig, level)
+        left, right = (eye_of(cameras.models[k], cameras.from_rig[k]) for k in (0, 1))
+        shift = CLIMB.shift_px * float(place[2]) / left.focal[0]
+        turn = CLIMB.turn_rad
+        steps = np.r_[np.full(3, turn), np.full(3, shift)]
+        return _Seen((left, right), (responses(pictures[0]), responses(pictures[1])), steps)

@@ -115,7 +115,7 @@ def see(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -
     facing = np.empty(count, np.bool_)
     find_facing(samples, view, facing)
     rows = np.flatnonzero(facing)
-    if len(rows):
+    if len(rows) and len(model.triangles):
         points = samples.points[rows]
         rows = rows[~hidden_points(model.vertices, model.triangles, points, view.eye, buffer_px)]
     seen = VisibleSamples(

@@ -117,7 +117,7 @@ def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[s
     limits, widest = job.limits, float(widths.max(initial=0.0))
     if limits.radius_tolerance_mm is not None:  # another light may show a rim's other end
         limits = replace(limits, radius_tolerance_mm=round(limits.radius_tolerance_mm + widest, 4))
-    taken = replace(job, body=body, rig_from_part=laid.fit.pose, limits=limits)
+    taken = replace(job, body=body, break_mm=None, rig_from_part=laid.fit.pose, limits=limits)
     return taken, _said(widths)
 
 

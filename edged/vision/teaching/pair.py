@@ -32,6 +32,7 @@ from edged.vision.part.pose import circle_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
 from edged.vision.shape.search import SearchParams
+from edged.vision.solid.breaks import shown_break
 from edged.vision.teaching.background import without_background
 from edged.vision.teaching.features import (
     FoundFeatures,
@@ -71,10 +72,17 @@ def teach(
     """
     mask = taught_mask(region, exclude, rectification)
     view = TeachingView(StereoImages.of(rectification, left, right), mask)
+    job = _taught(view, name, number, params)
+    return replace(job, break_mm=shown_break(view.images, job))
+
+
+def _taught(view: TeachingView, name: str, number: int, params: ModelParams | None) -> Job:
     ellipses = find_ellipses(view.images.rectified_left, view.mask)
     try:
         face, largest = _reference(view.images, ellipses)
-        levels = find_levels(view.images, ellipses, face, _near_depths(rectification, largest), _is_clear)
+        levels = find_levels(
+            view.images, ellipses, face, _near_depths(view.images.rectification, largest), _is_clear
+        )
         if levels is not None:
             solid = solid_features(view, levels)
             if solid is not None:

@@ -68,7 +68,7 @@ def test_what_is_hidden_is_what_rays_meet(lean: float, side: float, part: str) -
     found = hidden_points(one.points_mm, one.triangles, points, eye)
     met = cast(one, points, eye, 0.6)
     assert np.mean(met & ~found) < 0.01
-    assert np.mean(found & ~met) < 0.12
+    assert np.mean(found & ~met) < 0.15
 
 
 def test_a_hub_covers_the_holes_behind_it() -> None:

@@ -1,0 +1,164 @@
+"""The edges of a part that was taught from pictures alone: its circles, straight edges and slots.
+
+Its surface is not known, so nothing hides: what a camera does not see of them is left to the evidence, which
+needs no curve as a whole. A taught curve is one edge of a break, if there is one: mostly that in the face.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+from edged.vision.part.job import CircleFeature, EdgeFeature, Job, SlotFeature
+from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.params import CURVES
+
+B64 = npt.NDArray[np.bool_]
+
+UP = np.array([0.0, 0.0, -1.0])
+"""Towards the cameras, part frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rim:
+    """A taught curve as points (N, 3) one behind the other; outwards (N - 1, 3): away from the face."""
+
+    points: FloatArray
+    outwards: FloatArray
+
+    @property
+    def level(self) -> float:
+        """Its height, z."""
+        return float(self.points[0, 2])
+
+    def other(self, break_mm: float) -> FloatArray:
+        """(N - 1, 3) middles of the pieces of the edge beside it, in the wall."""
+        middles = 0.5 * (self.points[:-1] + self.points[1:])
+        return np.asarray(middles + break_mm * (self.outwards - UP))
+
+
+def count_curves(job: Job) -> int:
+    """Of a job: circles, straight edges and slots."""
+    return len(job.circles) + len(job.edges) + len(job.slots)
+
+
+def curve_model(job: Job, break_mm: float = 0.0) -> EdgeModel:
+    """The edges of a job's taught curves, each the rim of a face that looks at the cameras.
+
+    break_mm : width of their edge breaks.
+    """
+    rims = list(_rims(job))
+    lower = [_is_lower(rim, rims, break_mm) for rim in rims]
+    kept = [k for k, rim in enumerate(rims) if not (lower[k] and _has_upper(rim, rims, break_mm))]
+    rims, lower = [rims[k] for k in kept], [lower[k] for k in kept]
+    start, end, outwards = (
+        np.concatenate(parts)
+        for parts in zip(*((rim.points[:-1], rim.points[1:], rim.outwards) for rim in rims), strict=True)
+    )
+    pieces = [len(rim.outwards) for rim in rims]
+    count, up = len(start), np.broadcast_to(UP, (len(start), 3))
+    down = np.repeat(lower, pieces)[:, None]
+    across = outwards - up  # from the edge in the face to that in the wall
+    zero = np.zeros((count, 3))
+    by_break = np.stack([np.where(down, -across, zero), np.where(down, zero, across)], axis=1)
+    low, high = np.minimum(start, end).min(axis=0), np.maximum(start, end).max(axis=0)
+    return EdgeModel(
+        np.zeros((count, 2), np.int64), start, end, np.stack([up, outwards], axis=1),
+        np.repeat(np.arange(len(rims)), pieces), np.ones(count, bool), np.ones(count, bool), by_break,
+        np.full(count, break_mm), np.zeros((0, 3)), np.zeros((0, 3), np.int64), 0.5 * (low + high),
+        float(np.linalg.norm(high - low)), CURVES.taught_px,
+    )  # fmt: skip
+
+
+def _is_lower(rim: _Rim, rims: list[_Rim], break_mm: float) -> bool:
+    """Whether a curve lies as much below a face as its broken edges are wide."""
+    if break_mm < 2 * CURVES.level_mm:
+        return False
+    below = [rim.level - other.level for other in rims]
+    return any(abs(depth - break_mm) < CURVES.level_mm for depth in below) and not any(
+        abs(depth + break_mm) < CURVES.level_mm for depth in below
+    )
+
+
+def _has_upper(rim: _Rim, rims: list[_Rim], break_mm: float) -> bool:
+    """Whether the edge above a lower one was taught, too: then the model has the lower one by that."""
+    middles = 0.5 * (rim.points[:-1] + rim.points[1:])
+    for other in rims:
+        if other is rim:
+            continue
+        apart = np.linalg.norm(other.other(break_mm)[:, None] - middles[None], axis=2)
+        if len(apart) > 1 and (apart.min(axis=1) < 2 * CURVES.level_mm).mean() > 0.5:
+            return True
+    return False
+
+
+def _rims(job: Job) -> Iterator[_Rim]:
+    for circle in job.circles:
+        yield _circle(circle, -1.0 if _is_hole(job, circle) else 1.0)
+    for slot in job.slots:
+        yield _slot(slot)
+    for edge in job.edges:
+        yield _edge(edge)
+
+
+def _is_hole(job: Job, circle: CircleFeature) -> bool:
+    """Whether other curves of its face, or of one hardly above it, run around a circle."""
+    x, y, z = circle.centre_mm
+    for other in job.circles:
+        apart = math.dist((x, y), other.centre_mm[:2])
+        near = abs(float(other.centre_mm[2]) - z) < CURVES.same_face_mm
+        if near and other.radius_mm > circle.radius_mm + apart:
+            return True
+    corners = [
+        point[:2]
+        for edge in job.edges
+        for point in (edge.start_mm, edge.end_mm)
+        if abs(float(point[2]) - z) < CURVES.same_face_mm
+    ]
+    if len(corners) < 4:
+        return circle.polarity > 0
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    return bool(((low < (x, y)) & (high > (x, y))).all())
+
+
+def _circle(circle: CircleFeature, outwards: float) -> _Rim:
+    turns = _turns(2 * math.pi, circle.radius_mm)
+    points = circle.centre_mm + circle.radius_mm * _around(turns)
+    return _Rim(points, outwards * _around(0.5 * (turns[:-1] + turns[1:])))
+
+
+def _slot(slot: SlotFeature) -> _Rim:
+    """Both half circles and the edges between them, cut as finely; a slot is a hole."""
+    radius = 0.5 * slot.width_mm
+    reach = 0.5 * slot.length_mm - radius
+    turns = _turns(math.pi, radius) - 0.5 * math.pi
+    halves = [
+        slot.centre_mm + reach * _around(np.array([half])) + radius * _around(turns + half)
+        for half in (slot.angle_rad, slot.angle_rad + math.pi)
+    ]
+    points = np.concatenate([*halves, halves[0][:1]])
+    along = np.diff(points, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return _Rim(points, np.cross(along, UP))
+
+
+def _edge(edge: EdgeFeature) -> _Rim:
+    """In a few pieces; the face is its brighter side."""
+    points = edge.start_mm + np.linspace(0, 1, CURVES.pieces + 1)[:, None] * (edge.end_mm - edge.start_mm)
+    along = (edge.end_mm - edge.start_mm) / edge.length_mm
+    return _Rim(points, np.repeat(np.cross(along, -UP)[None] * edge.polarity, CURVES.pieces, axis=0))
+
+
+def _turns(turn_rad: float, radius_mm: float) -> FloatArray:
+    """Angles of an arc whose chords lie a fraction of a micrometre off it."""
+    chord = 2 * math.acos(1 - min(CURVES.sagitta_mm / radius_mm, 0.1))
+    return np.linspace(0.0, turn_rad, max(math.ceil(turn_rad / chord), 8) + 1)
+
+
+def _around(turns: FloatArray) -> FloatArray:
+    return np.column_stack([np.cos(turns), np.sin(turns), np.zeros(len(turns))])

@@ -1,0 +1,131 @@
+"""Parts that were taught from a pair alone, as the edges of their taught curves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.blockpart import REFERENCE_MM, block, taught
+from helpers.brokenparts import pair_of
+from helpers.cells import small_rig
+from helpers.flatparts import only
+from helpers.tilted import lying
+
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Reject
+from edged.pipeline import prepare
+from edged.vision.geometry.rigid import apply, turn_between
+from edged.vision.solid.climb import FULL, climb, eye_of, response_of, step_of
+from edged.vision.solid.curvemodel import curve_model
+from edged.vision.solid.edgemodel import EdgePoints, sampled
+from edged.vision.solid.scan import BINS
+from edged.vision.solid.visible import Cameras, see
+from edged.vision.teaching.pair import teach
+
+
+def edges_beside(break_mm: float) -> EdgePoints:
+    """Samples of the second edges of the block's curves, in the walls."""
+    points = sampled(curve_model(taught().job, break_mm), 0.2)
+    rows = points.curve % 3 == 2
+    return EdgePoints._make(field[rows] for field in points)
+
+
+def test_the_second_edge_of_a_break_lies_in_the_wall() -> None:
+    """Of a hole within it, of the outline beyond it, and as much below the face as the break is wide."""
+    job = taught().job
+    beside = edges_beside(0.3)
+    for circle in job.circles:
+        away = np.hypot(*(beside.points - circle.centre_mm)[:, :2].T)
+        near = np.abs(away - (circle.radius_mm - 0.3)) < 0.01
+        near &= np.abs(beside.points[:, 2] - circle.centre_mm[2] - 0.3) < 0.01
+        assert near.sum() > 2 * math.pi * (circle.radius_mm - 0.3) / 0.2 - 2, circle.name
+    main = [edge for edge in job.edges if abs(edge.start_mm[2]) < 0.1]
+    amid = np.mean([0.5 * (edge.start_mm + edge.end_mm) for edge in main], axis=0)
+    for edge in main:
+        middle = 0.5 * (edge.start_mm + edge.end_mm)
+        nearest = beside.points[np.linalg.norm(beside.points - middle, axis=1).argmin()]
+        assert np.linalg.norm((nearest - amid)[:2]) > np.linalg.norm((middle - amid)[:2])
+
+
+def test_a_lower_edge_that_was_taught_besides_is_no_second_curve() -> None:
+    """The rim of a hole 0.4 mm within another one and below it is the other end of its break."""
+    job = taught().job
+    hole = job.circles[0]
+    below = replace(
+        hole,
+        name="below",
+        centre_mm=hole.centre_mm + np.array([0.0, 0.0, 0.4]),
+        radius_mm=hole.radius_mm - 0.4,
+    )
+    both = replace(job, circles=(*job.circles, below))
+    broken, sharp = (len(np.unique(curve_model(both, width).chain)) for width in (0.4, 0.0))
+    assert (broken, sharp) == (len(np.unique(curve_model(job).chain)), broken + 1)
+
+
+@pytest.mark.parametrize("break_mm", [0.0, 0.5])
+def test_a_pair_shows_how_wide_breaks_are(break_mm: float) -> None:
+    """Rings of half a millimetre, as bright as neither face nor wall, to 0.05 mm; nothing of sharp edges."""
+    rig = prepare(small_rig())
+    lights = np.full((2, 2), 0.3)
+    left, right = pair_of(rig.rig, lying(rig.rig, 0.0, 0.0, 0.0), break_mm, lights)
+    job = teach(left, right, rig.rectification, None, "disc")
+    assert job.break_mm == (pytest.approx(break_mm, abs=0.05) if break_mm else None)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_pose_climbs_to_where_both_cameras_respond(seed: int) -> None:
+    """From some degrees and millimetres off, on the responses that the edges themselves would give."""
+    rig, model = small_rig(), curve_model(taught().job)
+    where = lying(rig, 20.0, 30.0, 40.0)
+    cameras = Cameras.of(rig, 2)
+    left, right = (eye_of(cameras.models[k], cameras.from_rig[k]) for k in (0, 1))
+    samples, maps = sampled(model, 0.3), []
+    for k in (0, 1):
+        seen = see(model, samples, cameras.view(k, model, where), 256)
+        drawn = np.zeros((BINS, cameras.models[k].height, cameras.models[k].width), np.uint8)
+        x, y = np.rint(seen.pixels).astype(int).T
+        angle = np.arctan2(seen.normals[:, 1], seen.normals[:, 0])
+        bins = np.rint(angle * BINS / math.pi).astype(int) % BINS
+        for dx in (-2, -1, 0, 1, 2):  # graded, as edges of a picture are
+            for dy in (-2, -1, 0, 1, 2):
+                value = FULL - 3 * max(abs(dx), abs(dy))
+                drawn[bins, y + dy, x + dx] = np.maximum(drawn[bins, y + dy, x + dx], value)
+        maps.append(drawn)
+    pose, moved = where.copy(), np.empty((4, 4))
+    rng = np.random.default_rng(seed)
+    for axis, most in enumerate([0.06] * 3 + [0.8] * 3):
+        step_of(pose, model.centre, axis, float(rng.uniform(-most, most)), moved)
+        pose = moved.copy()
+
+    def response(at: FloatArray) -> float:
+        return sum(
+            response_of(samples.points, samples.along, at, eye, seen, 1)
+            for eye, seen in zip((left, right), maps, strict=True)
+        )
+
+    poses, scores = pose[None].copy(), np.empty(1)
+    climb(
+        samples.points[None], samples.along[None], np.zeros(1, np.int64), poses, left, right, *maps,
+        model.centre, np.array([0.1] * 3 + [1.0] * 3), 1, scores,
+    )  # fmt: skip
+    assert scores[0] == pytest.approx(response(poses[0]))
+    assert scores[0] > response(pose)
+    off, before = (
+        np.linalg.norm(apply(at, model.centre) - apply(where, model.centre)) for at in (poses[0], pose)
+    )
+    assert off < max(0.6, 0.7 * before)
+    assert turn_between(poses[0], where) < math.radians(6.0)
+
+
+def test_a_part_that_its_shape_does_not_find_is_found_by_its_edges() -> None:
+    """The block tilted by 30 degrees, by a search that asks for all of its outline: to a tenth of a mm."""
+    here = taught()
+    job = replace(here.job, search=replace(here.job.search, min_score=0.999))
+    where = lying(here.rig.rig, 30.0, 100.0, 200.0)
+    target = only(replace(here, job=job).see(block(where)))
+    assert target.reject is Reject.NONE
+    error = target.position_mm - apply(where, np.array([*REFERENCE_MM, 0.0]))
+    assert np.linalg.norm(error) < 0.1
+    assert (np.abs(error) < 4 * np.sqrt(np.diag(target.covariance)[:3])).all()
