@@ -91,7 +91,8 @@ class RepeatLimit(logging.Filter):
     """Lets `REPEATS` lines that say the same through per `REPEATS_S`; says how many it held back.
 
     The same: from the same place in the code, with the same text before its figures are put in. What was held
-    back is said with the first line of any kind after that time, or by `tell`.
+    back is said with the first line of any kind after that time, or by `tell`. Records of the audit are
+    always written: they are compared with the audit's files, which limit how many there are.
     write : where a line goes that says it.
     """
 
@@ -110,6 +111,8 @@ class RepeatLimit(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether to write a line."""
+        if "audit" in getattr(record, "edged", {}):
+            return True
         now_s = self._clock_s()
         with self._lock:
             past = {key: seen for key, seen in self._seen.items() if now_s - seen.since_s >= REPEATS_S}

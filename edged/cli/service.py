@@ -127,13 +127,17 @@ def audit(
     config: Annotated[Path, typer.Argument(help="configuration file of the cell")],
     last: Annotated[int, typer.Option(help="print so many records at most", min=0)] = 50,
     as_json: JsonOption = False,
+    against: Annotated[
+        str | None,
+        typer.Option(help="compare with the journal: `journal`, or a file of `journalctl --output=json`"),
+    ] = None,
 ) -> None:
-    """Show who did what on the page, and whether that is all. 0: the chain holds; 1: it was changed."""
+    """Show who did what on the page. 0: the chain holds; 1: it does not, or the journal has another one."""
     from rich.console import Console
 
     from edged.commands.audit import audit as command
 
-    raise typer.Exit(command(config, Console(soft_wrap=True), as_json=as_json, last=last))
+    raise typer.Exit(command(config, Console(soft_wrap=True), as_json=as_json, last=last, against=against))
 
 
 web = typer.Typer(help="Users of the page on which a cell is set up.", no_args_is_help=True)

@@ -1,22 +1,37 @@
-"""`edged audit`: who did what to the cell, and whether that is all of it."""
+"""`edged audit`: who did what to the cell, and what shows that this is all of it."""
 
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
+from typing import IO
 
 from rich.console import Console
 
-from edged.errors import FileFormatError
-from edged.files.owners import as_owner
+from edged.config.reading import load
+from edged.errors import FileFormatError, UserError
+from edged.files.owners import as_owner, open_to_read
 from edged.files.statefolder import state_folder
-from edged.identity.audit import LINES, AuditFile, shown
+from edged.identity.audit import LINES, AuditFile, AuditVerdict, shown
+from edged.identity.auditjournal import FIELDS, MAX_LINE_BYTES, JournalVerdict, JournalWriter, compare
+
+JOURNAL = "journal"
+JOURNALCTL = (
+    "journalctl", "--quiet", "--no-pager", "--output=json", f"--output-fields={','.join(FIELDS)}",
+    "SYSLOG_IDENTIFIER=edged",
+)  # fmt: skip
 
 
-def audit(config: Path, console: Console, *, as_json: bool, last: int) -> int:
-    """Verify the chain, and print the last records. 0: it holds; 1: it does not.
+def audit(config: Path, console: Console, *, as_json: bool, last: int, against: str | None = None) -> int:
+    """Verify the chain, and print the last records. 0: it holds; 1: it does not, or the journal has another.
 
-    Raises `FileFormatError` when it cannot be read.
+    against : "journal": that of this machine; else a file of `journalctl --output=json`; None: nothing.
+    Raises `UserError` when one of them cannot be read.
     """
     folder = state_folder(config)
     try:
@@ -24,32 +39,96 @@ def audit(config: Path, console: Console, *, as_json: bool, last: int) -> int:
             verdict = AuditFile(place, called=folder).verify(last=last)
     except OSError as error:
         raise FileFormatError(f"{folder}: cannot read the audit: {error.strerror or error}") from error
-    records = verdict.records
+    witness = None if against is None else _against(against, config, folder)
     if as_json:
         document = {
-            "records": list(records),
+            "records": list(verdict.records),
             "first": verdict.first,
             "count": verdict.count,
             "problem": verdict.problem or None,
             "torn_bytes": verdict.torn_bytes,
+            "journal": None if witness is None else {**asdict(witness), "problem": witness.problem or None},
         }
         print(json.dumps(document))
-        return 1 if verdict.problem else 0
-    for record in records:
+    else:
+        _print(verdict, witness, folder, console)
+    is_shown = witness is None or (not witness.problem and (witness.newest > 0 or not verdict.count))
+    return 0 if not verdict.problem and is_shown else 1
+
+
+def _against(source: str, config: Path, folder: Path) -> JournalVerdict:
+    """What the journal says of the audit of a configuration. Raises `UserError`."""
+    try:
+        user = folder.stat().st_uid
+    except FileNotFoundError:  # nothing is kept, or all was deleted
+        user = os.getuid()
+    writer = JournalWriter(config.stem, load(config).cell.name, user)
+    try:
+        with _entries(source) as stream, as_owner(folder) as place:
+            lines = iter(lambda: stream.readline(MAX_LINE_BYTES), b"")
+            return compare(AuditFile(place, called=folder), lines, writer)
+    except OSError as error:
+        raise UserError(f"{source}: the journal cannot be read: {error.strerror or error}") from error
+
+
+@contextmanager
+def _entries(source: str) -> Iterator[IO[bytes]]:
+    """The entries of the journal, or of a file of them. Raises `UserError`, `OSError`."""
+    if source != JOURNAL:
+        with os.fdopen(open_to_read(Path(source)), "rb") as file:
+            yield file
+        return
+    with subprocess.Popen(JOURNALCTL, stdout=subprocess.PIPE) as process:
+        if process.stdout is not None:
+            yield process.stdout
+    if process.returncode:
+        raise UserError(f"{JOURNALCTL[0]} failed ({process.returncode}): the journal cannot be read")
+
+
+def _print(verdict: AuditVerdict, witness: JournalVerdict | None, folder: Path, console: Console) -> None:
+    for record in verdict.records:
         why = f" ({record['reason']})" if record["reason"] else ""
         who = f"{record['user'] or 'nobody'} {record['role']}".strip()
         said = f"{record['verb']} {record['object']}: {record['outcome']}{why}"
-        console.print(
-            shown(f"{record['number']:6}  {record['time']}  {who} at {record['address'] or 'here'}  {said}"),
-            markup=False,
-            highlight=False,
+        _say(
+            f"{record['number']:6}  {record['time']}  {who} at {record['address'] or 'here'}  {said}", console
         )
     if verdict.torn_bytes:
-        console.print(f"a crash tore the last line, {verdict.torn_bytes} bytes: it was never finished")
+        _say(f"a crash tore the last line, {verdict.torn_bytes} bytes: it was never finished", console)
     if verdict.problem:
-        console.print(f"{folder / LINES}: {verdict.problem}", markup=False, highlight=False)
-        return 1
-    kept = f"records {verdict.first} to {verdict.count}" if verdict.first > 1 else f"{verdict.count} records"
-    digest = verdict.hash if verdict.count else "none"
-    console.print(f"{kept}, the chain holds; last hash {digest}", highlight=False)
-    return 0
+        _say(f"{folder / LINES}: {verdict.problem}", console)
+    elif not verdict.count:
+        _say(f"{folder}: no record is kept here", console)
+    else:
+        some = f"records {verdict.first} to {verdict.count}"
+        kept = some if verdict.first > 1 else f"{verdict.count} records"
+        _say(f"{kept}, the chain holds; last hash {verdict.hash}", console)
+    if witness is None:
+        _say("who may write these files can replace all of them: --against journal compares", console)
+    else:
+        _print_witness(verdict, witness, console)
+
+
+def _print_witness(verdict: AuditVerdict, witness: JournalVerdict, console: Console) -> None:
+    if witness.problem:
+        _say(f"the journal: {witness.problem}", console)
+    elif witness.newest:
+        after = verdict.count - witness.newest
+        _say(
+            f"the journal has record {witness.newest}, and none that is another one here"
+            + (f"; the {after} after it are in the files alone" if after else ""),
+            console,
+        )
+    else:
+        _say("the journal has none of these records, or may not be read: it shows nothing", console)
+    if witness.let_go:
+        _say(f"the journal still has records up to {witness.let_go} that the files have let go", console)
+    if witness.lost:
+        _say(
+            f"the journal has {witness.lost} deeds that the files could not take",
+            console,
+        )
+
+
+def _say(text: str, console: Console) -> None:
+    console.print(shown(text), markup=False, highlight=False)

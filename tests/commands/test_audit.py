@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from helpers.journaledcell import DEEDS, JOURNALD
+from helpers.waiting import LIMIT_S
 
 from edged.__main__ import main
 from edged.files.statefolder import state_folder
@@ -28,7 +33,7 @@ def test_the_chain_is_printed_and_verified(
         out, err = capsys.readouterr()
         return int(ended.value.code or 0), out + err
 
-    assert (0, True) == ((first := asked())[0], "0 records" in first[1])
+    assert (0, True) == ((first := asked())[0], "no record is kept" in first[1])
     for outcome in ("role", "ok"):
         AuditFile(lines.parent).add(
             AuditEntry("[red]Anna\x1b[2J", "engineer", "10.0.0.7", "POST", "setup", outcome, reason="a board")
@@ -55,3 +60,48 @@ def test_the_chain_is_printed_and_verified(
     lines.unlink()
     lines.mkdir()
     assert (2, True) == ((gone := asked())[0], "cannot read the audit" in gone[1])
+
+
+@pytest.fixture(scope="module")
+def against_journal(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str]]:
+    """What the command says beside a journald, by what was done to the files."""
+    ran = subprocess.run(
+        [
+            "unshare",
+            "--mount",
+            sys.executable,
+            "-m",
+            "helpers.journaledcell",
+            str(tmp_path_factory.mktemp("c")),
+        ],
+        cwd=Path(__file__).parents[1],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    return {step: (code, said) for step, (code, said) in json.loads(ran.stdout).items()}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0 or not JOURNALD.exists(), reason="no journald of our own can be run")
+@pytest.mark.parametrize(
+    ("step", "code", "expected"),
+    [
+        ("as it is", 0, f"the journal has record {DEEDS}, and none that is another one here"),
+        ("deleted", 1, "record 1, which the journal has, is missing"),
+        ("deleted with its folder", 1, "record 1, which the journal has, is missing"),
+        ("another history", 1, "record 1 is not the one in the journal"),
+        ("one more in the files", 0, "the 1 after it are in the files alone"),
+        ("a stranger's entries", 0, f"the journal has record {DEEDS}, and none that is another one here"),
+        ("a full disc", 0, "2 records before this may be missing: No space left on device"),
+    ],
+)
+def test_the_journal_shows_what_the_files_alone_cannot(
+    against_journal: dict[str, tuple[int, str]], step: str, code: int, expected: str
+) -> None:
+    """That all of them were deleted, or written anew with a chain that holds; a stranger's entry is none."""
+    found, said = against_journal[step]
+    assert expected in said
+    assert code == found

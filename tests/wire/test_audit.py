@@ -10,7 +10,7 @@ from helpers.browsersession import PASSWORD
 from helpers.waiting import until
 from helpers.webcell import Cell, run
 
-from edged.adapters.web.auditing import REFUSED_BURST, RUN, Auditor
+from edged.adapters.web.auditing import PERSON_BURST, REFUSED_BURST, RUN, Auditor
 from edged.domain.cell import CellPhase
 from edged.domain.events import Idle
 from edged.identity.audit import AuditFile
@@ -123,6 +123,41 @@ def test_who_only_may_look_does_not_fill_the_disc() -> None:
         _, told = await cell.ask("GET", "/api/v1/audit", None)
         assert REFUSED_BURST <= told["count"] <= REFUSED_BURST + 5
         assert ("log in", "ok") == (told["records"][-1]["verb"], told["records"][-1]["outcome"])
+
+    run(test)
+
+
+def test_log_ins_have_a_quota_of_their_own() -> None:
+    """Logging in again and again fills nothing; how many were left out is a record, and refusals are kept."""
+
+    async def test(cell: Cell) -> None:
+        more = 7
+        for _ in range(int(PERSON_BURST) + more):
+            await cell.log_in("Vera")
+        assert 403 == (await cell.ask("POST", "/api/v1/setup", {}))[0]
+        await cell.log_in()
+        _, told = await cell.ask("GET", "/api/v1/audit?most=500", None)
+        records = [(one["user"], one["verb"], one["outcome"]) for one in told["records"]]
+        assert PERSON_BURST == records.count(("Vera", "log in", "ok"))
+        assert [("", "leave out", "rate"), ("Vera", "POST", "role"), ("Anna", "log in", "ok")] == records[-3:]
+        assert told["records"][-3]["reason"].startswith(f"{more} refusals and log-ins before this")
+
+    run(test)
+
+
+def test_what_was_lost_is_said_when_the_disc_takes_records_again() -> None:
+    """With how many, and why: the first record after them."""
+
+    async def test(cell: Cell) -> None:
+        (cell.state / "audit.jsonl").mkdir()
+        for name in ("Vera", "Otto", "Anna"):
+            await cell.log_in(name)
+        (cell.state / "audit.jsonl").rmdir()
+        await cell.ask("POST", "/api/v1/setup", {})
+        _, told = await cell.ask("GET", "/api/v1/audit", None)
+        lost, done = told["records"]
+        assert ("lose", "disc", "POST") == (lost["verb"], lost["outcome"], done["verb"])
+        assert lost["reason"].startswith("3 records before this may be missing: ")
 
     run(test)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
@@ -12,16 +13,22 @@ from aiohttp import web
 from pydantic import Field
 
 from edged.adapters.web.routes import BASE, Answer, Body, Call, Route, route
-from edged.connections import Rate
+from edged.connections import Rate, Rates
 from edged.errors import FileFormatError
-from edged.identity.audit import AuditEntry, AuditFile, shown
+from edged.identity.audit import LINES, AuditEntry, AuditFile, shown
+from edged.identity.visitors import Role
 from edged.logs import LogLimit, fields
 
 log = logging.getLogger(__name__)
 
 REFUSED_PER_S, REFUSED_BURST = 1 / 60, 20.0
-"""Refusals beyond this rate go to the journal alone: somebody who may only look must not fill the audit, so
-that its oldest records are deleted; at this rate that takes months."""
+"""Refusals of a person beyond this rate are counted and go to the journal alone: who may only look must not
+fill the audit, so that its oldest records are deleted; at this rate that takes months. Log-ins that fail,
+under whatever names, have as many of their own: guessing at passwords hides no other refusal."""
+PERSON_PER_S, PERSON_BURST = 1 / 60, 60.0
+"""Log-ins of a person, and what somebody does who is no engineer."""
+SAID_S = 60.0
+"""Between two records of how many were left out."""
 MAX_RECORDS = 500
 RUN = "run"
 """The cell runs with other files than before, no matter who changed them."""
@@ -66,12 +73,18 @@ class AuditNow(Answer):
 
 
 class Auditor:
-    """Notes deeds, one after another, in a thread of its own. file : None: the journal alone."""
+    """Notes deeds, one after another, in a thread of its own. file : None: the journal alone.
+
+    What there is no room for is a record itself: deeds beyond their rate, and those that the disc refused.
+    """
 
     def __init__(self, file: AuditFile | None) -> None:
         self._file = file
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="audit")
-        self._refused = Rate(REFUSED_PER_S, burst=REFUSED_BURST)
+        self._refused, self._allowed = Rates(REFUSED_PER_S, REFUSED_BURST), Rates(PERSON_PER_S, PERSON_BURST)
+        self._failed_log_ins = Rate(REFUSED_PER_S, burst=REFUSED_BURST)
+        self._left_out, self._saying = 0, Rate(1 / SAID_S, burst=1)
+        self._lost, self._why = 0, ""
         self._limit = LogLimit(__name__)
         self._runs_by = ""
         self._is_closed = False
@@ -81,31 +94,43 @@ class Auditor:
         trail = call.trail
         reason = trail.reason or getattr(call.body, "reason", None) or getattr(call.body, "note", None)
         place = call.request.path.removeprefix(f"{BASE}/")
-        await self.add(
-            AuditEntry(
-                user=call.visitor.name,
-                role=call.visitor.role.word,
-                address=call.visitor.address,
-                verb=route.method,
-                object=f"{place}/{trail.object}" if trail.object else place,
-                outcome=outcome,
-                before=trail.before,
-                after=trail.after,
-                reason=reason if isinstance(reason, str) else None,
-            )
+        visitor = call.visitor
+        deed = AuditEntry(
+            user=visitor.name,
+            role=visitor.role.word,
+            address=visitor.address,
+            verb=route.method,
+            object=f"{place}/{trail.object}" if trail.object else place,
+            outcome=outcome,
+            before=trail.before,
+            after=trail.after,
+            reason=reason if isinstance(reason, str) else None,
         )
+        if outcome == "ok" and visitor.role is Role.ENGINEER:
+            await self._add(deed, None)
+        else:
+            await self._add(deed, (self._allowed if outcome == "ok" else self._refused).of(visitor.name))
 
     async def note_login(self, request: web.Request, name: str, verb: str, outcome: str) -> None:
         """Note a log-in or an attempt."""
-        await self.add(AuditEntry(name, "", request.remote or "", verb, "page", outcome))
+        rate = self._allowed.of(name) if outcome == "ok" else self._failed_log_ins
+        await self._add(AuditEntry(name, "", request.remote or "", verb, "page", outcome), rate)
 
-    async def add(self, deed: AuditEntry) -> None:
-        """Keep a deed, and mirror it; on the disc when this returns."""
-        if deed.outcome != "ok" and not self._refused.take():
+    async def _add(self, deed: AuditEntry, rate: Rate | None) -> None:
+        """Keep a deed, and mirror it; on the disc when this returns. rate : None: it is kept always."""
+        if rate is not None and not rate.take():
+            self._left_out += 1
             self._limit.warning("audit: %s", _text(deed))
             return
+        if self._left_out and self._saying.take():
+            self._say_left_out()
         # the deed is done: it is noted even after a disconnect
         await asyncio.wait({asyncio.wrap_future(self.post(deed))}, timeout=WAIT_S)
+
+    def _say_left_out(self) -> None:
+        reason = f"{self._left_out} refusals and log-ins before this: more than are kept"
+        self._left_out = 0
+        self.post(AuditEntry("", "", "", "leave out", LINES, "rate", reason=reason))
 
     def post(self, deed: AuditEntry) -> Future[None]:
         """Keep a deed without waiting for the disc; after `close` it goes to the journal alone."""
@@ -125,18 +150,39 @@ class Auditor:
 
     async def close(self) -> None:
         """Wait until everything is on the disc."""
+        if self._left_out and not self._is_closed:
+            self._say_left_out()
         self._is_closed = True
+        self._thread.submit(self._keep_lost)
         await asyncio.to_thread(self._thread.shutdown, wait=True)
 
     def _keep(self, deed: AuditEntry) -> None:
-        number, digest = 0, ""
-        if self._file is not None:
+        record: dict[str, Any] = {}
+        if self._file is not None and self._keep_lost():
             try:
                 record = self._file.add(deed)
-                number, digest = int(record["number"]), str(record["hash"])
             except OSError as error:
-                log.error("the audit cannot be written: %s", error)  # noqa: TRY400  (it says where)
-        log.info("audit: %s", _text(deed), extra=fields(audit=number, audit_hash=digest, user=deed.user))
+                self._lose(error)
+        elif self._lost:
+            self._lost += 1
+        _mirror(deed, record)
+
+    def _keep_lost(self) -> bool:
+        """Keep how many records were lost, if the disc takes some again; whether none are any more."""
+        if self._file is None or not self._lost:
+            return True
+        reason = f"{self._lost} records before this may be missing: {self._why}"
+        deed = AuditEntry("", "", "", "lose", LINES, "disc", reason=reason)
+        try:
+            _mirror(deed, self._file.add(deed))
+        except OSError:
+            return False
+        self._lost = 0
+        return True
+
+    def _lose(self, error: OSError) -> None:
+        self._lost, self._why = self._lost + 1, error.strerror or str(error)
+        log.error("the audit cannot be written: %s", error)
 
     def _keep_run(self, file: AuditFile, fingerprint: str) -> None:
         before: str | None = None
@@ -145,6 +191,12 @@ class Auditor:
             before = next((run["after"] for run in runs), None)
         if before != fingerprint:
             self._keep(AuditEntry("", "", "", RUN, "cell", "ok", before=before, after=fingerprint))
+
+
+def _mirror(deed: AuditEntry, record: Mapping[str, Any]) -> None:
+    """Say a deed in the journal, with number and hash of its record; 0 and "" for one that is not kept."""
+    number, digest = int(record.get("number", 0)), str(record.get("hash", ""))
+    log.info("audit: %s", _text(deed), extra=fields(audit=number, audit_hash=digest, user=deed.user))
 
 
 def _text(deed: AuditEntry) -> str:
