@@ -10,6 +10,7 @@ from edged.config.reading import load
 from edged.errors import ConfigError
 from edged.setup.cellfiles import fingerprint
 
+PASSWORD = "password_hash = '$argon2id$v=19$m=512,t=1,p=1$c2FsdHNhbHQ$aGFzaGhhc2hoYXNoaGFzaA'\n"
 GOOD = """
 [cell]
 name = "cell1"
@@ -304,11 +305,14 @@ def test_the_same_serial_number_twice_is_a_mistake(tmp_path: Path) -> None:
         ("anonymous = true\ncertificate = 'c.pem'\n", "opcua: certificate, key and trusted go together"),
         ("", "opcua: nobody could connect: set password_hash, or anonymous = true for readers only"),
         (
-            "password_hash = '$argon2id$x'\n",
+            PASSWORD,
             "opcua: password_hash needs certificate, key and trusted: no password goes unencrypted",
         ),
         ("anonymous = true\nport = 1502\n", "(file): modbus.port and opcua.port are both 1502"),
-        ("password_hash = 'secret'\n", "opcua: password_hash: expected what `edged password` prints"),
+        (
+            "password_hash = 'secret'\n",
+            "opcua.password_hash: expected an Argon2 hash, as `edged password` prints it",
+        ),
     ],
 )
 def test_opcua_wants_encryption_for_commands_and_says_who_may_connect(
@@ -335,8 +339,11 @@ def test_opcua_shows_the_registers_of_modbus_and_needs_it(tmp_path: Path) -> Non
     "section, problem",
     [
         ("host = '0.0.0.0'\n", "password_hash is missing"),
-        ("host = '0.0.0.0'\npassword_hash = '$argon2id$x'\n", "certificate and key are missing"),
-        ("password_hash = '$argon2id$x'\n", ""),
+        (
+            "host = '0.0.0.0'\n" + PASSWORD,
+            "certificate and key are missing",
+        ),
+        (PASSWORD, ""),
         ("", ""),
     ],
 )

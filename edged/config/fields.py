@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SecretStr, ValidationInfo
 
 
 def _beside_the_file(value: object, info: ValidationInfo) -> object:
@@ -52,6 +53,38 @@ def _host(value: str) -> str:
 
 
 Host = Annotated[str, Field(min_length=1), AfterValidator(_host)]
+
+_ARGON2 = re.compile(
+    r"\$argon2(?:id|i|d)\$(?:v=[0-9]{2}\$)?m=([0-9]{1,10}),t=([0-9]{1,10}),p=([0-9]{1,10})"
+    r"\$([A-Za-z0-9+/]{11,86})\$([A-Za-z0-9+/]{22,86})"
+)
+"""An encoded hash: cost, salt of 8 to 64 bytes, hash of 16 to 64 (RFC 9106, 3.1 recommends 16 and 32)."""
+MAX_MEMORY_KIB, MAX_PASSES, MAX_LANES = 256 * 1024, 16, 4
+"""Of a hash that is computed here: one from elsewhere must not exhaust memory or processor."""
+HASH_LEFT_OUT = "$argon2-left-out"
+"""In place of a password's hash: a configuration that can be read, and a password that nothing fits."""
+
+
+def check_password_hash(text: str) -> str:
+    """An Argon2 hash that can be afforded, as it is. Raises `ValueError` that does not repeat it."""
+    found = _ARGON2.fullmatch(text)
+    if found is None:
+        raise ValueError("expected an Argon2 hash, as `edged password` prints it")
+    memory_kib, passes, lanes = (int(number) for number in found.groups()[:3])
+    if memory_kib > MAX_MEMORY_KIB or passes > MAX_PASSES or lanes > MAX_LANES:
+        raise ValueError(
+            f"this hash costs more than {MAX_MEMORY_KIB} KiB, {MAX_PASSES} passes and {MAX_LANES} lanes"
+        )
+    return text
+
+
+def _password_hash(value: SecretStr) -> SecretStr:
+    if value.get_secret_value() not in ("", HASH_LEFT_OUT):
+        check_password_hash(value.get_secret_value())
+    return value
+
+
+PasswordHash = Annotated[SecretStr, AfterValidator(_password_hash)]
 
 
 class Section(BaseModel):

@@ -5,20 +5,19 @@ from __future__ import annotations
 import re
 import tomllib
 
+from edged.config.fields import HASH_LEFT_OUT
 from edged.config.tomltext import toml_of
 
-LEFT_OUT = "$argon2-left-out"
-"""In place of a password's hash: a configuration that can be read, and a password that nothing fits."""
 HASH = re.compile(r"\$argon2[a-z]*\$[\w=,.+/$-]*", re.ASCII)
 
 
 def without_secrets(text: bytes) -> bytes:
     """The text with every Argon2 hash replaced, also in comments; b"" where one is hidden in escapes."""
-    plain = HASH.sub(LEFT_OUT, text.decode("utf-8", "replace"))
+    plain = HASH.sub(HASH_LEFT_OUT, text.decode("utf-8", "replace"))
     try:
         document = toml_of(plain)
     except tomllib.TOMLDecodeError:
         return b""
     sections = [section for section in document.values() if isinstance(section, dict)]
     hashes = [section.get("password_hash", "") for section in sections]
-    return plain.encode() if all(hashed in ("", LEFT_OUT) for hashed in hashes) else b""
+    return plain.encode() if all(hashed in ("", HASH_LEFT_OUT) for hashed in hashes) else b""

@@ -10,17 +10,14 @@ import threading
 from pathlib import Path
 from typing import Annotated, Literal
 
-from argon2 import extract_parameters
-from argon2.exceptions import InvalidHashError
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
+from edged.config.fields import check_password_hash
 from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, write_atomically
 
 MAX_USERS = 64
 MAX_BYTES = 64 * 1024
-MAX_MEMORY_KIB, MAX_PASSES = 256 * 1024, 16
-"""Limits of a hash that is computed here: one from elsewhere must not exhaust memory."""
 
 RoleName = Literal["viewer", "operator", "engineer"]
 
@@ -29,16 +26,6 @@ def _printable(name: str) -> str:
     if not name.isprintable() or name != name.strip():
         raise ValueError("expected printable characters, on one line")
     return name
-
-
-def _affordable(password_hash: str) -> str:
-    try:
-        asked = extract_parameters(password_hash)
-    except InvalidHashError:
-        raise ValueError("expected an Argon2 hash, as `edged password` makes it") from None
-    if asked.memory_cost > MAX_MEMORY_KIB or asked.time_cost > MAX_PASSES or asked.parallelism > 4:
-        raise ValueError(f"this hash costs more than {MAX_MEMORY_KIB} KiB and {MAX_PASSES} passes")
-    return password_hash
 
 
 UserName = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
@@ -53,7 +40,7 @@ class User(BaseModel):
 
     name: UserName
     role: RoleName
-    password_hash: Annotated[str, StringConstraints(max_length=512), AfterValidator(_affordable)]
+    password_hash: Annotated[str, StringConstraints(max_length=512), AfterValidator(check_password_hash)]
     language: Language | None = None
 
 

@@ -9,12 +9,14 @@ from typing import Any
 import pytest
 from argon2 import PasswordHasher
 
-from edged.errors import FileFormatError
+from edged.config.reading import load
+from edged.errors import ConfigError, FileFormatError
 from edged.files.statefolder import state_folder
 from edged.identity.invite import VALID_S, Invite
 from edged.identity.passwords import hash_password
 from edged.identity.users import MAX_USERS, LastEngineer, User, UserFile
 
+CELL = "[cell]\nname = 'c'\nrig = 'rig.json'\njobs = 'jobs'\njob = 'a'\n[cameras]\nsource = 'virtual'\n"
 HASH = hash_password("correct horse")
 ANNA = User(name="Anna", role="engineer", password_hash=HASH, language="de")
 
@@ -92,15 +94,35 @@ def test_a_file_that_cannot_be_used_is_nobodys(data: bytes, place: str, tmp_path
     assert data == path.read_bytes()
 
 
-@pytest.mark.parametrize("costs", [{"memory_cost": 1 << 20}, {"time_cost": 100}, {"parallelism": 64}])
-def test_a_hash_that_would_take_the_cells_memory_is_refused(costs: dict[str, int], tmp_path: Path) -> None:
-    """What it costs to check stands in it: a stranger's is not computed."""
-    cheap = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash("x")
-    asked = {"memory_cost": 512, "time_cost": 1, "parallelism": 1} | costs
-    dear = cheap.replace("m=512,t=1,p=1", "m={memory_cost},t={time_cost},p={parallelism}".format(**asked))
-    assert dear != cheap
+CHEAP = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash("x")
+HEAD, SALT, DIGEST = CHEAP.rsplit("$", 2)
+
+
+@pytest.mark.parametrize(
+    "dear",
+    [
+        CHEAP.replace("m=512", "m=1048576"),
+        CHEAP.replace("t=1", "t=100"),
+        CHEAP.replace("p=1", "p=64"),
+        CHEAP.replace("m=512", "m=5_12"),
+        CHEAP.replace("m=512", "m=\u0665\u0661\u0662"),
+        f"{HEAD}${SALT * 10}${DIGEST}",
+        f"{HEAD}${SALT}${DIGEST * 4}",
+        f"{HEAD}${SALT}${DIGEST[:6]}",
+        f"{HEAD}$${DIGEST}",
+    ],
+    ids=["memory", "passes", "lanes", "underscore", "other digits", "salt", "hash", "short hash", "no salt"],
+)
+def test_a_hash_that_costs_or_proves_something_else_is_refused(dear: str, tmp_path: Path) -> None:
+    """What it costs to check stands in it: a stranger's is not computed; a short one could be guessed."""
+    assert dear != CHEAP
     (tmp_path / "users.json").write_bytes(listing(entry(password_hash=dear)))
     assert "users.0.password_hash" in UserFile(tmp_path / "users.json").problem
+    (tmp_path / "cell.toml").write_text(f"{CELL}[web]\npassword_hash = '{dear}'\n")
+    with pytest.raises(ConfigError) as refused:
+        load(tmp_path / "cell.toml")
+    assert "web.password_hash" in str(refused.value)
+    assert dear not in str(refused.value)
 
 
 def test_a_code_comes_in_once_and_for_a_day(tmp_path: Path) -> None:
