@@ -17,7 +17,7 @@ if sys.argv[1:2] == ["run"]:
 # busy core). Must be set before numpy is imported; an operator's own setting wins.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from edged.errors import EdgedError
+from edged.errors import EdgedError, printable
 
 
 def main() -> None:
@@ -28,7 +28,8 @@ def main() -> None:
         _leave_others_code_alone()
         app()
     except EdgedError as error:
-        sys.stderr.write(f"edged: {error}\n")
+        # names and values of strangers' files are in it
+        sys.stderr.write("\n".join(map(printable, f"edged: {error}".split("\n"))) + "\n")
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)

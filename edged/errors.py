@@ -36,6 +36,15 @@ An expected miss (no target, low quality) is a `domain.Status`, never an excepti
 from __future__ import annotations
 
 
+def printable(text: str) -> str:
+    """A text from anywhere as a terminal may get it: what would steer it is replaced, line ends too.
+
+    >>> printable("rig\\x1b[2J")
+    'rig�[2J'
+    """
+    return "".join(letter if letter.isprintable() else "�" for letter in text)
+
+
 class EdgedError(Exception):
     """Root of the tree."""
 

@@ -13,11 +13,12 @@ from typing import IO
 
 from rich.console import Console
 
+from edged.commands.saying import say
 from edged.config.reading import load
 from edged.errors import FileFormatError, UserError
 from edged.files.owners import as_owner, open_to_read
 from edged.files.statefolder import state_folder
-from edged.identity.audit import LINES, AuditFile, AuditVerdict, shown
+from edged.identity.audit import LINES, AuditFile, AuditVerdict
 from edged.identity.auditjournal import FIELDS, MAX_LINE_BYTES, JournalVerdict, JournalWriter, compare
 
 JOURNAL = "journal"
@@ -90,45 +91,41 @@ def _print(verdict: AuditVerdict, witness: JournalVerdict | None, folder: Path, 
         why = f" ({record['reason']})" if record["reason"] else ""
         who = f"{record['user'] or 'nobody'} {record['role']}".strip()
         said = f"{record['verb']} {record['object']}: {record['outcome']}{why}"
-        _say(
+        say(
             f"{record['number']:6}  {record['time']}  {who} at {record['address'] or 'here'}  {said}", console
         )
     if verdict.torn_bytes:
-        _say(f"a crash tore the last line, {verdict.torn_bytes} bytes: it was never finished", console)
+        say(f"a crash tore the last line, {verdict.torn_bytes} bytes: it was never finished", console)
     if verdict.problem:
-        _say(f"{folder / LINES}: {verdict.problem}", console)
+        say(f"{folder / LINES}: {verdict.problem}", console)
     elif not verdict.count:
-        _say(f"{folder}: no record is kept here", console)
+        say(f"{folder}: no record is kept here", console)
     else:
         some = f"records {verdict.first} to {verdict.count}"
         kept = some if verdict.first > 1 else f"{verdict.count} records"
-        _say(f"{kept}, the chain holds; last hash {verdict.hash}", console)
+        say(f"{kept}, the chain holds; last hash {verdict.hash}", console)
     if witness is None:
-        _say("who may write these files can replace all of them: --against journal compares", console)
+        say("who may write these files can replace all of them: --against journal compares", console)
     else:
         _print_witness(verdict, witness, console)
 
 
 def _print_witness(verdict: AuditVerdict, witness: JournalVerdict, console: Console) -> None:
     if witness.problem:
-        _say(f"the journal: {witness.problem}", console)
+        say(f"the journal: {witness.problem}", console)
     elif witness.newest:
         after = verdict.count - witness.newest
-        _say(
+        say(
             f"the journal has record {witness.newest}, and none that is another one here"
             + (f"; the {after} after it are in the files alone" if after else ""),
             console,
         )
     else:
-        _say("the journal has none of these records, or may not be read: it shows nothing", console)
+        say("the journal has none of these records, or may not be read: it shows nothing", console)
     if witness.let_go:
-        _say(f"the journal still has records up to {witness.let_go} that the files have let go", console)
+        say(f"the journal still has records up to {witness.let_go} that the files have let go", console)
     if witness.lost:
-        _say(
+        say(
             f"the journal has {witness.lost} deeds that the files could not take",
             console,
         )
-
-
-def _say(text: str, console: Console) -> None:
-    console.print(shown(text), markup=False, highlight=False)

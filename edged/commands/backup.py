@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 
+from edged.commands.saying import say
 from edged.errors import ConfigError, UserError
 from edged.files.atomic import write_file
 from edged.files.outputs import check_outputs
 from edged.setup.cellfiles import read_cell
 from edged.setup.releases.archive import REGISTERS, Backup, fits_map, make, read
 from edged.setup.releases.archive import restore as put_back
+from edged.setup.releases.rights import rights_at, rights_in
+
+MAX_LINES = 50
+"""Of one kind: an archive may name very many."""
 
 
 def backup(config: Path, output: Path, console: Console, *, force: bool = False) -> int:
@@ -22,19 +28,14 @@ def backup(config: Path, output: Path, console: Console, *, force: bool = False)
     made = make(config)
     taken, data = made.backup, made.archive
     write_file(output, data, mode=0o600)
-    console.print(
+    say(
         f"{output}: cell {taken.cell}, fingerprint {taken.fingerprint}, {len(taken.files)} files, "
         f"{len(data) / 1024:.0f} KiB",
-        markup=False,
-        highlight=False,
+        console,
     )
     _print_left_out(taken, console)
     if made.holds_password:
-        console.print(
-            "it holds the hash of a password: only its owner may read it (mode 600)",
-            markup=False,
-            highlight=False,
-        )
+        say("it holds the hash of a password: only its owner may read it (mode 600)", console)
     return 0
 
 
@@ -46,17 +47,21 @@ def restore(archive: Path, output: Path | None, console: Console, *, force: bool
     nothing has changed.
     """
     taken = read(archive)
-    console.print(
+    say(
         f"{archive}: cell {taken.cell}, fingerprint {taken.fingerprint}, written by edged {taken.version} at "
         f"{taken.created:%Y-%m-%d %H:%M} UTC; {len(taken.files)} files, every checksum is right",
-        markup=False,
-        highlight=False,
+        console,
     )
     _print_left_out(taken, console)
     if not fits_map(taken):
-        console.print(
-            f"the Modbus map of this version is another one: compare {REGISTERS} with `edged registers`"
+        say(
+            f"the Modbus map of this version is another one: compare {REGISTERS} with `edged registers`",
+            console,
         )
+    rights = rights_in(taken.files, taken.config)
+    former = None if output is None else rights_at(output / taken.config)
+    if former is None:
+        _print_lines("it sets", rights.lines(), console)
     if output is None:
         return 0
     try:
@@ -66,27 +71,33 @@ def restore(archive: Path, output: Path | None, console: Console, *, force: bool
             raise
         raise UserError(f"{error} with --force") from None
     if kept is not None:
-        console.print(f"the cell's former files are in {kept} now", markup=False, highlight=False)
+        say(f"the cell's former files are in {kept} now", console)
+    if former is not None:
+        _print_lines("other than before", rights.changed_from(former), console)
     return _tell_verdict(taken, output, console)
 
 
 def _tell_verdict(taken: Backup, output: Path, console: Console) -> int:
-    """Whether the daemon would start with the restored cell, and as the same one."""
+    """Whether the daemon would start with the restored cell, and has the archive's fingerprint."""
     config = output / taken.config
     try:
         fingerprint = read_cell(config).fingerprint
     except ConfigError as error:
-        console.print(f"restored, but it would not start here: {error}", markup=False, highlight=False)
+        for line in f"restored, but it would not start here: {error}".split("\n"):
+            say(line, console)
         return 1
-    same = "the same" if fingerprint == taken.fingerprint else "another one: the version reads it differently"
-    console.print(
-        f"restored into {output}; fingerprint {fingerprint}, {same}. Next: edged doctor {config}",
-        markup=False,
-        highlight=False,
-    )
+    is_stated = fingerprint == taken.fingerprint
+    verdict = "as the archive says" if is_stated else "another one: the version reads it differently"
+    say(f"restored into {output}; fingerprint {fingerprint}, {verdict}. Next: edged doctor {config}", console)
     return 0
 
 
+def _print_lines(beginning: str, lines: Sequence[str], console: Console) -> None:
+    for line in lines[:MAX_LINES]:
+        say(f"{beginning}: {line}", console)
+    if len(lines) > MAX_LINES:
+        say(f"{beginning}: {len(lines) - MAX_LINES} more", console)
+
+
 def _print_left_out(taken: Backup, console: Console) -> None:
-    for place, file in taken.left_out.items():
-        console.print(f"not in a backup: {place} = {file}", markup=False, highlight=False)
+    _print_lines("not in a backup", [f"{place} = {file}" for place, file in taken.left_out.items()], console)

@@ -30,7 +30,7 @@ from edged.app.fleet import (
     news_of_cells,
 )
 from edged.config.zenoh import check_endpoint
-from edged.errors import UserError
+from edged.errors import UserError, printable
 from edged.files.private import read_shared_key
 
 REFRESH_S = 0.25
@@ -211,7 +211,7 @@ class Doubts:
         if now_s - self._looked_s < LOOK_S and not at_once:
             return
         self._looked_s = now_s
-        before, self.sentences = self.sentences, [_clean(text) for text in self._doubts()]
+        before, self.sentences = self.sentences, [printable(text) for text in self._doubts()]
         if self._stream is not None:
             for text in self.sentences:
                 if text not in before:
@@ -306,7 +306,7 @@ def fleet_view(
     cells : those that are wanted, of `known`.
     """
     rows = sorted(cells.items(), key=lambda item: (_urgency(item[1]), item[0]))
-    troubles = [f"{name}: {_clean(text)}" for name, cell in rows for text in _troubles(cell)]
+    troubles = [f"{name}: {printable(text)}" for name, cell in rows for text in _troubles(cell)]
     crowded = len(rows) + len(troubles) + TABLE_LINES > size.height
     parts: list[RenderableType] = [Text(problem, style="bold red")] if problem else []
     if not cells:
@@ -423,11 +423,7 @@ def _styled(word: str) -> Text:
 def _text(document: Document, name: str) -> str:
     """A field as a short text without control characters: what others publish must not steer a terminal."""
     value = document.get(name)
-    return _clean("" if value is None else str(value)[:MAX_TEXT])
-
-
-def _clean(text: str) -> str:
-    return "".join(letter if letter.isprintable() else "?" for letter in text)
+    return printable("" if value is None else str(value)[:MAX_TEXT])
 
 
 def _drift(document: Document) -> Document:

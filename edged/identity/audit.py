@@ -242,11 +242,6 @@ class AuditFile:
         yield (data or b"").split(b"\n")
 
 
-def shown(text: str) -> str:
-    """A text that a stranger chose, a wrong name for example, as it may be printed."""
-    return "".join(letter if letter.isprintable() else "�" for letter in text)
-
-
 def _ends(chain: AuditChain, head: AuditHead | None, at_head: str, *, has_head: bool) -> str:
     """Why a chain that holds does not end where it should; "" when it does."""
     if head is None:

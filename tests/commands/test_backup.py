@@ -6,6 +6,8 @@ import gzip
 import io
 import re
 import shutil
+import subprocess
+import sys
 import tarfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -420,3 +422,84 @@ def test_the_commands_check_without_writing(cell: Path, tmp_path: Path) -> None:
     assert "every checksum is right" in checked.output
     assert read_cell(cell).fingerprint in checked.output
     assert ["a.tar.gz"] == [entry.name for entry in tmp_path.iterdir()]
+
+
+def _said(archive: Path, output: Path | None, *, force: bool = False) -> str:
+    """Output of `edged restore`."""
+    said = io.StringIO()
+    restore(archive, output, Console(file=said, width=1000), force=force)
+    return said.getvalue()
+
+
+def _changed(archive: Archive, change: Callable[[str], str], folder: Path) -> Path:
+    """An archive of somebody else's: another configuration, and a manifest that fits it."""
+    taken = unpack(archive[1], "there")
+    toml = change(taken.files["cell.toml"].decode()).encode()
+    hostile = folder / "hostile.tar.gz"
+    hostile.write_bytes(pack(replace(taken, files={**taken.files, "cell.toml": toml})))
+    return hostile
+
+
+def test_a_replaced_password_is_not_called_the_same(cell: Path, tmp_path: Path) -> None:
+    """The fingerprint covers neither it nor Zenoh's own file: what differs is named, not shown."""
+    first, second = hash_password("correct horse"), hash_password("battery staple")
+    here = Path(shutil.copytree(cell.parent, tmp_path / "etc"))
+    (here / "zenoh.json5").write_text("{}")
+    text = cell.read_text().replace("[zenoh]", '[zenoh]\nconfig_file = "zenoh.json5"')
+    (here / "cell.toml").write_text(text + f'\n[web]\npassword_hash = "{first}"\n')
+    assert 0 == backup(here / "cell.toml", tmp_path / "a.tar.gz", QUIET)
+    data = (tmp_path / "a.tar.gz").read_bytes()
+    hostile = _changed((tmp_path, data), lambda toml: toml.replace(first, second), tmp_path)
+    same = _said(tmp_path / "a.tar.gz", here, force=True)
+    assert "other than before" not in same
+
+    said = _said(hostile, here, force=True)
+
+    assert "other than before: web.password_hash" in said
+    assert "zenoh.config_file" not in said
+    assert "argon2" not in said
+    assert "the same" not in said
+    (here / "zenoh.json5").write_text('{"access_control": {}}')
+    assert "other than before: what is in zenoh.config_file, zenoh.json5" in _said(hostile, here, force=True)
+
+
+def test_what_an_archive_lets_others_do_is_named(archive: Archive, tmp_path: Path) -> None:
+    """Addresses, networks and passwords that a new folder gets; in a former one, what is other there."""
+    hashed = hash_password("correct horse")
+    opening = f'\n[modbus]\nhost = "0.0.0.0"\nwriters = ["0.0.0.0/0"]\n[web]\npassword_hash = "{hashed}"\n'
+
+    def opened(toml: str) -> str:
+        return re.sub(r"(?ms)^\[modbus\].*?(?=^\[|\Z)", "", toml) + opening
+
+    hostile = _changed(archive, opened, tmp_path)
+    checked = _said(hostile, None)
+    for expected in ('modbus.host = "0.0.0.0"', 'modbus.writers = ["0.0.0.0/0"]', "web.password_hash"):
+        assert expected in checked
+    assert 0 == restore(archive[0], tmp_path / "cell", QUIET)
+    said = _said(hostile, tmp_path / "cell", force=True)
+    assert 'other than before: modbus.writers = ["0.0.0.0/0"], was not set' in said
+    assert "argon2" not in checked + said
+
+
+def test_an_archive_steers_no_terminal(archive: Archive, tmp_path: Path) -> None:
+    """Neither by a name or value that is printed, nor by an error."""
+    taken = unpack(archive[1], "there")
+    toml = (
+        taken.files["cell.toml"]
+        + b'\n[web]\nhost = "\\u001b[2J\\u009b2J\\u202e"\n[laser]\n"\\u001b[8m" = 1\n'
+    )
+    left_out = {"web.key\x1b[2J": "\x1b]0;x\x07"}
+    hostile = tmp_path / "hostile.tar.gz"
+    hostile.write_bytes(pack(replace(taken, files={**taken.files, "cell.toml": toml}, left_out=left_out)))
+    listed = _edit(b'"files": {', b'"files": {"\\u001b[2J": {},')
+    (tmp_path / "listed.tar.gz").write_bytes(_with(listed, taken))
+    for name in ("hostile.tar.gz", "listed.tar.gz"):
+        run = subprocess.run(
+            [sys.executable, "-m", "edged", "restore", str(tmp_path / name), "-o", str(tmp_path / "new")],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert run.returncode in (1, 2)
+        assert "[2J" in run.stdout + run.stderr
+        assert not {"\x1b", "\x9b", "\x07", "\u202e"} & {*run.stdout, *run.stderr}

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from edged.adapters.web.routes import BASE, Answer, Body, Call, Route, route
 from edged.connections import Rate, Rates
-from edged.errors import FileFormatError
-from edged.identity.audit import LINES, AuditEntry, AuditFile, shown
+from edged.errors import FileFormatError, printable
+from edged.identity.audit import LINES, AuditEntry, AuditFile
 from edged.identity.visitors import Role
 from edged.logs import LogLimit, fields
 
@@ -200,8 +200,8 @@ def _mirror(deed: AuditEntry, record: Mapping[str, Any]) -> None:
 
 
 def _text(deed: AuditEntry) -> str:
-    who = f"{shown(deed.user) or 'nobody'} at {deed.address or 'the cell'}"
-    why = f" ({shown(deed.reason)})" if deed.reason else ""
+    who = f"{printable(deed.user) or 'nobody'} at {deed.address or 'the cell'}"
+    why = f" ({printable(deed.reason)})" if deed.reason else ""
     return f"{deed.verb} {deed.object!r} by {who}: {deed.outcome}{why}"
 
 
