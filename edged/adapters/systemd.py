@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping
 
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Event, Snapshot
+from edged.domain.numerals import is_whole
 
 log = logging.getLogger(__name__)
 
@@ -143,7 +144,7 @@ def _feed_period_s(environment: Mapping[str, str]) -> float:
     """How often to feed: a fourth of the watchdog's time, so that one lost datagram does not matter."""
     text = environment.get("WATCHDOG_USEC", "")
     ours = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
-    if not (ours and text.isascii() and text.isdigit() and int(text) > 0):
+    if not (ours and is_whole(text) and int(text) > 0):
         return FEED_S
     return min(FEED_S, int(text) / 1e6 / 4)
 

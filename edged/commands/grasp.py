@@ -10,6 +10,7 @@ from rich.console import Console
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Target
+from edged.domain.numerals import decimal
 from edged.domain.picking import Grasp
 from edged.errors import UserError
 from edged.files.atomic import write_file
@@ -80,7 +81,7 @@ def _pose(asked: Touch) -> FloatArray:
     except ValueError:
         raise UserError(f"--brand {asked.brand}: expected one of {', '.join(Brand)}") from None
     try:
-        return transform_of(brand, tuple(float(number) for number in asked.pose.split(",")))
+        return transform_of(brand, tuple(decimal(number.strip()) for number in asked.pose.split(",")))
     except ValueError as error:
         raise UserError(f"--pose {asked.pose}: {error}") from None
 

@@ -9,6 +9,7 @@ from pymodbus.exceptions import ModbusException
 from rich.console import Console
 from rich.table import Table
 
+from edged.domain.numerals import is_whole
 from edged.errors import UserError
 from edged.plc.registers import (
     BLOCKS,
@@ -63,7 +64,7 @@ def _host_and_port(place: str) -> tuple[str, int]:
     host, colon, port = place.rpartition(":")
     if not colon or (":" in host and not host.endswith("]")):
         return place, PORT
-    if not port.isdecimal() or not 0 < int(port) < 65536 or not host:
+    if not is_whole(port) or not 0 < int(port) < 65536 or not host:
         raise UserError(f"--read {place}: expected HOST or HOST:PORT")
     return host.strip("[]"), int(port)
 

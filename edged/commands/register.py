@@ -17,6 +17,7 @@ from rich.table import Table
 from edged.commands.boardoption import naming_board_option
 from edged.commands.progress import shown_on
 from edged.domain.arrays import SIDES, FloatArray, Side
+from edged.domain.numerals import decimal
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import MAX_DOCUMENT_BYTES, read_bytes
 from edged.files.images import load_image
@@ -227,7 +228,7 @@ def _located(path: Path, place: str) -> list[float]:
     try:
         document = json.loads(read_bytes(path, "a result of edged locate --json", MAX_DOCUMENT_BYTES))
         good = [target for target in document["targets"] if not target["reject"]]
-        position = [float(value) for value in good[0]["position_mm"]]
+        position = [decimal(str(value)) for value in good[0]["position_mm"]]
     except (ValueError, TypeError, KeyError, IndexError) as error:
         raise FileFormatError(f"{place}: {path}: no good target of edged locate --json in it") from error
     if len(good) != 1 or len(position) != 3:

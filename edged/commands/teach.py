@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from edged.domain.numerals import decimal
 from edged.errors import TeachError, UserError
 from edged.files.atomic import write_file
 from edged.files.dxf import read_contour, read_dxf
@@ -59,7 +60,7 @@ def parse_region(text: str, option: str = "--region") -> Area:
     if kind == "mask" and rest:
         return Painted(load_image(Path(rest)))
     try:
-        corners = [[float(number) for number in corner.split(",")] for corner in rest.split(";")]
+        corners = [[decimal(number.strip()) for number in corner.split(",")] for corner in rest.split(";")]
         if kind == "rect" and len(corners) == 1:
             return Region(*_numbers(corners[0], 4))
         if kind == "circle" and len(corners) == 1:
@@ -110,7 +111,7 @@ def parse_contrast(text: str | None) -> tuple[float | None, float | None]:
         return None, None
     try:
         low, _, high = text.partition(",")
-        return float(low), float(high or low)
+        return decimal(low.strip()), decimal((high or low).strip())
     except ValueError:
         raise TeachError(f"--contrast {text!r}: expected LOW,HIGH in grey values per px, e.g. 4,8") from None
 

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from edged.commands.boardoption import naming_board_option
-from edged.domain.numerals import known
+from edged.domain.numerals import decimal, known
 from edged.errors import UserError
 from edged.files.images import load_image
 from edged.files.jobs import load_job
@@ -60,7 +60,7 @@ def verify(
     elif job is not None and board is None:
         if not lengths:
             raise UserError(f"--job needs --length NAME=MM. {_WARNING}")
-        finding = by_part(rig, images, load_job(job), dict(map(_parse_length, lengths)), limits)
+        finding = by_part(rig, images, load_job(job), dict(map(parse_length, lengths)), limits)
     else:
         raise UserError("state either --board SPEC or --job DIR, whichever the images show")
     if as_json:
@@ -73,10 +73,11 @@ def verify(
 # --- lengths of parts ---------------------------------------------------------------------------
 
 
-def _parse_length(text: str) -> tuple[str, float]:
+def parse_length(text: str) -> tuple[str, float]:
+    """Name and millimetres of NAME=MM. Raises `UserError`."""
     name, equals, value = text.rpartition("=")
     try:
-        millimetres = float(value)
+        millimetres = decimal(value.strip())
     except ValueError:
         millimetres = math.nan
     if not (equals and name and 0.001 <= millimetres <= 100_000):

@@ -9,6 +9,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SecretStr, ValidationInfo
 
+from edged.domain.numerals import is_whole
+
 
 def _beside_the_file(value: object, info: ValidationInfo) -> object:
     """Relative paths mean: beside the configuration file, whatever the working directory is."""
@@ -43,7 +45,7 @@ Address = Annotated[str, AfterValidator(_address)]
 
 def _host(value: str) -> str:
     host, colon, port = value.rpartition(":")
-    if colon and (":" not in host or host.endswith("]")) and port.isdecimal():
+    if colon and (":" not in host or host.endswith("]")) and is_whole(port):
         raise ValueError(
             f'expected an address alone, the port is another key: host = "{host}" and port = {port}'
         )

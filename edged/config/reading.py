@@ -124,7 +124,7 @@ def not_utf8(error: UnicodeDecodeError) -> str:
 def not_toml(error: tomllib.TOMLDecodeError, content: bytes) -> str:
     """The parser's words, with the line that it did not understand."""
     message, lines = str(error), content.decode("utf-8-sig").splitlines()
-    found = re.search(r" \(at line (\d+), column \d+\)$", message)
+    found = re.search(r" \(at line ([0-9]+), column [0-9]+\)$", message)
     if found is None or int(found[1]) > len(lines):
         return f"not TOML: {message}"
     return f"line {found[1]}: not TOML: {message[: found.start()]}, got {lines[int(found[1]) - 1].strip()!r}"

@@ -26,7 +26,7 @@ def _endpoint(value: str) -> str:
 
 def tcp_port(endpoint: str) -> int | None:
     """The TCP port of a listening endpoint."""
-    found = re.match(r"(?:tcp|tls|ws)/[^?#]*:(\d{1,5})(?:[?#]|$)", endpoint)
+    found = re.match(r"(?:tcp|tls|ws)/[^?#]*:([0-9]{1,5})(?:[?#]|$)", endpoint)
     return None if found is None else int(found[1])
 
 
@@ -36,7 +36,7 @@ def check_endpoint(endpoint: str) -> None:
     protocol = endpoint.partition("/")[0]
     if protocol not in PROTOCOLS:
         raise ValueError(f"expected one of {', '.join(PROTOCOLS)} before the /")
-    if protocol in INTERNET and not re.search(r"/[^?#]+:\d{1,5}(?:[?#]|$)", endpoint):
+    if protocol in INTERNET and not re.search(r"/[^?#]+:[0-9]{1,5}(?:[?#]|$)", endpoint):
         raise ValueError(f"expected {protocol}/HOST:PORT; the port is usually 7447")
 
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from edged.domain.numerals import is_whole
+
 COMMAND_S = 5.0
 CAP_NET_BIND_SERVICE, CAP_NET_RAW = 10, 13
 
@@ -57,7 +59,7 @@ def interfaces() -> list[Interface] | None:
                     name,
                     networks,
                     mtu=int(entry.get("mtu", 0)),
-                    rate_mbit=int(rate) if rate.isdigit() else 0,
+                    rate_mbit=int(rate) if is_whole(rate) else 0,
                     up="LOWER_UP" in flags,
                     ethernet=entry.get("link_type") == "ether" and "NOARP" not in flags,
                 )

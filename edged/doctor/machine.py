@@ -19,6 +19,7 @@ from edged.config.configuration import Config
 from edged.doctor.encrypted import look_at_certificates, look_at_opcua
 from edged.doctor.findings import Check, CheckResult
 from edged.doctor.host import CAP_NET_BIND_SERVICE, has_capability, read, run
+from edged.domain.numerals import is_whole
 
 TIMEX_LONGS, TIMEX_MAXERROR_US, TIME_ERROR = 26, 3, 5
 """`struct timex` in longs, the place of maxerror, the state of an unsynchronised clock: adjtimex(2)."""
@@ -186,7 +187,7 @@ def look_at_ports(config: Config) -> Iterator[Check]:
     for endpoint in config.zenoh.listen if config.zenoh.enabled else ():
         protocol, _, place = endpoint.partition("/")
         host, _, port = place.rpartition(":")
-        if protocol in ("tcp", "tls") and port.isdigit():
+        if protocol in ("tcp", "tls") and is_whole(port):
             yield _port("Zenoh port", host.strip("[]"), int(port))
 
 
@@ -247,6 +248,6 @@ def _why_not(error: OSError, host: str, port: int) -> str:
     if error.errno == errno.EADDRNOTAVAIL:
         return f"{host} is no address of this machine"
     if error.errno == errno.EADDRINUSE:
-        users = re.search(r'users:\(\("([^"]+)",pid=(\d+)', run("ss", "-Hltnp", f"sport = :{port}") or "")
+        users = re.search(r'users:\(\("([^"]+)",pid=([0-9]+)', run("ss", "-Hltnp", f"sport = :{port}") or "")
         return f"in use by {users[1]}, process {users[2]}" if users else "in use by another program"
     return error.strerror or str(error)

@@ -10,6 +10,7 @@ from edged.app.discovery import CameraInfo
 from edged.config.configuration import Config
 from edged.doctor.findings import Check, CheckResult
 from edged.doctor.host import CAP_NET_RAW, Interface, has_capability, owners, read, route
+from edged.domain.numerals import is_whole
 
 JUMBO_MTU = 8000
 BANDWIDTH_SHARE = 0.9
@@ -173,7 +174,7 @@ def receive_buffers(image_bytes: int) -> Check:
     if has_capability(CAP_NET_RAW):
         return Check(name, CheckResult.OK, "packet socket (CAP_NET_RAW)")
     text = read("/proc/sys/net/core/rmem_max")
-    if text is None or not text.isdigit():
+    if text is None or not is_whole(text):
         return Check(name, CheckResult.SKIP, "net.core.rmem_max cannot be read")
     if int(text) < 2 * image_bytes:
         wanted = 4 * image_bytes

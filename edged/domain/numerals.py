@@ -6,8 +6,10 @@ would be another number, and a robot would move by it.
 
 from __future__ import annotations
 
+import json
 import math
 import re
+from typing import Any
 
 _WHOLE = re.compile(r"[0-9]+")
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -21,9 +23,14 @@ def whole(text: str) -> int:
     >>> whole("0042")
     42
     """
-    if len(text) > LONGEST or not _WHOLE.fullmatch(text):
+    if not is_whole(text):
         raise ValueError(f"expected a whole number, got {text[:LONGEST]!r}")
     return int(text)
+
+
+def is_whole(text: str) -> bool:
+    """Whether a text is digits of ASCII alone, as `whole` reads them."""
+    return len(text) <= LONGEST and _WHOLE.fullmatch(text) is not None
 
 
 def decimal(text: str) -> float:
@@ -35,6 +42,15 @@ def decimal(text: str) -> float:
     if len(text) > LONGEST or not _DECIMAL.fullmatch(text) or not math.isfinite(value := float(text)):
         raise ValueError(f"expected a finite number, got {text[:LONGEST]!r}")
     return value
+
+
+def json_of(text: str | bytes) -> Any:
+    """A document of JSON (RFC 8259), whose numbers are finite. Raises ValueError, RecursionError.
+
+    >>> json_of("[1, 2.5]")
+    [1, 2.5]
+    """
+    return json.loads(text, parse_constant=decimal, parse_float=decimal)
 
 
 def known(value: float | None, digits: int | None = None) -> float | None:

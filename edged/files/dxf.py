@@ -7,6 +7,7 @@ Lines and arcs that meet are joined; what does not close is an error that names 
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
@@ -67,6 +68,14 @@ _DAMAGE = (
     ArithmeticError,
     RecursionError,
 )
+_NO_NUMBER = re.compile(
+    rb"^[ \t]*(?:[1-5][0-9]|1[1-4][0-9]|2[1-3][0-9]|46[0-9]|10[1-5][0-9])[ \t]*\r?\n"
+    rb"(?![ \t]*+[-+]?(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:[eE][-+]?[0-9]++)?[ \t]*+\r?$)"
+    rb"(?P<value>[^\r\n]*)",
+    re.MULTILINE,
+)
+"""A group code of floating-point numbers (DXF reference, "Group code value types"), and a line that is none.
+Where a value looks like such a code, the next line is a code, and a number. ezdxf reads `1_0` and `nan`."""
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
 
@@ -88,7 +97,11 @@ def read_dxf(
     Raises `FileFormatError` for what is no DXF, has no unit, is not flat, is not closed, or is empty.
     """
     path = Path(path)
-    read_bytes(path, "a drawing", MAX_DRAWING_BYTES)  # exists, and has a sane size
+    data = read_bytes(path, "a drawing", MAX_DRAWING_BYTES)
+    if wrong := _NO_NUMBER.search(data):
+        line = data.count(b"\n", 0, wrong.start("value")) + 1
+        got = wrong["value"].decode("utf-8", "replace")[:40]
+        raise FileFormatError(f"{path}: line {line}: expected a number, got {got!r}", "no_dxf")
     try:
         with reading_cost(path, MAX_MEMORY_BYTES, MAX_CPU_S):
             chains = _read_chains(path, layers, units, most_points)

@@ -18,7 +18,7 @@ MAX_UNPACKED_BYTES = 4 * MAX_PIXELS
 PNG, JPEG, BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM"
 TIFF = {b"II*\0": "<", b"MM\0*": ">", b"II+\0": "<", b"MM\0+": ">"}
 """Byte order by how a file begins; with a plus it is a BigTIFF."""
-_PNM = re.compile(rb"P([1-6])" + 2 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d{1,9})")
+_PNM = re.compile(rb"P([1-6])" + 2 * rb"(?:\s|#[^\r\n]*[\r\n])+([0-9]{1,9})")
 """Netpbm's formats; comments may stand between the numbers (pgm(5))."""
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 4, 6: 4}
 """By colour type (PNG specification, 11.2.1), as OpenCV unpacks them: a palette's may have transparency."""

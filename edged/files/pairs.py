@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edged.domain.arrays import SIDES, Side
+from edged.domain.numerals import is_whole
 from edged.errors import ImageError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -72,6 +73,6 @@ def next_number(folder: Path, name: str) -> int:
     for path in folder.iterdir():
         stem, underscore, side = path.stem.rpartition("_")
         digits = stem.removeprefix(f"{name}_")
-        if underscore and side in SIDES and digits != stem and digits.isdecimal():
+        if underscore and side in SIDES and digits != stem and is_whole(digits):
             numbers.append(int(digits))
     return max(numbers) + 1

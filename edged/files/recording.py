@@ -30,6 +30,7 @@ from edged import __version__
 from edged.domain.arrays import SIDES, Image, Side
 from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair
+from edged.domain.numerals import json_of
 from edged.errors import FileFormatError, ImageError
 from edged.files.atomic import (
     MAX_DOCUMENT_BYTES,
@@ -47,7 +48,8 @@ from edged.payload import Json, snapshot_to_json
 FORMAT = "edged-recording"
 VERSION = 1
 NAME = re.compile(
-    r"(?P<index>\d{9})_(?P<utc>\d{8}T\d{6}\.\d{6}Z)_(?P<status>[A-Z_]+)_(?P<fingerprint>[0-9a-f]{8})\.zip"
+    r"(?P<index>[0-9]{9})_(?P<utc>[0-9]{8}T[0-9]{6}\.[0-9]{6}Z)_(?P<status>[A-Z_]+)_"
+    r"(?P<fingerprint>[0-9a-f]{8})\.zip"
 )
 DOCUMENT = "recording.json"
 PICTURES: dict[Side, str] = {side: f"{side}.png" for side in SIDES}
@@ -133,7 +135,7 @@ def decode(data: bytes, place: str) -> Recording:
         with open_zip(io.BytesIO(data)) as archive:
             wanted = {DOCUMENT, *PICTURES.values()} & set(archive.namelist())
             members = {name: _read(archive, name) for name in wanted}
-        document = json.loads(members[DOCUMENT])
+        document = json_of(members[DOCUMENT])
     except _DAMAGE as error:
         raise FileFormatError(f"{place}: not a recording: {error}") from error
     snapshot = _snapshot_of(document, place)
@@ -164,7 +166,7 @@ def load_snapshot(path: Path) -> tuple[Json, bool]:
     """
     members, names = _members_of(path, (DOCUMENT,))
     try:
-        document = json.loads(members[DOCUMENT])
+        document = json_of(members[DOCUMENT])
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not a recording: {error}") from error
     return _snapshot_of(document, str(path)), names.issuperset(PICTURES.values())

@@ -21,7 +21,7 @@ MAX_OPEN = 0.01
 HEADER_BYTES, FACET_BYTES = 84, 50
 """80 bytes of anything, the count, and for each facet twelve float32 and two bytes (StereoLithography
 Interface Specification, 3D Systems 1988)."""
-_CORNER = re.compile(rb"vertex\s+(\S{1,40})\s+(\S{1,40})\s+(\S{1,40})")
+_CORNER = re.compile(rb"vertex" + 3 * rb"\s+([-+.0-9eE]{1,40})" + rb"\s")
 _OTHER_WORDS = 100
 """That may contain "vertex" and are none: names of solids."""
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

@@ -21,7 +21,7 @@ MAX_TEXT_BYTES = 32 << 20
 MAX_LINES = 600_000
 MAX_LINE_LETTERS = 10_000
 """Cells of a line, of sixty bytes each: a pose has seven numbers."""
-_DECIMAL_COMMA = re.compile(r"[-+−]?\d+,\d+(?:[eE][-+]?\d+)?")
+_DECIMAL_COMMA = re.compile(r"[-+−]?[0-9]+,[0-9]+(?:[eE][-+]?[0-9]+)?")
 
 
 @dataclass(frozen=True, slots=True)

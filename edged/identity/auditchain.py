@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from edged.domain.numerals import json_of
+
 START = "0" * 64
 """The previous hash of the first record."""
 
@@ -29,9 +31,10 @@ class AuditHead:
 def head_in(data: bytes) -> AuditHead | None:
     """None if it is not a valid head."""
     try:
-        head = json.loads(data)
-        first, previous = int(head.get("first", 1)), str(head.get("previous", START))
-        return AuditHead(int(head["number"]), str(head["hash"]), first, previous)
+        head = json_of(data)
+        number, first, previous = head["number"], head.get("first", 1), str(head.get("previous", START))
+        are_numbers = type(number) is type(first) is int and number >= 0 and first >= 1
+        return AuditHead(number, str(head["hash"]), first, previous) if are_numbers else None
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
 

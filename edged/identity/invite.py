@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from edged.domain.numerals import json_of
 from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
 
@@ -38,7 +39,7 @@ class Invite:
     def is_valid(self, code: str) -> bool:
         """Whether this is the code, today; False for a file that cannot be used."""
         try:
-            document = json.loads(read_bytes(self._path, "an invitation"))
+            document = json_of(read_bytes(self._path, "an invitation"))
             digest, until_s = document["digest"], document["until_s"]
             is_ours = hmac.compare_digest(str(digest).encode(), _digest(code).encode())
             return is_ours and self._utc_s() < float(until_s)

@@ -9,6 +9,7 @@ import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.domain.measurement import NearMiss, NotMeasured, Status, Target
+from edged.domain.numerals import is_whole
 from edged.pictures.captions import feature_lines, headline, pose_lines, reasons, reference_name, size_lines
 from edged.pictures.evidence import (
     GOLD,
@@ -254,7 +255,7 @@ def _part_block(number: int, job: Job, part: MeasuredPart) -> Canvas:
     rows = [_row((words, MARGIN_PX, RED)) for words in why]
     pose = [_row(("in the frame of the rig", MARGIN_PX, GREY), width=COLUMN_PX)]
     for name, value, sigma in pose_lines(target):
-        spread = f"± {sigma}" if sigma[0].isdigit() else sigma
+        spread = f"± {sigma}" if is_whole(sigma[0]) else sigma
         end = MARGIN_PX + 190 - width_of(value, TEXT_PX)
         pose.append(
             _row(

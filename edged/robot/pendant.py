@@ -72,10 +72,12 @@ def mm_per_unit(brand: Brand) -> float:
 
 _LONGEST = 2000
 _SIGNED = r"(?<![A-Za-z0-9_.,])[-+]?"
-_TAIL = r"(?:[eE][-+]?\d+)?"
-_POINT = re.compile(rf"{_SIGNED}(?:\d+\.?\d*|\.\d+){_TAIL}")
-_POINT_OR_COMMA = re.compile(rf"{_SIGNED}(?:\d+(?:[.,]\d+)?|[.,]\d+){_TAIL}")
-_BEYOND = re.compile(r"\)\s*\(|[,\s]S\s*:?\s*\d+\s*,?\s*T\b")
+_TAIL = r"(?:[eE][-+]?[0-9]+)?"
+_END = r"(?![0-9_])"
+"""A number that goes on with an underscore is none, not what is before it."""
+_POINT = re.compile(rf"{_SIGNED}(?:[0-9]+\.?[0-9]*|\.[0-9]+){_TAIL}{_END}")
+_POINT_OR_COMMA = re.compile(rf"{_SIGNED}(?:[0-9]+(?:[.,][0-9]+)?|[.,][0-9]+){_TAIL}{_END}")
+_BEYOND = re.compile(r"\)\s*\(|[,\s]S\s*:?\s*[0-9]+\s*,?\s*T\b")
 """Where configuration and turns begin: MELFA's second bracket, KUKA's S and T."""
 _NEXT_GROUP = re.compile(r"\]\s*,\s*\[")
 """Between the groups of a robtarget: position and orientation are the first two."""
@@ -109,9 +111,9 @@ def numbers_in(text: str, counts: tuple[int, ...]) -> tuple[float, ...]:
 
 def _is_decimal(plain: str) -> bool:
     """Whether every comma is a decimal sign: between digits, once per number, and other separators exist."""
-    commas = re.findall(r"\d,\d", plain)
-    others = re.search(r"\d\.\d|,(?!\d)|(?<!\d),|,\d+,", plain)
-    return bool(commas) and others is None and re.search(r"\d\S*[\s;]+\S*\d", plain) is not None
+    commas = re.findall(r"[0-9],[0-9]", plain)
+    others = re.search(r"[0-9]\.[0-9]|,(?![0-9])|(?<![0-9]),|,[0-9]+,", plain)
+    return bool(commas) and others is None and re.search(r"[0-9]\S*[\s;]+\S*[0-9]", plain) is not None
 
 
 def _floats(found: list[str]) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ _CODE = re.compile(
 )
 _SECTION = re.compile(r"^(VAR\w*)\n(.*?)END_VAR\n", re.M | re.S)
 _VARIABLE = re.compile(r"^ *(\w+) : ([^;]*?)(?: := ([^;]*))?;(?: \(\* (.*) \*\))?$", re.M)
-_ARRAY = re.compile(r"ARRAY\[(\d+)\.\.(\d+)\] OF (\w+)")
+_ARRAY = re.compile(r"ARRAY\[([0-9]+)\.\.([0-9]+)\] OF (\w+)")
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,7 +60,7 @@ def _numbered(text: str, form: str) -> str:
     return "".join(f"{form % number}{line}\n" for number, line in enumerate(text.splitlines(), 1))
 
 
-SHIFT = re.compile(r"\b(SHL|SHR)\(((?:[^(),]|\([^()]*\))+), (\d+)\)")
+SHIFT = re.compile(r"\b(SHL|SHR)\(((?:[^(),]|\([^()]*\))+), ([0-9]+)\)")
 WORD = re.compile(r"(?<![\w.#\"])[A-Za-z_]\w*(?![\w#])")
 FUNCTION = re.compile(r"F_EDGED_\w+")
 

@@ -6,6 +6,7 @@ import ipaddress
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 
+from edged.domain.numerals import decimal
 from edged.errors import ListenError, UserError
 from edged.sim.gige.camera import GigeCamera
 from edged.sim.gige.faults import Faults
@@ -51,7 +52,7 @@ def set_fault(faults: Faults, name: str, text: str) -> None:
 def number(what: str, text: str, low: float, high: float) -> float:
     """A number within limits. Raises `UserError`."""
     try:
-        value = float(text)
+        value = decimal(text.strip())
     except ValueError:
         value = float("nan")
     if not low <= value <= high:

@@ -140,7 +140,7 @@ def with_a_number(value: float) -> bytes:
         (binary(np.zeros((20, 3, 3))), "0 facets that have an area"),
         (text(PLATE)[:-400], "cut off: expected endsolid"),
         (text(PLATE).replace("vertex", "vortex", 1), "damaged: 575 corners of 192 facets"),
-        (text(PLATE).replace("vertex ", "vertex one", 1), "damaged: could not convert"),
+        (text(PLATE).replace("vertex ", "vertex one", 1), "damaged: 575 corners"),
         (b"ISO-10303-21;" + b" " * 200, "cut off, or no STL file"),
     ],
 )  # fmt: skip

@@ -25,7 +25,7 @@ LIMIT_BYTES = 4096
 WEBSOCKET = "websocket"
 """What a route answers that becomes a WebSocket."""
 _MARK = "_route"
-_PARAMETER = re.compile(r"\{(\w+)(?::([^{}]*(?:\{[\d,]+\}[^{}]*)*))?\}")
+_PARAMETER = re.compile(r"\{(\w+)(?::([^{}]*(?:\{[0-9,]+\}[^{}]*)*))?\}")
 
 
 class Problem(Exception):

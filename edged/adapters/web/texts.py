@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 COOKIE = "edged_language"
 """The language chosen on this device; a page's script writes it (texts.js)."""
 DEFAULT = "en"
-_WEIGHT = re.compile(r"q=([01](?:\.\d{0,3})?)")
+_WEIGHT = re.compile(r"q=([01](?:\.[0-9]{0,3})?)")
 
 
 class Say(Protocol):

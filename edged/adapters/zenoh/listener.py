@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import threading
 from collections import Counter
@@ -17,6 +16,7 @@ import zenoh.ext
 from edged.adapters.zenoh.cbor import decode_cbor
 from edged.adapters.zenoh.seals import Seal, Speakers, Verifier, seal_in
 from edged.adapters.zenoh.session import ClientTls, open_session, session_config, with_tls
+from edged.domain.numerals import json_of
 
 CELL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MAX_MESSAGE_BYTES = 1024 * 1024  # a result is kilobytes
@@ -137,7 +137,7 @@ def _read(sample: zenoh.Sample) -> tuple[str, str, dict[str, Any]] | None:
         return cell, kind, {"alive": sample.kind == zenoh.SampleKind.PUT}
     if len(sample.payload) > MAX_MESSAGE_BYTES:
         return None
-    read = decode_cbor if sample.encoding == zenoh.Encoding.APPLICATION_CBOR else json.loads
+    read = decode_cbor if sample.encoding == zenoh.Encoding.APPLICATION_CBOR else json_of
     try:
         document = read(sample.payload.to_bytes())
     except (ValueError, RecursionError):

@@ -22,6 +22,7 @@ import zenoh
 from edged.domain.arrays import FloatArray
 from edged.domain.events import CommandKind, Snapshot
 from edged.domain.measurement import Reject, Status
+from edged.domain.numerals import is_whole
 from edged.errors import ConfigError
 from edged.robot.covariance import robot_covariance
 from edged.vision.geometry.rigid import quaternion
@@ -135,7 +136,7 @@ def gid_of(token: str) -> bytes:
 def ros_name(cell: str) -> str:
     """A cell's name as a part of ROS names, which know letters, digits and underscores only."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", cell)
-    return name if not name[0].isdigit() else f"cell_{name}"
+    return name if not is_whole(name[0]) else f"cell_{name}"
 
 
 class Ros2Topics:

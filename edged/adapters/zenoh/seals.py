@@ -18,11 +18,11 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import json
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from edged.domain.numerals import json_of
 from edged.payload import encode
 
 LAYOUT = "edged/1"
@@ -55,7 +55,7 @@ def seal_in(attachment: bytes | None) -> Seal | None:
     if attachment is None or len(attachment) > MAX_ATTACHMENT_BYTES:
         return None
     try:
-        document = json.loads(attachment)
+        document = json_of(attachment)
         seal = Seal(document["session"], document["counter"], bytes.fromhex(document.get("mac", "")))
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from edged.domain.arrays import FloatArray
+from edged.domain.numerals import decimal
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes
 from edged.files.imagesizes import MAX_PIXELS
@@ -58,7 +59,7 @@ class Imported:
 
 def parse_size(text: str) -> tuple[int, int]:
     """(width, height) of "1280x960"."""
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
+    found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text.strip().lower())
     if not found or not all(int(n) > 0 for n in found.groups()):
         raise UserError(f"image size {text!r}: expected WIDTHxHEIGHT in pixels, e.g. 1280x960")
     return int(found[1]), int(found[2])
@@ -113,8 +114,12 @@ class Fields:
         if value is None or isinstance(value, str | bool | Mapping):
             raise self.error(name, f"{wanted}, got {_kind(value)}")
         try:
-            # YAML 1.1 takes 1e-5 (no point) for a string; float() does not
-            array = np.array(value, dtype=np.float64).ravel()
+            array = np.array(value).ravel()
+            if array.dtype.kind == "U":  # YAML 1.1 takes 1e-5 (no point) for a string
+                array = np.array([decimal(text) for text in array.tolist()])
+            if array.dtype.kind not in "iuf":
+                raise TypeError(array.dtype)
+            array = array.astype(np.float64)
         except (TypeError, ValueError, OverflowError):
             raise self.error(name, wanted) from None
         if not np.isfinite(array).all():

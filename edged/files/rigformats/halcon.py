@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.domain.numerals import decimal
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes, write_file
 from edged.files.outputs import make_folder
@@ -135,7 +136,7 @@ def _camera(path: Path, text: str, side: str) -> tuple[CameraModel, tuple[str, .
 
 def _number(text: str) -> float | str:
     try:
-        return float(text)
+        return decimal(text)
     except ValueError:
         return text  # the field that needs it says what is wrong
 

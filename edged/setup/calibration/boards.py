@@ -15,7 +15,7 @@ from edged.vision.boards.detection import agreed_board, in_words, of_size, recog
 
 LOOKED_AT = 6
 """Pictures in which a board is searched that was not stated: enough to outvote one that is cut."""
-_LENGTH = re.compile(r"(\d+(?:[.,]\d+)?)\s*(?:mm)?", re.IGNORECASE)
+_LENGTH = re.compile(r"([0-9]{1,9}(?:[.,][0-9]{1,9})?)\s*(?:mm)?", re.IGNORECASE)
 
 Stated = tuple[NominalBoard, ...] | float | None
 """Boards in full; the length alone of the board that the pictures show, mm; nothing."""

@@ -36,6 +36,7 @@ from edged import __version__
 from edged.config.chosencameras import chosen_file
 from edged.config.configuration import Config
 from edged.config.tomltext import toml_of
+from edged.domain.numerals import json_of
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder
 from edged.files.owners import as_owner, by_name, unlinked
@@ -264,7 +265,7 @@ def unpack(data: bytes, place: str) -> Backup:
     """Read an archive and check all of it. Raises `FileFormatError` that names place and member."""
     members = _members(data, place)
     try:
-        manifest = json.loads(members.pop(MANIFEST))
+        manifest = json_of(members.pop(MANIFEST))
     except KeyError:
         raise FileFormatError(f"{place}: not a backup: {MANIFEST} is missing") from None
     except (ValueError, RecursionError) as error:

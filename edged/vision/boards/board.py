@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Side
+from edged.domain.numerals import decimal, is_whole
 from edged.errors import CalibrationError
 
 IntArray = npt.NDArray[np.int64]
@@ -273,7 +274,7 @@ def parse_boards(text: str) -> tuple[NominalBoard, ...]:
 
 def _size(text: str, kind: str, part: str) -> tuple[int, int]:
     columns, cross, rows = part.lower().partition("x")
-    if not (cross and columns.isascii() and columns.isdigit() and rows.isascii() and rows.isdigit()):
+    if not (cross and is_whole(columns) and is_whole(rows)):
         raise CalibrationError(f"board {text!r}: {part!r} is not COLSxROWS; expected {_GRAMMAR[kind]}")
     size = int(columns[:9]), int(rows[:9])
     if not all(3 <= n <= _MAX_MARKS_PER_SIDE for n in size):
@@ -283,7 +284,7 @@ def _size(text: str, kind: str, part: str) -> tuple[int, int]:
 
 def _length(text: str, kind: str, name: str, part: str) -> float:
     try:
-        value = float(part)
+        value = decimal(part)
     except ValueError:
         value = math.nan
     if not 0.001 <= value <= 10_000:
