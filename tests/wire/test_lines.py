@@ -285,6 +285,20 @@ def test_another_robots_number_is_not_answered_for_this_one() -> None:
         assert LineStatus.NO_FURTHER == one.ask("7,NEXT")[1]
 
 
+def test_a_line_that_came_twice_on_two_connections_is_two_commands() -> None:
+    """Numbers are a connection's own: refused while the first one is there, and measured again after it."""
+    with LiveCell(KUKA) as cell:
+        ready(cell)
+        with connected(cell) as robot:
+            assert 0 == robot.ask("9,LOCATE,0")[1]
+            with connected(cell) as again:
+                assert LineStatus.NOT_YOUR_TURN == again.ask("9,LOCATE,0")[1]
+                assert 1 == cell.head.captures
+        with connected(cell) as later:
+            assert 0 == later.ask("9,LOCATE,0")[1]
+            assert 2 == cell.head.captures
+
+
 def test_one_client_writes_at_a_time() -> None:
     """While a PLC holds the right to write, a robot is told so; and the other way round."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
