@@ -42,7 +42,7 @@ def _leave_others_code_alone() -> None:
     """Root runs no kernels of a cache that somebody else may write: what numba finds there, it runs."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if folder and os.geteuid() == 0:
-        from edged.files.owners import other_owner  # hardly ever needed
+        from edged.owners import other_owner  # hardly ever needed
 
         user = other_owner(Path(folder))
         if user is not None:

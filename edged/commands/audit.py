@@ -16,10 +16,10 @@ from rich.console import Console
 from edged.commands.saying import say
 from edged.config.reading import load
 from edged.errors import FileFormatError, UserError
-from edged.files.owners import as_owner, open_to_read
 from edged.files.statefolder import state_folder
 from edged.identity.audit import LINES, AuditFile, AuditVerdict
 from edged.identity.auditjournal import FIELDS, MAX_LINE_BYTES, JournalVerdict, JournalWriter, compare
+from edged.owners import as_owner, open_to_read
 
 JOURNAL = "journal"
 JOURNALCTL = (

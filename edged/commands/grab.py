@@ -21,8 +21,8 @@ from edged.domain.frames import FramePair
 from edged.errors import CaptureError, FileFormatError
 from edged.files.atomic import write_atomically
 from edged.files.outputs import check_folder, make_folder
-from edged.files.owners import as_owner
 from edged.files.pairs import next_number
+from edged.owners import as_owner
 from edged.sim.world import VirtualWorld
 
 BLOCK_PX = 16

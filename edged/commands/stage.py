@@ -12,11 +12,11 @@ from edged.app.cell import load_any_cell, warm_up
 from edged.app.daemon import Daemon
 from edged.app.process import serve
 from edged.files.outputs import make_folder
-from edged.files.owners import as_owner
 from edged.files.private import write_private
 from edged.files.statefolder import state_folder
 from edged.identity.passwords import hash_password
 from edged.identity.users import User, UserFile
+from edged.owners import as_owner
 from edged.setup.stage.routes import StageRoutes
 from edged.sim.world import VirtualWorld
 

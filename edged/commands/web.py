@@ -8,10 +8,10 @@ from pathlib import Path
 
 from edged.config.reading import load
 from edged.errors import UserError
-from edged.files.owners import as_owner
 from edged.files.statefolder import state_folder
 from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import VALID_S, Invite
+from edged.owners import as_owner
 
 
 def invite(config: Path) -> int:

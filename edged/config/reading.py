@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import tomllib
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from edged.config.chosencameras import chosen_file, chosen_of, read_chosen
 from edged.config.configuration import Config
 from edged.config.tomltext import MAX_TOML_BYTES, toml_of
 from edged.errors import ConfigError
+from edged.owners import open_to_read
 
 EXPECTED = {
     "float_type": "expected a number",
@@ -66,12 +68,13 @@ def load(path: Path) -> Config:
 def read(path: Path) -> bytes:
     """Parse a configuration file. Raises `ConfigError`."""
     try:
-        if path.stat().st_size > MAX_TOML_BYTES:
-            raise ConfigError(str(path), ["larger than 1 MiB: not a configuration"])
-        with path.open("rb") as file:
-            return file.read(MAX_TOML_BYTES + 1)  # a device has no size, and no end
+        with os.fdopen(open_to_read(path), "rb") as file:
+            content = file.read(MAX_TOML_BYTES + 1)  # a device has no size, and no end
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from error
+    if len(content) > MAX_TOML_BYTES:
+        raise ConfigError(str(path), ["larger than 1 MiB: not a configuration"])
+    return content
 
 
 def config_of(content: bytes, path: Path) -> Config:

@@ -13,7 +13,7 @@ from pathlib import Path
 from secrets import token_hex
 
 from edged.errors import FileFormatError
-from edged.files.owners import open_to_read
+from edged.owners import open_to_read
 
 MAX_FILE_BYTES = 64 * 1024 * 1024  # a model is megabytes: more is a wrong file
 MAX_DOCUMENT_BYTES = 4 * 1024 * 1024

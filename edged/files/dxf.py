@@ -7,6 +7,7 @@ Lines and arcs that meet are joined; what does not close is an error that names 
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections import deque
 from collections.abc import Iterable, Sequence, Set
@@ -37,6 +38,7 @@ from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 from edged.files.readingcost import reading_cost
 from edged.files.tables import number_of, read_table
+from edged.owners import open_to_read
 
 FLATTENING_MM = 0.002
 """Largest distance of a curve from its polygon: a hundredth of a pixel of a fine camera."""
@@ -68,6 +70,7 @@ _DAMAGE = (
     ArithmeticError,
     RecursionError,
 )
+_BINARY = b"AutoCAD Binary DXF"
 _NO_NUMBER = re.compile(
     rb"^[ \t]*(?:[1-5][0-9]|1[1-4][0-9]|2[1-3][0-9]|46[0-9]|10[1-5][0-9])[ \t]*\r?\n"
     rb"(?![ \t]*+[-+]?(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:[eE][-+]?[0-9]++)?[ \t]*+\r?$)"
@@ -98,7 +101,8 @@ def read_dxf(
     """
     path = Path(path)
     data = read_bytes(path, "a drawing", MAX_DRAWING_BYTES)
-    if wrong := _NO_NUMBER.search(data):
+    wrong = None if data.startswith(_BINARY) else _NO_NUMBER.search(data)
+    if wrong is not None:
         line = data.count(b"\n", 0, wrong.start("value")) + 1
         got = wrong["value"].decode("utf-8", "replace")[:40]
         raise FileFormatError(f"{path}: line {line}: expected a number, got {got!r}", "no_dxf")
@@ -113,7 +117,12 @@ def read_dxf(
 def _read_chains(
     path: Path, layers: Sequence[str], units: str | None, most_points: int
 ) -> list[JoinedPoints]:
-    document = readfile(path)
+    with os.fdopen(open_to_read(path), "rb") as opened:
+        place = f"/proc/self/fd/{opened.fileno()}"  # the name may mean another file by now
+        try:
+            document = readfile(place)
+        except OSError as error:
+            raise OSError(str(error).replace(place, str(path))) from error
     known = sorted(layer.dxf.name for layer in document.layers)
     if missing := [name for name in layers if name not in known]:
         there = ", ".join(map(repr, known))[:500]

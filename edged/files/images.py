@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ from cv2.typing import MatLike
 from edged.domain.arrays import Image
 from edged.errors import ImageError
 from edged.files.imagesizes import MAX_PIXELS, MAX_UNPACKED_BYTES, claimed_size
+from edged.owners import open_to_read
 
 MAX_IMAGE_BYTES = MAX_UNPACKED_BYTES + (1 << 20)
 """Bytes of a file: an uncompressed picture and its header."""
@@ -28,13 +30,13 @@ def load_image(path: Path) -> Image:
     if not path.is_file():
         raise ImageError(f"{path}: no such file")
     try:
-        if path.stat().st_size > MAX_IMAGE_BYTES:
-            raise ImageError(
-                f"{path}: {path.stat().st_size} bytes: expected an image, at most {MAX_IMAGE_BYTES}"
-            )
-        data = path.read_bytes()
+        with os.fdopen(open_to_read(path), "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            data = b"" if size > MAX_IMAGE_BYTES else file.read(MAX_IMAGE_BYTES + 1)
     except OSError as error:
         raise ImageError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if max(size, len(data)) > MAX_IMAGE_BYTES:
+        raise ImageError(f"{path}: {size} bytes: expected an image, at most {MAX_IMAGE_BYTES}")
     return decode_image(data, str(path))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from edged.errors import FileFormatError, UserError
-from edged.files.owners import as_owner
+from edged.owners import as_owner
 
 
 def check_outputs(

@@ -11,8 +11,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from edged.files.atomic import exchange, make_folders, open_folder, sync, sync_folders, write_atomically
-from edged.files.owners import open_plain
 from edged.files.private import write_private
+from edged.owners import open_plain
 
 
 def replace_files(

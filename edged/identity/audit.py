@@ -23,8 +23,8 @@ from typing import Any, BinaryIO
 
 from edged.errors import FileFormatError
 from edged.files.atomic import give_like, make_folders, open_folder, write_atomically
-from edged.files.owners import open_plain
 from edged.identity.auditchain import START, AuditChain, AuditHead, end_of, head_in, line_of
+from edged.owners import open_plain
 
 LINES, HEAD = "audit.jsonl", "audit.head"
 FULL = re.compile(r"audit\.([0-9]{9,})\.jsonl")

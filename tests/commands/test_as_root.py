@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -19,14 +20,24 @@ from edged.commands.audit import audit
 from edged.commands.backup import backup, restore
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.web import invite
+from edged.config.chosencameras import read_chosen
+from edged.config.reading import load
 from edged.errors import UserError
 from edged.files.atomic import write_file
+from edged.files.dxf import read_dxf
+from edged.files.images import load_image
 from edged.files.jobs import load_job, save_job
-from edged.files.owners import as_owner
+from edged.files.private import read_shared_key
+from edged.files.recording import load_snapshot
+from edged.files.rig import load_rig
+from edged.files.step import read_step
+from edged.files.stl import read_stl
+from edged.files.tables import read_table
 from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import Invite
 from edged.identity.passwords import hash_password
 from edged.identity.users import User, UserFile
+from edged.owners import as_owner
 from edged.setup.releases.archive import read
 from edged.sim.cell import VirtualCell, demo_part
 
@@ -39,6 +50,8 @@ CELL = (
     "[cell]\nname = 'c'\nrig = 'rig.json'\njobs = 'jobs'\njob = 'a'\n[cameras]\nsource = 'virtual'\n"
     "[web]\ncommissioning = true\n"
 )
+CONFIG = Path("cell.toml")
+"""Of root's, in the tests that read."""
 QUIET = Console(quiet=True)
 STATE_FILES = ("audit.jsonl", "audit.head", "invite.json", "users.json")
 
@@ -444,3 +457,60 @@ def test_root_runs_no_code_from_a_cache_of_the_daemons_user(machine: Machine) ->
         )
         assert left == ran.stderr.splitlines()[-1]
         assert (left == "None") == (f"belongs to user {DAEMON}" in ran.stderr)
+
+
+# --- what root reads --------------------------------------------------------------------------------
+
+READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "a configuration": ("cell.toml", load),
+    "chosen cameras": ("rig.cameras.json", lambda path: read_chosen(path.with_name("rig.json"))),
+    "a rig": ("rig.json", load_rig),
+    "a picture": ("left.png", load_image),
+    "a recording": ("cycle.zip", load_snapshot),
+    "a drawing": ("part.dxf", read_dxf),
+    "a STEP file": ("part.step", read_step),
+    "an STL file": ("part.stl", read_stl),
+    "a table": ("points.csv", lambda path: read_table(path, "a table")),
+    "an archive": ("cell.tar.gz", read),
+    "a key": ("shared.key", read_shared_key),
+    "the journal": (
+        "journal.json",
+        lambda path: audit(CONFIG, QUIET, as_json=False, last=0, against=str(path)),
+    ),
+}
+
+
+@pytest.mark.parametrize("way", ["link", "link above", "pipe"])
+@pytest.mark.parametrize("reader", READERS)
+def test_root_reads_nothing_that_a_link_leads_to_and_waits_at_no_pipe(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, reader: str, way: str
+) -> None:
+    """Of the daemon's user, in any place of the way; nothing of what is behind it is said."""
+    name, read_it = READERS[reader]
+    monkeypatch.setattr(f"{__name__}.CONFIG", machine.config)
+    place = machine.state / name
+    if way == "link":
+        place.symlink_to(machine.secret)
+    elif way == "link above":
+        machine.secret.rename(machine.prize / name)
+        machine.state.rmdir()
+        machine.state.symlink_to(machine.prize)
+    else:
+        os.mkfifo(place)
+    give(machine.above)
+    with pytest.raises(UserError) as refused:
+        read_it(place)
+    assert re.search("link|plain|no such file|no file|Permission denied", str(refused.value))
+    assert "root's alone" not in str(refused.value)
+
+
+def test_root_reads_from_a_pipe_that_it_was_given() -> None:
+    """As /dev/stdin, whoever made it."""
+    reading, writing = os.pipe()
+    os.fchown(reading, DAEMON, DAEMON)
+    os.write(writing, CELL.encode())
+    os.close(writing)
+    try:
+        assert "c" == load(Path(f"/proc/self/fd/{reading}")).cell.name
+    finally:
+        os.close(reading)

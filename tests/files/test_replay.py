@@ -14,6 +14,7 @@ from edged.adapters.replay import ReplayCamera, replay_cameras
 from edged.cell.stereohead import HeadSettings, StereoHead
 from edged.domain.arrays import Image
 from edged.errors import CameraUnreachable, FrameIncomplete, FrameTimeout, ImageError
+from edged.files import images
 
 
 def picture(value: int, shape: tuple[int, int] = (12, 16)) -> Image:
@@ -147,14 +148,14 @@ def test_a_picture_that_cannot_be_read_now_is_a_fault_and_no_end(
     write_pairs(tmp_path, ["a", "b"])
     left, _ = replay_cameras(tmp_path)
 
-    def exhausted(_path: Path) -> bytes:
+    def exhausted(_path: Path) -> int:
         raise OSError(errno.EMFILE, "Too many open files")
 
     async def main() -> None:
         await left.open()
         await left.trigger()
         with monkeypatch.context() as patch:
-            patch.setattr(Path, "read_bytes", exhausted)
+            patch.setattr(images, "open_to_read", exhausted)
             with pytest.raises(FrameIncomplete, match="Too many open files"):
                 await left.frame()
         await left.trigger()

@@ -24,7 +24,7 @@ from edged.files.atomic import read_folder, replace_folder
 from edged.files.jobs.schema import JobFile
 from edged.files.jobs.text import to_toml
 from edged.files.outputs import check_folder
-from edged.files.owners import as_owner, by_name, unlinked
+from edged.owners import as_owner, by_name, unlinked
 from edged.vision.part.body import PartBody
 from edged.vision.part.job import Job
 from edged.vision.shape.model import ShapeModel

@@ -39,8 +39,8 @@ from edged.config.tomltext import toml_of
 from edged.domain.numerals import json_of
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder
-from edged.files.owners import as_owner, by_name, unlinked
 from edged.files.replacing import replace_files
+from edged.owners import as_owner, by_name, unlinked
 from edged.robots.formats import render
 from edged.setup.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
 from edged.setup.releases.jobsfolder import Jobs, jobs_in, without_pictures
@@ -153,7 +153,7 @@ def jobs_of(taken: Backup) -> dict[str, bytes]:
 
 def read(archive: Path) -> Backup:
     """What an archive holds, every checksum checked. Raises `FileFormatError`."""
-    return unpack(_read(archive), str(archive))
+    return unpack(read_bytes(archive, "a backup", MAX_BYTES), str(archive))
 
 
 def fits_map(taken: Backup) -> bool:
@@ -343,17 +343,6 @@ def _table(manifest: dict[str, Any], key: str, place: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise FileFormatError(f"{place}: {MANIFEST}: {key}: expected an object")
     return value
-
-
-def _read(archive: Path) -> bytes:
-    try:
-        with archive.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise FileFormatError(f"{archive}: cannot read a backup: {error.strerror or error}") from error
-    if len(data) > MAX_BYTES:
-        raise FileFormatError(f"{archive}: larger than {MAX_BYTES // 2**20} MiB: not a backup")
-    return data
 
 
 # --- into the folder --------------------------------------------------------------------------

@@ -92,7 +92,8 @@ def open_plain(name: str | Path, flags: int, folder: int | None = None) -> int:
 def open_to_read(path: Path, flags: int = 0, folder: int | None = None) -> int:
     """Open a file, or the one in an open folder. Raises `OSError`.
 
-    Root opens by another user's link only what belongs to that user, too.
+    Root opens by another user's link only what belongs to that user, too, and no other user's pipe or device,
+    at which it would wait for ever; but a pipe that it was given open, as /dev/stdin, it does.
     """
     flags |= os.O_RDONLY | os.O_CLOEXEC
     if os.geteuid() != 0:
@@ -103,8 +104,16 @@ def open_to_read(path: Path, flags: int = 0, folder: int | None = None) -> int:
         users = {step.about.st_uid for step in steps if step.is_link and not step.is_roots}
         if users and users != {steps[-1].about.st_uid}:
             raise PermissionError(errno.EPERM, "a link of another user leads there: root does not follow it")
+        last = steps[-1]
+        is_named = last.folder != last.handle
+        if (
+            is_named
+            and not last.is_roots
+            and not (stat.S_ISREG(last.about.st_mode) or stat.S_ISDIR(last.about.st_mode))
+        ):
+            raise PermissionError(errno.EPERM, "another user's, and no plain file: root does not open it")
         # by its descriptor: the name may mean another file by now
-        return os.open(f"/proc/self/fd/{steps[-1].handle}", flags)
+        return os.open(f"/proc/self/fd/{last.handle}", flags)
 
 
 def _first_of_another(place: Path, opened: ExitStack) -> tuple[int, Path] | None:
