@@ -27,6 +27,7 @@ from edged.files.atomic import write_file
 from edged.files.dxf import read_dxf
 from edged.files.images import load_image
 from edged.files.jobs import load_job, save_job
+from edged.files.outputs import make_folder
 from edged.files.private import read_shared_key
 from edged.files.recording import load_snapshot
 from edged.files.rig import load_rig
@@ -309,6 +310,23 @@ def test_a_file_that_root_asks_for_is_not_written_through_a_folder_that_is_a_lin
     give(machine.state)
     write_file(machine.state / "rig.json", b"rig")
     assert b"rig" == (machine.above / "aside" / "rig.json").read_bytes()
+
+
+@pytest.mark.parametrize("trap", [folder_linked, parent_linked])
+def test_a_folder_that_root_asks_for_is_not_made_through_a_link(machine: Machine, trap: Trap) -> None:
+    """For an export, pictures or register maps: it is theirs, or it is not made at all."""
+    trap(machine)
+    before = machine.what_root_has()
+    with pytest.raises(UserError, match="cannot be written"):
+        make_folder(machine.state / "export" / "cycles")
+    with pytest.raises(UserError):
+        write_file(machine.state / "report.html", b"report")
+    assert before == machine.what_root_has()
+    machine.above.unlink() if machine.above.is_symlink() else machine.state.unlink()
+    machine.above.mkdir(exist_ok=True)
+    give(machine.above)
+    make_folder(machine.above / "export" / "cycles")
+    assert DAEMON == (machine.above / "export" / "cycles").stat().st_uid
 
 
 @pytest.mark.slow
