@@ -9,6 +9,7 @@ write another history, but its hashes are not those in the journal.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import re
@@ -222,7 +223,7 @@ class AuditFile:
             except FileNotFoundError:
                 return None, [], None
             try:
-                data = held.enter_context(_locked(folder, make=False)).read()
+                data = _content(held.enter_context(_locked(folder, make=False)))
             except FileNotFoundError:
                 data = None
             full: list[tuple[int, BinaryIO]] = []
@@ -237,7 +238,7 @@ class AuditFile:
         """Lines of each file in turn; the last item is an unfinished line, or b""."""
         for number, file in full:
             if number >= first:  # else it was let go, and a crash left it
-                lines = file.read().split(b"\n")
+                lines = _content(file).split(b"\n")
                 yield lines if not lines[-1] else [*lines, b""]
         yield (data or b"").split(b"\n")
 
@@ -272,9 +273,18 @@ def _read_head(folder: int) -> bytes | None:
     """None where there is none. Raises `OSError`."""
     try:
         with os.fdopen(open_plain(HEAD, os.O_RDONLY, folder), "rb") as file:
-            return file.read()
+            return _content(file)
     except FileNotFoundError:
         return None
+
+
+def _content(file: BinaryIO) -> bytes:
+    """All of a file of an audit; one that is larger than any is none. Raises `OSError`."""
+    most = FULL_BYTES + TAIL_BYTES
+    data = file.read(most + 1)
+    if len(data) > most:
+        raise OSError(errno.EFBIG, f"more than {most} bytes: no file of an audit is as large")
+    return data
 
 
 def _tail(file: BinaryIO) -> tuple[tuple[int, str] | None, int]:
