@@ -18,8 +18,8 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
 
-from edged import errors
 from edged.errors import TaskFailed, TaskTooLarge, UserError
+from edged.setup.jobs.answers import decode_answer
 from edged.setup.jobs.workerprocess import (
     OutOfMemory,
     TaskAnswer,
@@ -35,6 +35,8 @@ from edged.setup.pairs import Progress, silent
 
 log = logging.getLogger(__name__)
 
+MOST_ANSWER_BYTES = 256 << 20
+"""Several pictures of the largest sensors; a process that answers more is ended."""
 IDLE_S = 300.0
 """Without a task for so long, the process ends: it holds the memory of a second Python."""
 
@@ -111,8 +113,8 @@ class Worker:
         match answer:
             case TaskResult(result):
                 return result
-            case TaskRefused():
-                raise _user_error(answer)
+            case TaskRefused(error):
+                raise error
             case OutOfMemory(trace):
                 log.error("the task %s ran out of memory:\n%s", name, trace)
                 raise _too_large(name, f"{self._limits.memory_bytes >> 20} MiB of memory")
@@ -151,6 +153,9 @@ class Worker:
             if signal.SIGXCPU.name in ended:
                 return _OutOfTime()
             raise TaskFailed(f"the worker process {ended}; ask again") from error
+        except ValueError as error:
+            self._clear()
+            raise TaskFailed("the worker process answered nonsense and was ended; ask again") from error
         if isinstance(answer, OutOfMemory):
             self._clear()
         return answer
@@ -211,13 +216,17 @@ def _too_large(name: str, most: str) -> TaskTooLarge:
 
 
 def _received(connection: Connection) -> TaskAnswer:
-    answer: TaskAnswer = connection.recv()
-    return answer
-
-
-def _user_error(refused: TaskRefused) -> UserError:
-    """The error as raised there; a plain `UserError` where its fields do not come through the pipe."""
-    found = getattr(errors, refused.kind, UserError)
-    plain = found.__init__ is UserError.__init__
-    error: UserError = (found if plain else UserError)(refused.message, refused.code, **refused.params)
-    return error
+    """The next answer. Raises `EOFError`, `OSError` for one too long, `ValueError` for what is none."""
+    answer = decode_answer(connection.recv_bytes(MOST_ANSWER_BYTES))
+    if isinstance(answer, TaskProgress):
+        whole = (answer.done, answer.total)
+        if type(answer.stage) is str and all(type(number) is int for number in whole):
+            return answer
+    elif isinstance(answer, OutOfMemory | TaskBug):
+        if type(answer.trace) is str and answer.trace.strip():
+            return answer
+    elif isinstance(answer, TaskResult) or (
+        isinstance(answer, TaskRefused) and isinstance(answer.error, UserError)
+    ):
+        return answer
+    raise ValueError(f"{type(answer).__name__} is no answer of a worker")

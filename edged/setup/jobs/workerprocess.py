@@ -8,21 +8,24 @@ bounded, as files come from anywhere: one that takes more is ended, and the next
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import math
 import os
 import resource
 import signal
+import struct
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
+
+from edged.errors import UserError
 
 NICENESS = 15
 OOM_SCORE = 500
@@ -33,6 +36,12 @@ TELL_S = 0.1
 """Between two words on how far a stage is."""
 
 
+PR_SET_NO_NEW_PRIVS, PR_CAP_AMBIENT, PR_CAP_AMBIENT_CLEAR_ALL = 38, 47, 4
+"""linux/prctl.h"""
+CLONE_NEWUSER, CLONE_NEWNET = 0x10000000, 0x40000000
+"""linux/sched.h"""
+CAPSET, CAPABILITY_VERSION_3 = {"x86_64": 126, "aarch64": 91}, 0x20080522
+"""Number of capset(2), by machine; glibc has no function for it."""
 MIB = 1 << 20
 MOST_MEMORY_BYTES = 8192 * MIB
 """Address space: all libraries take 1.1 GiB at the start, finding boards in 65 megapixels 0.3 more, and
@@ -85,12 +94,9 @@ class TaskResult:
 
 @dataclass(frozen=True, slots=True)
 class TaskRefused:
-    """A mistake in what it was given: kind of `UserError`, and what it holds."""
+    """A mistake in what it was given."""
 
-    kind: str
-    message: str
-    code: str
-    params: Mapping[str, str | float]
+    error: UserError
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,28 +133,29 @@ def serve(connection: Connection) -> None:
         order = orders.get()
         _stay_on(all_cpus[-order.cpus :])
         _bound(order.limits)
-        connection.send(_carry_out(order, connection))
+        connection.send_bytes(_carry_out(order, connection))
 
 
-def _carry_out(order: TaskOrder, connection: Connection) -> TaskAnswer:
+def _carry_out(order: TaskOrder, connection: Connection) -> bytes:
+    """What came of an order, encoded."""
     sent_s, sent_stage = 0.0, ""
 
     def progress(stage: str, done: int, total: int) -> None:
         nonlocal sent_s, sent_stage
         if stage != sent_stage or done == total or time.monotonic() - sent_s >= TELL_S:
             sent_s, sent_stage = time.monotonic(), stage
-            connection.send(TaskProgress(stage, done, total))
+            connection.send_bytes(encode_answer(TaskProgress(stage, done, total)))
 
-    from edged.errors import UserError
+    from edged.setup.jobs.answers import encode_answer
 
     module, _, name = order.function.partition(":")
     try:
-        return TaskResult(getattr(import_module(module), name)(progress, *order.arguments))
+        return encode_answer(TaskResult(getattr(import_module(module), name)(progress, *order.arguments)))
     except UserError as error:
-        return TaskRefused(type(error).__name__, str(error), error.code, error.params)
+        return encode_answer(TaskRefused(error))
     except Exception as error:  # noqa: BLE001  (a bug is told to who asked, who logs it: the next task may be well)
         trace = traceback.format_exc()
-        return OutOfMemory(trace) if _is_of_memory(error) else TaskBug(trace)
+        return encode_answer(OutOfMemory(trace) if _is_of_memory(error) else TaskBug(trace))
 
 
 def _is_of_memory(error: BaseException | None) -> bool:
@@ -186,7 +193,25 @@ def _stand_back() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # of gigabytes, where a task took too long
 
 
+def _withdraw() -> None:
+    """Give up what a task never needs: more rights by running programs, capabilities, and the network.
+
+    The network where the kernel lets it: to leave it takes a user namespace, or root. A service may not make
+    any (`RestrictNamespaces=`).
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
+    libc.prctl(PR_CAP_AMBIENT, PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
+    is_root = os.geteuid() == 0
+    libc.unshare(CLONE_NEWNET if is_root else CLONE_NEWUSER | CLONE_NEWNET)
+    call = CAPSET.get(os.uname().machine)
+    if call is not None and not is_root:  # files that root reads are root's by its capabilities
+        header, none = struct.pack("=Ii", CAPABILITY_VERSION_3, 0), struct.pack("=6I", *(0,) * 6)
+        libc.syscall(call, header, none)
+
+
 if __name__ == "__main__":
     _stand_back()
-    # under its own name: what comes through the pipe is pickled by it
+    _withdraw()
+    # under its own name: orders are pickled by it, and answers name it
     import_module("edged.setup.jobs.workerprocess").serve(Connection(int(sys.argv[1])))
