@@ -349,3 +349,20 @@ def test_an_answer_comes_back_as_it_was() -> None:
     assert calibration_identity(rig.left, rig.right, rig.right_from_left) == calibration_identity(
         again["rig"].left, again["rig"].right, again["rig"].right_from_left
     )
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user with a capability")
+def test_a_services_worker_has_no_capability() -> None:
+    """Its user is not root, and its capabilities are those that the daemon was given for its ports."""
+    script = (
+        "import os, ctypes\nfrom pathlib import Path\nfrom edged.setup.jobs import workerprocess\n"
+        "libc = ctypes.CDLL(None)\nlibc.prctl(8, 1, 0, 0, 0)\nos.setgroups([])\n"  # 8: PR_SET_KEEPCAPS
+        "os.setgid(65534)\nos.setuid(65534)\n"
+        "def status():\n    lines = Path('/proc/self/status').read_text().splitlines()\n"
+        "    return dict(line.split(':\\t', 1) for line in lines)\n"
+        "assert int(status()['CapPrm'], 16)\nworkerprocess._withdraw()\n"
+        "found = [int(status()[f'Cap{name}'], 16) for name in ('Eff', 'Prm', 'Inh', 'Amb')]\n"
+        "print(*found, status()['NoNewPrivs'])"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "0 0 0 0 1" == ended.stdout.strip()
