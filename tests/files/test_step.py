@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -191,6 +192,17 @@ def test_a_reader_that_cannot_be_loaded_is_not_a_damaged_file(
     (tmp_path / "cascadio.py").write_text("raise ImportError('libTKernel.so: no such file')\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(FileFormatError, match=r"cascadio: libTKernel\.so: no such file"):
+        read_step(DATA / "D3.step")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root has rights to give up")
+def test_root_parses_no_strangers_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The library that does is nobody's process by then."""
+    (tmp_path / "cascadio.py").write_text(
+        "import os, sys\ndef load(*_, **__): sys.exit(f'user {os.getresuid()} {os.getgroups()}')\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(FileFormatError, match=r"user \(65534, 65534, 65534\) \[\]"):
         read_step(DATA / "D3.step")
 
 
