@@ -39,6 +39,7 @@ def choose(config: Path, **left: object) -> bytes:
     return content
 
 
+@pytest.mark.slow
 def test_what_was_chosen_counts_before_what_is_configured(config: Path) -> None:
     """And what was not stays; a result tells that it stands on other cameras."""
     config.write_text(config.read_text() + "\n[cameras.left]\nexposure_us = 1500.0\ngain_db = 2.0\n")

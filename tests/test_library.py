@@ -60,6 +60,7 @@ def test_locate_gives_the_digits_of_the_pipeline(job: Job) -> None:
         np.testing.assert_array_equal(expected.covariance, target.covariance)
 
 
+@pytest.mark.slow
 def test_what_is_saved_is_what_is_loaded(job: Job, tmp_path: Path) -> None:
     """A job and a rig come back from disc and locate the same."""
     part = flange()

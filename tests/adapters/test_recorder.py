@@ -453,6 +453,7 @@ def test_a_replay_draws_what_it_measured(
         replay(entry, True, Console(), overlays=tmp_path / "taken")
 
 
+@pytest.mark.slow
 def test_an_export_replays_elsewhere(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

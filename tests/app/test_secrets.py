@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from helpers.ports import free_port
 from helpers.waiting import WHOLE_S
+from helpers.webcell import HASH
 from rich.console import Console
 
 from edged.app.cell import load_cell
@@ -27,14 +28,13 @@ from edged.errors import ConfigError
 from edged.files import private, recording
 from edged.files.private import write_private
 from edged.files.secrettext import without_secrets
-from edged.identity.passwords import hash_password
 from edged.payload import encode
 from edged.setup.cellfiles import exposed_secrets, read_cell
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.world import VirtualWorld
 
-HASH = hash_password("correct horse")
-OTHER = hash_password("battery staple")
+OTHER = HASH[:-4] + "AAAA"
+"""Another password's."""
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +66,7 @@ def test_no_hash_is_published(config: Path) -> None:
     assert "argon2" not in published + repr(loaded.cell.config) + str(loaded.cell.config.model_dump())
 
 
+@pytest.mark.slow
 def test_another_password_is_the_same_cell(config: Path) -> None:
     """No result stands on it, and a fingerprint, which is published, tells nothing of it."""
     before = read_cell(config).fingerprint

@@ -69,6 +69,7 @@ def run(*command: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=WHOLE_S).stdout
 
 
+@pytest.mark.slow
 def test_it_says_what_it_serves_and_takes_commands(sim: Sim) -> None:
     """Both cameras at the start; one answer for each line; a mistake is named and harmless."""
     assert f"left: GigE Vision camera EDGED-VIRTUAL-L on {LEFT}" == sim.banner[0]

@@ -123,6 +123,7 @@ def test_later_cycles_leave_what_was_published_as_it_was(shown: list[str]) -> No
     assert ear.bits == [bits_of(event) for event in ear.events]
 
 
+@pytest.mark.slow
 def test_no_array_of_a_snapshot_can_be_written() -> None:
     """A publisher that tries is told at once, and the others still read the truth."""
     (snapshot, *_) = published(["straight"]).snapshots()

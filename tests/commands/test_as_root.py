@@ -339,6 +339,7 @@ def test_a_backup_is_not_written_through_a_folder_that_is_a_link(cell: Path, mac
     assert before == machine.what_root_has()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "place", ["rig.json", "jobs/flange/taught/secret", "jobs/flange/job.toml", "jobs/flange", "jobs"]
 )

@@ -232,6 +232,7 @@ def test_a_backup_that_names_a_folder_outside_takes_nothing_away(archive: Archiv
     assert (house / "left.toml").is_file()
 
 
+@pytest.mark.slow
 def test_secrets_are_for_their_owner_alone(cell: Path, tmp_path: Path) -> None:
     """An archive has mode 600 and says that it holds a hash; so has the configuration that comes out of it.
 

@@ -684,6 +684,7 @@ def plain(said: str, place: Path, busy: int) -> str:
     return "\n".join(" ".join(line.split()) for line in said.splitlines() if line.strip())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_mistake_is_named(
     name: str,

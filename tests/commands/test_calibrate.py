@@ -143,6 +143,7 @@ def refused(
     assert sorted(path.name for path in tmp_path.glob("*rig*")) == ["rig.json"]
 
 
+@pytest.mark.slow
 def test_missing_halves_are_refused(folder: Path, tmp_path: Path) -> None:
     """A picture without its partner is an error that names both."""
     (folder / "v2_right.png").unlink()

@@ -124,6 +124,7 @@ def test_images_that_cannot_be_one_pair_are_no_result(
 # --- locate ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_locate_prints_one_json_object(edged: Edged, pristine: Path) -> None:
     """Exit code 0, one object on stdout, with the fields of the manual and the place that was taught."""
     arguments = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange")
@@ -136,6 +137,7 @@ def test_locate_prints_one_json_object(edged: Edged, pristine: Path) -> None:
     assert set(document["timing_ms"]) == {"rectify", "find", "measure"}
 
 
+@pytest.mark.slow
 def test_locate_shows_a_table_and_writes_a_picture(edged: Edged, folder: Path) -> None:
     """For people: a table with every circle, and a picture of both images side by side."""
     picture = folder / "overlay.png"
@@ -149,6 +151,7 @@ def test_locate_shows_a_table_and_writes_a_picture(edged: Edged, folder: Path) -
     assert height > 960
 
 
+@pytest.mark.slow
 def test_locate_says_what_the_plc_would_read(edged: Edged, pristine: Path) -> None:
     """Position and A, B, C in the robot's frame, as --json has the pose; each table names its frame."""
     files = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange")
@@ -163,6 +166,7 @@ def test_locate_says_what_the_plc_would_read(edged: Edged, pristine: Path) -> No
     assert expected == [re.search(rf"│ {axis} │ +([-\d.]+)", read)[1] for axis in "XYZABC"]
 
 
+@pytest.mark.slow
 def test_locate_writes_points_as_file_and_picture(edged: Edged, folder: Path) -> None:
     """--ply and --cloud: a PLY whose header tells its length, and a picture; for no part, empty ones."""
     arguments = ("--rig", folder / "rig.json", "--job", folder / "jobs" / "flange")
@@ -265,6 +269,7 @@ def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) 
     assert (folder / "jobs" / "flange.old" / "job.toml").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_numbers_of_jobs_do_not_collide(edged: Edged, folder: Path) -> None:
     """A second job takes the next number by itself; one that is taken is refused with a free one."""
     second = folder / "jobs" / "second"

@@ -77,6 +77,7 @@ def test_a_healthy_cell_is_well(folder: Path, capsys: pytest.CaptureFixture[str]
     assert "5 of 5 pairs" in pictures["finding"]
 
 
+@pytest.mark.slow
 def test_what_is_bad_has_a_consequence_and_a_remedy(folder: Path) -> None:
     """No finding leaves the reader alone with it."""
     path = edit(folder, "[modbus]", '[recorder]\nfolder = "r"\nmin_free_mib = 90000000\n\n[modbus]')

@@ -80,6 +80,7 @@ def write_pair(folder: Path, name: str, pair: tuple[Image, Image]) -> tuple[Path
     return paths
 
 
+@pytest.mark.slow
 def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Taught and located by the commands: four places of the file's frame within 30 µm, tilted by 20°."""
     save_rig(tmp_path / "rig.json", small_rig())
@@ -101,6 +102,7 @@ def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.Captu
     assert np.linalg.norm(found - apply(where, places), axis=1).max() < 0.03
 
 
+@pytest.mark.slow
 def test_settled_sizes_are_those_of_the_file() -> None:
     """A sharp part: every circle has the file's radius, and the distances between them to the last digit."""
     job = settled(taught(), taught_pair()).job
@@ -111,6 +113,7 @@ def test_settled_sizes_are_those_of_the_file() -> None:
     assert {(10, -7, 0), (3, -7, 0), (-9, 8, 0), (-9, 1.8, 0), (-9, -7, -2.5)} == places
 
 
+@pytest.mark.slow
 def test_a_moved_hole_is_another_revision() -> None:
     """The file has it 0.3 mm elsewhere: it is named, and by how much it is off."""
     holes = (HOLES[0], Hole("h1", Disc(3.3, -7, 1.4)), *HOLES[2:])
@@ -124,6 +127,7 @@ def test_a_moved_hole_is_another_revision() -> None:
     assert 0.3 == pytest.approx(float(said[1]), abs=0.03)
 
 
+@pytest.mark.slow
 def test_an_edge_break_is_stated_and_kept() -> None:
     """Holes that are 0.4 mm wider than in the file are their broken edges: as wide as seen."""
     job = taught()
@@ -145,6 +149,7 @@ def test_a_smaller_hole_is_no_edge_break() -> None:
         settled(replace(job, circles=circles), taught_pair())
 
 
+@pytest.mark.slow
 def test_a_job_keeps_the_frame_on_disc(tmp_path: Path) -> None:
     """Written and read again to the last digit; a motion that is none is an error with the key's name."""
     job = settled(taught(), taught_pair()).job
@@ -159,6 +164,7 @@ def test_a_job_keeps_the_frame_on_disc(tmp_path: Path) -> None:
         load_job(tmp_path / "job")
 
 
+@pytest.mark.slow
 def test_the_frame_of_the_file_is_published_where_the_job_says_so(tmp_path: Path) -> None:
     """Kept on disc: a point of the file within 30 µm, its axes the file's, its sigma that of its lever."""
     points = (
@@ -272,6 +278,7 @@ def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
     assert 0.0002 < found.job.sigma_mm < 0.002
 
 
+@pytest.mark.slow
 def test_radii_of_a_coarse_file_are_those_of_the_pair(tmp_path: Path) -> None:
     """Where chords leave 20 µm open, the pair knows better: said, and not in the sigma."""
     curves = read_model(stl_of(tmp_path), "-z")[1].curves
@@ -321,6 +328,7 @@ def drawn() -> Job:
     return teach_model(model, shown.curves, prepare(small_rig()).rectification, 205.0, "D3")[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tilt_deg", "turn_deg"), [(0.0, 40.0), (30.0, 200.0)])
 def test_a_file_alone_is_enough_to_find_the_part(tilt_deg: float, turn_deg: float) -> None:
     """A sharp part lies where the frame says, within 30 µm; the sigma says that nobody saw its edges."""
@@ -349,6 +357,7 @@ def test_a_file_alone_teaches_every_feature_of_its_faces() -> None:
     assert 4 == sum(float(one.start_mm[2]) == -2.5 for one in job.edges)
 
 
+@pytest.mark.slow
 def test_of_a_broken_edge_the_upper_one_is_taught() -> None:
     """The flange is drawn with its edge breaks: one circle of each, that of the face."""
     model, shown = read_model(STEP.with_name("D1.step"), "-z")
@@ -357,6 +366,7 @@ def test_of_a_broken_edge_the_upper_one_is_taught() -> None:
     assert {0.0} == {float(one.centre_mm[2]) for one in job.circles}
 
 
+@pytest.mark.slow
 def test_an_axis_that_hides_every_feature_is_named() -> None:
     """Of a file alone, as of one with a pair: what was expected, and the option that says it."""
     model, shown = read_model(STEP, "-z")
@@ -365,6 +375,7 @@ def test_an_axis_that_hides_every_feature_is_named() -> None:
         teach_model(model, nothing, prepare(small_rig()).rectification, 205.0, "D3")
 
 
+@pytest.mark.slow
 def test_a_pair_ends_the_vagueness_of_a_file_alone() -> None:
     """Taught again with both, the limit that such a job needs is not taken for a person's wish."""
     again, said = carry_over(drawn(), settled(taught(), taught_pair()).job)
@@ -378,6 +389,7 @@ def test_a_job_keeps_its_sigma_on_disc(tmp_path: Path) -> None:
     assert 0.1 == load_job(tmp_path / "job").sigma_mm
 
 
+@pytest.mark.slow
 def test_a_file_alone_needs_its_distance(tmp_path: Path) -> None:
     """Without it nothing says how large the part appears; one that does not fit the picture is refused."""
     with pytest.raises(UserError, match="--depth missing"):

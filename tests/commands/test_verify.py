@@ -95,6 +95,7 @@ def test_a_rig_that_holds_is_ok(folder: Path) -> None:
     assert "Rows alone do not see a wrong baseline" in said
 
 
+@pytest.mark.slow
 def test_the_pitch_alone_names_the_plate(folder: Path) -> None:
     """Which plate it is the pair shows; that is said before the verdict."""
     code, said = run(folder, board="5.0 mm")

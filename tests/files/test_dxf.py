@@ -302,6 +302,7 @@ def test_a_line_that_leads_nowhere_is_named_by_its_loose_end(
         read_dxf(saved_lines([loose, *square] if first else [*square, loose], tmp_path))
 
 
+@pytest.mark.slow
 def test_lines_shorter_than_the_tolerance_are_joined(tmp_path: Path) -> None:
     """A curve that CAD has cut into lines of a few micrometres is one outline, with all of its points."""
     lines = polygon(1000, 0.8)

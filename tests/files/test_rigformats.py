@@ -64,6 +64,7 @@ def test_a_rig_survives_the_journey(rig: StereoRig, form: RigFormat, tmp_path: P
     assert any("fitted" in note for note in notes) == (rig.left.model not in native)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(rig=rigs, form=st.sampled_from(["opencv", "ros", "kalibr", "halcon"]))
 def test_any_rig_survives_or_is_refused(
@@ -442,6 +443,7 @@ def test_incomplete_folders_are_refused(tmp_path: Path) -> None:
         read_rig(tmp_path / "empty")
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(
     data=st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)),

@@ -61,6 +61,7 @@ def truth_of(part: str, shape: str) -> list[dict[str, Any]]:
     return [one for one in features if one["shape"] == shape and one["role"] in SEEN]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["D1", "D2", "D3", "D4"])
 def test_circles_are_those_of_the_design(part: str) -> None:
     """Every circle that looks up, none besides; centre and radius to a hundredth of a micrometre."""

@@ -8,16 +8,15 @@ from typing import Any
 
 import pytest
 from argon2 import PasswordHasher
+from helpers.webcell import HASH
 
 from edged.config.reading import load
 from edged.errors import ConfigError, FileFormatError
 from edged.files.statefolder import state_folder
 from edged.identity.invite import VALID_S, Invite
-from edged.identity.passwords import hash_password
 from edged.identity.users import MAX_USERS, LastEngineer, User, UserFile
 
 CELL = "[cell]\nname = 'c'\nrig = 'rig.json'\njobs = 'jobs'\njob = 'a'\n[cameras]\nsource = 'virtual'\n"
-HASH = hash_password("correct horse")
 ANNA = User(name="Anna", role="engineer", password_hash=HASH, language="de")
 
 

@@ -71,6 +71,7 @@ def test_exposure_is_advised_until_it_is_good(cell: VirtualCell) -> None:
         assert (Advice.MORE_LIGHT if start_us < 1000 else Advice.LESS_LIGHT) is seen[0]
 
 
+@pytest.mark.slow
 def test_gain_that_is_only_noise_is_told(cell: VirtualCell) -> None:
     """Equally bright pictures: the one by gain is noisier, and light is the remedy."""
     by_light, by_gain = (

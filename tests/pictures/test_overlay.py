@@ -101,6 +101,7 @@ def test_a_rejected_result_is_red_and_says_why() -> None:
     assert reasons(Reject.NONE) == []
 
 
+@pytest.mark.slow
 def test_a_picture_without_a_part_says_what_was_looked_for() -> None:
     """No legend, no numbers: the title and the bare images."""
     _, job = taught()

@@ -89,6 +89,7 @@ def test_a_frame_that_is_changed_anywhere_is_none() -> None:
                 read_answer(one, Brand.KUKA, 7)
 
 
+@pytest.mark.slow
 @given(st.binary(min_size=REQUEST.size - 4, max_size=REQUEST.size - 4), st.booleans())
 @settings(max_examples=500, derandomize=True)
 def test_whatever_comes_is_a_request_or_none(body: bytes, is_headed: bool) -> None:

@@ -92,6 +92,7 @@ def test_the_terms_add_up_to_the_last_bit(
         assert budget.registration.max() <= 1e-12 * scale
 
 
+@pytest.mark.slow
 def test_a_rig_that_is_taken_as_exact_has_no_share(job: Job) -> None:
     """All of the sigma comes from the edges; of a rig that is known so well, the same edges and more."""
     exact = located(job, None)

@@ -168,6 +168,7 @@ def test_generator_and_interpreter_refuse_a_name_that_is_too_long(language: str)
         READERS[language](renamed(language, just + "x"))
 
 
+@pytest.mark.slow
 def test_the_interpreter_of_structured_text_refuses_a_word_of_the_language() -> None:
     """A word that is an operator of instruction lists only passes the parser, not every compiler."""
     source = re.sub(r"\biHalf\b", "LD", render("st"))

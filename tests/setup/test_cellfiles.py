@@ -49,6 +49,7 @@ def test_a_job_that_was_taught_again_is_one_job(folder: Path) -> None:
     assert read_cell(folder / "cell.toml").fingerprint == cell.fingerprint
 
 
+@pytest.mark.slow
 def test_rig_and_job_mistakes_are_named_together(folder: Path) -> None:
     """A damaged rig, a damaged shape and a missing job: one report."""
     (folder / "rig.json").write_text("{")

@@ -407,6 +407,7 @@ def test_both_cameras_see_one_scene(cell: VirtualCell) -> None:
     assert seen_by(cell, "right", 42, 2 * S) == seen_by(cell, "left", 2, 2 * S + 3 * MS) == 1
 
 
+@pytest.mark.slow
 def test_a_restarted_camera_pairs_again(cell: VirtualCell) -> None:
     """Ids that start again, a camera that stays away for a while: the next common trigger is a pair."""
     assert seen_by(cell, "left", 1, 1 * S) == seen_by(cell, "right", 1, 1 * S + MS) == 0
@@ -437,6 +438,7 @@ def test_truth_is_found_by_time(cell: VirtualCell) -> None:
     assert cell.truth_of_frame("left", 1) is None
 
 
+@pytest.mark.slow
 def test_scenes_follow_from_the_seed() -> None:
     """Equal seeds, equal cells; the part moves within its range and turns all the way round."""
     cells = [VirtualCell(demo_rig(), demo_part(), seed=seed) for seed in (1, 1, 2)]
@@ -450,6 +452,7 @@ def test_scenes_follow_from_the_seed() -> None:
     assert np.histogram(turns, 4, (-np.pi, np.pi))[0].min() > 3
 
 
+@pytest.mark.slow
 def test_the_picture_shows_the_truth(cell: VirtualCell) -> None:
     """The outer circle of the truth projects onto the rim of the bright part in both pictures."""
     views = stereo_views(cell.rig)
@@ -468,6 +471,7 @@ def test_the_picture_shows_the_truth(cell: VirtualCell) -> None:
         assert image[inside[:, 1], inside[:, 0]].min() > image[outside[:, 1], outside[:, 0]].max()
 
 
+@pytest.mark.slow
 def test_teaching_is_square_to_the_left_camera(cell: VirtualCell) -> None:
     """The taught part has the axes of the rig, and lies whole in both pictures."""
     left, right, truth = cell.teach_pair()

@@ -145,6 +145,7 @@ def test_a_covered_board_is_not_found_and_nothing_is_nothing(cell: VirtualCell) 
     assert picture(cell, "left", 2 * S).max() < 100
 
 
+@pytest.mark.slow
 def test_a_hand_before_one_camera_is_seen_by_that_one_alone(cell: VirtualCell) -> None:
     """The other camera's picture changes by its noise."""
     cell.show("nothing")

@@ -6,6 +6,7 @@ import importlib
 import re
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -170,6 +171,12 @@ def _sources() -> Iterator[str]:
                 yield path.read_text(errors="ignore")
 
 
+@cache
+def _names() -> set[str]:
+    """What a name or an option in the documents may be: every word of the sources."""
+    return {name for text in _sources() for name in re.findall(r"--[\w-]+|\w+", text)} | ELSEWHERE | FIELDS
+
+
 SOURCES = {"", *(f".{kind}" for kind in ("py", "js", "j2", "toml", "json", "yml", "service", "tsv"))}
 MANUAL = ROOT / "edged/adapters/web/manual"
 
@@ -187,7 +194,6 @@ ELSEWHERE = {"ModbusServer", "FB_EDGED_S7_DB", "KAREL_ENB", "HOSTC_CFG", "SERVER
 """Of a maker's tool, a controller, a standard."""
 FIELDS = {"EDGED_RESULT", "EDGED_AUDIT"}
 """Of the journal, made of the names of fields."""
-NAMES = {name for text in _sources() for name in re.findall(r"--[\w-]+|\w+", text)} | ELSEWHERE | FIELDS
 CAPITALS = re.compile(r"\b(?:[A-Z]+[a-z]+){2,}\b|\b[A-Z]{2,}(?:_[A-Z0-9]+)+\b")
 """A class, a constant, a register, a bit."""
 
@@ -200,7 +206,8 @@ def test_every_name_in_the_documentation_exists(page: Path) -> None:
     named = [name for span in spans for name in CAPITALS.findall(span)]
     named += [span.split()[0].partition("=")[0] for span in spans if span.startswith("--")]
 
-    assert [] == [name for name in named if name not in NAMES | set(_options_of(typer.main.get_command(app)))]
+    known = _names() | set(_options_of(typer.main.get_command(app)))
+    assert [] == [name for name in named if name not in known]
 
 
 @pytest.mark.parametrize("page", [ROOT / "CONTRIBUTING.md", *(DOCS / "explanation").glob("*.md")], ids=_name)

@@ -86,6 +86,7 @@ def test_every_page_of_the_manual_is_built(site: Path) -> None:
     assert {str(page.with_suffix(".html")) for page in sources} == set(pages_of(site))
 
 
+@pytest.mark.slow
 def test_every_address_in_the_built_manual_is_there(site: Path) -> None:
     """Files and anchors, of what is loaded and of what is linked."""
     pages = pages_of(site)

@@ -69,6 +69,7 @@ def test_every_lamp_shines_down_on_the_part_and_stands_in_no_cameras_view(
             assert np.linalg.norm(away[between], axis=1).min() > 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("finish", FINISHES)
 def test_marks_have_slopes_as_metal_has(finish: str) -> None:
     """Between a hundredth and a fifth, rms: they spread highlights, and are no steps."""

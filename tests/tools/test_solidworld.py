@@ -90,6 +90,7 @@ def test_a_broken_wall_is_made_of_cones_and_a_sharp_one_of_cylinders() -> None:
     assert {round(slope, 9) for slope in slopes} == {0.0, -1.0}
 
 
+@pytest.mark.slow
 def test_the_face_is_drawn_where_the_truth_says() -> None:
     """The middle and the area of a white face amid black walls are those of its projected rim, on both sides.
 
@@ -122,6 +123,7 @@ def area_and_middle(points: FloatArray) -> tuple[float, FloatArray]:
     )
 
 
+@pytest.mark.slow
 def test_a_set_has_what_a_bench_reads(tmp_path: Path) -> None:
     """Cameras, a drawing, a teaching pair with its pose, and a scene in which nothing is to be found."""
     write_set(tmp_path, [2], 0, 1, 1)

@@ -6,12 +6,19 @@ import ast
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
-TREES = {path: ast.parse(path.read_text()) for path in sorted((ROOT / "edged").rglob("*.py"))}
+
+
+@cache
+def _trees() -> dict[Path, ast.Module]:
+    """Every module, parsed: once, and only where it is asked for."""
+    return {path: ast.parse(path.read_text()) for path in sorted((ROOT / "edged").rglob("*.py"))}
+
 
 TWICE = {"CommandRefused"}
 """Public class names that stand in two modules: the Python client is a file of its own, on another PC."""
@@ -54,7 +61,7 @@ def _words(name: str) -> list[str]:
 def test_no_public_class_name_stands_twice() -> None:
     """But for those that are still to be renamed."""
     places = defaultdict[str, set[Path]](set)
-    for path, tree in TREES.items():
+    for path, tree in _trees().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].add(path)
@@ -67,7 +74,7 @@ def test_names_are_words_of_the_field() -> None:
     """Modules and what they define; fewer of the banned words than there were, and never more."""
     found = Counter(
         word
-        for path, tree in TREES.items()
+        for path, tree in _trees().items()
         for name in (path.stem, *_names(tree))
         for word in _words(name)
         if word in BANNED

@@ -16,6 +16,7 @@ from edged.domain.events import Idle
 from edged.identity.audit import AuditFile
 
 
+@pytest.mark.slow
 def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptureFixture) -> None:
     """Also what is refused; with the hashes of what was changed; the same in the journal."""
     caplog.set_level(logging.INFO, "edged.adapters.web.auditing")

@@ -424,6 +424,7 @@ class Plc(structured_text.Driven):
             assert not self.client.write_registers(100, self.values["awCommand"]).isError()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("convention", Convention)
 def test_structured_text_commands_no_cell_whose_angles_mean_something_else(convention: Convention) -> None:
     """uiError 104 before anything is sent; with the convention of the cell the part is given."""

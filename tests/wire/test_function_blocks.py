@@ -66,6 +66,7 @@ def test_a_function_block_takes_a_command_back_when_the_link_is_down(make: type[
         assert (True, 1) == (plc.values["stResult"]["xValid"], cell.head.captures)
 
 
+@pytest.mark.slow
 @makers
 def test_a_function_block_commands_no_cell_whose_angles_mean_something_else(make: type[S7 | TwinCat]) -> None:
     """uiError 104, no picture; with the convention of the cell the part is given."""

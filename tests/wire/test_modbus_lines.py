@@ -155,6 +155,7 @@ def test_part_after_part_by_pymodbus() -> None:
         assert 1 == cell.head.captures
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
 def test_part_after_part_by_mbpoll_on_the_serial_line(cable: SerialCable) -> None:
     """The same by libmodbus; over TCP it connects for each request, and a list ends with its connection."""

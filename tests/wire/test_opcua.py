@@ -222,6 +222,7 @@ def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: OpcUaCell
     assert {path: (number, set()) for path, number in expected.items()} == asyncio.run(look())
 
 
+@pytest.mark.slow
 def test_every_register_is_a_variable_with_its_number_and_unit(open_cell: OpcUaCell) -> None:
     """The same numbers as over Modbus, from the one schema; what stands for none is BadNoData."""
 

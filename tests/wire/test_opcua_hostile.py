@@ -93,6 +93,7 @@ def test_what_is_no_opc_ua_is_hung_up_on_at_once(sent: bytes, cell: OpcUaCell) -
     assert ua.StatusCodes.BadTcpMessageTypeInvalid == struct.unpack_from("<I", data, len(data) - 8)[0]
 
 
+@pytest.mark.slow
 def test_buffers_that_would_cut_answers_into_crumbs_are_refused(cell: OpcUaCell) -> None:
     """The specification wants 8192 bytes: with 60 each answer would be encrypted in a hundred pieces."""
     with closing(connect(cell)) as line:

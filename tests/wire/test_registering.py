@@ -117,6 +117,7 @@ def test_another_makers_convention_is_found_out(cell: WalkedCell, caplog: pytest
     assert "A B C about z, new y, new x (KUKA, ABB OrientZYX) in degrees, lengths in mm" in caplog.text
 
 
+@pytest.mark.slow
 def test_touched_points_register_it_and_mirrored_ones_do_not(cell: WalkedCell) -> None:
     """The tip's place at each of five parts; one axis with the wrong sign is refused."""
     places = TAUGHT_MM + np.array([[-10, -5, -5], [10, -5, 5], [8, 5, -6], [-8, 5, 6], [0.0, 0, 0]])

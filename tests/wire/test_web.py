@@ -21,12 +21,13 @@ import aiohttp
 import cv2
 import numpy as np
 import pytest
-from helpers.browsersession import browsing
+from helpers.browsersession import PASSWORD, browsing
 from helpers.cells import flange, frame_pair
 from helpers.livecell import GRASPS
 from helpers.pagesources import FixedSources
 from helpers.snapshots import make_snapshot, make_target, make_transform
 from helpers.waiting import LIMIT_S, WHOLE_S
+from helpers.webcell import HASH
 from rich.console import Console
 
 from edged.adapters.web import WebPublisher, WebSettings, login, page, server, viewers
@@ -41,7 +42,6 @@ from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Reject, Status
 from edged.errors import ListenError
 from edged.identity.access import Access, TooManyAttempts
-from edged.identity.passwords import hash_password
 from edged.payload import said
 from edged.plc.registers import Kind, Register
 from edged.plc.registers.values import measured
@@ -50,8 +50,6 @@ from edged.robot.orientations import Convention
 from edged.sim.cell import demo_rig
 from edged.vision.geometry.rectification import make_rectification
 
-PASSWORD = "correct horse"
-HASH = hash_password(PASSWORD)
 RECTIFICATION = make_rectification(demo_rig())
 READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
 SETUP = CellState(CellPhase.SETUP, False, True, "flange", 1, 0, setup=SetupSource.PERSON)
@@ -634,6 +632,7 @@ def test_without_a_session_only_the_form_is_shown() -> None:
     run(test)
 
 
+@pytest.mark.slow
 def test_the_password_opens_a_session_and_log_out_ends_it() -> None:
     """The cookie is out of reach of scripts and other sites."""
 

@@ -312,6 +312,7 @@ class Program:
         self._process.stdout.close()
 
 
+@pytest.mark.slow
 def test_the_manuals_subscriber_tells_false_messages_apart(tmp_path: Path):
     """The very lines of the manual, beside a stranger: of the cell's own results each is printed, once."""
     blocks = re.findall(r"```python\n(.*?)```", HOW_TO.read_text("utf-8"), re.DOTALL)

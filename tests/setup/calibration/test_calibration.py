@@ -133,6 +133,7 @@ def test_progress_counts_each_stage_to_its_end(images: Images) -> None:
     assert (0, 0) == last["bundle adjustment"] == last["holding views out"] == last["the verdict"]
 
 
+@pytest.mark.slow
 def test_whoever_is_told_can_end_the_work(images: Images) -> None:
     """An error of the progress ends it, and the pairs are as they were before."""
 
@@ -145,6 +146,7 @@ def test_whoever_is_told_can_end_the_work(images: Images) -> None:
     assert [] == views.pairs
 
 
+@pytest.mark.slow
 def test_a_picture_that_cannot_be_read_adds_none(images: Images, tmp_path: Path) -> None:
     """Pairs are added together or not at all."""
     broken = ImagePair("broken", tmp_path / "no_left.png", tmp_path / "no_right.png")

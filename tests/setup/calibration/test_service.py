@@ -326,6 +326,7 @@ async def refused(cell: BoardCell, method: str, path: str, document: Any = None)
     return status, problem["code"]
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_refused_with_a_code(tmp_path: Path) -> None:
     """No board, no lease, nothing of that name, nothing to undo or to solve; and nothing changes."""
 

@@ -116,6 +116,7 @@ def test_the_same_job_and_rig_give_the_same_bits(cell: Cell) -> None:
     assert digest_of(cell.files.contents) != digest_of(retold)
 
 
+@pytest.mark.slow
 def test_a_job_of_another_name_and_number_has_the_same_cycles(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

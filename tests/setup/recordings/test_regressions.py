@@ -263,6 +263,7 @@ def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path: Path
     beside(recorded, tmp_path, test)
 
 
+@pytest.mark.slow
 def test_a_robot_that_stands_elsewhere_changes_no_measurement(recorded: Recorded) -> None:
     """Only a job, or a cell, that bounds where the robot may go is concerned by a registration."""
     contents = dict(recorded.files.contents)

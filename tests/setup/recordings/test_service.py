@@ -108,6 +108,7 @@ def tried(recorded: Recorded, number: int, change: Change | None) -> WhatIf:
     return cyclework.what_if(silent, Records(recorded.folder).entry(number).path, change)
 
 
+@pytest.mark.slow
 def test_the_list_says_what_became_of_each_cycle(recorded: Recorded) -> None:
     """Newest first, each with its reasons; by status, reason, job and number, a page at a time."""
     records = Records(recorded.folder)

@@ -108,6 +108,7 @@ def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: Runn
         activate(cell, rig)
 
 
+@pytest.mark.slow
 def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
     """It is the older release again, not a new one; and forth again, too."""
     before, old = cell.now.files.fingerprint, cell.rig.read_bytes()
@@ -429,6 +430,7 @@ def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
     assert {now, after} == found
 
 
+@pytest.mark.slow
 def test_a_pair_is_kept_once_for_all_releases(cell: RunningCell) -> None:
     """Beside their archives; it comes back with its job, and goes with the last release that had it."""
     activate_job(cell, "ring", 2)

@@ -88,6 +88,7 @@ def test_what_people_changed_in_the_former_job_is_proposed_again(
     assert any(line.startswith("kept: search.min_score") for line in proposed.carried)
 
 
+@pytest.mark.slow
 def test_an_exposure_is_measured_by_any_rig_and_job(flat: cells.Flange, folder: Path) -> None:
     """By those it was recorded with every digit comes again; with a tighter limit the part is refused."""
     rig, job = prepare(flat.rig), load_job(folder / "jobs" / "flange")

@@ -117,6 +117,7 @@ def test_a_part_that_shakes_scatters_more_than_its_edges() -> None:
     assert (found.scatter_mm < found.edges_mm).all()
 
 
+@pytest.mark.slow
 def test_a_good_pair_is_shown_as_it_was_measured() -> None:
     """Pose and sigma, every feature's outline where it is in both pictures, and edges beside it."""
     flat = cells.flange()

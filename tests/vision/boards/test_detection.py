@@ -285,6 +285,7 @@ def test_the_filled_corner_numbers_the_dots_whatever_the_turn() -> None:
         assert np.abs(found.pixels - true[found.ids]).max() < 0.05
 
 
+@pytest.mark.slow
 def test_dots_of_another_count_or_without_orientation_are_a_miss() -> None:
     """The reason says whether the count is wrong or the orientation mark is not seen."""
     pose = board_poses(SMALL, PLATE, 1, seed=5)[0]

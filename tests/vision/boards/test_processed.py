@@ -86,6 +86,7 @@ def test_a_picture_that_is_sampled_well_is_measured_as_it_is() -> None:
     assert np.median(found.sigma_px) < 0.008
 
 
+@pytest.mark.slow
 def test_one_corner_that_is_missing_costs_no_other() -> None:
     """Beside a corner of the rim that was left out, the next one still knows how its edges lie."""
     image = processed(sharp_board(BOARD, CAMERA, TILTED))

@@ -40,6 +40,7 @@ def charuco_picture(board: Charuco, view: object, legacy: bool = False) -> Image
     return np.asarray(smooth, np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spec", "expected"),
     [
@@ -105,6 +106,7 @@ def test_the_lowest_rows_come_from_the_picture_that_shows_them() -> None:
     assert (8, 6, "5X5_50") == (both.columns, both.rows, both.dictionary)
 
 
+@pytest.mark.slow
 def test_a_real_board_is_recognised_by_most_pictures() -> None:
     """Held in a hand, in front of a room: where one picture sees a row too much or too few, most see 9x6."""
     pictures = sorted(REAL.glob("*.jpg"))
@@ -116,6 +118,7 @@ def test_a_real_board_is_recognised_by_most_pictures() -> None:
     assert right[0] == agreed_board([one for one in seen if one is not None])
 
 
+@pytest.mark.slow
 def test_nothing_is_seen_where_no_board_is() -> None:
     """Neither on a plain picture, nor in noise, nor in three dots."""
     noise = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)

@@ -148,6 +148,7 @@ def test_one_bad_view_is_left_out_and_named() -> None:
     assert found.rms_px < 0.04
 
 
+@pytest.mark.slow
 def test_missed_boards_are_named_with_their_reason() -> None:
     """A view without the board in one image is left out, with the detector's reason."""
     rig = make_rig()
@@ -156,6 +157,7 @@ def test_missed_boards_are_named_with_their_reason() -> None:
     assert calibrate(views, rig).excluded == (("view_02", "right: too dark"),)
 
 
+@pytest.mark.slow
 def test_marks_seen_by_one_camera_only_still_count() -> None:
     """Partial views (as ChArUco gives) calibrate as well: each camera has its own subset of marks."""
     rig = make_rig()

@@ -90,6 +90,7 @@ def test_ink_that_has_spread_is_no_response() -> None:
     assert any(one.remedy for one in findings((found, found), RIG, 300.0) if one.name == "left response")
 
 
+@pytest.mark.slow
 def test_blur_is_its_sigma() -> None:
     """A Gaussian of 0.8 px on top of the picture's own widens the edges by its square."""
     sharp, soft = (
@@ -103,6 +104,7 @@ def test_blur_is_its_sigma() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_comet_tail_is_asymmetric() -> None:
     """A blur with a tail to the right has an odd part; one without has none."""
     kernel = np.zeros((1, 9), np.float32)

@@ -96,6 +96,7 @@ def test_measured_points_lie_on_the_circle(disc: tuple[Image, Image]) -> None:
         assert np.sqrt(np.mean(distance**2)) < 0.15
 
 
+@pytest.mark.slow
 def test_half_a_circle_is_measured_with_a_larger_sigma(disc: tuple[Image, Image]) -> None:
     """With half of it covered, the error stays below 4 of its own sigmas, which are larger than before."""
     whole = measured(RIG, disc, ALMOST)
@@ -115,6 +116,7 @@ def test_half_a_circle_is_measured_with_a_larger_sigma(disc: tuple[Image, Image]
     assert abs(half.circle.radius_mm - 12.0) < 4 * half.circle.sigma_radius_mm
 
 
+@pytest.mark.slow
 def test_the_sigma_is_honest(plain_disc: tuple[FloatArray, FloatArray]) -> None:
     """Over draws of strong noise, the squared error in units of its covariance is 1 per coordinate."""
     chi2 = []

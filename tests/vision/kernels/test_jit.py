@@ -81,6 +81,7 @@ def test_a_stored_kernel_is_what_was_compiled(runs: list[dict[str, Any]]) -> Non
     assert [[3.0, 6.0, 13.5]] * 2 == [found["scaled"] for found in runs]
 
 
+@pytest.mark.slow
 def test_bitcode_waits_until_another_kernel_needs_it(runs: list[dict[str, Any]]) -> None:
     """A stored kernel runs unparsed; one compiled later is linked with it, once, and gives its sum."""
     assert (0, 1) == (runs[1]["parsed"], runs[1]["parsed for another"])

@@ -101,6 +101,7 @@ def test_the_double_edge_of_a_chamfer(chamfer_mm: float, albedo: float) -> None:
         assert only(outcome).reject & Reject.AMBIGUOUS_EDGE
 
 
+@pytest.mark.slow
 def test_a_second_edge_beside_a_lone_circle() -> None:
     """A bevel of 0.5 mm in similar contrast, nothing else on the part: refused, unless it was taught so."""
     here = cell("round")
@@ -118,6 +119,7 @@ def test_a_second_edge_beside_a_lone_circle() -> None:
     assert only(locate(frame_pair(*again), bevelled, here.rig)).reject is Reject.NONE
 
 
+@pytest.mark.slow
 def test_a_saturated_highlight_along_the_edge() -> None:
     """A burnt-out spot over a sixth of the rim: the truth, with a larger sigma."""
     here = cell("disc")
@@ -175,6 +177,7 @@ def test_a_disparity_outside_of_the_range(nearest_mm: float, farthest_mm: float)
     assert only(outcome).reject == Reject.OUT_OF_VOLUME
 
 
+@pytest.mark.slow
 def test_a_depth_that_the_size_contradicts() -> None:
     """A camera that was knocked shifts every disparity: by the tolerance of its size the part is refused."""
     here = cell("disc")

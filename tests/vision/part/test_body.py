@@ -56,6 +56,7 @@ def cast(body: PartBody, points_mm: FloatArray, eye_mm: FloatArray, behind_mm: f
     return hidden
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(lean=st.floats(0.3, 1.0), side=st.floats(0, 6.3), part=st.sampled_from(["D2", "D4"]))
 def test_what_is_hidden_is_what_rays_meet(lean: float, side: float, part: str) -> None:

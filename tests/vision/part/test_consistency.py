@@ -95,6 +95,7 @@ def test_a_right_image_too_late_along_the_baseline(name: str, moved_mm: float, s
     assert only(outcome).reject & Reject.TOLERANCE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moved_mm", [-0.1, 0.1, 0.4])
 def test_a_right_image_too_late_across_the_baseline(moved_mm: float) -> None:
     """One that moved across the rows is refused for them."""

@@ -51,6 +51,7 @@ def worst_sigmas(job: Job, target: Target, where: FloatArray) -> float:
     return float(max(np.abs(error / target.sigma_mm).max(), turned))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lights", "side_rad"),
     [
@@ -78,6 +79,7 @@ def test_a_sharp_edge_is_not_taken_for_a_broken_one() -> None:
         assert {0.0} == {one.scatter.break_mm for one in measured.fits}
 
 
+@pytest.mark.slow
 def test_a_highlight_beside_the_rims_is_a_break() -> None:
     """Rims that glint all around, brighter than the face: their width is the highlight's, to a third."""
     glinting = np.full((2, 2), 2.0 * FACE)
@@ -103,6 +105,7 @@ def test_a_radius_at_the_other_end_is_a_break() -> None:
     assert worst_sigmas(job, measured.target, pose()) < 4.0
 
 
+@pytest.mark.slow
 def test_holes_whose_breaks_each_camera_sees_otherwise_are_taught_in_one_face() -> None:
     """Measured by itself such a hole stands off the face, and taught there it would tilt all later poses."""
     lights = np.array([[0.35, DARK], [DARK, 0.35]])

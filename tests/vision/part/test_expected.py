@@ -51,6 +51,7 @@ def sigmas(covariance: FloatArray) -> FloatArray:
     return np.sqrt(np.diag(covariance))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "turn_deg", "tilt_deg"),
     [("plate", 20.0, 0.0), ("plate", 160.0, 8.0), ("disc", 160.0, 8.0), ("round", 20.0, 0.0)],
@@ -73,6 +74,7 @@ def test_where_a_part_was_measured_its_sigma_is_expected(name: str, turn_deg: fl
     assert not budget.doubt.any()
 
 
+@pytest.mark.slow
 def test_elsewhere_errors_are_as_large_as_was_expected() -> None:
     """Taught flat, then turned, tilted and moved: squared errors over the edges' variances, 1 in the mean.
 

@@ -55,6 +55,7 @@ def error_mm(target: Target, where: FloatArray) -> FloatArray:
     return target.position_mm - apply(where, np.array([*REFERENCE_MM, 0.0]))
 
 
+@pytest.mark.slow
 def test_teaching_finds_both_faces() -> None:
     """Each circle is taught at its own height; the face with most edges is the one that z = 0 lies in."""
     here = taught()
@@ -68,6 +69,7 @@ def test_teaching_finds_both_faces() -> None:
     assert len(here.job.edges) >= 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tilt_deg", "side_deg", "turn_deg"), [
     (0.0, 0.0, 120.0), (20.0, 80.0, 250.0), (35.0, 170.0, 40.0), (45.0, 260.0, 160.0), (45.0, 20.0, 300.0),
 ])  # fmt: skip
@@ -107,6 +109,7 @@ def hub_at(where: FloatArray, break_mm: float = 0.0) -> Scene:
     return Scene(table(), (*stacked(plate, where, 6.0, DARK), *stacked(boss, where @ up(2.0), 2.0, DARK)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", [30.0, 95.0, 160.0, 225.0, 290.0, 355.0])
 def test_a_round_part_is_not_turned(turn_deg: float) -> None:
     """The outline of a tilted round part tells no turn; the holes do: a good result is right by 1°."""
@@ -160,6 +163,7 @@ def test_half_of_the_edges_displaced_do_not_draw_the_pose_between_both() -> None
     assert found.share > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("albedo", "found"), [(0.05, 1), (0.3, 1), (0.45, 1), (0.62, 0), (0.8, 1)])
 def test_walls_of_any_brightness_shift_nothing(albedo: float, found: int) -> None:
     """Darker than the face or brighter: as right as ever. Just as bright: no result is good."""
@@ -172,6 +176,7 @@ def test_walls_of_any_brightness_shift_nothing(albedo: float, found: int) -> Non
         assert (np.abs(error_mm(target, where)) < 4 * np.sqrt(np.diag(target.covariance)[:3])).all()
 
 
+@pytest.mark.slow
 def test_sizes_are_measured_not_taken_from_teaching() -> None:
     """A bore that is 0.12 mm larger than taught is reported as large as it is."""
     here = taught()
@@ -183,6 +188,7 @@ def test_sizes_are_measured_not_taken_from_teaching() -> None:
     assert seen.radius_mm == pytest.approx(2.12, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_flat_job_is_not_solid() -> None:
     """A plate without a boss is measured as it always was."""
     rig = prepare(small_rig())
@@ -192,6 +198,7 @@ def test_a_flat_job_is_not_solid() -> None:
     assert not job.solid
 
 
+@pytest.mark.slow
 def test_another_part_is_not_taken_for_the_block() -> None:
     """Of a plate without its boss no good result is given: half of what is asked for is not there."""
     here = taught()
@@ -201,6 +208,7 @@ def test_another_part_is_not_taken_for_the_block() -> None:
     assert [one for one in here.see(world).targets if one.reject is Reject.NONE] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("taller_mm", [0.0, 0.08])
 def test_a_height_is_measured_not_taken_from_teaching(taller_mm: float) -> None:
     """A boss that is taller than the taught one is reported as high as it is, within four of its sigmas."""
@@ -221,6 +229,7 @@ def test_a_height_is_measured_not_taken_from_teaching(taller_mm: float) -> None:
     assert height.ok
 
 
+@pytest.mark.slow
 def test_its_sigma_is_what_was_expected_of_it() -> None:
     """Of the part as a whole, with the edges as clear as they were: all six sigmas, within 7 %."""
     here = taught()
@@ -247,6 +256,7 @@ def test_the_report_states_heights() -> None:
     assert f", {-float(bore.centre_mm[2]):+.3f}" in page.replace("&#43;", "+")
 
 
+@pytest.mark.slow
 def test_a_corner_of_a_raised_face_is_reported_at_its_height() -> None:
     """A corner is where its two edges meet in space, not below it in the face that the search looks for."""
     here = taught()

@@ -69,6 +69,7 @@ def coarse() -> Cell:
     return Cell(prepared, job, taught.part, invert(taught.rig_from_part) @ job.rig_from_part)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("side_deg", "turn_deg"), SIDES_AND_TURNS)
 @pytest.mark.parametrize(("asked_deg", "tilt_deg"), [(30.0, 30.0), (45.0, 45.0)])
 def test_a_tilted_flange_is_as_right_as_a_flat_one(
@@ -86,6 +87,7 @@ def test_a_tilted_flange_is_as_right_as_a_flat_one(
     assert turned_deg(target, here.true_pose(where)) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["plate", "disc"])
 @pytest.mark.parametrize(("asked_deg", "tilt_deg"), [(30.0, 12.0), (30.0, 30.0), (45.0, 38.0), (45.0, 45.0)])
 def test_tilted_parts_are_found_to_every_side(name: str, asked_deg: float, tilt_deg: float) -> None:
@@ -106,6 +108,7 @@ def test_tilted_parts_are_found_to_every_side(name: str, asked_deg: float, tilt_
         assert turned_deg(target, truth) < 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [15.0, 30.0, 45.0])
 def test_a_thick_part_with_dark_walls_is_measured_by_its_face(tilt_deg: float) -> None:
     """A flange of 5 mm, whose walls show on one side of every edge: within 10 µm, normal within 0.05°."""
@@ -150,6 +153,7 @@ def test_a_flat_job_has_no_views() -> None:
     assert counts[-1] <= 40
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     tilt_deg=st.floats(0.0, 45.0),

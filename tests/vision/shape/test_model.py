@@ -91,6 +91,7 @@ def test_thresholds_follow_the_picture(step: float, noise: float, size: float) -
     assert np.all(np.histogram(directions, 12, (-math.pi, math.pi))[0] > 0)
 
 
+@pytest.mark.slow
 def test_a_template_cut_tightly_is_taught() -> None:
     """A gap between two rollers, 33 by 17 px, its edges on the border of the picture: learnt, and found at
     each of the places of the bearing, and nowhere else."""
@@ -142,6 +143,7 @@ def test_points_that_share_pixels_are_counted_once() -> None:
     assert repetition(np.zeros((7, 2))) == pytest.approx(7.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(data=st.data())
 def test_any_picture_is_a_model_or_an_error(data: st.DataObject) -> None:

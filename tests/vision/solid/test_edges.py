@@ -58,6 +58,7 @@ def test_samples_move_in_the_picture_as_the_design_says() -> None:
             )
 
 
+@pytest.mark.slow
 def test_both_edges_of_a_break_lie_apart_by_its_width() -> None:
     """0.3 mm in either face, and only at outer edges that are no break themselves."""
     narrow, broken = sampled(model("D3", 0.1), 0.5), sampled(model("D3", 0.4), 0.5)
@@ -116,6 +117,7 @@ def test_two_merged_edges_are_measured_as_one_pair(gap_px: float) -> None:
     assert height == pytest.approx(130.0, rel=0.12)  # damped, where both hardly part
 
 
+@pytest.mark.slow
 def test_turns_that_leave_a_part_like_itself_are_its_rivals() -> None:
     """A flange with four holes, one of them odd: by quarter turns; an L-shaped plate by none."""
     flange = model("D1")

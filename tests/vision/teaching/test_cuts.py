@@ -31,6 +31,7 @@ def cuts_of(flat: cells.Flange, rectification: Rectification, region: Region | N
     return cut_edges(job, rectification.left_image(flat.left), mask, rectification)
 
 
+@pytest.mark.slow
 def test_the_whole_picture_teaches_as_well(flat: cells.Flange, rectification: Rectification) -> None:
     """Without a region the same circles are learnt, to a micron, and nothing is cut."""
     one, two = (teach(flat.left, flat.right, rectification, each, "x") for each in (flat.region, None))
@@ -41,6 +42,7 @@ def test_the_whole_picture_teaches_as_well(flat: cells.Flange, rectification: Re
     assert () == cuts_of(flat, rectification, None)
 
 
+@pytest.mark.slow
 def test_a_region_around_the_part_cuts_nothing(flat: cells.Flange, rectification: Rectification) -> None:
     """Tight or with a lot of textured table in it."""
     r = flat.region

@@ -46,6 +46,7 @@ def test_coverage_is_the_area_in_each_pixel(seed: int) -> None:
     assert np.array_equal(coverage(points[::-1].copy(), 10, 12) > 0.01, coverage(points, 10, 12) > 0.01)
 
 
+@pytest.mark.slow
 def test_a_drawn_part_is_located_like_a_taught_one(tmp_path: Path) -> None:
     """The drawing's own sizes, position to microns, the true rotation, through a saved and loaded job."""
     rig = cells.small_rig()

@@ -131,6 +131,7 @@ def test_images_of_which_one_shows_nothing_are_refused(flat: Flange, rectificati
         teach(flat.right, flat.left, rectification, flat.region, "x")
 
 
+@pytest.mark.slow
 def test_a_part_without_circles_is_taught_by_its_edges(rectification: Rectification, flat: Flange) -> None:
     """A plate with a window: eight edges and eight corners where the drawing has them, to 15 µm; one is the
     reference and the origin."""
@@ -185,6 +186,7 @@ def test_slots_notches_and_corners_are_learnt_beside_the_circles(
         assert edge.polarity * float(outwards @ (-along[1], along[0])) > 0
 
 
+@pytest.mark.slow
 def test_one_circle_is_enough(rectification: Rectification, flat: Flange) -> None:
     """A plate with one bore: the bore is the reference, the plate's outline the shape."""
     plate = Part("plate", RoundedBox(0, 0, 24, 18), Surface(0.6, 0.05), (Hole("bore", Disc(3.0, -2.0, 5.0)),))

@@ -185,6 +185,7 @@ def test_a_wrong_number_of_levels_is_named(levels: int) -> None:
         ModelParams(levels=levels)
 
 
+@pytest.mark.slow
 def test_a_hole_that_is_excluded_is_not_learnt() -> None:
     """A disc as region, one bolt hole left out: every other circle is learnt, and no model point is there."""
     flat = flange()

@@ -33,6 +33,7 @@ def after() -> Job:
     return taught(2)
 
 
+@pytest.mark.slow
 def test_an_unedited_job_is_replaced_without_a_word(before: Job, after: Job) -> None:
     """Noise and another distance are no edits."""
     job, said = carry_over(before, after)
