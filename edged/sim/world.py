@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from types import TracebackType
 
-from edged.domain.arrays import SIDES
+from edged.domain.arrays import SIDES, Side
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.gige.camera import GigeCamera
 from edged.sim.inprocess import InProcessCamera
 from edged.sim.stage import Stage, stage_board
+from edged.vision.geometry.camera import StereoRig
 
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
 SERIALS = ("EDGED-VIRTUAL-L", "EDGED-VIRTUAL-R")
@@ -23,13 +24,16 @@ def cross_wire(left: GigeCamera, right: GigeCamera) -> None:
 class VirtualWorld:
     """Two virtual cameras on one virtual cell; a context manager.
 
+    rig : as it truly is, and how large its pictures are; None: the demo's.
     addresses : (left, right) of the GigE Vision cameras, None for cameras inside this process.
     stage : where somebody shows board and part; None: the part lies elsewhere at every exposure.
     """
 
-    def __init__(self, *, gige: bool, seed: int = 0, staged: bool = False) -> None:
+    def __init__(
+        self, *, gige: bool, rig: StereoRig | None = None, seed: int = 0, staged: bool = False
+    ) -> None:
         board = stage_board() if staged else None
-        self.cell = VirtualCell(demo_rig(), demo_part(), seed=seed, board=board)
+        self.cell = VirtualCell(rig or demo_rig(), demo_part(), seed=seed, board=board)
         self.stage = Stage(self.cell, seed=seed) if staged else None
         self.addresses = ADDRESSES if gige else None
         self._devices: list[GigeCamera] = []
@@ -38,7 +42,8 @@ class VirtualWorld:
         """Start the GigE Vision cameras. Raises `ListenError` when their port is taken."""
         try:
             for address, serial, side in zip(self.addresses or (), SERIALS, SIDES, strict=False):
-                device = GigeCamera(address, serial, self.cell.exposure(side))
+                width, height = self._size(side)
+                device = GigeCamera(address, serial, self.cell.exposure(side), width=width, height=height)
                 device.start()
                 self._devices.append(device)
             if self._devices:
@@ -60,5 +65,13 @@ class VirtualWorld:
 
     def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
         """Cameras that need neither Aravis nor a network."""
-        left, right = (InProcessCamera(side, self.cell.exposure(side)) for side in SIDES)
+        left, right = (
+            InProcessCamera(side, self.cell.exposure(side), width=width, height=height)
+            for side in SIDES
+            for width, height in [self._size(side)]
+        )
         return left, right
+
+    def _size(self, side: Side) -> tuple[int, int]:
+        camera = self.cell.view(side).camera
+        return camera.width, camera.height

@@ -12,6 +12,7 @@ from helpers.boardcell import BoardCell, with_views
 from helpers.boardpairs import SPEC
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
+from helpers.cells import small_rig
 from helpers.setuppage import (
     SMALL_TARGETS,
     TOO_WIDE,
@@ -28,7 +29,6 @@ from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
-from edged.sim.cell import demo_rig
 
 pytestmark = [
     pytest.mark.slow,
@@ -137,6 +137,7 @@ def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
             await discard(page)
             await page.until(said("Which board?"))
             await newcomer.ask("GET", f"calibrations/{second['id']}", expected=404)
+            await page.until(f"!{said('chessboard:11x8:4')}")  # the list has not heard of it before
             await press(page, "Continue")
             await page.until(said("The pictures show another board than the one stated"))
             await newcomer.ask("DELETE", f"calibrations/{first['id']}", {}, 204)
@@ -202,7 +203,7 @@ def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -> None
 
 def test_a_check_says_in_words_and_shapes_whether_the_calibration_holds(tmp_path: Path) -> None:
     """The board is stated once; what is wrong has a remedy; the step is ticked by the verdict alone."""
-    true = demo_rig()
+    true = small_rig()
     relation = true.right_from_left.copy()
     relation[:3, 3] *= 1.005
     save_rig(tmp_path / "rig.json", replace(true, right_from_left=relation, calibration_id="wide"))

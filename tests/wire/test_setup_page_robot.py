@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
+from helpers.cells import small_rig
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, discard, go, log_in, press, said
 from helpers.stagecell import Newcomer, run
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig, save_rig
-from edged.sim.cell import demo_rig
 
 pytestmark = [
     pytest.mark.slow,
@@ -66,7 +66,7 @@ async def accessible(page: Browser) -> None:
 
 def on_stage(folder: Path, test: Callable[[Newcomer, Browser], Awaitable[None]]) -> None:
     """With a rig that knows no robot, a board before it, and a page that has the cell."""
-    save_rig(folder / "rig.json", replace(demo_rig(), robot_from_rig=None), {"board": "chessboard:11x8:4"})
+    save_rig(folder / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": "chessboard:11x8:4"})
 
     async def staged(newcomer: Newcomer) -> None:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
+from helpers.cells import small_rig
 from helpers.flangedrawing import flange_drawing
 from helpers.setuppage import (
     DIALOG,
@@ -36,7 +37,6 @@ from helpers.waiting import WHOLE_S
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
 from edged.files.statefolder import state_folder
-from edged.sim.cell import demo_rig
 
 pytestmark = [
     pytest.mark.slow,
@@ -117,7 +117,7 @@ class Stand:
 def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
     """One for all."""
     folder = tmp_path_factory.mktemp("teach")
-    save_rig(folder / "rig.json", demo_rig())
+    save_rig(folder / "rig.json", small_rig())
 
     async def ready(stack: AsyncExitStack) -> tuple[Newcomer, Browser, str]:
         newcomer = await stack.enter_async_context(staged(folder, gige=False))
@@ -191,17 +191,17 @@ def test_wheel_and_fingers_bring_a_place_nearer_and_both_pictures_show_it(stand:
         page = stand.page
         await stand.open()
         await press(page, "All")
-        await page.until(f"{VIEW}[2] === 1280")
+        await page.until(f"{VIEW}[2] === 640")
         await page.wheel(LEFT, -400)
-        await page.until(f"{VIEW}[2] < 700")
+        await page.until(f"{VIEW}[2] < 350")
         x, y, width, height = await page.value(VIEW)
-        assert (639.5, 479.5) == pytest.approx((x + width / 2, y + height / 2), abs=2)
+        assert (319.5, 239.5) == pytest.approx((x + width / 2, y + height / 2), abs=2)
         right = VIEW.replace("left", "right")
         assert [width, height] == (await page.value(right))[2:]
         await page.pinch(LEFT, (100, 200))
         await page.until(f"{VIEW}[2] < {0.7 * width}")
         await press(page, "All")
-        await page.until(f"{VIEW}[2] === 1280")
+        await page.until(f"{VIEW}[2] === 640")
 
     stand.run(test)
 

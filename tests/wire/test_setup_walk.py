@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 from helpers.browser import Browser, browser
+from helpers.cells import small_rig
 from helpers.setuppage import (
     CUT_OFF,
     LEASE,
@@ -30,7 +31,6 @@ from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
-from edged.sim.cell import demo_rig
 
 pytestmark = [
     pytest.mark.slow,
@@ -148,7 +148,7 @@ async def worked(newcomer: Newcomer) -> None:
 def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Walk]:
     """One for all."""
     folder = tmp_path_factory.mktemp("walk")
-    save_rig(folder / "rig.json", replace(demo_rig(), robot_from_rig=None), {"board": BOARD})
+    save_rig(folder / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": BOARD})
 
     async def ready(stack: AsyncExitStack) -> tuple[Newcomer, Browser, Browser]:
         newcomer = await stack.enter_async_context(staged(folder, gige=False))
