@@ -39,11 +39,13 @@ async function list() {
   ({ calibrations: drafts.value } = await ask("GET", KIND));
 }
 
-// Opens the unfinished draft.
+// Opens the unfinished draft, unless another one was opened while it was looked for.
 async function find() {
+  const before = draft.peek();
   await list();
   const begun = unfinished(KIND, drafts.value);
-  draft.value = begun && (await newest(draft, ask("GET", `${KIND}/${begun.id}`)));
+  const found = begun && (await newest(draft, ask("GET", `${KIND}/${begun.id}`)));
+  if (draft.peek() === before) draft.value = found;
 }
 
 // Automatic views end first: views of the next board do not belong to this one.

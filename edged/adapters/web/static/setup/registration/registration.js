@@ -32,12 +32,13 @@ export async function goOn(id) {
   current.draft.value = await newest(heard, ask("GET", `${KIND}/${id}`));
 }
 
-// Opens this draft, else the unfinished one.
+// Opens this draft, else the unfinished one, unless another one was opened while it was looked for.
 export async function find(id) {
+  const before = current.draft.peek();
   await list();
   const begun = current.drafts.value.find((one) => one.id === id) ?? unfinished(KIND, current.drafts.value);
-  if (begun) await goOn(begun.id);
-  else current.draft.value = null;
+  const found = begun && (await newest(heard, ask("GET", `${KIND}/${begun.id}`)));
+  if (current.draft.peek() === before) current.draft.value = found;
 }
 
 export async function another() {
