@@ -57,10 +57,14 @@ def run(
 @pytest.mark.slow
 def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
     """The rig on disc is the rig that took the pictures, within its stated sigma; twice the same, and
-    the old file stays beside the new one under its own calibration id."""
+    the old file stays beside the new one under its own calibration id. A registration holds no longer."""
     output, report = tmp_path / "rig.json", tmp_path / "report.html"
+    save_rig(output, replace(RIG, robot_from_rig=np.eye(4)))
     said = run(pictures, output, report)
     rig = load_rig(output)
+    assert "run `edged register` again" in said
+    assert rig.robot_from_rig is None
+    assert load_rig(tmp_path / "rig.test.json").robot_from_rig is not None
     assert rig.covariance is not None
     sigma = np.sqrt(np.diag(rig.covariance))
     names = list(rig.parameter_names)
@@ -120,15 +124,6 @@ def test_jpeg_and_bmp_are_read_too(folder: Path, tmp_path: Path) -> None:
             path.unlink()
     run(folder, tmp_path / "rig.json")
     assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 4
-
-
-@pytest.mark.slow
-def test_a_view_without_a_board_is_named(folder: Path, tmp_path: Path) -> None:
-    """A picture of nothing is left out by name; the rest calibrates."""
-    cv2.imwrite(str(folder / "v3_right.png"), np.full((480, 640), 90, np.uint8))
-    said = run(folder, tmp_path / "rig.json")
-    assert "v3" in said
-    assert "right: no 8x6 inner corners found" in said
 
 
 def refused(
@@ -198,12 +193,17 @@ def test_without_a_board_the_pictures_are_asked(folder: Path, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_length_alone_suffices(folder: Path, tmp_path: Path) -> None:
-    """The board is recognised, said, and kept in the rig as if it had been stated in full."""
-    said = run(folder, tmp_path / "rig.json", board="6,0 mm")
+    """The board is recognised, said, and kept in the rig as if it had been stated in full.
+
+    A wrong length cannot be seen in pictures: it scales the baseline, and the output says so.
+    """
+    said = run(folder, tmp_path / "rig.json", board="6,06 mm")
     first, second, *_ = said.splitlines()
-    assert "board chessboard:8x6:6: a chessboard of 8x6 inner corners (4 of 4 pictures looked at)" == first
+    assert "board chessboard:8x6:6.06: a chessboard of 8x6 inner corners (4 of 4 pictures looked at)" == first
+    assert "the pictures cannot prove it" in said
+    assert load_rig(tmp_path / "rig.json").baseline_mm == pytest.approx(RIG.baseline_mm * 1.01, rel=1e-3)
     assert second.split() == ["left", "right"]  # progress leaves nothing where nobody looks
-    assert "chessboard:8x6:6" == json.loads((tmp_path / "rig.json").read_text())["quality"]["board"]
+    assert "chessboard:8x6:6.06" == json.loads((tmp_path / "rig.json").read_text())["quality"]["board"]
 
 
 @pytest.mark.slow
@@ -227,28 +227,6 @@ def test_pictures_without_a_board_are_named(folder: Path, tmp_path: Path) -> Non
     refused(
         folder, tmp_path, "no board was recognised in v0_left.png(.|\n)*example chessboard:11x8", board=None
     )
-
-
-@pytest.mark.slow
-def test_squares_counted_instead_of_corners_are_noticed(folder: Path, tmp_path: Path) -> None:
-    """The size that fits is named, as it has to be written."""
-    refused(
-        folder,
-        tmp_path,
-        r"show 8x6 inner corners, not 9x7.*state chessboard:8x6:6",
-        board="chessboard:9x7:6",
-    )
-
-
-@pytest.mark.slow
-def test_swapped_pictures_are_refused(folder: Path, tmp_path: Path) -> None:
-    """Left named right and right named left is found out."""
-    for left in list(folder.glob("*_left.png")):
-        right = left.with_name(left.name.replace("left", "right"))
-        left.rename(folder / "moving")
-        right.rename(left)
-        (folder / "moving").rename(right)
-    refused(folder, tmp_path, "swapped")
 
 
 @pytest.mark.slow
@@ -280,14 +258,6 @@ def test_a_copied_pair_counts_once(folder: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 4
 
 
-@pytest.mark.slow
-def test_copies_of_one_pair_are_refused(folder: Path, tmp_path: Path) -> None:
-    """One view, however often, is one view."""
-    for path in folder.glob("v[1-3]_*"):
-        shutil.copy(folder / path.name.replace(path.name[1], "0"), path)
-    refused(folder, tmp_path, r"1 of 4 pairs(.|\n)*v1: left: the same picture as in v0")
-
-
 def test_one_view_only_is_refused(folder: Path, tmp_path: Path) -> None:
     """One pair says nothing of focal length and distance."""
     for path in folder.glob("v[1-3]_*"):
@@ -303,25 +273,6 @@ def test_a_blurred_view_is_named(folder: Path, tmp_path: Path) -> None:
     said = run(folder, tmp_path / "rig.json")
     assert "v3" in said
     assert "blurred" in said
-
-
-@pytest.mark.slow
-def test_the_board_is_stated_as_taken_on_trust(folder: Path, tmp_path: Path) -> None:
-    """A wrong square size cannot be seen in pictures: it scales the baseline, and the output says so."""
-    said = run(folder, tmp_path / "rig.json", board="chessboard:8x6:6.06")
-    assert "the pictures cannot prove it" in said
-    assert load_rig(tmp_path / "rig.json").baseline_mm == pytest.approx(RIG.baseline_mm * 1.01, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_a_registration_that_no_longer_holds_is_said(folder: Path, tmp_path: Path) -> None:
-    """Replacing a rig that knows the robot warns; the new one does not know it; the old one is kept."""
-    output = tmp_path / "rig.json"
-    save_rig(output, replace(RIG, robot_from_rig=np.eye(4)))
-    said = run(folder, output)
-    assert "run `edged register` again" in said
-    assert load_rig(output).robot_from_rig is None
-    assert load_rig(tmp_path / "rig.test.json").robot_from_rig is not None
 
 
 def test_unknown_model_and_impossible_outputs_are_refused(folder: Path, tmp_path: Path) -> None:
