@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.cells import small_rig
 from helpers.snapshots import make_snapshot
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -35,7 +36,7 @@ from edged.domain.measurement import Match, Nearest, NearMiss, Status
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.setup.recordings.regression import compare
-from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.sim.cell import VirtualCell, demo_part
 from edged.sim.world import VirtualWorld
 
 FINGERPRINT = "0badcafe"
@@ -392,16 +393,17 @@ class _StopAfter:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a daemon with a recorder left of three cycles of a virtual cell."""
     folder = tmp_path_factory.mktemp("cell")
-    cell = VirtualCell(demo_rig(), demo_part())
+    cell = VirtualCell(small_rig(), demo_part())
     path = prepare_cell(folder, cell, DemoOptions(period_s=0.3), gige=False)
     text = (
         path.read_text()
         .replace("port = 1502", "enabled = false")
         .replace("[zenoh]", "[zenoh]\nenabled = false")
+        .replace("max_skew_ms = 25.0", "max_skew_ms = 50.0")  # so far apart both see one scene
     )
     path.write_text(f'{text}\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n')
     observer = _StopAfter(3)
-    with VirtualWorld(gige=False) as world:
+    with VirtualWorld(gige=False, rig=small_rig()) as world:
         observer.daemon = Daemon(path, load_cell(path), observers=[observer], world=world)
         asyncio.run(observer.daemon.run())
     assert [snapshot.status for snapshot in observer.snapshots] == [Status.OK] * 3

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from helpers.cells import small_rig
 from helpers.ports import free_port
 from helpers.smallcell import SmallCell, SmallWorld, pictures
 from helpers.snapshots import make_transform
@@ -24,7 +25,7 @@ from edged.domain.events import Event, Snapshot
 from edged.errors import ConfigError
 from edged.files.rig import load_rig, save_rig
 from edged.plc.registers import Number, ResultCode, StatusBit
-from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.sim.cell import VirtualCell, demo_part
 from edged.sim.world import VirtualWorld
 
 
@@ -32,7 +33,7 @@ from edged.sim.world import VirtualWorld
 def cell(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, LoadedCell]:
     """A cell's configuration and what it becomes."""
     path = prepare_cell(
-        tmp_path_factory.mktemp("cell"), VirtualCell(demo_rig(), demo_part()), DemoOptions(), gige=False
+        tmp_path_factory.mktemp("cell"), VirtualCell(small_rig(), demo_part()), DemoOptions(), gige=False
     )
     return path, load_cell(path)
 
@@ -59,7 +60,7 @@ def reloaded(cell: tuple[Path, LoadedCell], error: Exception, monkeypatch: pytes
     notes = Notes()
 
     async def main() -> None:
-        with VirtualWorld(gige=False) as world:
+        with VirtualWorld(gige=False, rig=small_rig()) as world:
             daemon = Daemon(*cell, world=world)
             monkeypatch.setattr(daemon, "_notifier", notes)
             monkeypatch.setattr(module, "load_cell", fail)
@@ -124,7 +125,7 @@ def test_a_file_that_breaks_its_reader_is_a_mistake_in_it(
     tmp_path: Path, file: str, content: str, problem: str
 ) -> None:
     """A home directory that nobody has, a file of nothing but brackets: named like any other mistake."""
-    path = prepare_cell(tmp_path, VirtualCell(demo_rig(), demo_part()), DemoOptions(), gige=False)
+    path = prepare_cell(tmp_path, VirtualCell(small_rig(), demo_part()), DemoOptions(), gige=False)
     (tmp_path / file).write_text(content)
     with pytest.raises(ConfigError, match=problem):
         load_cell(path)
@@ -174,7 +175,7 @@ def test_a_valid_result_does_not_outlive_a_reload_that_exchanges_what_it_stands_
     )
 
     async def main() -> None:
-        with VirtualWorld(gige=False) as world:
+        with VirtualWorld(gige=False, rig=small_rig()) as world:
             daemon = Daemon(path, load_cell(path), world=world)
             running, servers = asyncio.create_task(daemon.run()), vars(daemon)["_servers"]
             await until(lambda: "modbus" in servers.started)

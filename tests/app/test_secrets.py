@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.cells import small_rig
 from helpers.ports import free_port
 from helpers.waiting import WHOLE_S
 from helpers.webcell import HASH
@@ -30,7 +31,7 @@ from edged.files.private import write_private
 from edged.files.secrettext import without_secrets
 from edged.payload import encode
 from edged.setup.cellfiles import exposed_secrets, read_cell
-from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.sim.cell import VirtualCell, demo_part
 from edged.sim.world import VirtualWorld
 
 OTHER = HASH[:-4] + "AAAA"
@@ -41,7 +42,7 @@ OTHER = HASH[:-4] + "AAAA"
 def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a virtual cell."""
     folder = tmp_path_factory.mktemp("cell")
-    prepare_cell(folder, VirtualCell(demo_rig(), demo_part()), DemoOptions(), gige=False)
+    prepare_cell(folder, VirtualCell(small_rig(), demo_part()), DemoOptions(), gige=False)
     return folder
 
 
@@ -220,7 +221,7 @@ def test_check_doctor_and_daemon_say_it(
     assert ("warn", True) == (told.verdict, "chmod" in told.remedy)
 
     async def started_and_reloaded() -> None:
-        with VirtualWorld(gige=False) as world:
+        with VirtualWorld(gige=False, rig=small_rig()) as world:
             daemon = Daemon(config, load_cell(config), world=world)
             running = asyncio.create_task(daemon.run())
             await asyncio.sleep(0)  # the start goes first

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,14 @@ def small_rig() -> StereoRig:
 
     rig = demo_rig()
     return replace(rig, left=halved(rig.left), right=halved(rig.right))
+
+
+def patient(text: str) -> str:
+    """A cell's configuration for a machine that does much else: nothing moves, pictures may come late."""
+    for setting in ("timeout_s = 10.0", "max_skew_ms = 1000.0"):
+        text, count = re.subn(rf"^{setting.partition(' ')[0]} = [\d.]+", setting, text, flags=re.MULTILINE)
+        assert 1 == count, setting
+    return text
 
 
 def pose(

@@ -74,8 +74,8 @@ class _Judge:
         """The connection is a new one: the cell may have been started anew."""
         self._life_began = True
 
-    def look(self, at_s: float, words: list[int], sight: Sight) -> None:
-        """Compare one poll with everything that was seen before."""
+    def look(self, answered_s: float, words: list[int], sight: Sight) -> None:
+        """Compare one poll with everything that was seen before. answered_s : monotonic."""
         result = decode(RESULT, words)
         data = struct.pack(">46H", *words[:46])
         withdrawn = result["SEQ_TAIL"] == 0 and not sight.valid
@@ -100,8 +100,9 @@ class _Judge:
             if self._life_began and exposed_ns in self._first_seen_s:
                 self._wrong("repeated", f"exposure {exposed_ns} came back after a restart")
             self._shown, self._cycle, self._life_began = exposed_ns, sight.cycle, False
-            self._first_seen_s.setdefault(exposed_ns, at_s)
-        age_s = at_s - self._first_seen_s[exposed_ns]
+            self._first_seen_s.setdefault(exposed_ns, answered_s)
+        # at least: from the answer that had it first to the question that has it still
+        age_s = sight.at_s - self._first_seen_s[exposed_ns]
         if sight.valid and age_s > self._validity_s + SLACK_S:
             self._wrong("stale", f"VALID {age_s:.2f} s after it was first seen, allowed {self._validity_s:g}")
 
@@ -159,7 +160,7 @@ def _poll(client: ModbusTcpClient, period_s: float, judge: _Judge, report: Repor
             int(result["CYCLE"]),
         )
         report.sights.append(sight)
-        judge.look(start_s, answers[1], sight)
+        judge.look(time.monotonic(), answers[1], sight)
         stop.wait(max(0.0, start_s + period_s - time.monotonic()))
 
 

@@ -25,6 +25,7 @@ from edged.files import recording
 from edged.plc.registers import StatusBit
 from helpers.plcwitness import Report
 from helpers.smallcell import DaemonProcess, SmallCell
+from helpers.waiting import LIMIT_S
 
 FAKETIME = Path(f"/usr/lib/{os.uname().machine}-linux-gnu/faketime/libfaketime.so.1")
 
@@ -51,8 +52,9 @@ class Killed:
 
 
 def kill_often(cell: SmallCell, kills: int, rng: random.Random, longest_s: float = 1.5) -> Killed:
-    """Start the daemon and kill it, again and again: while it measures, every fourth time while it starts."""
-    assert cell.recordings is not None
+    """Start the daemon and kill it, again and again: while it records, every fourth time while it starts."""
+    folder = cell.recordings
+    assert folder is not None
     found, checked = Killed(), set[str]()
     before, start_s = _digests(cell), 2.0
     for number in range(kills):
@@ -62,22 +64,23 @@ def kill_often(cell: SmallCell, kills: int, rng: random.Random, longest_s: float
                 time.sleep(rng.uniform(0.0, start_s))
             else:
                 start_s = daemon.wait_ready()
+                assert comes_true(lambda: bool(recording.entries(folder)))
                 time.sleep(rng.uniform(0.0, longest_s))
         finally:
             daemon.kill()
         found.kills += 1
-        found.torn += len(_torn(cell.recordings))
-        found.corrupt += _corrupt(cell.recordings, checked)
+        found.torn += len(_torn(folder))
+        found.corrupt += _corrupt(folder, checked)
         found.complaints += _complaints(daemon)
     daemon = DaemonProcess(cell.config)
     try:
         daemon.wait_ready()
         found.children = daemon.children()
-        found.swept = not _torn(cell.recordings) or comes_true(lambda: not _torn(cell.recordings or Path()))
+        found.swept = comes_true(lambda: not _torn(folder))
     finally:
         daemon.stop()
     found.complaints += _complaints(daemon)
-    found.corrupt += _corrupt(cell.recordings, checked)
+    found.corrupt += _corrupt(folder, checked)
     found.recordings = len(checked)
     found.changed = [name for name, digest in _digests(cell).items() if before.get(name) != digest]
     return found
@@ -87,7 +90,7 @@ def _complaints(daemon: DaemonProcess) -> list[str]:
     return [line for line in daemon.log if "Traceback" in line or "ERROR" in line]
 
 
-def comes_true(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+def comes_true(condition: Callable[[], bool], timeout_s: float = LIMIT_S) -> bool:
     """Whether it comes true; a running recorder always has one file that is not finished yet."""
     deadline_s = time.monotonic() + timeout_s
     while not condition():

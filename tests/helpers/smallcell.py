@@ -26,6 +26,7 @@ from edged.sim.inprocess import InProcessCamera
 from edged.sim.render.scene import Disc, Part, Surface
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import CameraModel, StereoRig
+from helpers.cells import patient
 from helpers.ports import free_port
 from helpers.waiting import LIMIT_S
 
@@ -92,7 +93,7 @@ class SmallCell:
             web_port=self.web_port,
         )
         self.config = prepare_cell(folder, self.virtual, options, gige=False)
-        text = self.config.read_text().replace("max_skew_ms = 25.0", "max_skew_ms = 1000.0")
+        text = patient(self.config.read_text())
         if source == "replay":
             text = text.replace('source = "virtual-inprocess"', 'source = "replay"\nfolder = "pairs"')
             (folder / "pairs").mkdir(exist_ok=True)

@@ -20,13 +20,10 @@ from edged.setup.stage.routes import StageRoutes
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import StereoRig
 from helpers.browsersession import PASSWORD, BrowserSession, Visitor, browsing
-from helpers.cells import small_rig
+from helpers.cells import patient, small_rig
 from helpers.ports import free_port
 from helpers.waiting import WHOLE_S
 from helpers.webcell import HASH
-
-PATIENT = {"timeout_s = 2.0": "timeout_s = 10.0", "max_skew_ms = 50.0": "max_skew_ms = 1000.0"}
-"""Pictures of a machine that does much else: nothing here moves while they are taken."""
 
 
 class Newcomer(Visitor):
@@ -68,11 +65,7 @@ async def staged(folder: Path, *, gige: bool = True, rig: StereoRig | None = Non
     with VirtualWorld(gige=gige, rig=rig or small_rig(), staged=True) as world:
         assert world.stage is not None
         path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=gige)
-        text = path.read_text()
-        for usual, patient in PATIENT.items():
-            assert usual in text
-            text = text.replace(usual, patient)
-        path.write_text(text)
+        path.write_text(patient(path.read_text()))
         UserFile(state_folder(path) / "users.json").put(User(name=USER, role="engineer", password_hash=HASH))
         routes = StageRoutes(world.stage)
         loaded = load_any_cell(path)

@@ -28,6 +28,7 @@ from edged.sim.render.scene import PlacedPart, Scene, Surface, Table, chessboard
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, transform
+from helpers.cells import patient
 from helpers.ports import free_port
 from helpers.smallcell import HEIGHT, SIDES, STILL_UPRIGHT, TOKEN, WIDTH, tiny_rig
 from helpers.snapshots import make_transform
@@ -121,7 +122,7 @@ class WalkedCell:
         self.config = prepare_cell(
             folder, VirtualCell(arm.rig, TOKEN, motion=STILL_UPRIGHT), options, gige=False
         )
-        text = self.config.read_text().replace('mode = "free"', 'mode = "command"')
+        text = patient(self.config.read_text()).replace('mode = "free"', 'mode = "command"')
         text = text.replace("[zenoh]", "[zenoh]\nenabled = false")
         text = text.replace("[modbus]", f'[modbus]\nconvention = "{convention}"\nvalidity_s = 60.0')
         text += f'\n[modbus.socket]\nport = {self.line_port}\nbrand = "{brand}"\nallow_simulated = true\n'

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
+from helpers.cells import small_rig
 
 from edged.app.cell import load_cell
 from edged.commands.demo import DemoOptions, prepare_cell
@@ -16,7 +17,7 @@ from edged.errors import ConfigError
 from edged.files.jobs import job_of
 from edged.setup import cellfiles
 from edged.setup.cellfiles import UnfinishedCell, read_any_cell, read_cell
-from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.sim.cell import VirtualCell, demo_part
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.part.job import Job
@@ -26,7 +27,7 @@ from edged.vision.part.job import Job
 def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a virtual cell, taught twice."""
     folder = tmp_path_factory.mktemp("cell")
-    cell = VirtualCell(demo_rig(), demo_part())
+    cell = VirtualCell(small_rig(), demo_part())
     for _ in range(2):
         prepare_cell(folder, cell, DemoOptions(), gige=False)
     return folder
