@@ -32,7 +32,7 @@ from helpers.cells import patient
 from helpers.ports import free_port
 from helpers.smallcell import HEIGHT, SIDES, STILL_UPRIGHT, TOKEN, WIDTH, tiny_rig
 from helpers.snapshots import make_transform
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, POLL_S
 
 BOARD = "chessboard:9x6:4.0"
 PLATE = chessboard_plate(9, 6, 4.0)
@@ -148,8 +148,8 @@ class WalkedCell:
         assert not self._thread.is_alive()
 
     def reload(self) -> bool:
-        """As SIGHUP."""
-        return asyncio.run_coroutine_threadsafe(self._daemon.reload(), self._loop).result(LIMIT_S)
+        """As SIGHUP, until what it exchanged is in use: a command that came before that is refused."""
+        return asyncio.run_coroutine_threadsafe(self._reloaded(), self._loop).result(LIMIT_S)
 
     @property
     def rig(self) -> StereoRig:
@@ -166,6 +166,12 @@ class WalkedCell:
     def robot(self) -> Talk:
         """A robot that speaks lines."""
         return Talk(self)
+
+    async def _reloaded(self) -> bool:
+        done = await self._daemon.reload()
+        while self._daemon._cycle._cell.pending is not None:  # noqa: ASYNC110, SLF001  (nothing else tells)
+            await asyncio.sleep(POLL_S)
+        return done
 
     async def _run(self) -> None:
         self._loop = asyncio.get_running_loop()

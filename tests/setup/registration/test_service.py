@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.cells import small_rig
 from helpers.stagecell import Newcomer, run
 
 from edged.domain.arrays import FloatArray
 from edged.domain.events import Command, CommandKind
 from edged.errors import BeingSetUp
 from edged.files.rig import load_rig, save_rig
-from edged.sim.cell import demo_rig
 from edged.sim.robot import FLANGE_FROM_RIG
 from edged.vision.geometry.rigid import apply
 
@@ -83,7 +83,7 @@ def on_stage(folder: Path, test: Callable[[Newcomer], Awaitable[None]]) -> None:
     """Beside a stage that shows its board to a calibrated cell without a robot's frame."""
     from dataclasses import replace
 
-    bare = replace(demo_rig(), robot_from_rig=None)
+    bare = replace(small_rig(), robot_from_rig=None)
     save_rig(folder / "rig.json", bare, {"board": BOARD})
 
     async def staged(newcomer: Newcomer) -> None:
@@ -164,8 +164,8 @@ def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path
         assert release["active"]
         assert (await newcomer.ask("GET", person.place))["active"]
         rig = load_rig(tmp_path / "rig.json")
-        assert rig.robot_from_rig is not None and demo_rig().robot_from_rig is not None
-        assert worst_um(rig.robot_from_rig, demo_rig().robot_from_rig) < 25
+        assert rig.robot_from_rig is not None and small_rig().robot_from_rig is not None
+        assert worst_um(rig.robot_from_rig, small_rig().robot_from_rig) < 25
         check_same_digits(tmp_path, before, document, rig.robot_from_rig)
 
     on_stage(tmp_path, test)
@@ -251,8 +251,8 @@ def test_poses_tell_whose_they_are_which_one_is_wrong_and_which_turn_they_lack(t
         await person.do("POST", "/solve")
         await newcomer.ask("POST", f"{person.place}/activate", {**newcomer.token, "note": "ten poses"})
         rig = load_rig(tmp_path / "rig.json")
-        assert rig.robot_from_rig is not None and demo_rig().robot_from_rig is not None
-        assert worst_um(rig.robot_from_rig, demo_rig().robot_from_rig) < 60
+        assert rig.robot_from_rig is not None and small_rig().robot_from_rig is not None
+        assert worst_um(rig.robot_from_rig, small_rig().robot_from_rig) < 60
 
         carried = Registrar(newcomer, {"mount": "flange", "kind": "poses", "brand": "abb"}, "abb", 0)
         await carried.begin()
