@@ -503,6 +503,7 @@ def test_the_limits_of_the_cell_are_those_of_the_recording(
     assert "cell.toml" in report["skipped"][0]["reason"]
 
 
+@pytest.mark.slow
 def test_without_its_setup_a_recording_is_skipped_with_the_reason(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -76,6 +76,7 @@ def test_another_password_is_the_same_cell(config: Path) -> None:
     assert read_cell(config).fingerprint == before
 
 
+@pytest.mark.slow
 def test_a_recording_holds_the_configuration_without_its_hash(config: Path) -> None:
     """Neither the password's hash nor the former one; it loads all the same, and no password fits."""
     text = read_cell(config).contents["cell.toml"]
@@ -95,6 +96,7 @@ def test_a_text_that_still_tells_is_left_out_as_a_whole(text: str) -> None:
     assert b"" == without_secrets(text.encode())
 
 
+@pytest.mark.slow
 def test_an_export_of_earlier_recordings_has_no_hash(config: Path, tmp_path: Path) -> None:
     """Versions before this one recorded it."""
     name = "000000001_20260131T235959.123456Z_OK_1a2b3c4d.zip"
@@ -111,6 +113,7 @@ def test_an_export_of_earlier_recordings_has_no_hash(config: Path, tmp_path: Pat
     assert "argon2id" not in text
 
 
+@pytest.mark.slow
 def test_a_wrong_hash_is_not_repeated_in_the_message(config: Path) -> None:
     """It may be the password itself, and messages go to the log."""
     config.write_text(config.read_text().replace(f'"{HASH}"', "4711"))
@@ -125,6 +128,7 @@ def test_a_wrong_hash_is_not_repeated_in_the_message(config: Path) -> None:
     assert "hunter22" not in str(text.value)
 
 
+@pytest.mark.slow
 def test_a_private_key_in_an_endpoint_is_refused_and_not_repeated(config: Path) -> None:
     """Endpoints are published; the message names the place for keys."""
     text = config.read_text().replace(
@@ -141,6 +145,7 @@ def test_a_private_key_in_an_endpoint_is_refused_and_not_repeated(config: Path) 
 # --- who may read ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_secret_that_every_user_may_read_is_named(config: Path) -> None:
     """The configuration with its hash, and each private key; certificates are no secrets."""
     text = config.read_text() + 'certificate = "tls.pem"\nkey = "tls.key"\n'
@@ -160,6 +165,7 @@ def test_a_secret_that_every_user_may_read_is_named(config: Path) -> None:
     assert all(str(secret.file) in secret.remedy and "chmod" in secret.remedy for secret in found)
 
 
+@pytest.mark.slow
 def test_keys_and_passwords_of_zenohs_own_file_are_secrets_too(config: Path) -> None:
     """The private keys that it names, and itself where it holds a password; one with a mistake names none."""
     own, key = config.parent / "zenoh.json5", config.parent / "own.key"
@@ -179,6 +185,7 @@ def test_keys_and_passwords_of_zenohs_own_file_are_secrets_too(config: Path) -> 
     assert [["own.key"], ["own.key", "zenoh.json5"], [], []] == found
 
 
+@pytest.mark.slow
 def test_a_shared_key_that_everybody_may_read_is_named(config: Path) -> None:
     """As a private key is; and the cell is refused with it."""
     key = config.parent / "zenoh.key"
@@ -194,6 +201,7 @@ def test_a_shared_key_that_everybody_may_read_is_named(config: Path) -> None:
     read_cell(config)
 
 
+@pytest.mark.slow
 def test_without_a_hash_everybody_may_read_the_configuration(taught: Path) -> None:
     """There is nothing to hide."""
     (taught / "cell.toml").chmod(0o644)

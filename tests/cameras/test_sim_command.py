@@ -100,6 +100,7 @@ def test_aravis_tool_lists_both_cameras(sim: Sim) -> None:
     assert f"edged-Virtual-EDGED-VIRTUAL-R ({RIGHT})" in listed
 
 
+@pytest.mark.slow
 @tool("arv-tool-0.8", "aravis-tools-cli")
 def test_aravis_tool_reads_and_writes_features(sim: Sim) -> None:
     """Numbers, enumerations, booleans, commands, 64 bits, and registers behind a selector."""

@@ -361,6 +361,7 @@ def test_a_backup_takes_nothing_that_a_link_leads_to(cell: Path, machine: Machin
     assert not (machine.prize / "cell.tar.gz").exists()
 
 
+@pytest.mark.slow
 def test_a_link_of_the_daemons_user_to_its_own_files_is_followed(cell: Path, machine: Machine) -> None:
     """As is one of root's: what it leads to is theirs anyway."""
     shutil.copytree(cell.parent, machine.state, dirs_exist_ok=True)
@@ -372,6 +373,7 @@ def test_a_link_of_the_daemons_user_to_its_own_files_is_followed(cell: Path, mac
     assert "jobs/flange/job.toml" in read(machine.prize / "cell.tar.gz").files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trap", [folder_linked, parent_linked])
 def test_a_restore_changes_nothing_of_roots(archive: Path, machine: Machine, trap: Trap) -> None:
     """Into a folder of the daemon's user it goes as that user."""
@@ -382,6 +384,7 @@ def test_a_restore_changes_nothing_of_roots(archive: Path, machine: Machine, tra
     assert before == machine.what_root_has()
 
 
+@pytest.mark.slow
 def test_a_restore_into_a_folder_of_the_daemons_user_is_theirs(archive: Path, machine: Machine) -> None:
     """Every file, and each folder; root's umask and groups leave nothing behind."""
     os.chown(archive, 0, 0)
@@ -389,6 +392,7 @@ def test_a_restore_into_a_folder_of_the_daemons_user_is_theirs(archive: Path, ma
     assert {DAEMON} == {file.lstat().st_uid for file in (machine.state, *machine.state.rglob("*"))}
 
 
+@pytest.mark.slow
 def test_a_folder_of_somebody_else_in_roots_leads_root_nowhere(
     cell: Path, archive: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -421,6 +425,7 @@ def test_a_folder_of_somebody_else_in_roots_leads_root_nowhere(
     assert before == machine.what_root_has()
 
 
+@pytest.mark.slow
 def test_a_job_is_not_written_through_a_folder_that_is_a_link(cell: Path, machine: Machine) -> None:
     """Root teaches into a folder of somebody else as that user."""
     job = load_job(cell.parent / "jobs" / "flange")

@@ -70,6 +70,7 @@ def test_a_restored_cell_is_the_same_cell(cell: Path, archive: Archive, tmp_path
     assert ["cell"] == [entry.name for entry in (tmp_path / "new").iterdir()]
 
 
+@pytest.mark.slow
 def test_a_pair_that_a_job_was_taught_from_is_in_it_where_there_is_room(
     cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,6 +89,7 @@ def test_a_pair_that_a_job_was_taught_from_is_in_it_where_there_is_room(
     assert whole.fingerprint == part.fingerprint
 
 
+@pytest.mark.slow
 def test_files_from_elsewhere_move_beside_the_configuration(cell: Path, tmp_path: Path) -> None:
     """Absolute paths lead to the copies afterwards; comments stay; keys of the machine are not taken."""
     here = tmp_path / "etc"
@@ -113,6 +115,7 @@ def test_files_from_elsewhere_move_beside_the_configuration(cell: Path, tmp_path
     assert not any(b"secret" in data for data in taken.files.values())
 
 
+@pytest.mark.slow
 def test_a_cell_that_does_not_load_is_no_backup(cell: Path, tmp_path: Path) -> None:
     """The mistakes are named now, not on the day the backup is needed; no file is left."""
     for name, data in contents(cell.parent).items():
@@ -125,6 +128,7 @@ def test_a_cell_that_does_not_load_is_no_backup(cell: Path, tmp_path: Path) -> N
     assert not (tmp_path / "a.tar.gz").exists()
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten_without_force(cell: Path, archive: Archive, tmp_path: Path) -> None:
     """Neither an archive nor a folder; with --force the cell's files are exchanged, the former ones kept."""
     with pytest.raises(UserError, match="--force"):
@@ -162,6 +166,7 @@ def house(cell: Path, tmp_path: Path) -> Path:
     return etc
 
 
+@pytest.mark.slow
 def test_only_this_cells_files_make_room(archive: Archive, house: Path) -> None:
     """Another cell of the folder, keys and links are the same files; jobs taught since are kept aside."""
     shutil.copytree(house / "jobs" / "flange", house / "jobs" / "since")
@@ -187,6 +192,7 @@ def test_only_this_cells_files_make_room(archive: Archive, house: Path) -> None:
     assert {"jobs/since/job.toml", "jobs/since/shape.npz"} <= kept.keys()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", ['rig = "rig.json"', 'jobs = "jobs"', 'jobs = "."'])
 def test_what_another_cell_stands_on_is_not_changed(archive: Archive, house: Path, shared: str) -> None:
     """Refused with its name; nothing has changed. The same content changes nothing, and is restored."""
@@ -204,6 +210,7 @@ def test_what_another_cell_stands_on_is_not_changed(archive: Archive, house: Pat
     assert before == contents(house)
 
 
+@pytest.mark.slow
 def test_a_link_to_elsewhere_makes_room_and_is_not_followed(archive: Archive, house: Path) -> None:
     """The folder that it leads to stays as it was."""
     elsewhere = house.with_name("elsewhere")
@@ -219,6 +226,7 @@ def test_a_link_to_elsewhere_makes_room_and_is_not_followed(archive: Archive, ho
     assert (house.with_name("edged.before-restore-1") / "jobs").is_symlink()
 
 
+@pytest.mark.slow
 def test_a_backup_that_names_a_folder_outside_takes_nothing_away(archive: Archive, house: Path) -> None:
     """Its jobs may be said to be anywhere: only names of members count."""
     taken = unpack(archive[1], "there")
@@ -256,6 +264,7 @@ def test_secrets_are_for_their_owner_alone(cell: Path, tmp_path: Path) -> None:
     assert {"cell.toml": 0, "zenoh.json5": 0, "rig.json": 4} == modes
 
 
+@pytest.mark.slow
 def test_a_restore_that_fails_changes_nothing(archive: Archive, tmp_path: Path) -> None:
     """What cannot be written half-way through leaves the folder as it was, and no draft beside it."""
     taken = unpack(archive[1], "there")
@@ -272,6 +281,7 @@ def test_a_restore_that_fails_changes_nothing(archive: Archive, tmp_path: Path) 
     assert {"blocked.tar.gz", "cell"} == {entry.name for entry in tmp_path.iterdir()}
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.data())
 def test_damage_is_found(archive: Archive, data: st.DataObject) -> None:
@@ -368,6 +378,7 @@ def _edit(old: bytes, new: bytes) -> Callable[[dict[str, bytes]], object]:
     return lambda m: m.update({"manifest.json": m["manifest.json"].replace(old, new)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -398,6 +409,7 @@ def test_an_archive_made_to_fill_memory_is_refused(monkeypatch: pytest.MonkeyPat
         unpack(bomb, "there")
 
 
+@pytest.mark.slow
 def test_a_backup_of_another_version_says_what_differs(archive: Archive, tmp_path: Path) -> None:
     """An unknown key keeps it from running: restored all the same, exit code 1, and the key is named."""
     taken = unpack(archive[1], "there")
@@ -413,6 +425,7 @@ def test_a_backup_of_another_version_says_what_differs(archive: Archive, tmp_pat
     assert (tmp_path / "new" / "cell.toml").is_file()
 
 
+@pytest.mark.slow
 def test_the_commands_check_without_writing(cell: Path, tmp_path: Path) -> None:
     """`edged restore FILE` alone says what is in it; the archive is whole or not there."""
     runner = CliRunner()

@@ -220,6 +220,7 @@ def test_pictures_that_disagree_are_listed(folder: Path, tmp_path: Path) -> None
     )
 
 
+@pytest.mark.slow
 def test_pictures_without_a_board_are_named(folder: Path, tmp_path: Path) -> None:
     """Where nothing is recognised, that is said of these pictures, with an example of a board."""
     for path in folder.glob("*.png"):
@@ -258,6 +259,7 @@ def test_a_copied_pair_counts_once(folder: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "rig.json").read_text())["quality"]["views"] == 4
 
 
+@pytest.mark.slow
 def test_one_view_only_is_refused(folder: Path, tmp_path: Path) -> None:
     """One pair says nothing of focal length and distance."""
     for path in folder.glob("v[1-3]_*"):
@@ -275,6 +277,7 @@ def test_a_blurred_view_is_named(folder: Path, tmp_path: Path) -> None:
     assert "blurred" in said
 
 
+@pytest.mark.slow
 def test_unknown_model_and_impossible_outputs_are_refused(folder: Path, tmp_path: Path) -> None:
     """What can be known to fail before the work is refused before the work."""
     refused(folder, tmp_path, "expected one of auto, division, brown", model="fisheye")
@@ -283,6 +286,7 @@ def test_unknown_model_and_impossible_outputs_are_refused(folder: Path, tmp_path
             run(folder, output)
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_no_file(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C during the work leaves the output folder as it was, and no worker behind."""
 

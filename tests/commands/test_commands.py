@@ -182,6 +182,7 @@ def test_locate_writes_points_as_file_and_picture(edged: Edged, folder: Path) ->
         assert cv2.imread(str(picture)).shape == (720, 1440, 3)
 
 
+@pytest.mark.slow
 def test_locate_says_no(edged: Edged, pristine: Path) -> None:
     """No part in the picture is an answer: exit code 1, NO_TARGET."""
     arguments = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange", "--json")
@@ -255,6 +256,7 @@ def teach_arguments(folder: Path, **changed: object) -> list[object]:
     return ["teach", *(item for key, value in values.items() for item in (f"--{key}", value))]
 
 
+@pytest.mark.slow
 def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) -> None:
     """Exit code 0, every circle listed, the job loads; the older one is kept."""
     before = (folder / "jobs" / "flange" / "job.toml").read_bytes()
@@ -382,6 +384,7 @@ def test_teach_does_not_write_over_something_else(edged: Edged, folder: Path) ->
 # --- check ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_check_says_good(edged: Edged, pristine: Path) -> None:
     """Exit code 0 with rig, jobs and cameras named; the same as JSON."""
     code, out, _ = edged("check", pristine / "cell.toml")
@@ -394,6 +397,7 @@ def test_check_says_good(edged: Edged, pristine: Path) -> None:
     assert document["jobs"] == [{"number": 1, "name": "flange"}]
 
 
+@pytest.mark.slow
 def test_check_names_every_mistake_at_once(edged: Edged, folder: Path) -> None:
     """Rig gone, job damaged, active job unknown: exit code 2, all three with their dotted path."""
     text = (folder / "cell.toml").read_text()
@@ -410,6 +414,7 @@ def test_check_names_every_mistake_at_once(edged: Edged, folder: Path) -> None:
     assert len(json.loads(out)["problems"]) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("content", "expected"),
     [("[cell", "TOML"), ("", "cell"), ("[cell]\nnmae = 'x'\n", "nmae"), (None, "cannot")],

@@ -95,6 +95,7 @@ def test_what_is_bad_has_a_consequence_and_a_remedy(folder: Path) -> None:
     assert all(check.consequence and check.remedy for check in found)
 
 
+@pytest.mark.slow
 def test_mistakes_of_the_configuration_come_first(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each is a finding; of a file that cannot be understood nothing else is looked at."""
     path = edit(folder, 'job = "flange"', 'jib = "flange"')
@@ -118,6 +119,7 @@ def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folde
     assert "test pictures" not in found
 
 
+@pytest.mark.slow
 def test_a_port_in_use_is_named(folder: Path) -> None:
     """With the command that tells by whom."""
     port = load(folder / "cell.toml").modbus.port
@@ -131,6 +133,7 @@ def test_a_port_in_use_is_named(folder: Path) -> None:
     assert check.remedy == f"ss -ltnp 'sport = :{port}'"
 
 
+@pytest.mark.slow
 def test_pictures_of_another_size_are_named(folder: Path) -> None:
     """A camera whose image size was changed after the calibration."""
     (folder / "pairs").mkdir()
@@ -225,6 +228,7 @@ def test_a_camera_outside_of_every_network_is_named() -> None:
     assert "169.254.3.4" in bad.finding
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("period_s", "verdict"), [(0.5, CheckResult.OK), (0.02, CheckResult.BAD)])
 def test_the_link_has_a_budget(folder: Path, period_s: float, verdict: CheckResult) -> None:
     """Two 1.2 MB images every 20 ms do not fit a gigabit; small packets are mentioned."""
@@ -296,6 +300,7 @@ def test_a_clock_that_is_set_meanwhile_is_noticed() -> None:
     assert "+0.500 s" in check.finding
 
 
+@pytest.mark.slow
 def test_a_port_on_an_address_of_another_machine_is_named(folder: Path) -> None:
     """The usual slip: the address of the PLC instead of this PC's."""
     path = edit(folder, "[modbus]", '[modbus]\nhost = "192.0.2.7"')
@@ -304,6 +309,7 @@ def test_a_port_on_an_address_of_another_machine_is_named(folder: Path) -> None:
     assert "192.0.2.7 is no address of this machine" in check.finding
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "journal, verdict, finding",
     [
@@ -324,6 +330,7 @@ def test_who_wrote_and_may_not_is_named(
     assert ("192.168.10.7" in check.remedy) is (verdict is CheckResult.WARN)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("days", "verdict", "finding"),
     [(-2, CheckResult.BAD, "from"), (0, CheckResult.WARN, "1 days"), (3, CheckResult.BAD, "expired")],

@@ -141,6 +141,7 @@ def test_an_edge_break_is_stated_and_kept() -> None:
     assert [one.radius_mm for one in circles] == [one.radius_mm for one in found.job.circles]
 
 
+@pytest.mark.slow
 def test_a_smaller_hole_is_no_edge_break() -> None:
     """Material is never added at an edge."""
     job = taught()
@@ -188,6 +189,7 @@ def test_the_frame_of_the_file_is_published_where_the_job_says_so(tmp_path: Path
     assert Reject.SIGMA_LIMIT in told["far"].reject
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "said"),
     [
@@ -209,6 +211,7 @@ def test_a_report_that_is_none_is_refused(tmp_path: Path, line: str, said: str) 
         load_job(tmp_path / "job")
 
 
+@pytest.mark.slow
 def test_a_job_without_a_model_has_no_frame_to_report(tmp_path: Path) -> None:
     """Neither as it is written by hand, nor carried over from a job that had one."""
     job = replace(drawn(), part_from_model=None, sigma_mm=0.0)
@@ -225,6 +228,7 @@ def test_a_job_without_a_model_has_no_frame_to_report(tmp_path: Path) -> None:
     assert "kept: report = model" in said
 
 
+@pytest.mark.slow
 def test_a_job_keeps_the_surface_of_its_part(tmp_path: Path) -> None:
     """Beside its shape, in some kilobytes; one that is damaged is named, and a job without has none."""
     job = drawn()
@@ -243,6 +247,7 @@ def test_a_job_keeps_the_surface_of_its_part(tmp_path: Path) -> None:
     assert load_job(tmp_path / "plain").body is None
 
 
+@pytest.mark.slow
 def test_what_an_overhang_hides_is_not_taught() -> None:
     """The hole below a cap looks up, and no camera sees it: not a feature of the job."""
     cap = ring(60, 8.0, 1.5, 2.0) + np.array([0.0, 0.0, 4.0])
@@ -349,6 +354,7 @@ def test_a_file_alone_is_enough_to_find_the_part(tilt_deg: float, turn_deg: floa
     assert budget.calibration[:3].max() < 0.01
 
 
+@pytest.mark.slow
 def test_a_file_alone_teaches_every_feature_of_its_faces() -> None:
     """Five holes and the edges of both faces with their heights; the sigma is kept on disc."""
     job = drawn()
@@ -383,6 +389,7 @@ def test_a_pair_ends_the_vagueness_of_a_file_alone() -> None:
     assert not [line for line in said if "max_sigma_mm" in line]
 
 
+@pytest.mark.slow
 def test_a_job_keeps_its_sigma_on_disc(tmp_path: Path) -> None:
     """A job from a file alone stays as vague as it is."""
     save_job(tmp_path / "job", drawn())

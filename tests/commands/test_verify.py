@@ -105,6 +105,7 @@ def test_the_pitch_alone_names_the_plate(folder: Path) -> None:
     assert "\nOK test" in said
 
 
+@pytest.mark.slow
 def test_a_wrong_baseline_is_seen_by_the_length_alone(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,6 +124,7 @@ def test_a_wrong_baseline_is_seen_by_the_length_alone(
     assert "size" not in document["board"]
 
 
+@pytest.mark.slow
 def test_a_turned_camera_is_seen_by_the_rows(folder: Path) -> None:
     """A right camera turned by 0.05° about its x axis moves the rows by more than a pixel."""
     save_rig(folder / "turned.json", turned(RIG, (0.05, 0.0, 0.0)))
@@ -132,6 +134,7 @@ def test_a_turned_camera_is_seen_by_the_rows(folder: Path) -> None:
     assert "too large" in said
 
 
+@pytest.mark.slow
 def test_a_wrong_plate_is_a_wrong_length(folder: Path) -> None:
     """A plate stated 1 % too large fails: rig and plate disagree, whichever is wrong."""
     code, said = run(folder, board="dots:7x7:5.05")
@@ -139,6 +142,7 @@ def test_a_wrong_plate_is_a_wrong_length(folder: Path) -> None:
     assert said.startswith("NOT_OK")
 
 
+@pytest.mark.slow
 def test_a_limit_below_the_noise_is_undecided(folder: Path) -> None:
     """Neither pass nor fail where this view cannot tell; the message says how well it can."""
     code, said = run(folder, board=SPEC, limits=Limits(0.3, 1e-4))
@@ -147,6 +151,7 @@ def test_a_limit_below_the_noise_is_undecided(folder: Path) -> None:
     assert "length uncertainty of this view" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("images", [("blank.png", "right.png"), ("left.png", "blank.png")])
 def test_no_plate_is_no_verdict(images: tuple[str, str], folder: Path) -> None:
     """A picture without the plate is an answer (exit code 1) with its reason, not a crash."""
@@ -155,6 +160,7 @@ def test_no_plate_is_no_verdict(images: tuple[str, str], folder: Path) -> None:
     assert f"{'left' if images[0] == 'blank.png' else 'right'}: " in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
@@ -187,6 +193,7 @@ def run_part(folder: Path, *lengths: str, rig: str = "part_rig.json") -> tuple[i
     return run(folder, rig, images, job=folder / "job", lengths=list(lengths))
 
 
+@pytest.mark.slow
 def test_a_part_of_known_size_verifies_a_rig(folder: Path) -> None:
     """A diameter and a distance of two holes of the drawing come out: the rig holds."""
     circles = [circle.centre_mm for circle in teach_circles()]
@@ -202,6 +209,7 @@ def teach_circles() -> tuple[object, ...]:
     return teach(part.left, part.right, make_rectification(part.rig), part.region, "f", 1).circles
 
 
+@pytest.mark.slow
 def test_a_part_shows_a_wrong_baseline(folder: Path) -> None:
     """A baseline 1 % too long makes the part 1 % too large."""
     save_rig(folder / "part_long.json", longer_baseline(flange().rig, 1.01))
@@ -210,12 +218,14 @@ def test_a_part_shows_a_wrong_baseline(folder: Path) -> None:
     assert said.startswith("NOT_OK")
 
 
+@pytest.mark.slow
 def test_a_part_without_a_known_length_is_refused(folder: Path) -> None:
     """Rows alone are no verification: the error says why."""
     with pytest.raises(UserError, match="Rows alone do not see a wrong baseline"):
         run_part(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("length", "expected"),
     [("c0", "expected NAME=MM"), ("c0=-1", "expected NAME=MM"), ("c0=nan", "expected NAME=MM"),
@@ -228,6 +238,7 @@ def test_an_unknown_length_is_named(length: str, expected: str, folder: Path) ->
     assert expected in str(caught.value)
 
 
+@pytest.mark.slow
 def test_no_part_is_no_verdict(folder: Path) -> None:
     """Without the part in the picture nothing can be said."""
     code, said = run(
@@ -293,6 +304,7 @@ def test_the_verdict_leaves_room_for_the_uncertainty(error: float, sigma: float,
     assert Length("x", 100.0, 100.0 + error, sigma).verdict(0.1) == expected
 
 
+@pytest.mark.slow
 def test_images_of_another_size_are_refused(folder: Path) -> None:
     """The error is an ImageError that names both sizes."""
     with pytest.raises(ImageError, match="640 x 480"):

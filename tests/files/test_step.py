@@ -75,6 +75,7 @@ def test_circles_are_those_of_the_design(part: str) -> None:
         assert (one["kind"] == "hole") == near.hole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("part", "count"), [("D1", 3), ("D2", 11), ("D3", 10), ("D4", 1)])
 def test_straight_edges_are_those_of_the_design(part: str, count: int) -> None:
     """Each lies on a line of the design, and points out of the material."""
@@ -109,6 +110,7 @@ def test_the_underside_shows_its_own_edges() -> None:
     assert {8.0} == {round(float(one.centre_mm[2]), 6) for one in below.circles}
 
 
+@pytest.mark.slow
 def test_inches_are_read_as_millimetres(tmp_path: Path) -> None:
     """The same numbers in inches are a part 25.4 times as large."""
     text = text_of("D3")
@@ -155,6 +157,7 @@ def test_what_is_no_model_of_a_part_is_named(tmp_path: Path, damage: Any, expect
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lost", "curves"), [(3, 14), (4, 5), (17, 14)])
 def test_a_gap_in_the_surface_costs_the_curves_beside_it(tmp_path: Path, lost: int, curves: int) -> None:
     """A bore, the main face, a wall taken out: what is left is where it was, and nothing is added."""

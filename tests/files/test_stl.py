@@ -58,6 +58,7 @@ def test_triangles_of_a_step_file_say_what_its_faces_say(tmp_path: Path, part: s
         assert np.allclose(line.away, found.edges[int(np.argmin(gaps))].away, atol=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(count=st.integers(12, 300), turn=st.floats(0, 6.0), as_text=st.booleans())
 def test_a_faceted_circle_has_no_bias_and_the_sigma_of_its_chords(

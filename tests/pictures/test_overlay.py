@@ -122,6 +122,7 @@ def test_many_parts_are_counted_not_written_about_without_end() -> None:
     assert few.shape[0] < many.shape[0] < few.shape[0] + 60
 
 
+@pytest.mark.slow
 def test_what_no_lens_shows_and_endless_names_do_no_harm() -> None:
     """A taught circle half a kilometre away, and a name of a thousand letters: the picture is drawn."""
     _, job = taught()

@@ -65,6 +65,7 @@ def test_rig_and_job_mistakes_are_named_together(folder: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_mistakes_of_all_files_are_named_together(folder: Path) -> None:
     """A misspelt key hides neither the rig's damage nor the job that is missing."""
     config = folder / "cell.toml"
@@ -79,6 +80,7 @@ def test_mistakes_of_all_files_are_named_together(folder: Path) -> None:
     assert all(part in text for part in ("peroid_s: unknown key", "rig.json", "no usable job 'flange'"))
 
 
+@pytest.mark.slow
 def test_two_jobs_with_one_number_are_refused(folder: Path) -> None:
     """The PLC could not tell them apart."""
     shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "twin")
@@ -89,6 +91,7 @@ def test_two_jobs_with_one_number_are_refused(folder: Path) -> None:
         read_cell(folder / "cell.toml")
 
 
+@pytest.mark.slow
 def test_the_fingerprint_follows_the_rig_and_the_jobs(folder: Path) -> None:
     """Whoever edits a limit or calibrates again gets another fingerprint in every result."""
     before = read_cell(folder / "cell.toml").fingerprint
@@ -98,6 +101,7 @@ def test_the_fingerprint_follows_the_rig_and_the_jobs(folder: Path) -> None:
     assert read_cell(folder / "cell.toml").fingerprint != before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "gone, lacks, named",
     [
@@ -126,6 +130,7 @@ def test_a_cell_without_rig_or_jobs_is_not_finished(
     assert "rig.json" not in cell.contents or "rig.json" not in gone
 
 
+@pytest.mark.slow
 def test_without_a_word_the_job_with_the_lowest_number_is_the_first(folder: Path) -> None:
     """And a cell that says no job lacks one as any other does."""
     config = folder / "cell.toml"
@@ -144,6 +149,7 @@ def test_without_a_word_the_job_with_the_lowest_number_is_the_first(folder: Path
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -185,6 +191,7 @@ def test_any_other_mistake_is_one_in_a_cell_that_is_not_finished_too(folder: Pat
     assert strict.value.problems == caught.value.problems
 
 
+@pytest.mark.slow
 def test_files_of_the_machine_are_missed_before_the_start(folder: Path) -> None:
     """Certificates, keys and Zenoh's own file, each by its key; not when it is to run elsewhere."""
     config = folder / "cell.toml"
@@ -206,6 +213,7 @@ MTLS = {"transport": {"link": {"tls": {"enable_mtls": True}}}}
 DENY = {"enabled": True, "default_permission": "deny", "rules": [], "subjects": [], "policies": []}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("own", "section", "expected"),
     [
@@ -252,6 +260,7 @@ def test_zenohs_own_file_guards_commands_or_the_cell_does_not_start(
     assert "zenoh.json5" in problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["zenoh-acl-example.json5", "zenoh-router-example.json5"])
 def test_the_example_files_guard_commands(name: str, folder: Path) -> None:
     """They are the remedy that the message names."""
@@ -262,6 +271,7 @@ def test_the_example_files_guard_commands(name: str, folder: Path) -> None:
     assert read_cell(config).config.zenoh.commands == "guarded"
 
 
+@pytest.mark.slow
 def test_what_is_recorded_is_what_is_measured_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything is replaced as soon as it was read once: what counts is what was read."""
     before = read_cell(folder / "cell.toml")

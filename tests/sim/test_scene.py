@@ -197,6 +197,7 @@ def outline_px(view: RenderedView, disc: Disc, rig_from_part: FloatArray) -> Flo
     return view.project(rim @ rig_from_part[:3, :3].T + rig_from_part[:3, 3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius_mm", [0.9, 4.0, 14.0])
 def test_edges_are_where_they_project_to(radius_mm: float) -> None:
     """Row by row the left and the right edge of a rendered disc lie on its projected outline to 0.003 px."""
@@ -421,6 +422,7 @@ def test_a_repeated_request_sees_the_same(cell: VirtualCell) -> None:
     np.testing.assert_array_equal(first, again)
 
 
+@pytest.mark.slow
 def test_triggers_faster_than_the_window_move_the_part(cell: VirtualCell) -> None:
     """A camera never sees one scene twice, however quick."""
     assert [seen_by(cell, "left", k, S + k * MS) for k in range(4)] == [0, 1, 2, 3]

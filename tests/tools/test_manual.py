@@ -103,6 +103,7 @@ def test_every_address_in_the_built_manual_is_there(site: Path) -> None:
     assert [] == missing
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     """A cell PC has no internet: no page and no style sheet names another host for what it loads."""
     for name, page in pages_of(site).items():
@@ -113,6 +114,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
         assert not re.search(r"(url\(|@import)\s*['\"]?(https?:)?//", sheet.read_text()), sheet
 
 
+@pytest.mark.slow
 def test_every_script_in_a_page_is_allowed_to_run(site: Path) -> None:
     """The policy of the built manual has as many hashes as it has different scripts, which are some."""
     texts = [(site / name).read_text() for name in pages_of(site)]
@@ -123,6 +125,7 @@ def test_every_script_in_a_page_is_allowed_to_run(site: Path) -> None:
     assert [] == [tag for tag in other if "src=" not in tag and 'type="application/json"' not in tag]
 
 
+@pytest.mark.slow
 def test_the_search_knows_what_the_pages_say(site: Path) -> None:
     """A fault's name is found on the page of faults."""
     index = (site / "search" / "search_index.json").read_text()

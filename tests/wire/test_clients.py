@@ -443,6 +443,7 @@ def test_structured_text_commands_no_cell_whose_angles_mean_something_else(conve
         assert 1 == cell.head.captures
 
 
+@pytest.mark.slow
 def test_structured_text_expects_the_convention_that_a_cell_has_without_being_told() -> None:
     """The two defaults are one: a PLC that says nothing is refused by a cell that says something else."""
     with LiveCell() as cell, Plc(cell.port) as plc:
@@ -451,6 +452,7 @@ def test_structured_text_expects_the_convention_that_a_cell_has_without_being_to
     assert cell.settings.convention is Convention[default.upper()]
 
 
+@pytest.mark.slow
 def test_structured_text_closes_every_statement() -> None:
     """END_IF and END_FOR are ends of statements, END_STRUCT of a declaration: each has its semicolon."""
     # IEC 61131-3, annex A: statement_list is a sequence of statement ';', and so are matiec's and TIA's
@@ -460,6 +462,7 @@ def test_structured_text_closes_every_statement() -> None:
     assert {"END_IF;", "END_FOR;", "END_STRUCT;"} == set(ends)
 
 
+@pytest.mark.slow
 def test_structured_text_takes_its_inputs_at_the_rising_edge() -> None:
     """What changes while the command runs is for the next one: command, job, time-out, flange."""
     with LiveCell() as cell, Plc(cell.port) as plc:
@@ -478,6 +481,7 @@ def test_structured_text_takes_its_inputs_at_the_rising_edge() -> None:
         assert (True, 2) == (plc.values["stResult"]["xValid"], plc.values["stResult"]["uiJOB"])
 
 
+@pytest.mark.slow
 def test_structured_text_answers_a_pulse_of_one_scan() -> None:
     """xExecute may be gone long before the end: xDone, or xError, is up for one scan, with the result."""
     with LiveCell() as cell, Plc(cell.port) as plc:
@@ -526,6 +530,7 @@ def test_structured_text_runs_the_handshake(order: Any) -> None:
         assert 2 == plc.values["awStatus"][6]
 
 
+@pytest.mark.slow
 def test_structured_text_gives_part_after_part() -> None:
     """uiCommand 5 while uiREMAINING says so: the other parts of the picture, each acknowledged; then 9."""
     with LiveCell() as cell, Plc(cell.port) as plc:
@@ -548,6 +553,7 @@ def test_structured_text_gives_part_after_part() -> None:
         assert 1 == cell.head.captures
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["high", "low"])
 def test_structured_text_says_where_the_tool_takes_the_part(order: Any) -> None:
     """stGrasp is of the same command, or not valid; part after part, and gone with the acknowledgement."""
@@ -605,6 +611,7 @@ def test_structured_text_ends_in_an_error_when_something_is_wrong() -> None:
         assert (True, 101) == (plc.values["xError"], plc.values["uiError"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("notices", [True, False], ids=["link down", "unnoticed"])
 def test_structured_text_never_keeps_coordinates_over_a_restart(notices: bool) -> None:
     """In "done" with a good result, the cell is started anew: an error, nothing valid, nothing runs unasked.
@@ -635,6 +642,7 @@ def test_structured_text_never_keeps_coordinates_over_a_restart(notices: bool) -
             assert (True, 28_000) == (plc.values["stResult"]["xValid"], plc.values["stResult"]["diX"])
 
 
+@pytest.mark.slow
 def test_structured_text_never_keeps_coordinates_over_a_reload() -> None:
     """The registration changes while the result is in use: an error in the next scan, and nothing valid."""
     with LiveCell() as cell, Plc(cell.port) as plc:
@@ -654,6 +662,7 @@ def test_structured_text_never_keeps_coordinates_over_a_reload() -> None:
         assert (True, 110_000) == (plc.values["stResult"]["xValid"], plc.values["stResult"]["diX"])
 
 
+@pytest.mark.slow
 def test_structured_text_is_done_with_a_result_that_was_withdrawn_before_it_was_read() -> None:
     """Vision was slower than validity_s: carried out, nothing to use, and no time-out."""
     with LiveCell(ModbusSettings(port=0, validity_s=0.05)) as cell, Plc(cell.port) as plc:
@@ -663,6 +672,7 @@ def test_structured_text_is_done_with_a_result_that_was_withdrawn_before_it_was_
         assert (True, False) == (plc.values["xDone"], plc.values["stResult"]["xValid"])
 
 
+@pytest.mark.slow
 def test_structured_text_runs_its_command_over_a_connection_that_was_made_anew_unnoticed() -> None:
     """The first CMD_SEQ of a connection runs nothing: the block writes another one, measured once."""
     with LiveCell() as cell, Plc(cell.port) as plc:
@@ -674,6 +684,7 @@ def test_structured_text_runs_its_command_over_a_connection_that_was_made_anew_u
         assert 1 == cell.head.captures
 
 
+@pytest.mark.slow
 def test_structured_text_gives_way_to_another_clients_command() -> None:
     """Another client commands while the result is in use: not valid any more, and its own is not repeated."""
     with LiveCell(ModbusSettings(port=0, validity_s=30.0, owner_s=0.01)) as cell, Plc(cell.port) as plc:
@@ -696,6 +707,7 @@ def test_structured_text_gives_way_to_another_clients_command() -> None:
         assert 2 == cell.head.captures
 
 
+@pytest.mark.slow
 def test_structured_text_takes_a_command_back_that_failed() -> None:
     """The link is down when it is given: error 101; when the link returns, nothing runs."""
     with LiveCell() as cell, Plc(cell.port) as plc:
@@ -718,6 +730,7 @@ def test_structured_text_takes_a_command_back_that_failed() -> None:
         assert plc.values["stResult"]["xValid"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes, allowed",
     [({"robot_from_rig": None}, "xAllowRigFrame"), ({"simulated": True}, "xAllowSimulated")],
@@ -745,6 +758,7 @@ def test_structured_text_moves_no_robot_by_the_rigs_frame_nor_by_a_simulation(
         assert not plc.values["stResult"]["xValid"], "a leave that was taken back"
 
 
+@pytest.mark.slow
 def test_structured_text_notices_a_cell_that_stands_still() -> None:
     """The same picture again and again: after 1 s the heartbeat is missed, coordinates are not valid."""
     with LiveCell() as cell, Plc(cell.port) as plc:
@@ -762,6 +776,7 @@ def test_structured_text_notices_a_cell_that_stands_still() -> None:
     assert [True, True, False] == seen
 
 
+@pytest.mark.slow
 def test_structured_text_never_takes_an_old_answer_for_a_new_one() -> None:
     """After a restart the PLC uses a number again that was answered before: the old picture is no answer."""
     with LiveCell() as cell, Plc(cell.port) as first, Plc(cell.port) as second:

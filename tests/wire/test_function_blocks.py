@@ -82,6 +82,7 @@ def test_a_function_block_commands_no_cell_whose_angles_mean_something_else(make
             plc.release()
 
 
+@pytest.mark.slow
 def test_scl_does_not_move_a_robot_by_a_simulation() -> None:
     """xValid stays FALSE, though the cell says VALID, unless the program allows it."""
     cell = LiveCell()
@@ -94,6 +95,7 @@ def test_scl_does_not_move_a_robot_by_a_simulation() -> None:
             plc.release()
 
 
+@pytest.mark.slow
 def test_scl_names_what_tia_would_not_compile() -> None:
     """The reader of these tests refuses a name without its mark, and a block that is not there."""
     source = render("scl")

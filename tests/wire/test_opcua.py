@@ -185,6 +185,7 @@ async def nobody_owns(client: Client) -> bool:
 # --- what it looks like ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_table_has_every_type_of_the_specification_and_each_number_once() -> None:
     """OPC 40100-1 has 35 types of objects, 1 of variables, 22 of data and 2 of references."""
     rows = read_model().rows
@@ -250,6 +251,7 @@ def test_every_register_is_a_variable_with_its_number_and_unit(open_cell: OpcUaC
     asyncio.run(look())
 
 
+@pytest.mark.slow
 def test_a_job_is_a_recipe_and_comes_and_goes_with_the_configuration(open_cell: OpcUaCell) -> None:
     """After a reload with other jobs the folder has those, each with its methods."""
 
@@ -695,6 +697,7 @@ def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) -> Non
         asyncio.run(run(cell))
 
 
+@pytest.mark.slow
 def test_a_client_reaches_its_own_subscriptions_only(open_cell: OpcUaCell) -> None:
     """asyncua numbers those of all clients in one row: a stranger could end them."""
 
@@ -737,6 +740,7 @@ def test_a_network_that_is_not_listed_is_not_let_in(secure: OpcUaSettings) -> No
         assert b"" == asyncio.run(run(cell))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

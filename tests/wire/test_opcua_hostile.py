@@ -102,6 +102,7 @@ def test_buffers_that_would_cut_answers_into_crumbs_are_refused(cell: OpcUaCell)
         assert (b"ERR", ua.StatusCodes.BadTcpNotEnoughResources) == answer(line)
 
 
+@pytest.mark.slow
 def test_who_says_nothing_has_to_go(cell: OpcUaCell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also one that has begun, and dribbles."""
     monkeypatch.setattr(connection, "ACTIVATE_S", 0.3)
@@ -114,6 +115,7 @@ def test_who_says_nothing_has_to_go(cell: OpcUaCell, monkeypatch: pytest.MonkeyP
                     raise ConnectionResetError
 
 
+@pytest.mark.slow
 def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell) -> None:
     """One address gets half of the connections, however many it opens; who is logged in stays."""
 
@@ -129,6 +131,7 @@ def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell) -> No
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_a_request_is_bounded(cell: OpcUaCell) -> None:
     """As many nodes as the server says that it takes, and no more; one method a request."""
 
@@ -202,6 +205,7 @@ def test_a_user_with_a_name_may_command_and_nobody_else() -> None:
     assert anonymous is not None and anonymous.name is None
 
 
+@pytest.mark.slow
 def test_no_password_is_looked_at_that_came_unencrypted() -> None:
     """Also the right one."""
     some = users(Clock(), anonymous=True)
@@ -232,6 +236,7 @@ def test_who_guesses_has_to_wait_and_others_need_not() -> None:
     assert other.get_user(None, "operator", PASSWORD) is not None
 
 
+@pytest.mark.slow
 def test_the_first_of_a_chain_of_certificates_is_the_clients() -> None:
     """Each says how long it is; what says nothing of the kind is taken as it is."""
     short, long = b"0\x03abc", b"0\x82\x01\x00" + bytes(256)

@@ -178,6 +178,7 @@ def test_a_picture_with_hardly_any_contrast_is_a_miss() -> None:
     assert isinstance(detect_chessboard(flat, board), NotDetected)
 
 
+@pytest.mark.slow
 def test_a_covered_corner_is_left_out() -> None:
     """A corner under a thumb is not in the detection; the others are where they are."""
     board = Chessboard(8, 5, 6.0)
@@ -271,6 +272,7 @@ def test_the_middle_of_an_ellipse_is_not_the_middle_of_the_circle() -> None:
     assert np.abs(found.pixels - true).max() < 0.01
 
 
+@pytest.mark.slow
 def test_the_filled_corner_numbers_the_dots_whatever_the_turn() -> None:
     """A square plate turned by any quarter starts at its filled corner."""
     pose = board_poses(SMALL, PLATE, 1, seed=5)[0]
@@ -304,6 +306,7 @@ def test_dots_of_another_count_or_without_orientation_are_a_miss() -> None:
     assert isinstance(detect_dots(noise, PLATE), NotDetected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated_mm", [6.0, 9.0, 11.0])
 def test_the_dots_own_size_is_measured(stated_mm: float) -> None:
     """A wrong or guessed diameter does no harm: the correction for perspective uses what is seen."""
@@ -319,6 +322,7 @@ def test_the_dots_own_size_is_measured(stated_mm: float) -> None:
     assert np.abs(again.pixels - true).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "board", [DotBoard(3, 3, 12.0, 6.0), DotBoard(15, 11, 3.0, 1.5), DotBoard(5, 9, 5.0, 2.0)]
 )

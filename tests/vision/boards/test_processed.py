@@ -101,6 +101,7 @@ def test_one_corner_that_is_missing_costs_no_other() -> None:
     assert [0.0] * 4 == refine_corners(image, alone)[:, 5].tolist()
 
 
+@pytest.mark.slow
 def test_a_covered_corner_of_a_sharpened_picture_is_left_out_or_says_so() -> None:
     """A thumb over the middle of a corner, and a glare over its side: no corner is off by 5 of its sigmas."""
     true = true_corners(TILTED)

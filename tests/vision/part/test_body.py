@@ -72,6 +72,7 @@ def test_what_is_hidden_is_what_rays_meet(lean: float, side: float, part: str) -
     assert np.mean(found & ~met) < 0.15
 
 
+@pytest.mark.slow
 def test_a_hub_covers_the_holes_behind_it() -> None:
     """At 45°, seen along a line through two holes: one is wholly seen; of the other, half is not."""
     holes = [c for c in curves_towards(read_step(CAD / "D4.step"), -np.eye(3)[2]).circles

@@ -53,6 +53,7 @@ def error(name: str, target: Target) -> FloatArray:
     return target.position_mm - cell(name).true_pose(PLACE)[:3, 3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["disc", "plate", "round"])
 def test_a_good_picture_leaves_no_doubt(name: str) -> None:
     """Rows meet and sizes are those taught: nothing is added to any sigma."""

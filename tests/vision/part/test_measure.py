@@ -131,6 +131,7 @@ def test_a_part_without_circles_is_located() -> None:
         assert np.linalg.norm(drawn - corner.position_mm, axis=1).min() < 0.03
 
 
+@pytest.mark.slow
 def test_sizes_are_those_of_the_drawing() -> None:
     """Radius, distances, width and length, each within 10 µm and four sigmas."""
     here = cell("disc")
@@ -178,6 +179,7 @@ def test_any_feature_may_be_the_reference(name: str) -> None:
     assert np.abs(target.position_mm - truth).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_round_part_states_its_free_axis() -> None:
     """A plain disc: its axis is given, and its rotation about it has the sigma of an unknown angle."""
     here = cell("round")
@@ -352,6 +354,7 @@ def test_edges_of_two_different_moments_are_refused(turn_deg: float, across_mm: 
     assert all(reject & (Reject.LEFT_RIGHT_MISMATCH | Reject.FEW_EDGES) for reject in reasons)
 
 
+@pytest.mark.slow
 def test_a_hidden_part_shows_too_few_edges() -> None:
     """A third of the outline covered, where the job wants nine tenths: that reason, and a larger sigma.
 

@@ -147,6 +147,7 @@ def test_a_turn_that_search_and_curves_see_differently_is_refused() -> None:
         assert result.target.reject == expected
 
 
+@pytest.mark.slow
 def test_half_of_the_edges_displaced_do_not_draw_the_pose_between_both() -> None:
     """Half of one picture shows each edge as a break displaces it: most edges agree with the pose taken."""
     here = hub()

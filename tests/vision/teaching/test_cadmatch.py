@@ -73,6 +73,7 @@ def test_a_part_is_found_wherever_its_frame_is(part: str, motion: FloatArray, se
     assert np.abs(apply(found.part_from_model, corners) - apply(motion, corners)).max() < 0.01
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(motion=motions, keep=st.sets(st.integers(0, 7), min_size=4))
 def test_the_pair_need_not_show_every_curve(motion: FloatArray, keep: set[int]) -> None:

@@ -35,6 +35,7 @@ def job(flat: Flange, rectification: Rectification) -> Job:
     return teach(flat.left, flat.right, rectification, flat.region, "flange", 7)
 
 
+@pytest.mark.slow
 def test_circles_are_named_by_falling_radius(job: Job) -> None:
     """c0 is the outline and the reference; c1 the bore; equal ones in reading order; nothing is invented."""
     assert [circle.name for circle in job.circles] == [f"c{k}" for k in range(len(job.circles))]
@@ -74,6 +75,7 @@ def test_limits_follow_from_the_depth(job: Job) -> None:
     assert job.search.scale_max == pytest.approx(depth / nearest)
 
 
+@pytest.mark.slow
 def test_teaching_twice_is_the_same(job: Job, flat: Flange, rectification: Rectification) -> None:
     """Bit for bit: a job can be taught again from recorded images."""
     again = teach(flat.left, flat.right, rectification, flat.region, "flange", 7)

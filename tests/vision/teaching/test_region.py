@@ -131,6 +131,7 @@ def test_other_texts_are_refused(text: str) -> None:
         parse_region(text, "--exclude")
 
 
+@pytest.mark.slow
 @settings(max_examples=200)
 @given(text=st.text(max_size=30) | st.from_regex(r"(circle|polygon|rect):[0-9,;.e-]*", fullmatch=True))
 def test_any_text_is_a_region_or_an_error(text: str) -> None:

@@ -41,6 +41,7 @@ def test_an_unedited_job_is_replaced_without_a_word(before: Job, after: Job) -> 
     assert (after.limits, after.search, after.measurements) == (job.limits, job.search, job.measurements)
 
 
+@pytest.mark.slow
 def test_edits_stay(before: Job, after: Job) -> None:
     """Limits, search parameters, a stated size with its tolerance; each is said."""
     bolts = MeasurementSpec("bolts", "distance", ("c2", "c4"), 19.4, 0.05)
