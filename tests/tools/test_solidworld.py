@@ -53,6 +53,7 @@ def test_a_random_part_is_one_closed_body_and_its_breaks_take_material_away(numb
     assert 0 < volume(real)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [2, 4])
 def test_a_step_file_says_what_the_triangles_say(number: int, tmp_path: Path) -> None:
     """Circles and straight edges of both are the same, to a nanometre."""

@@ -167,6 +167,7 @@ def test_a_browser_asks_before_it_shows_an_old_page(built: Path) -> None:
     run(test)
 
 
+@pytest.mark.slow
 def test_it_is_shown_to_whom_the_status_page_is(built: Path) -> None:
     """Nothing without the password: a browser is led to the form; nothing for another host's name."""
     password = "correct horse"

@@ -127,7 +127,7 @@ def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
 def test_an_older_release_under_newer_settings_is_one_of_its_own(cell: RunningCell) -> None:
     """Settings stay as they are: the cell that comes of it never was there before."""
     activate(cell, cell.wider(1.001))
-    cell.config.write_text(cell.config.read_text().replace("timeout_s = 2.0", "timeout_s = 3.0"))
+    cell.config.write_text(cell.config.read_text().replace("timeout_s = 10.0", "timeout_s = 3.0"))
     cell.running.files = read_cell(cell.config)
     assert None is cell.activation.active
 

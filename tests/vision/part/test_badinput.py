@@ -132,6 +132,7 @@ def test_a_saturated_highlight_along_the_edge() -> None:
     assert target.sigma_mm[2] > whole().sigma_mm[2]
 
 
+@pytest.mark.slow
 def test_too_much_light_moves_every_edge_alike() -> None:
     """A part so bright that the sensor is saturated looks larger: its radius says so in its sigma."""
     here = cell("disc")
@@ -200,6 +201,7 @@ def test_a_right_image_that_is_none(case: str) -> None:
     assert [one.reject for one in outcome.dismissed] == [Reject.LEFT_RIGHT_MISMATCH]
 
 
+@pytest.mark.slow
 def test_swapped_images() -> None:
     """Nothing is found; and what a lenient search finds is dismissed for a left-right mismatch."""
     here = cell("disc")

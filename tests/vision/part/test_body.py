@@ -176,6 +176,7 @@ def test_a_hostile_body_is_refused(name: str, value: FloatArray | None, said: st
         PartBody.from_arrays(arrays)
 
 
+@pytest.mark.slow
 def test_a_part_of_too_many_triangles_has_no_body() -> None:
     """Rather than a job that takes seconds a picture."""
     points, triangles = welded(ring(2000, 30.0, 20.0, 5.0, rows=20))

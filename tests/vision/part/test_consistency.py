@@ -61,6 +61,7 @@ def test_a_good_picture_leaves_no_doubt(name: str) -> None:
     assert good(name).reject is Reject.NONE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "across_px"), [("disc", 0.3), ("disc", -0.45), ("disc", 0.55), ("plate", 0.3), ("round", 0.4)]
 )

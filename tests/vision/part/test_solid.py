@@ -245,6 +245,7 @@ def test_its_sigma_is_what_was_expected_of_it() -> None:
     np.testing.assert_allclose(*sigmas, rtol=0.07)
 
 
+@pytest.mark.slow
 def test_the_report_states_heights() -> None:
     """Each circle of the boss is listed with its height over the face."""
     here = taught()

@@ -124,6 +124,7 @@ def test_a_thick_part_with_dark_walls_is_measured_by_its_face(tilt_deg: float) -
         assert turned_deg(target, here.true_pose(where)) < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("side_deg", "turn_deg"), [(229.0, 97.0), (293.0, 0.0), (358.0, 353.0)])
 def test_a_steep_face_of_edges_starts_from_its_picture(side_deg: float, turn_deg: float) -> None:
     """Where rows tell nothing of the plane, a plate of straight edges is measured from its match alone."""
@@ -137,6 +138,7 @@ def test_a_steep_face_of_edges_starts_from_its_picture(side_deg: float, turn_deg
 # --- views ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_flat_job_has_no_views() -> None:
     """Without a tilt the search knows the taught look alone; with one, that is the first of a few."""
     here = coarse()

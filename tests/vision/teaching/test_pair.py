@@ -48,6 +48,7 @@ def test_circles_are_named_by_falling_radius(job: Job) -> None:
     assert rows == sorted(rows)
 
 
+@pytest.mark.slow
 def test_places_are_those_of_the_drawing(job: Job, flat: Flange) -> None:
     """Every circle lies where the part has one, to 10 µm in the face; the pose is the true one."""
     places = np.array([(disc.x_mm, disc.y_mm, disc.radius_mm) for _, disc in flat.part.circles])

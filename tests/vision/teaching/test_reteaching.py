@@ -67,6 +67,7 @@ def test_edits_stay(before: Job, after: Job) -> None:
         assert words in text
 
 
+@pytest.mark.slow
 def test_what_cannot_stay_is_said(before: Job, after: Job) -> None:
     """A measurement of a feature that has gone, and a name that somebody gave."""
     lost = MeasurementSpec("slot", "distance", ("bore", "c0"), 1.0, 0.1)
