@@ -40,7 +40,8 @@ class TcpClient:
 
     name : its address as the operating system gives it. peer : the host of that.
     active_s : time of the last `touch`. busy : a request of it is being answered.
-    has_flooded : it has sent more than it may, and was closed.
+    has_flooded : it has sent more than it may, and was closed. is_let_in : the protocol knows who it is, and
+    that they may.
     """
 
     def __init__(self, listener: TcpListener, connection: socket.socket, name: tuple[Any, ...]) -> None:
@@ -49,6 +50,7 @@ class TcpClient:
         self.active_s = time.monotonic()
         self.busy = False
         self.has_flooded = False
+        self.is_let_in = False
         self._inflow: Rate | None = None
         self._listener = listener
         self._connection = connection
@@ -383,6 +385,15 @@ def address_of(host: str) -> Address | None:
     if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
         return address.ipv4_mapped
     return address
+
+
+@lru_cache(1024)
+def network_of(host: str) -> str:
+    """What a peer has to itself, as a limit counts it: an IPv4 address, or a /64 of IPv6 (RFC 6177)."""
+    address = address_of(host)
+    if isinstance(address, IPv6Address) and not address.is_link_local:
+        return str(IPv6Network((address, 64), strict=False))
+    return host if address is None or "%" in host else str(address)
 
 
 @lru_cache(1024)

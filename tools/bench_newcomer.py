@@ -69,7 +69,8 @@ class Newcomer:
     async def take(self) -> None:
         """Log in and take the cell."""
         form = {"name": USER, "password": PASSWORD}
-        async with self.session.post("/login", data=form, allow_redirects=False) as answer:
+        headers = {"Origin": self.origin}
+        async with self.session.post("/login", data=form, headers=headers, allow_redirects=False) as answer:
             answer.raise_for_status()
         self.token = await self.ask("POST", "setup", {})
 

@@ -136,7 +136,8 @@ async def asked(session: aiohttp.ClientSession, cell: BenchCell, port: int, cycl
                 raise SystemExit(f"{method} {path}: {document}")
             return document
 
-    await session.post("/login", data={"name": "bench", "password": PASSWORD}, allow_redirects=False)
+    form = {"name": "bench", "password": PASSWORD}
+    await session.post("/login", data=form, headers=origin, allow_redirects=False)
     plc = await asyncio.create_subprocess_exec(
         *(sys.executable, __file__, "--read", str(cell.modbus_port)), stdout=asyncio.subprocess.PIPE
     )

@@ -97,7 +97,9 @@ class SetupCell:
         jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
         async with aiohttp.ClientSession(self.origin, cookie_jar=jar) as session:
             form = {"name": USER, "password": PASSWORD}
-            async with session.post("/login", data=form, allow_redirects=False) as answer:
+            async with session.post(
+                "/login", data=form, headers={"Origin": self.origin}, allow_redirects=False
+            ) as answer:
                 answer.raise_for_status()
             yield Person(session, self.origin)
 

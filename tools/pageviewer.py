@@ -18,7 +18,8 @@ async def look(port: int, *who: str) -> None:
     """Look for ever. who : name and password, where the page asks for them."""
     said = False
     jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
-    async with aiohttp.ClientSession(f"http://127.0.0.1:{port}", cookie_jar=jar) as session:
+    origin = f"http://127.0.0.1:{port}"
+    async with aiohttp.ClientSession(origin, cookie_jar=jar, headers={"Origin": origin}) as session:
         if who:
             form = dict(zip(("name", "password"), who, strict=True))
             async with session.post("/login", data=form, allow_redirects=False) as answer:

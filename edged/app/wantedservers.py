@@ -156,5 +156,7 @@ def web_settings(section: WebSection, state: Path | None) -> WebSettings:
     """Settings of the page. state : folder of its users."""
     from edged.adapters.web import WebSettings
 
-    hashed = section.password_hash.get_secret_value()
-    return WebSettings(**{**section.model_dump(), "password_hash": hashed, "state": state})
+    hashes = {
+        name: getattr(section, name).get_secret_value() for name in ("password_hash", "metrics_password_hash")
+    }
+    return WebSettings(**{**section.model_dump(), **hashes, "names": tuple(section.names), "state": state})

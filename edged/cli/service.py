@@ -147,11 +147,12 @@ app.add_typer(web, name="web")
 @web.command("invite")
 def web_invite(
     config: Annotated[Path, typer.Argument(help="configuration file of the cell")],
+    name: Annotated[str, typer.Argument(help="of who may use it: a new one, or a user's")],
 ) -> None:
     """Print a code by which somebody becomes an engineer, once: the first one, or one without a password."""
     from edged.commands.web import invite
 
-    raise typer.Exit(invite(config))
+    raise typer.Exit(invite(config, name))
 
 
 @app.command()

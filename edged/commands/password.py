@@ -6,9 +6,7 @@ import getpass
 import sys
 
 from edged.errors import UserError
-from edged.identity.passwords import hash_password
-
-MIN_LENGTH = 8
+from edged.identity.passwords import MIN_LENGTH, hash_password, why_weak
 
 
 def password() -> int:
@@ -21,6 +19,8 @@ def password() -> int:
         first = sys.stdin.readline().rstrip("\n")
     if len(first) < MIN_LENGTH:
         raise UserError(f"a password of at least {MIN_LENGTH} characters is expected")
+    if why := why_weak(first):
+        raise UserError(why)
     print(hash_password(first))
     sys.stderr.write(
         "edged: for web.password_hash or opcua.password_hash; "

@@ -6,28 +6,36 @@ import getpass
 import sys
 from pathlib import Path
 
+from pydantic import TypeAdapter, ValidationError
+
 from edged.config.reading import load
 from edged.errors import UserError
 from edged.files.statefolder import state_folder
 from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import VALID_S, Invite
+from edged.identity.users import UserName
 from edged.owners import as_owner
 
 
-def invite(config: Path) -> int:
-    """Print a code; it is valid at once. Raises `UserError` where it would be of no use."""
+def invite(config: Path, name: str) -> int:
+    """Print a code for somebody; it is valid at once. Raises `UserError` where it would be of no use."""
     web = load(config).web
     if web is None or not web.commissioning:
         raise UserError(f"{config}: web.commissioning is off: this cell cannot be set up on the page")
+    try:
+        TypeAdapter(UserName).validate_python(name)
+    except ValidationError as error:
+        raise UserError(f"{name!r} cannot be a name: expected 1 to 64 printable characters") from error
     folder, who = state_folder(config), getpass.getuser()
     try:
         with as_owner(folder) as place:
-            code = Invite(place).make()
-            _note(AuditFile(place), AuditEntry(who, "", "", "make", "invitation", "ok"), folder)
+            code = Invite(place).make(name)
+            _note(AuditFile(place), AuditEntry(who, "", "", "make", f"invitation of {name}", "ok"), folder)
     except OSError as error:
         raise UserError(f"{folder}: the code cannot be saved: {error.strerror or error}") from error
     scheme, host = "https" if web.certificate else "http", f"[{web.host}]" if ":" in web.host else web.host
-    print(f"{code}   for {scheme}://{host}:{web.port}/invite, once, within {VALID_S / 3600:.0f} hours")
+    address, hours = f"{scheme}://{host}:{web.port}/invite", round(VALID_S / 3600)
+    print(f"{code}   for {name} at {address}, once, within {hours} hours")
     return 0
 
 

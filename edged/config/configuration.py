@@ -82,9 +82,11 @@ class Config(Section):
     def password_hashes(self) -> dict[str, str]:
         """The hashes that are set, by their dotted path."""
         found = {
-            f"{name}.password_hash": section.password_hash.get_secret_value()
+            f"{name}.{option}": getattr(section, option).get_secret_value()
             for name, section in (("web", self.web), ("opcua", self.opcua))
             if section is not None
+            for option in type(section).model_fields
+            if option.endswith("password_hash")
         }
         return {place: hashed for place, hashed in found.items() if hashed}
 

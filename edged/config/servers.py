@@ -122,8 +122,17 @@ class WebSection(Section):
     password_hash: PasswordHash = Field(
         SecretStr(""), description="from `edged password`; needed beyond this machine"
     )
+    metrics_password_hash: PasswordHash = Field(
+        SecretStr(""),
+        description="from `edged password`: a token that reads /metrics and nothing else; left out: none",
+    )
     certificate: FilePath | None = Field(None, description="PEM; with `key` the page is served over TLS")
     key: FilePath | None = Field(None, description="PEM; private key of the certificate")
+    names: list[Host] = Field(
+        default_factory=list,
+        max_length=16,
+        description="DNS names that people open the page by, beyond the machine's own and the certificate's",
+    )
     commissioning: bool = Field(
         False, description="users may set the cell up, each by their role (`edged web invite`)"
     )

@@ -19,5 +19,7 @@ def without_secrets(text: bytes) -> bytes:
     except tomllib.TOMLDecodeError:
         return b""
     sections = [section for section in document.values() if isinstance(section, dict)]
-    hashes = [section.get("password_hash", "") for section in sections]
+    hashes = [
+        value for section in sections for name, value in section.items() if name.endswith("password_hash")
+    ]
     return plain.encode() if all(hashed in ("", HASH_LEFT_OUT) for hashed in hashes) else b""

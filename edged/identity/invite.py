@@ -1,4 +1,4 @@
-"""One-time engineer invitation: a code, read from the journal or made by root."""
+"""One-time engineer invitation: a code for one name, read from the journal or made by root."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 from edged.domain.numerals import json_of
 from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
+from edged.identity.names import key_of
 
 LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
 """Letters that are not mistaken for each other."""
@@ -28,27 +29,34 @@ class Invite:
         self._path = folder / "invite.json"
         self._utc_s = utc_s
 
-    def make(self) -> str:
-        """A code that holds for a day, or until it is used. Raises `OSError`."""
+    def make(self, name: str = "") -> str:
+        """A code that holds for a day, or until it is used. Raises `OSError`.
+
+        name : of who may use it; "" : somebody new, by a name that no user has.
+        """
         code = "-".join("".join(secrets.choice(LETTERS) for _ in range(GROUP)) for _ in range(GROUPS))
-        document = {"digest": _digest(code), "until_s": self._utc_s() + VALID_S}
+        document = {"digest": _digest(code), "until_s": self._utc_s() + VALID_S, "name": name}
         make_folders(self._path.parent)
         write_atomically(self._path, json.dumps(document).encode(), mode=0o600, is_state=True)
         return code
 
-    def is_valid(self, code: str) -> bool:
-        """Whether this is the code, today; False for a file that cannot be used."""
+    def is_valid(self, code: str, name: str, *, is_new: bool) -> bool:
+        """Whether this is the code for this name, today; False for a file that cannot be used.
+
+        is_new : no user has the name, nor one that looks like it.
+        """
         try:
             document = json_of(read_bytes(self._path, "an invitation"))
-            digest, until_s = document["digest"], document["until_s"]
+            digest, until_s, wanted = document["digest"], document["until_s"], document["name"]
             is_ours = hmac.compare_digest(str(digest).encode(), _digest(code).encode())
-            return is_ours and self._utc_s() < float(until_s)
+            is_theirs = key_of(wanted) == key_of(name) if wanted else is_new
+            return is_ours and is_theirs and self._utc_s() < float(until_s)
         except (FileFormatError, ValueError, TypeError, KeyError, RecursionError):
             return False
 
-    def take(self, code: str) -> bool:
-        """Use the code up; returns whether it was valid. Raises `OSError`."""
-        if not self.is_valid(code):
+    def take(self, code: str, name: str, *, is_new: bool) -> bool:
+        """Use the code up; returns whether it was valid, as `is_valid`. Raises `OSError`."""
+        if not self.is_valid(code, name, is_new=is_new):
             return False
         try:
             self._path.unlink()

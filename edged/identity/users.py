@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from edged.config.fields import check_password_hash
 from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.identity.names import key_of, look_alike
 
 MAX_USERS = 64
 MAX_BYTES = 64 * 1024
@@ -56,8 +57,12 @@ class LastEngineer(Exception):
     """A change would leave no engineer."""
 
 
+class NameTaken(Exception):
+    """A new user's name looks like that of another."""
+
+
 class UserFile:
-    """The users of a cell. Names are compared ignoring case, as people do.
+    """The users of a cell. Names are compared by `names.key_of`: as people do, ignoring case.
 
     A file that cannot be used is nobody's: `problem` says what is wrong with it, and it is not overwritten.
     """
@@ -84,17 +89,25 @@ class UserFile:
 
     def get(self, name: str) -> User | None:
         """The user of that name."""
-        return self._users.get(name.casefold())
+        return self._users.get(key_of(name))
+
+    def like(self, name: str) -> User | None:
+        """Somebody else whose name this could be taken for; None for the name of a user."""
+        if self.get(name) is not None:
+            return None
+        return next((user for user in self._users.values() if look_alike(user.name, name)), None)
 
     def put(self, user: User) -> None:
-        """Add or change a user. Raises `LastEngineer`, `FileFormatError`, `OSError`."""
+        """Add or change a user. Raises `LastEngineer`, `NameTaken`, `FileFormatError`, `OSError`."""
         with self._lock:
-            self._keep({**self._users, user.name.casefold(): user})
+            if (other := self.like(user.name)) is not None:
+                raise NameTaken(f"{user.name} looks like {other.name}, who is somebody else")
+            self._keep({**self._users, key_of(user.name): user})
 
     def remove(self, name: str) -> None:
         """Remove a user. Raises as `put`."""
         with self._lock:
-            self._keep({key: user for key, user in self._users.items() if key != name.casefold()})
+            self._keep({key: user for key, user in self._users.items() if key != key_of(name)})
 
     def _keep(self, users: dict[str, User]) -> None:
         if self.problem:
@@ -123,7 +136,7 @@ def _read(path: Path) -> dict[str, User]:
         place = ".".join(map(str, first["loc"]))
         message = first["msg"].removeprefix("Value error, ")
         raise FileFormatError(f"{path}: {place}: {message}" if place else f"{path}: {message}") from error
-    users = {user.name.casefold(): user for user in found.users}
+    users = {key_of(user.name): user for user in found.users}
     if len(users) < len(found.users):
         raise FileFormatError(f"{path}: a name occurs twice")
     return users

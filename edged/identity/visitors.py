@@ -28,6 +28,7 @@ class Visitor:
 
     session : digest of the cookie of a log-in on the page; "" without one, for looking only.
     is_idle : inactive for so long that they may only look until they enter their password again.
+    is_confirmed : they entered it just now.
     """
 
     name: str
@@ -36,3 +37,4 @@ class Visitor:
     session: str = ""
     language: str | None = None
     is_idle: bool = False
+    is_confirmed: bool = False

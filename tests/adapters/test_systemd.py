@@ -16,7 +16,7 @@ from helpers.waiting import WHOLE_S
 
 from edged.adapters.modbus import lines
 from edged.adapters.systemd import SystemdNotifier
-from edged.adapters.web import server
+from edged.adapters.web import places
 from edged.adapters.zenoh import session
 from edged.app.process import DESCRIPTORS
 from edged.config.servers import ModbusSection
@@ -260,7 +260,7 @@ def test_strangers_cannot_take_every_descriptor(unit_file):
         limit.le for limit in ModbusSection.model_fields["max_clients"].metadata if isinstance(limit, Le)
     )
     zenoh = 3 * session.MAX_SESSIONS + session.ACCEPT_PENDING
-    assert modbus + lines.MAX_CLIENTS + server.MAX_CONNECTIONS + zenoh + 400 <= 1024
+    assert modbus + lines.MAX_CLIENTS + places.MAX_CONNECTIONS + zenoh + 400 <= 1024
 
 
 def test_the_unit_asks_for_what_the_notifier_tells(unit_file):

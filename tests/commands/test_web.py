@@ -17,7 +17,7 @@ def invited(
     config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> tuple[int, str]:
     """Exit code, and what was printed or said."""
-    monkeypatch.setattr("sys.argv", ["edged", "web", "invite", str(config)])
+    monkeypatch.setattr("sys.argv", ["edged", "web", "invite", str(config), "Anna"])
     with pytest.raises(SystemExit) as ended:
         main()
     out, err = capsys.readouterr()
@@ -33,7 +33,7 @@ def test_a_code_is_printed_that_the_daemon_knows(
     code, said = invited(config, monkeypatch, capsys)
     assert 0 == code
     assert "http://127.0.0.1:8081/invite" in said
-    assert Invite(state_folder(config)).take(said.split()[0])
+    assert Invite(state_folder(config)).take(said.split()[0], "Anna", is_new=True)
 
 
 def test_a_cell_that_nobody_sets_up_on_its_page_has_no_code(

@@ -40,8 +40,10 @@ class BrowserSession:
     async def comes_in(self, name: str, password: str = PASSWORD) -> bool:
         """Whether somebody can log in."""
         form = {"name": name, "password": password}
-        async with self.session.post("/login", data=form, allow_redirects=False) as answer:
-            return answer.headers["Location"] == "/"
+        async with self.session.post(
+            "/login", data=form, headers={"Origin": self.origin}, allow_redirects=False
+        ) as answer:
+            return answer.headers.get("Location") == "/"
 
     async def log_in_once_it_listens(self, name: str, password: str, is_running: Callable[[], bool]) -> None:
         """To a cell that is starting. is_running : false once it has ended instead."""

@@ -1,9 +1,10 @@
 """A client that sends as fast as it can, in a process of its own.
 
-python flooder.py PORT KIND CONNECTIONS COOKIE
+python flooder.py PORT KIND CONNECTIONS COOKIE...
 
-KIND : what it sends, see `KINDS`. Reads what comes back, so that only the other side can hold it up. Says
-"flooding" when all connections are through; after the end of its input, how many of them were closed.
+KIND : what it sends, see `KINDS`. COOKIE : of a session; of several in turn. Reads what comes back, so that
+only the other side can hold it up. Says "flooding" when all connections are through; after the end of its
+input, how many of them were closed.
 """
 
 from __future__ import annotations
@@ -78,9 +79,9 @@ class Flood:
         self.is_closed = True
 
 
-def main(port: int, kind: str, connections: int, cookie: str) -> None:
+def main(port: int, kind: str, connections: int, *cookies: str) -> None:
     """Flood until the input has ended, and all are closed or have had the time for it."""
-    floods = [Flood(port, kind, cookie) for _ in range(connections)]
+    floods = [Flood(port, kind, cookies[n % len(cookies)]) for n in range(connections)]
     for flood in floods:
         flood.start()
     print("flooding", flush=True)
@@ -92,4 +93,4 @@ def main(port: int, kind: str, connections: int, cookie: str) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), sys.argv[2], int(sys.argv[3]), sys.argv[4])
+    main(int(sys.argv[1]), sys.argv[2], int(sys.argv[3]), *sys.argv[4:])

@@ -14,7 +14,7 @@ from edged.config.reading import load
 from edged.errors import ConfigError, FileFormatError
 from edged.files.statefolder import state_folder
 from edged.identity.invite import VALID_S, Invite
-from edged.identity.users import MAX_USERS, LastEngineer, User, UserFile
+from edged.identity.users import MAX_USERS, LastEngineer, NameTaken, User, UserFile
 
 CELL = "[cell]\nname = 'c'\nrig = 'rig.json'\njobs = 'jobs'\njob = 'a'\n[cameras]\nsource = 'virtual'\n"
 ANNA = User(name="Anna", role="engineer", password_hash=HASH, language="de")
@@ -128,18 +128,49 @@ def test_a_code_comes_in_once_and_for_a_day(tmp_path: Path) -> None:
     """However it is typed; a new one ends the one before; a wrong one ends nothing."""
     now_s = [1000.0]
     invite = Invite(tmp_path / "state", lambda: now_s[0])
+
+    def takes(code: str) -> bool:
+        return invite.take(code, "Erna", is_new=True)
+
     first = invite.make()
     code = invite.make()
     assert first != code
-    assert not invite.take(first)
-    assert not invite.take("")
+    assert not takes(first)
+    assert not takes("")
     assert code.replace("-", "") not in (tmp_path / "state" / "invite.json").read_text()
     now_s[0] += VALID_S - 1
-    assert invite.take(f" {code.upper().replace('-', ' ')} ")
-    assert not invite.take(code)
+    assert takes(f" {code.upper().replace('-', ' ')} ")
+    assert not takes(code)
     code = invite.make()
     now_s[0] += VALID_S
-    assert not invite.take(code)
+    assert not takes(code)
+
+
+def test_a_code_is_for_one_name(tmp_path: Path) -> None:
+    """However that is written; one for nobody in particular is for a name that nobody has."""
+    invite = Invite(tmp_path)
+    code = invite.make("Jörg")
+    for name in ("Anna", "", "Jorg"):
+        assert not invite.take(code, name, is_new=True)
+    assert invite.take(code, "JO\u0308RG", is_new=False)
+    code = invite.make()
+    assert not invite.take(code, "Anna", is_new=False)
+    assert invite.take(code, "Anna", is_new=True)
+
+
+def test_a_name_is_the_same_however_it_is_typed(tmp_path: Path) -> None:
+    """Composed or not, wide or not, in any case; and nobody new gets a name that looks like another's."""
+    users = UserFile(tmp_path / "users.json")
+    users.put(User(name="Jörg", role="engineer", password_hash=HASH))
+    users.put(User(name="Iris", role="operator", password_hash=HASH))
+    for same in ("JÖRG", "jo\u0308rg", "\uff2a\u00f6\uff52\uff47"):
+        assert users.get(same) is not None
+    for alike in ("lris", "1ris", "\u0406ris", "Ir\u0456s", "Iris\u3164"):
+        with pytest.raises(NameTaken):
+            users.put(User(name=alike, role="viewer", password_hash=HASH))
+    for other in ("Jorg", "Irina", "Ella", "Elia"):
+        users.put(User(name=other, role="viewer", password_hash=HASH))
+    assert 6 == len(UserFile(tmp_path / "users.json").users)
 
 
 @pytest.mark.parametrize(
@@ -148,7 +179,7 @@ def test_a_code_comes_in_once_and_for_a_day(tmp_path: Path) -> None:
 def test_a_damaged_invitation_lets_nobody_in(text: str, tmp_path: Path) -> None:
     """Nor does it raise."""
     (tmp_path / "invite.json").write_text(text)
-    assert not Invite(tmp_path).take("abcd-efgh-jkmn")
+    assert not Invite(tmp_path).take("abcd-efgh-jkmn", "Erna", is_new=True)
 
 
 def test_the_state_of_a_cell_has_one_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,7 @@ MARKED = re.compile(
     r"(?P<shown>[\w.]+)(?: (?:s|KiB|MiB))? "
     r"<!-- (?P<module>edged[\w.]+)\.(?P<name>\w+)(?P<scale> [*/] [\d.]+)? -->"
 )
-"""A number of the code, as a page shows it: "96 <!-- edged.adapters.web.server.MAX_CONNECTIONS -->"."""
+"""A number of the code, as a page shows it: "96 <!-- edged.adapters.web.places.MAX_CONNECTIONS -->"."""
 FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import struct
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from helpers.waiting import WHOLE_S
 from helpers.webcell import Cell, running
 
 from edged.adapters.modbus import ModbusSettings
+from edged.adapters.web.sockets import OF_SESSION
 from edged.plc.registers import ADDRESS
 
 FLOODER = Path(__file__).parents[1] / "helpers" / "flooder.py"
@@ -26,11 +27,13 @@ TABS, LINES = 8, 16
 
 
 @asynccontextmanager
-async def flood(cell: Cell, kind: str, connections: int) -> AsyncIterator[list[int]]:
+async def flood(
+    cell: Cell, kind: str, connections: int, *sessions: Mapping[str, str]
+) -> AsyncIterator[list[int]]:
     """Beside it somebody floods. Yields what in the end holds how many connections were closed."""
-    cookie = "; ".join(f"{name}={value}" for name, value in cell.cookies().items())
+    cookies = ["; ".join(f"{name}={value}" for name, value in session.items()) for session in sessions]
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, str(FLOODER), str(cell.web.port), kind, str(connections), cookie),
+        *(sys.executable, str(FLOODER), str(cell.web.port), kind, str(connections), *cookies),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
     )
@@ -80,15 +83,15 @@ def beside(kind: str, connections: int) -> tuple[int, int]:
     async def bounded() -> tuple[int, int]:
         async with asyncio.timeout(WHOLE_S), running(Ear(), True, modbus=ModbusSettings(port=0)) as cell:
             assert cell.modbus is not None
-            strangers = cell.cookies()
-            await cell.log_in("Vera")
-            if kind != "requests":
-                strangers = cell.cookies()
-            theirs = cell.cookies()
-            cell.use(strangers)
-            async with flood(cell, kind, connections) as closed:
+            sessions = list[dict[str, str]]()
+            for _ in range(TABS // OF_SESSION):
+                await cell.log_in("Vera")
+                sessions.append(cell.cookies())
+                cell.session.cookie_jar.clear()
+            strangers = [{}] if kind == "requests" else sessions
+            async with flood(cell, kind, connections, *strangers) as closed:
                 count = await answered(cell.modbus.port)
-            cell.use(theirs)
+            cell.use(sessions[0])
             if kind == "requests":
                 assert 200 == (await cell.ask("GET", "/api/v1/me"))[0]
             return count, closed[0]

@@ -99,7 +99,7 @@ def test_what_went_wrong_is_said(
     async def problem(cell: Cell, path: str, form: dict[str, str] | None) -> tuple[int, str, str]:
         """Status, what is said, and the address that the form has now."""
         method = "GET" if form is None else "POST"
-        sent = {"Accept-Language": tag}
+        sent = {"Accept-Language": tag, "Origin": cell.origin}
         async with cell.session.request(method, path, data=form, headers=sent) as answer:
             text = await answer.text()
             told = re.search(r'<p id="problem" .*role="alert">(.*)</p>', text)

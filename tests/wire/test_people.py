@@ -11,8 +11,9 @@ from argon2 import PasswordHasher
 from helpers.browsersession import PASSWORD
 from helpers.webcell import HASH, Cell, run
 
-from edged.identity.access import IDLE_S, Access
+from edged.identity.access import Access
 from edged.identity.invite import Invite
+from edged.identity.sessions import IDLE_S
 from edged.identity.users import User, UserFile
 from edged.identity.visitors import Role
 
@@ -165,7 +166,9 @@ def test_the_first_engineer_comes_in_by_the_code(caplog: pytest.LogCaptureFixtur
             ({}, "/setup"),
             ({}, "/invite?wrong"),
         ):
-            async with cell.session.post("/invite", data=form | changes, allow_redirects=False) as answer:
+            async with cell.session.post(
+                "/invite", data=form | changes, headers={"Origin": cell.origin}, allow_redirects=False
+            ) as answer:
                 assert to == answer.headers["Location"], changes
         assert ("Erna", "engineer") == await me(cell)
         async with cell.session.get("/invite") as answer:
@@ -204,9 +207,9 @@ def test_rights_of_an_engineer_end_without_a_sign_of_them(tmp_path: Path) -> Non
         visitor = access.visitor(cookies[0], "")
         assert visitor is not None
         assert visitor.is_idle
-        assert not await access.wake("", visitor, "guess")
+        assert not await access.confirm("", visitor, "guess")
         assert idle == roles()
-        assert await access.wake("", visitor, PASSWORD)
+        assert await access.confirm("", visitor, PASSWORD)
         assert both == roles()
 
     asyncio.run(test())
@@ -248,11 +251,12 @@ def test_users_that_cannot_be_read_let_nobody_in(caplog: pytest.LogCaptureFixtur
         assert not await cell.comes_in("Anna")
         await cell.log_in("")
         assert ("", "viewer") == await me(cell)
-        code = Invite(cell.state).make()
+        code = Invite(cell.state).make("Erna")
         form = {"code": code, "name": "Erna", "password": NEW, "again": NEW}
-        async with cell.session.post("/invite", data=form, allow_redirects=False) as answer:
+        headers = {"Origin": cell.origin}
+        async with cell.session.post("/invite", data=form, headers=headers, allow_redirects=False) as answer:
             assert 500 == answer.status
             assert "users.json" in await answer.text()
-        assert Invite(cell.state).take(code)
+        assert Invite(cell.state).take(code, "Erna", is_new=True)
 
     run(test, users=None)

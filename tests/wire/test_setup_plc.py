@@ -338,7 +338,8 @@ class Browser:
         keeping = urllib.request.HTTPCookieProcessor(http.cookiejar.CookieJar())
         self._opener = urllib.request.build_opener(keeping)
         form = urllib.parse.urlencode({"name": "Anna", "password": PASSWORD}).encode()
-        self._opener.open(f"{self._host}/login", form, timeout=WHOLE_S).close()
+        request = urllib.request.Request(f"{self._host}/login", form, {"Origin": self._host})
+        self._opener.open(request, timeout=WHOLE_S).close()
 
     def ask(self, method: str, path: str, document: dict[str, str]) -> Any:
         """The answer's object; None for one without."""

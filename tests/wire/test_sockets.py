@@ -15,7 +15,7 @@ from helpers.waiting import LIMIT_S, until
 from helpers.webcell import Cell, run
 
 from edged.adapters.web import Overview, server, sockets
-from edged.identity.access import IDLE_S
+from edged.identity.sessions import IDLE_S
 
 PLACE = "/api/v1/ws"
 
@@ -146,17 +146,21 @@ def test_live_without_the_cell_is_refused() -> None:
 
 
 def test_only_an_engineer_lets_cameras_run() -> None:
-    """Who may look is told so, and so is an engineer of whom there was no sign; a finger is one."""
+    """Who may look is told so, so is one who has somebody else's token, and one of whom there was no sign; a
+    finger is one.
+    """
 
     async def test(cell: Cell) -> None:
         await cell.log_in()
+        anna = cell.cookies()
         _, entered = await cell.ask("POST", "/api/v1/setup", {})
-        await cell.log_in("Vera")
-        tab = await opened(cell)
-        await tab.socket.send_json({"live": True, **entered})
-        assert "role" == (await tab.hear("live", on=False))["code"]
-        await tab.socket.close()
-        await cell.log_in()
+        for name, code in (("Vera", "role"), ("Ben", "setup_refused")):
+            await cell.log_in(name)
+            tab = await opened(cell)
+            await tab.socket.send_json({"live": True, **entered})
+            assert code == (await tab.hear("live", on=False))["code"]
+            await tab.socket.close()
+        cell.use(anna)
         tab = await opened(cell)
         cell.sleep(0.6 * IDLE_S)
         await tab.socket.send_json({"active": True})
@@ -229,7 +233,9 @@ def test_logging_out_ends_the_socket() -> None:
         await cell.log_in()
         tab = await opened(cell)
         await tab.hear("cell")
-        async with cell.session.post("/logout", allow_redirects=False) as answer:
+        async with cell.session.post(
+            "/logout", headers={"Origin": cell.origin}, allow_redirects=False
+        ) as answer:
             assert 303 == answer.status
         await tab.socket.send_json({"seen": 0})
         while not tab.socket.closed:

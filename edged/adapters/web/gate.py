@@ -21,7 +21,8 @@ from aiohttp import web
 from pydantic import BaseModel, ValidationError
 
 from edged.adapters.web.auditing import Auditor
-from edged.adapters.web.login import visitor_of
+from edged.adapters.web.login import is_from_here, visitor_of
+from edged.adapters.web.places import body_of
 from edged.adapters.web.repeats import Repeats
 from edged.adapters.web.routes import BASE, Call, Given, Problem, Route, RouteTable
 from edged.domain.numerals import decimal
@@ -39,7 +40,8 @@ from edged.errors import (
     TeachError,
     UserError,
 )
-from edged.identity.access import Access, TooManyAttempts
+from edged.identity.access import Access
+from edged.identity.attempts import TooManyAttempts
 from edged.identity.visitors import Role, Visitor
 from edged.ports import Commissioner
 
@@ -65,7 +67,10 @@ NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, e
 
 
 class Gate:
-    """Serves a table."""
+    """Serves a table.
+
+    holds : whether a session has taken the cell.
+    """
 
     def __init__(
         self,
@@ -73,6 +78,7 @@ class Gate:
         commissioner: Commissioner,
         access: Access,
         auditor: Auditor,
+        holds: Callable[[str], bool],
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._repeats = Repeats(clock_s)
@@ -80,6 +86,7 @@ class Gate:
         self._commissioner = commissioner
         self._access = access
         self._auditor = auditor
+        self._holds = holds
 
     def add_to(self, router: web.UrlDispatcher) -> None:
         """Add the table's routes."""
@@ -96,6 +103,7 @@ class Gate:
                 if route.changes and not route.is_by_itself:
                     self._access.note_activity(visitor.session)
                 call = replace(call, body=await _body(route, request))
+                self._check_lease(call)
                 if route.changes:
                     do = partial(self._done, route, call)
                     response, is_repeat = await self._repeats.once(visitor, request, call.body, do)
@@ -112,6 +120,11 @@ class Gate:
             return response
 
         return serve
+
+    def _check_lease(self, call: Call[Any]) -> None:
+        """Whether a token comes from the session that was given it. Raises `Problem`."""
+        if getattr(call.body, "token", None) is not None and not self._holds(call.visitor.session):
+            raise Problem(409, "setup_refused", "the cell was not taken in this session, or not any more")
 
     async def _done(self, route: Route, call: Call[Any]) -> web.StreamResponse:
         if route.needs_lease:
@@ -132,8 +145,12 @@ def check_visitor(route: Route, visitor: Visitor, request: web.Request) -> None:
             f"only an {route.role.word} may: you are {visitor.role.word}",
             params={"needed": route.role.word, "role": visitor.role.word},
         )
-    if route.needs_origin and request.headers.get("Origin") != f"{request.scheme}://{request.host}":
+    if route.needs_origin and not is_from_here(request):
         raise Problem(403, "origin", "the request came from a page of another host, or from none")
+    if route.needs_password and not visitor.is_confirmed:
+        raise Problem(
+            403, "confirm", "enter your password again: this changes who may, or what the cell runs by"
+        )
 
 
 async def chunks(request: web.Request, limit_bytes: int) -> AsyncIterator[bytes]:
@@ -146,7 +163,7 @@ async def chunks(request: web.Request, limit_bytes: int) -> AsyncIterator[bytes]
     size = 0
     try:
         async with asyncio.timeout(READ_S + limit_bytes / SLOW_BYTES_PER_S):
-            while chunk := await request.content.readany():
+            async for chunk in body_of(request):
                 size += len(chunk)
                 if size > limit_bytes:
                     raise too_large

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import logging
 import math
 from urllib.parse import parse_qs
@@ -12,22 +13,31 @@ from markupsafe import Markup
 from pydantic import TypeAdapter, ValidationError
 
 from edged.adapters.web.auditing import Auditor
-from edged.adapters.web.people import MIN_LENGTH, Password
+from edged.adapters.web.people import Password
+from edged.adapters.web.places import body_of
 from edged.adapters.web.texts import Texts, language_of
 from edged.errors import FileFormatError
-from edged.identity.access import Access, TooManyAttempts
+from edged.identity.access import Access
+from edged.identity.attempts import TooManyAttempts
 from edged.identity.invite import Invite
+from edged.identity.passwords import MIN_LENGTH, why_weak
 from edged.identity.users import UserFile, UserName
 from edged.identity.visitors import Visitor
 from edged.report.page import render
 
 log = logging.getLogger(__name__)
 
-COOKIE = "edged_session"
 FORM_S = 5.0
+"""From the first byte of a form to its last."""
+MAX_FORM_BYTES = 4096
 NEXT = {"setup": "/setup"}
 """Where a form may lead, by what its address says; else to the status page."""
-REFUSED = {"wrong": "invite-wrong", "differ": "invite-differ", "short": "invite-short"}
+REFUSED = {
+    "wrong": "invite-wrong",
+    "differ": "invite-differ",
+    "short": "invite-short",
+    "common": "invite-common",
+}
 """What the form for a code tells, by what its address says."""
 COMMAND = Markup('<code translate="no">edged web invite</code>')
 _NAME, _PASSWORD = TypeAdapter(UserName), TypeAdapter(Password)
@@ -35,7 +45,21 @@ _NAME, _PASSWORD = TypeAdapter(UserName), TypeAdapter(Password)
 
 def visitor_of(access: Access, request: web.Request) -> Visitor | None:
     """The session that sent a request, if any."""
-    return access.visitor(request.cookies.get(COOKIE, ""), request.remote or "")
+    return access.visitor(request.cookies.get(access.cookie, ""), request.remote or "")
+
+
+def cookie_name(cell: str, *, secure: bool) -> str:
+    """Name of the cookie of a cell's sessions.
+
+    Browsers send a cookie to every port of a host: each cell has its own. secure : served over TLS; then no
+    other host, and no page without TLS, can set it (`__Host-`, RFC 6265bis).
+    """
+    return f"{'__Host-' if secure else ''}edged_{hashlib.sha256(cell.encode()).hexdigest()[:12]}"
+
+
+def is_from_here(request: web.Request) -> bool:
+    """Whether a browser's page of this very host sent a request."""
+    return request.headers.get("Origin") == f"{request.scheme}://{request.host}"
 
 
 class LoginForms:
@@ -96,6 +120,7 @@ class LoginForms:
         return answer
 
     async def _log_in(self, request: web.Request) -> web.Response:
+        _check_origin(request)
         form = await _fields(request)
         name, password = form.get("name", "").strip(), form.get("password", "")
         is_known = bool(password) and (self._users or not name)
@@ -113,6 +138,7 @@ class LoginForms:
         raise self._entered(cookie, NEXT.get(to, "/"))
 
     async def _redeem(self, request: web.Request) -> web.Response:
+        _check_origin(request)
         form = await _fields(request)
         try:
             name = _NAME.validate_python(form.get("name", "").strip())
@@ -121,6 +147,8 @@ class LoginForms:
             raise web.HTTPSeeOther("/invite?short") from None
         if password != form.get("again"):
             raise web.HTTPSeeOther("/invite?differ")
+        if why_weak(password, name):
+            raise web.HTTPSeeOther("/invite?common")
         try:
             cookie = await self._access.redeem(request.remote or "", form.get("code", ""), name, password)
         except TooManyAttempts as error:
@@ -137,14 +165,19 @@ class LoginForms:
         raise self._entered(cookie, "/setup")
 
     async def _log_out(self, request: web.Request) -> web.Response:
-        self._access.log_out(request.cookies.get(COOKIE, ""))
+        _check_origin(request)
+        self._access.log_out(request.cookies.get(self._access.cookie, ""))
         answer = web.HTTPSeeOther("/login")
-        answer.del_cookie(COOKIE, path="/")
+        answer.del_cookie(
+            self._access.cookie, path="/", secure=self._secure, httponly=True, samesite="Strict"
+        )
         raise answer
 
     def _entered(self, cookie: str, to: str) -> web.HTTPSeeOther:
         answer = web.HTTPSeeOther(to)
-        answer.set_cookie(COOKIE, cookie, httponly=True, samesite="Strict", secure=self._secure, path="/")
+        answer.set_cookie(
+            self._access.cookie, cookie, httponly=True, samesite="Strict", secure=self._secure, path="/"
+        )
         return answer
 
 
@@ -158,7 +191,15 @@ def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
         except OSError as error:
             log.error("the code for the first engineer cannot be saved: %s", error)  # noqa: TRY400  (says where)
             return
-        log.warning("nobody may set the cell up yet: %s/invite with the code %s, today", place, code)
+        log.warning(
+            "nobody may set the cell up yet: %s/invite with the code %s, today, by a new name", place, code
+        )
+
+
+def _check_origin(request: web.Request) -> None:
+    """A page elsewhere must log nobody in, in its own name, nor out. Raises `HTTPForbidden`."""
+    if not is_from_here(request):
+        raise web.HTTPForbidden(text="the request came from a page of another host, or from none\n")
 
 
 async def _fields(request: web.Request) -> dict[str, str]:
@@ -166,7 +207,12 @@ async def _fields(request: web.Request) -> dict[str, str]:
     # not `request.post()`: it fails on what a browser would not send, other character sets for example
     try:
         async with asyncio.timeout(FORM_S):
-            form = parse_qs((await request.read()).decode("ascii", "replace"))
+            data = b""
+            async for chunk in body_of(request):
+                data += chunk
+                if len(data) > MAX_FORM_BYTES:
+                    raise web.HTTPRequestEntityTooLarge(MAX_FORM_BYTES, len(data))
+            form = parse_qs(data.decode("ascii", "replace"))
     except (TimeoutError, ValueError, web.RequestPayloadError) as error:
         raise web.HTTPBadRequest(text="this is no form\n") from error
     return {name: values[0] for name, values in form.items()}

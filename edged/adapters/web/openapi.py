@@ -27,8 +27,11 @@ class ProblemDocument(Answer):
     params: dict[str, Any] | None = Field(None, description="what a sentence of one's own for the code needs")
 
 
-def document_of(table: RouteTable, cell: str) -> Json:
-    """Every route with its parameters, body and answers; `x-edged-…` say who may, and how."""
+def document_of(table: RouteTable, cell: str, cookie: str) -> Json:
+    """Every route with its parameters, body and answers; `x-edged-…` say who may, and how.
+
+    cookie : name of the one that holds a session.
+    """
     bodies = {route.body for route in table if route.body is not None and route.changes}
     answers = {route.answer for route in table if isinstance(route.answer, type)} | {ProblemDocument}
     models: list[Any] = [(model, "validation") for model in sorted(bodies, key=_name)]
@@ -43,7 +46,7 @@ def document_of(table: RouteTable, cell: str) -> Json:
         "paths": paths,
         "components": {
             "schemas": schemas["$defs"],
-            "securitySchemes": {"page": {"type": "apiKey", "in": "cookie", "name": "edged_session"}},
+            "securitySchemes": {"page": {"type": "apiKey", "in": "cookie", "name": cookie}},
         },
         "security": [{"page": []}],
     }
@@ -74,6 +77,7 @@ def _operation(route: Route, references: Any) -> Json:
         "x-edged-role": route.role.word,
         "x-edged-audit": route.audit,
         "x-edged-lease": route.needs_lease,
+        "x-edged-password": route.needs_password,
     }
     if route.body is not None and route.changes:
         schema = references[route.body, "validation"]

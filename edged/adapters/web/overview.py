@@ -80,6 +80,7 @@ class OverviewRoutes:
     """`cell`, and the document of all routes.
 
     sources : what events do not tell. setup : knows the session that took the cell last. table : all routes.
+    cookie : name of the one that holds a session.
     """
 
     def __init__(
@@ -89,18 +90,20 @@ class OverviewRoutes:
         sources: PageSources,
         setup: SetupRoutes,
         table: RouteTable,
+        cookie: str,
     ) -> None:
         self._cell = cell
         self._page = page
         self._sources = sources
         self._setup = setup
         self._table = table
+        self._cookie = cookie
         self._described = ""
 
     @route("GET", "/openapi.json", "This document", role=Role.VIEWER, answer="application/json")
     async def _document(self, _call: Call[None]) -> web.Response:
         if not self._described:  # it takes a tenth of a second: models of all routes
-            document = await asyncio.to_thread(document_of, self._table, self._cell)
+            document = await asyncio.to_thread(document_of, self._table, self._cell, self._cookie)
             self._described = json.dumps(document)
         return web.json_response(text=self._described)
 
@@ -117,7 +120,7 @@ class OverviewRoutes:
             setup = SetupNow(
                 name=state.setup_by or None,
                 unattended=is_person and not state.setup_by,
-                yours=is_person and session != "" and session == self._setup.holder,
+                yours=is_person and self._setup.holds(session),
                 source=state.setup.name.lower(),
             )
         rig = asked.rig

@@ -10,11 +10,12 @@ from pydantic import Field, StringConstraints
 
 from edged.adapters.web.routes import Answer, Body, Call, Problem, route
 from edged.identity.access import Access
-from edged.identity.users import Language, LastEngineer, RoleName, User, UserFile, UserName
+from edged.identity.passwords import MIN_LENGTH, why_weak
+from edged.identity.users import Language, LastEngineer, NameTaken, RoleName, User, UserFile, UserName
 from edged.identity.visitors import Role
 
-MIN_LENGTH = 8
 Password = Annotated[str, StringConstraints(min_length=MIN_LENGTH, max_length=256, strip_whitespace=False)]
+"""A password that somebody gets."""
 Said = Annotated[str, StringConstraints(max_length=256, strip_whitespace=False)]
 """A password that somebody has."""
 PERSON = "/users/{name:[^/]{1,64}}"
@@ -46,6 +47,21 @@ class Waking(Body):
     """It is still me."""
 
     password: Said
+
+
+class MySession(Answer):
+    """A session of mine. age_s : since the log-in. idle_s : since I did something. this : which asks."""
+
+    address: str
+    age_s: int
+    idle_s: int
+    this: bool
+
+
+class MySessions(Answer):
+    """All that are open, the oldest first."""
+
+    sessions: list[MySession]
 
 
 class NewUser(Body):
@@ -101,41 +117,69 @@ class People:
     @route("PUT", "/me/password", "Another password", role=Role.VIEWER, audit=True)
     async def _my_password(self, call: Call[MyPassword]) -> None:
         user = self._user(call.visitor.name)
+        _check_strength(call.body.new, user.name, "new")
         if not await self._access.is_user(call.visitor.address, user.name, call.body.old):
             raise Problem(403, "password", "old: this is not your password", field="old")
-        password_hash = await self._access.hash(call.body.new)
+        password_hash = await self._access.hash(call.visitor.address, call.body.new)
         await self._put(self._user(user.name).model_copy(update={"password_hash": password_hash}))
         self._access.end_sessions(user.name, but=call.visitor.session)
 
-    @route("POST", "/me/wake", "The rights of an engineer who was idle, again", role=Role.VIEWER, audit=True)
+    @route(
+        "POST",
+        "/me/wake",
+        "The password again: after being idle, and before what needs it",
+        role=Role.VIEWER,
+        audit=True,
+    )
     async def _wake(self, call: Call[Waking]) -> None:
         self._user(call.visitor.name)
-        if not await self._access.wake(call.visitor.address, call.visitor, call.body.password):
+        if not await self._access.confirm(call.visitor.address, call.visitor, call.body.password):
             raise Problem(403, "password", "password: this is not your password", field="password")
+
+    @route("GET", "/me/sessions", "Where I am logged in", role=Role.VIEWER)
+    async def _my_sessions(self, call: Call[None]) -> MySessions:
+        user = self._user(call.visitor.name)
+        return MySessions(
+            sessions=[
+                MySession(
+                    address=session.address,
+                    age_s=round(self._access.now_s() - session.since_s),
+                    idle_s=round(self._access.now_s() - session.active_s),
+                    this=digest == call.visitor.session,
+                )
+                for digest, session in self._access.sessions(user.name)
+            ]
+        )
+
+    @route("DELETE", "/me/sessions", "Log me out everywhere, here too", role=Role.VIEWER, audit=True)
+    async def _end_my_sessions(self, call: Call[None]) -> None:
+        self._access.end_sessions(self._user(call.visitor.name).name)
 
     @route("GET", "/users", "Everybody with a password")
     async def _all(self, _call: Call[None]) -> UsersNow:
         return UsersNow(users=[_now(user) for user in self._users.users], problem=self._users.problem or None)
 
-    @route("POST", "/users", "Somebody new", status=201, audit=True)
+    @route("POST", "/users", "Somebody new", status=201, audit=True, needs_password=True)
     async def _add(self, call: Call[NewUser]) -> UserNow:
         body = call.body
         if self._users.get(body.name) is not None:
             raise Problem(409, "exists", f"there is a user {body.name} already", field="name")
-        password_hash = await self._access.hash(body.password)
+        _check_strength(body.password, body.name, "password")
+        password_hash = await self._access.hash(call.visitor.address, body.password)
         user = User(name=body.name, role=body.role, password_hash=password_hash, language=body.language)
         call.trail.object, call.trail.after = user.name, _digest(user)
         await self._put(user)
         return _now(user)
 
-    @route("PUT", PERSON, "Another role, password or language", audit=True)
+    @route("PUT", PERSON, "Another role, password or language", audit=True, needs_password=True)
     async def _change(self, call: Call[UserChange]) -> None:
         changes = call.body.model_dump(exclude_unset=True, exclude={"password"})
         if changes.get("role", "") is None:
             raise Problem(400, "invalid", "role: expected viewer, operator or engineer", field="role")
         name = self._user(call.part("name")).name
         if call.body.password is not None:
-            changes["password_hash"] = await self._access.hash(call.body.password)
+            _check_strength(call.body.password, name, "password")
+            changes["password_hash"] = await self._access.hash(call.visitor.address, call.body.password)
         before = self._user(name)
         user = before.model_copy(update=changes)
         call.trail.before, call.trail.after = _digest(before), _digest(user)
@@ -144,7 +188,7 @@ class People:
             own = name == call.visitor.name
             self._access.end_sessions(name, but=call.visitor.session if own else "")
 
-    @route("DELETE", PERSON, "Take somebody out; their sessions end", audit=True)
+    @route("DELETE", PERSON, "Take somebody out; their sessions end", audit=True, needs_password=True)
     async def _remove(self, call: Call[None]) -> None:
         user = self._user(call.part("name"))
         name, call.trail.before = user.name, _digest(user)
@@ -166,6 +210,14 @@ class People:
             await asyncio.to_thread(self._users.put, user)
         except LastEngineer:
             raise _last_engineer(user.name) from None
+        except NameTaken as error:
+            raise Problem(409, "exists", str(error), field="name") from None
+
+
+def _check_strength(password: str, name: str, field: str) -> None:
+    """Raises `Problem` for a password that is guessed first."""
+    if why := why_weak(password, name):
+        raise Problem(400, "weak_password", f"{field}: {why}", field=field)
 
 
 def _last_engineer(name: str) -> Problem:

@@ -139,6 +139,7 @@ class RouteOptions(TypedDict, total=False):
     status: int
     audit: bool
     needs_lease: bool
+    needs_password: bool
     limit_bytes: int
     is_by_itself: bool
 
@@ -153,8 +154,8 @@ class Route:
     limit_bytes, by `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or nothing.
     status : of a success; left out: 200, or 204 without an answer.
     audit : noted with its outcome, also where it is refused. needs_lease : the body's `token` must be
-    that of the lease, and shows that its holder is there. is_by_itself : pages ask it without
-    anybody's doing.
+    that of the lease, and shows that its holder is there. needs_password : the visitor's, entered in the
+    last minutes. is_by_itself : pages ask it without anybody's doing.
     """
 
     method: str
@@ -167,6 +168,7 @@ class Route:
     role: Role = Role.ENGINEER
     audit: bool = False
     needs_lease: bool = False
+    needs_password: bool = False
     limit_bytes: int = LIMIT_BYTES
     is_by_itself: bool = False
 

@@ -22,17 +22,18 @@ from aiohttp.http_exceptions import HttpProcessingError
 from edged.adapters.web.assets import modules, read_assets
 from edged.adapters.web.auditing import Auditor, AuditRoutes
 from edged.adapters.web.gate import Gate
-from edged.adapters.web.login import LoginForms, tell_of_users, visitor_of
+from edged.adapters.web.login import MAX_FORM_BYTES, LoginForms, cookie_name, tell_of_users, visitor_of
 from edged.adapters.web.manualfiles import FOLDER
 from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.page import PageSources, StatusPage
 from edged.adapters.web.pages import PageHandlers, html
 from edged.adapters.web.people import People
+from edged.adapters.web.places import CLIENT, displaced_by
 from edged.adapters.web.routes import BASE, RouteTable
-from edged.adapters.web.settings import WebSettings, page_context
+from edged.adapters.web.settings import ServedNames, WebSettings, page_context
 from edged.adapters.web.setup import SetupRoutes
 from edged.adapters.web.sockets import Sockets
-from edged.adapters.web.viewers import Viewers, least_active
+from edged.adapters.web.viewers import Viewers
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.config.fields import is_loopback
@@ -40,7 +41,8 @@ from edged.connections import Rate, Rates, TcpClient, TcpListener
 from edged.domain.cell import CellState
 from edged.domain.events import Event, Idle
 from edged.errors import ListenError
-from edged.identity.access import Access, TooManyAttempts
+from edged.identity.access import Access
+from edged.identity.attempts import TooManyAttempts
 from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import Invite
 from edged.identity.users import UserFile
@@ -51,8 +53,6 @@ from edged.report.page import render
 
 log = logging.getLogger(__name__)
 
-MAX_CONNECTIONS = 96
-"""Connections at a time; a browser has six, a scraper one. Viewers and sockets leave a third of them."""
 IDLE_S = 15.0
 """From the connection to its first whole request, from an answer to the next one, and to fetch an answer."""
 HANDSHAKES_PER_S = 50.0
@@ -64,12 +64,11 @@ page that is opened for some eighty files.
 """
 FLOODED_S = 5.0
 """After flooding a socket, a client's requests are refused for so long."""
-MAX_FORM_BYTES = 4096
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'",
     "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",  # with none, browsers leave out the Origin of a form
     "Cache-Control": "no-store",
 }
 FREE = {"/health", "/ready", "/login", "/static/login.css", "/static/icon.svg"}
@@ -146,7 +145,15 @@ class WebPublisher:
         self._invite = None if state is None else Invite(state)
         self._audit = None if state is None else AuditFile(state)
         self._auditor = Auditor(self._audit)
-        self._access = Access(settings.password_hash, clock_s, users=self._users, invite=self._invite)
+        self._access = Access(
+            settings.password_hash,
+            clock_s,
+            cookie=cookie_name(cell, secure=settings.certificate is not None),
+            metrics_hash=settings.metrics_password_hash,
+            users=self._users,
+            invite=self._invite,
+        )
+        self._names = ServedNames(settings)
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
         self._assets = read_assets()
         self._handlers = PageHandlers(
@@ -178,6 +185,7 @@ class WebPublisher:
         if context is None and settings.password_hash and not is_loopback(settings.host):
             log.warning("the status page sends its password in the clear: set web.certificate and web.key")
         app = web.Application(middlewares=[self._guard], client_max_size=MAX_FORM_BYTES)
+        app.on_response_prepare.append(self._guard_answer)
         secure = settings.certificate is not None
         forms = LoginForms(
             self._cell, self._access, self._auditor, users=self._users is not None, secure=secure
@@ -213,7 +221,7 @@ class WebPublisher:
         """What sets the cell up: the routes that every cell has, and further ones."""
         table = RouteTable()
         self._taking = setup = SetupRoutes(commissioner, self._drawer)
-        overview = OverviewRoutes(self._cell, self._page, self._sources, setup, table)
+        overview = OverviewRoutes(self._cell, self._page, self._sources, setup, table, self._access.cookie)
         table.add(setup, overview)
         if self._users is not None:
             table.add(People(self._access, self._users))
@@ -226,7 +234,7 @@ class WebPublisher:
             self._drawer,
             self._access,
             overview,
-            self._client,
+            setup.holds,
             lambda request: self._rate(request).forfeit(FLOODED_S),
         )
         table.add(self._sockets, *self._setup.routes)
@@ -234,7 +242,7 @@ class WebPublisher:
         self._setup_page = render(
             "setup.html", __package__, cell=self._cell, modules=modules(self._assets), offers=offers
         )
-        return Gate(table, commissioner, self._access, self._auditor, self._clock_s)
+        return Gate(table, commissioner, self._access, self._auditor, setup.holds, self._clock_s)
 
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""
@@ -270,10 +278,7 @@ class WebPublisher:
     # --- every connection --------------------------------------------------------------------
 
     def _admit(self, newcomer: TcpClient) -> bool:
-        """Whether a new connection may stay; where all places are taken, an idle one makes room.
-
-        It is one of the client that has most: opening many takes no place from others.
-        """
+        """Whether a new connection may stay; where all places are taken, an idle one makes room."""
         listener = self._listener
         if listener is None:
             return False
@@ -284,13 +289,12 @@ class WebPublisher:
             self._limit.warning("status page: %s closed, too many connections", newcomer.peer)
             return False
         clients = listener.clients
-        if len(clients) < MAX_CONNECTIONS:
-            return True
-        self._limit.warning("status page: %d connections, one of them %s", len(clients), newcomer.peer)
-        displaced = least_active([client for client in clients if not client.busy], clients)
+        may_stay, displaced = displaced_by(newcomer, clients)
+        if displaced is not None or not may_stay:
+            self._limit.warning("status page: %d connections, one of them %s", len(clients), newcomer.peer)
         if displaced is not None:
             displaced.abort()
-        return displaced is not None
+        return may_stay
 
     def _client(self, request: web.Request) -> TcpClient | None:
         """The client of a request; None when it has gone."""
@@ -300,7 +304,7 @@ class WebPublisher:
         return listener.client(transport.get_extra_info("peername"))
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
-        client = self._client(request)
+        client = request.get(CLIENT)
         if client is None:  # it has gone
             return web.Response(status=503)
         return await self._viewers.serve(request, client, HEADERS)
@@ -319,11 +323,20 @@ class WebPublisher:
             response = web.Response(status=429, text="too many requests\n", headers=HEADERS)
             response.force_close()
             return response
+        request[CLIENT] = client
         client.touch(busy=True)
         try:
             return await self._answer(request, handler)
         finally:
             client.touch()
+
+    async def _guard_answer(self, request: web.Request, response: web.StreamResponse) -> None:
+        """Count also what is answered before anything of ours is asked (`Expect:`)."""
+        if CLIENT in request:
+            return
+        await asyncio.sleep(0)
+        if not self._rate(request).take():
+            response.force_close()
 
     def _rate(self, request: web.Request) -> Rate:
         """The rate of a session, else of an address: strangers use up none of a session's."""
@@ -332,9 +345,16 @@ class WebPublisher:
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         try:
-            if not self._is_our_host(request):
+            if not self._names.has(request.host or ""):
+                self._limit.warning(
+                    "status page: %s asked for the host %r, which web.names does not have",
+                    request.remote,
+                    request.host,
+                )
                 raise web.HTTPMisdirectedRequest(text="this host name is not served here\n")
-            if not await self._may_see(request):
+            is_let_in = await self._is_let_in(request)
+            request[CLIENT].is_let_in = is_let_in
+            if not (is_let_in or self._is_free(request)):
                 is_page = request.path in ("/", "/setup") or request.path.startswith("/manual")
                 if is_page and "text/html" in request.headers.get("Accept", ""):
                     raise web.HTTPSeeOther("/login?to=setup" if request.path == "/setup" else "/login")
@@ -353,22 +373,20 @@ class WebPublisher:
                 response.headers.setdefault(name, value)
         return response
 
-    def _is_our_host(self, request: web.Request) -> bool:
-        """A page elsewhere must not reach a cell without password through a name of its own (rebinding)."""
-        if not self._access.is_open:
+    async def _is_let_in(self, request: web.Request) -> bool:
+        """Whether this is somebody who may see the cell, or the metrics that they ask for."""
+        if self._access.is_open or self._visitor(request) is not None:
             return True
-        name = request.host.rsplit(":", 1)[0].strip("[]") if request.host else ""
-        return name == self._settings.host or is_loopback(name)
+        address, header = request.remote or "", request.headers.get("Authorization", "")
+        if not header or self._is_free(request):
+            return False
+        if request.path == "/metrics" and await self._access.may_read_metrics(address, header):
+            return True
+        return await self._access.has_basic(address, header)
 
-    async def _may_see(self, request: web.Request) -> bool:
-        if self._access.is_open or request.path in FREE:
-            return True
-        if self._users is not None and request.path == "/invite":
-            return True
-        if self._visitor(request) is not None:
-            return True
-        header = request.headers.get("Authorization", "")
-        return bool(header) and await self._access.has_basic(request.remote or "", header)
+    def _is_free(self, request: web.Request) -> bool:
+        """Whether everybody may ask for it."""
+        return request.path in FREE or (self._users is not None and request.path == "/invite")
 
     def _visitor(self, request: web.Request) -> Visitor | None:
         """The session that sent a request, if any."""

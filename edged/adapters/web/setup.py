@@ -74,10 +74,9 @@ class SetupRoutes:
         self._holder = ""
         self._is_taken = False
 
-    @property
-    def holder(self) -> str:
-        """The session that took the cell last; "" when nobody did."""
-        return self._holder
+    def holds(self, session: str) -> bool:
+        """Whether this session took the cell last, and has not given it back."""
+        return session != "" and session == self._holder
 
     def ended_by(self, state: CellState) -> bool:
         """Whether SETUP of a person has ended that nobody ended here: by the plant."""

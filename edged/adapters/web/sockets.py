@@ -19,11 +19,12 @@ from pydantic import Field, ValidationError
 
 from edged.adapters.web.login import visitor_of
 from edged.adapters.web.overview import OverviewRoutes
+from edged.adapters.web.places import CLIENT
 from edged.adapters.web.routes import WEBSOCKET, Body, Call, Problem, Token, route
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
-from edged.connections import Rate, TcpClient
+from edged.connections import Rate
 from edged.domain.frames import FramePair
 from edged.errors import SetupRefused
 from edged.identity.access import Access
@@ -32,7 +33,10 @@ from edged.logs import LogLimit
 from edged.payload import Json
 from edged.pictures.encoding import jpeg
 
-MAX_SOCKETS = 32
+MAX_SOCKETS, OF_SESSION = 32, 4
+"""Of all, and of one session."""
+KEPT = 16
+"""Of all, for users: those who have the page's password alone take no more than the others."""
 MESSAGE_BYTES = 1024
 """Size of a tab's message."""
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 60.0, 120.0
@@ -71,11 +75,15 @@ class _Encoded:
 
 @dataclass(eq=False, slots=True)
 class _Tab:
-    """One socket. notes : what it has not been told yet, the newest of each thing. last : picture it got."""
+    """One socket. user : "" with the page's password alone. last : picture it got.
+
+    notes : what it has not been told yet, the newest of each thing.
+    """
 
     request: web.Request
     socket: web.WebSocketResponse
     session: str
+    user: str
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     ended: asyncio.Event = field(default_factory=asyncio.Event)
     notes: dict[tuple[str, object], str] = field(default_factory=dict)
@@ -89,8 +97,8 @@ class _Tab:
 class Sockets:
     """All of them.
 
-    encoder : where pictures are encoded. overview : the cell, as a session sees it.
-    client_of : the connection of a request; None when it has gone. flooded : told of who sent too much.
+    encoder : where pictures are encoded. overview : the cell, as a session sees it. holds : whether a session
+    has taken the cell. flooded : told of who sent too much.
     """
 
     def __init__(
@@ -100,11 +108,11 @@ class Sockets:
         encoder: Executor,
         access: Access,
         overview: OverviewRoutes,
-        client_of: Callable[[web.Request], TcpClient | None],
+        holds: Callable[[str], bool],
         flooded: Callable[[web.Request], None],
     ) -> None:
         self._access = access
-        self._client_of = client_of
+        self._holds = holds
         self._flooded = flooded
         self._log = LogLimit(__name__)
         self._live = live
@@ -189,19 +197,18 @@ class Sockets:
         answer=WEBSOCKET,
     )
     async def _serve(self, call: Call[None]) -> web.WebSocketResponse:
-        if len(self._tabs) >= MAX_SOCKETS:
-            raise Problem(503, "sockets", f"{MAX_SOCKETS} pages are open already: close some")
+        self._check_limits(call.visitor)
         socket = web.WebSocketResponse(
             timeout=CLOSE_S, heartbeat=PING_S, max_msg_size=MESSAGE_BYTES, compress=False, autoping=False
         )
         if not socket.can_prepare(call.request).ok:
             raise Problem(426, "websocket", "expected a WebSocket handshake")
-        tab = _Tab(call.request, socket, call.visitor.session)
+        tab = _Tab(call.request, socket, call.visitor.session, call.visitor.name)
         self._tabs[tab] = None
         telling: asyncio.Task[None] | None = None
         try:
             await socket.prepare(call.request)
-            client = self._client_of(call.request)
+            client = call.request.get(CLIENT)
             if client is not None:  # also of frames that are no messages yet
                 client.limit(MESSAGES_PER_S * MESSAGE_BYTES, MESSAGES_AT_ONCE * MESSAGE_BYTES)
             tab.wake.set()
@@ -218,6 +225,18 @@ class Sockets:
                 await cancel_and_await(telling)
             tab.ended.set()
         return socket
+
+    def _check_limits(self, visitor: Visitor) -> None:
+        """Whether one more tab may be open. Raises `Problem`."""
+        limits = [
+            (sum(tab.session == visitor.session for tab in self._tabs), OF_SESSION),
+            (len(self._tabs), MAX_SOCKETS),
+        ]
+        if not visitor.name:
+            limits.append((sum(not tab.user for tab in self._tabs), MAX_SOCKETS - KEPT))
+        for count, most in limits:
+            if count >= most:
+                raise Problem(503, "sockets", f"{most} pages are open already: close some")
 
     async def _hear(self, tab: _Tab) -> None:
         """Read a tab's messages until it closes, floods, or sends an invalid one."""
@@ -262,6 +281,8 @@ class Sockets:
                 self._refuse(tab, code, why or "only an engineer may")
                 return
             try:
+                if not self._holds(tab.session):
+                    raise SetupRefused("the cell was not taken in this session, or not any more")
                 self._live.want(tab, said.token or "")
             except SetupRefused as error:
                 self._refuse(tab, "setup_refused", str(error))

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections import Counter
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 
 from aiohttp import web
 
+from edged.adapters.web.places import least_active
 from edged.connections import TcpClient
 from edged.payload import Json
 
@@ -101,12 +101,6 @@ class Viewers:
                 del self._viewers[viewer]
                 viewer.changed.set()
                 viewer.client.abort()
-
-
-def least_active(clients: Sequence[TcpClient], everybody: Sequence[TcpClient]) -> TcpClient | None:
-    """The least recently active of those clients whose host has the most connections of all."""
-    count = Counter(client.peer for client in everybody)
-    return min(clients, key=lambda client: (-count[client.peer], client.active_s), default=None)
 
 
 def _event(name: str, data: Json) -> bytes:

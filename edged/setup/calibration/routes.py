@@ -96,7 +96,16 @@ class CalibrationRoutes:
         what = "Solve it, and hold views out: half a minute for 20 pairs"
         routes.add("POST", "/solve", self._solve, what, Nothing, answer=Begun, status=202, audit=True)
         what = "Let the cell run by what the draft was solved to"
-        routes.add("POST", "/activate", self._activate, what, Activating, answer=ReleaseDocument, audit=True)
+        routes.add(
+            "POST",
+            "/activate",
+            self._activate,
+            what,
+            Activating,
+            answer=ReleaseDocument,
+            audit=True,
+            needs_password=True,
+        )
         what = "What it was solved to, for people"
         routes.add("GET", "/report", self._report, what, answer="text/html", role=see)
 

@@ -6,18 +6,12 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from edged.adapters.web.routes import Answer, Body, Call, Leased, Problem, Token, route
+from edged.adapters.web.routes import Answer, Call, Leased, Problem, route
 from edged.domain.arrays import SIDES
 from edged.domain.exposure import CameraValues
 from edged.setup.cameras.service import CameraService
 
 SIDE = "{side:left|right}"
-
-
-class CameraQuery(Body):
-    """The holder of the cell also sees what the cameras are set to."""
-
-    token: Token | None = None
 
 
 class ConfiguredCamera(Answer):
@@ -70,12 +64,17 @@ class BothLimits(Answer):
 
 
 class CamerasNow(Answer):
-    """settings, limits : null without the token of the lease."""
+    """As configured, and those that answer."""
 
     configured: dict[str, ConfiguredCamera]
     found: list[FoundCamera]
-    settings: Both | None
-    limits: BothLimits | None
+
+
+class CameraSettings(Answer):
+    """What both cameras are set to, and may be."""
+
+    settings: Both
+    limits: BothLimits
 
 
 class Adjusting(Leased):
@@ -146,26 +145,27 @@ class CameraRoutes:
     def __init__(self, cameras: CameraService) -> None:
         self._cameras = cameras
 
-    @route(
-        "GET",
-        "/cameras",
-        "Which cameras there are; with the token of the lease also what they are set to",
-    )
-    async def _now(self, call: Call[CameraQuery]) -> CamerasNow:
-        token, settings, limits = call.body.token, None, None
-        if token is not None:
-            values = {side: await self._cameras.adjust(token, side, CameraValues()) for side in SIDES}
-            settings = Both.model_validate(values)
-            bounds = {side: await self._cameras.limits(token, side) for side in SIDES}
-            limits = BothLimits.model_validate(bounds)
+    @route("GET", "/cameras", "Which cameras there are")
+    async def _now(self, _call: Call[None]) -> CamerasNow:
         return CamerasNow(
             configured={
                 side: ConfiguredCamera(**camera) for side, camera in self._cameras.configured().items()
             },
             found=[FoundCamera(**camera) for camera in await self._cameras.found()],
-            settings=settings,
-            limits=limits,
         )
+
+    @route(
+        "POST",
+        "/cameras/settings",
+        "What both cameras are set to, and the least and the most of it",
+        is_by_itself=True,
+        needs_lease=True,
+    )
+    async def _settings(self, call: Call[Leased]) -> CameraSettings:
+        token = call.body.token
+        values = {side: await self._cameras.adjust(token, side, CameraValues()) for side in SIDES}
+        bounds = {side: await self._cameras.limits(token, side) for side in SIDES}
+        return CameraSettings(settings=Both.model_validate(values), limits=BothLimits.model_validate(bounds))
 
     @route(
         "PUT",
@@ -203,7 +203,7 @@ class CameraRoutes:
         return Waved(moved=moved, exchanged=exchanged)
 
     @route("GET", "/cameras/quality", "Light and focus of the last live pictures")
-    async def _quality(self, _call: Call[CameraQuery]) -> Quality:
+    async def _quality(self, _call: Call[None]) -> Quality:
         document = self._cameras.quality()
         if document is None:
             raise Problem(404, "no_picture", "no live picture has been judged yet")

@@ -147,7 +147,16 @@ class RegistrationRoutes:
         )
         routes.add_file(PICTURE, _small, "A small picture")
         what = "Let the cell run by the registered rig"
-        routes.add("POST", "/activate", self._activate, what, Activating, answer=ReleaseDocument, audit=True)
+        routes.add(
+            "POST",
+            "/activate",
+            self._activate,
+            what,
+            Activating,
+            answer=ReleaseDocument,
+            audit=True,
+            needs_password=True,
+        )
 
     async def _begin(self, call: Call[BeginningToRegister]) -> DraftHead:
         return await self._registrations.begin(call.visitor.name, **dict(call.body))

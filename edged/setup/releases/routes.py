@@ -71,6 +71,7 @@ class ReleaseRoutes:
         "/releases/{number:[0-9]{1,6}}/activate",
         "Let the cell run by rig, cameras and jobs of a release again; settings stay",
         audit=True,
+        needs_password=True,
     )
     async def _return(self, call: Call[Returning]) -> ReleaseDocument:
         self._activation.check(call.body.token)
@@ -185,6 +186,7 @@ class JobRoutes:
         JOB,
         "Rename a job, give it another number, retire it or bring it back: as a release",
         audit=True,
+        needs_password=True,
     )
     async def _change(self, call: Call[Changing]) -> JobList:
         self._activation.check(call.body.token)
@@ -213,6 +215,7 @@ class JobRoutes:
         "The same job once more, under another name: as a release",
         status=201,
         audit=True,
+        needs_password=True,
     )
     async def _copy(self, call: Call[Copying]) -> JobList:
         self._activation.check(call.body.token)

@@ -132,7 +132,16 @@ class TeachingRoutes:
         what = "Take features, or leave them"
         routes.add("PUT", "/features", self._take, what, Taking, limit_bytes=64 * 1024)
         what = "Let the cell have the job"
-        routes.add("POST", "/activate", self._activate, what, Activating, answer=ReleaseDocument, audit=True)
+        routes.add(
+            "POST",
+            "/activate",
+            self._activate,
+            what,
+            Activating,
+            answer=ReleaseDocument,
+            audit=True,
+            needs_password=True,
+        )
 
     async def _begin(self, call: Call[TeachingBeginning]) -> DraftHead:
         return await self._teachings.begin(call.visitor.name, **dict(call.body))

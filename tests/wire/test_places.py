@@ -1,0 +1,168 @@
+"""Connections to the page: how many places a stranger has, and that people who have logged in have theirs."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from asyncio import StreamReader, StreamWriter
+
+import aiohttp
+import pytest
+from helpers.waiting import until
+from helpers.webcell import Cell, run
+
+from edged.adapters.web import login, places, sockets
+
+SLOW_FORM = (
+    b"POST /login HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://127.0.0.1\r\nContent-Length: 99\r\n\r\npass"
+)
+PLACE = "/api/v1/ws"
+
+
+async def connect(cell: Cell, address: str, sent: bytes = b"") -> tuple[StreamReader, StreamWriter]:
+    """A connection of a stranger, who sends this."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", cell.web.port, local_addr=(address, 0))
+    writer.write(sent)
+    await writer.drain()
+    return reader, writer
+
+
+async def is_closed(reader: StreamReader) -> bool:
+    """Whether the page has ended a connection."""
+    with contextlib.suppress(TimeoutError, ConnectionError):
+        async with asyncio.timeout(0.05):
+            return await reader.read(65536) == b""
+        return False
+    return reader.exception() is not None
+
+
+async def still_open(lines: list[tuple[StreamReader, StreamWriter]]) -> int:
+    """How many of them are."""
+    return sum([not await is_closed(reader) for reader, _ in lines])
+
+
+def shut(lines: list[tuple[StreamReader, StreamWriter]]) -> None:
+    """End them."""
+    for _, writer in lines:
+        writer.close()
+
+
+@pytest.mark.slow
+def test_a_stranger_has_eight_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At one address; the ninth takes that of their own which was silent longest."""
+    monkeypatch.setattr(login, "FORM_S", 60.0)
+
+    async def test(cell: Cell) -> None:
+        lines = [await connect(cell, "127.0.0.9") for _ in range(20)]
+        await until(lambda: len(clients(cell)) <= places.OF_ADDRESS)
+        assert [False] * 8 == [await is_closed(reader) for reader, _ in lines[-8:]]
+        assert 8 == await still_open(lines)
+        shut(lines)
+
+    run(test)
+
+
+def clients(cell: Cell) -> list[str]:
+    """Hosts that are connected."""
+    listener = cell.web._listener  # noqa: SLF001  (what the page counts itself)
+    assert listener is not None
+    return [client.peer for client in listener.clients]
+
+
+@pytest.mark.slow
+def test_a_form_that_does_not_come_keeps_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From a hundred and twenty addresses, each with a body that is awaited: another stranger comes in, and
+    who has logged in is served on a new connection.
+    """
+    monkeypatch.setattr(login, "FORM_S", 60.0)
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in("Anna")
+        lines = [await connect(cell, f"127.0.1.{n % 100 + 1}", SLOW_FORM) for n in range(200)]
+        await until(lambda: len(clients(cell)) <= places.MAX_CONNECTIONS - places.KEPT)
+        theirs = aiohttp.ClientSession(cell.origin, cookies=cell.cookies())
+        async with asyncio.timeout(5.0), theirs, theirs.get("/api/v1/me") as answer:
+            assert 200 == answer.status
+        reader, writer = await connect(cell, "127.0.0.9", b"GET /health HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        async with asyncio.timeout(5.0):
+            assert (await reader.readline()).startswith(b"HTTP/1.1 ")
+        shut([*lines, (reader, writer)])
+
+    run(test)
+
+
+@pytest.mark.slow
+def test_strangers_end_no_connection_of_people() -> None:
+    """Ten idle ones of somebody who has logged in outlast two hundred of strangers at the same address."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in("Anna")
+        cookie = "; ".join(f"{name}={value}" for name, value in cell.cookies().items())
+        asked = f"GET /api/v1/me HTTP/1.1\r\nHost: 127.0.0.1\r\nCookie: {cookie}\r\n\r\n".encode()
+        mine = [await connect(cell, "127.0.0.1", asked) for _ in range(10)]
+        for reader, _ in mine:
+            assert (await reader.readline()).startswith(b"HTTP/1.1 200")
+            while await reader.readline() != b"\r\n":
+                pass
+        lines = [await connect(cell, f"127.0.0.{n % 50 + 1}") for n in range(200)]
+        for reader, writer in mine:
+            await reader.read(65536)  # the body
+            writer.write(asked)
+            assert (await reader.readline()).startswith(b"HTTP/1.1 200")
+        shut([*mine, *lines])
+
+    run(test)
+
+
+def test_a_session_has_four_sockets() -> None:
+    """The fifth is refused; another session has its own."""
+
+    async def test(cell: Cell) -> None:
+        await cell.log_in("Vera")
+        tabs = [await cell.session.ws_connect(PLACE, origin=cell.origin) for _ in range(4)]
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
+            await cell.session.ws_connect(PLACE, origin=cell.origin)
+        await cell.log_in("Anna")
+        tabs.append(await cell.session.ws_connect(PLACE, origin=cell.origin))
+        for tab in tabs:
+            await tab.close()
+
+    run(test)
+
+
+@pytest.mark.slow
+def test_sockets_are_kept_for_people() -> None:
+    """Whoever has the page's password takes half of them at most, however often they log in."""
+
+    async def test(cell: Cell) -> None:
+        tabs = list[aiohttp.ClientWebSocketResponse]()
+        with contextlib.suppress(aiohttp.WSServerHandshakeError):
+            while True:
+                if len(tabs) % sockets.OF_SESSION == 0:
+                    await cell.log_in("")
+                tabs.append(await cell.session.ws_connect(PLACE, origin=cell.origin))
+        assert sockets.MAX_SOCKETS - sockets.KEPT == len(tabs)
+        await cell.log_in("Vera")
+        tabs.append(await cell.session.ws_connect(PLACE, origin=cell.origin))
+        for tab in tabs:
+            await tab.close()
+
+    run(test)
+
+
+@pytest.mark.slow
+def test_requests_that_expect_too_much_are_counted() -> None:
+    """`Expect:` is answered before anything else of a request is asked: it counts all the same."""
+    line, count = b"GET /health HTTP/1.1\r\nHost: 127.0.0.1\r\nExpect: more\r\n\r\n", 4000
+
+    async def test(cell: Cell) -> None:
+        reader, writer = await connect(cell, "127.0.0.9")
+        writer.write(line * count)
+        answers = b""
+        with contextlib.suppress(ConnectionError):
+            while chunk := await reader.read(1 << 16):
+                answers += chunk
+        assert 0 < answers.count(b"HTTP/1.1 417 ") < count
+        writer.close()
+
+    run(test)
