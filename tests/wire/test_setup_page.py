@@ -31,6 +31,7 @@ from helpers.waiting import WHOLE_S, until
 from helpers.webcell import Cell, running
 
 from edged.domain.cell import CellPhase
+from edged.identity.sessions import CONFIRMED_S
 
 pytestmark = [
     pytest.mark.slow,
@@ -247,6 +248,48 @@ def test_an_engineer_says_who_may_come_in() -> None:
         await page.until(f"{people}.length === 4")
         assert [] == await page.value(UNTRANSLATED)
         assert 0 == await page.value(TOO_WIDE)
+
+    on_the_page(test)
+
+
+def test_who_may_come_in_is_changed_with_the_password() -> None:
+    """Some minutes after the log-in it is asked for; a wrong one is said there, and the right one goes on."""
+    people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await go(page, "system")
+        await page.until(f'{people}.includes("Vera")')
+        cell.sleep(CONFIRMED_S)
+        await page.click("[aria-label='Remove Vera']")
+        await page.until(DIALOG)
+        await page.click("dialog[open] .primary")
+        await page.until(said("Enter your password to go on."))
+        assert [] == await page.violations()
+        for password in ("wrong", PASSWORD):
+            await page.type("dialog[open] [type=password]", password)
+            await page.click("dialog[open] form .primary")
+            if password == "wrong":
+                await page.until('document.querySelector("dialog[open] .wrong")')
+                page.complaints.clear()  # of the refusals
+        await page.until(f'!{people}.includes("Vera")')
+        assert not await cell.comes_in("Vera")
+
+    on_the_page(test)
+
+
+def test_a_page_shows_where_somebody_is_logged_in_and_ends_it_all() -> None:
+    """The other device stands there with this one; then both ask for the password."""
+    lines = '[...document.querySelectorAll("[aria-labelledby=sessions] li")].map((e) => e.textContent)'
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await cell.log_in()
+        await go(page, "system")
+        await page.until(f"{lines}.length === 2")
+        assert ["(here)" in line for line in await page.value(lines)] == [True, False]
+        await press(page, "Log out everywhere")
+        await page.until('document.querySelector("#password")')
+        assert 401 == (await cell.ask("GET", "/api/v1/me"))[0]
+        page.complaints.clear()  # of the session that has ended
 
     on_the_page(test)
 

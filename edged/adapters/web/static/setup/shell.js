@@ -1,7 +1,7 @@
 // The frame of every page: state of the cell, steps, lease and errors.
 import { html, signal, useEffect, useRef, useState } from "../vendor/ui.js";
 import { enter, pageOf } from "./pages.js";
-import { ask, attempt, glance, sentence, trouble } from "./shared/api.js";
+import { ask, attempt, confirming, glance, sentence, trouble } from "./shared/api.js";
 import { cell, end, holds, isConnected, leave, mayTake, me, take, wake } from "./shared/live.js";
 import { Chip, Dialog, Shape, Spoken } from "./shared/pieces.js";
 import { choose, LANGUAGES, language, t } from "./shared/texts.js";
@@ -113,16 +113,21 @@ function Steps() {
   </nav>`;
 }
 
-// Who has the cell, and the buttons to take or leave it.
-function Wake() {
+// The password once more. onSaid(): it was right; for a dialog, which lies before what went wrong.
+/** @param {{ text: string, label: string, onSaid?: () => void }} props */
+function Wake({ text, label, onSaid }) {
   const [password, setPassword] = useState("");
+  const [failed, setFailed] = useState(null);
   const submit = async (event) => {
     event.preventDefault();
-    await wake(password);
+    const isRight = await wake(password);
     setPassword("");
+    setFailed(isRight || !onSaid ? null : trouble.peek());
+    if (isRight) onSaid?.();
   };
   return html`<form class="wake" onSubmit=${submit}>
-    <p><${Shape} is="doubt" /> ${t("idle", { name: me.value.name })}</p>
+    <p><${Shape} is="doubt" /> ${text}</p>
+    ${failed && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${sentence(failed)}</p>`}
     <input type="text" autocomplete="username" value=${me.value.name} readonly hidden />
     <label class="field">
       <span>${t("password")}</span>
@@ -131,9 +136,24 @@ function Wake() {
         onInput=${(event) => setPassword(event.currentTarget.value)}
       />
     </label>
-    <button class="primary" disabled=${!password}>${t("idle-wake")}</button>
+    <button class="primary" disabled=${!password}>${label}</button>
   </form>`;
 }
+
+// In front of whatever asks for it, dialogs too.
+function Confirm() {
+  const waits = confirming.value;
+  return html`<${Dialog}
+    title=${t("confirm-title")} isOpen=${Boolean(waits)} onClose=${() => waits.answer(false)}
+  >
+    <${Wake} text=${t("confirm", { name: me.value.name })} label=${t("confirm-yes")} onSaid=${() => waits.answer(true)} />
+    <div class="actions">
+      <button type="button" onClick=${() => waits.answer(false)}>${t("back")}</button>
+    </div>
+  <//>`;
+}
+
+// Who has the cell, and the buttons to take or leave it.
 
 function Lease() {
   const [isAsked, setAsked] = useState("");
@@ -194,7 +214,7 @@ function Lease() {
   return html`<aside class="lease ${holds.value ? "mine" : ""}" aria-label=${t("lease")}>
     <p><${Shape} is=${holds.value ? "hand" : "none"} /> ${text}</p>
     <div class="actions">${buttons}</div>
-    ${me.value.idle && html`<${Wake} />`}
+    ${me.value.idle && html`<${Wake} text=${t("idle", { name: me.value.name })} label=${t("idle-wake")} />`}
     ${question("take", () => take(false))} ${question("over", () => take(true))} ${question(
       "leave",
       leave,
@@ -247,5 +267,6 @@ export function Shell() {
         ${cell.value.stage && html`<${Stage} />`}
       </div>
     </div>
+    <${Confirm} />
     <${Spoken} />`;
 }

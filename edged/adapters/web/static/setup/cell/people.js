@@ -102,6 +102,32 @@ export function OwnPassword() {
   </section>`;
 }
 
+// Where the user is logged in; ending them ends this one, too.
+export function OwnSessions() {
+  const [shown, setShown] = useState([]);
+  useFresh(() =>
+    glance(async () => {
+      setShown((await ask("GET", "me/sessions")).sessions);
+    }),
+  );
+  const end = () => attempt(() => ask("DELETE", "me/sessions")).then(() => location.reload());
+  return html`<section aria-labelledby="sessions">
+    <h2 id="sessions">${t("sessions-title")}</h2>
+    <ul class="people">
+      ${shown.map(
+        ({ address, age_s, idle_s, this: isThis }, i) => html`<li key=${i}>
+          <span translate=${false}>${address}</span>
+          <span>
+            ${t("session", { age: Math.round(age_s / 60), idle: Math.round(idle_s / 60) })}
+            ${isThis && html` <em>${t("session-this")}</em>`}
+          </span>
+        </li>`,
+      )}
+    </ul>
+    <div class="actions"><button type="button" onClick=${end}>${t("sessions-end")}</button></div>
+  </section>`;
+}
+
 export function Users() {
   const [leaving, setLeaving] = useState(null);
   useFresh(find);
@@ -190,6 +216,8 @@ export function Audit() {
   </section>`;
 }
 
-export const People = () => html`${me.value.name && offers("users") && html`<${OwnPassword} />`}
+export const People = () => html`${
+  me.value.name && offers("users") && html`<${OwnPassword} /><${OwnSessions} />`
+}
   ${mayTake.value && offers("users") && html`<${Users} />`}
   ${mayTake.value && offers("audit") && html`<${Audit} />`}`;

@@ -30,6 +30,19 @@ async function send(path, request, isAgain) {
   }
 }
 
+// A request that waits for the password to be said again; answer(isSaid) lets it go on or fail.
+export const confirming = signal(null);
+const confirmed = () =>
+  new Promise((answer) => {
+    confirming.value?.answer(false);
+    confirming.value = {
+      answer: (isSaid) => {
+        confirming.value = null;
+        answer(isSaid);
+      },
+    };
+  });
+
 // The log-in form keeps the fragment and leads back to this step.
 export const logIn = () => location.assign(`/login?to=setup${location.hash}`);
 
@@ -45,6 +58,7 @@ export async function ask(method, path, body) {
   const document = isJson ? await answer.json() : {};
   if (answer.ok) return document;
   if (answer.status === 401) logIn();
+  if (document.code === "confirm" && (await confirmed())) return ask(method, path, body);
   throw new Problem({ status: answer.status, code: `status_${answer.status}`, ...document });
 }
 

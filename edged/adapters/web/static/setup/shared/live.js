@@ -108,11 +108,11 @@ export async function lookAtCheck() {
 let settings = 0;
 async function search() {
   const before = settings;
-  const found = await ask(
-    "GET",
-    holds.value ? `cameras?token=${encodeURIComponent(token.value)}` : "cameras",
-  );
-  cameras.value = before === settings ? found : { ...found, settings: cameras.value.settings };
+  const [found, read] = await Promise.all([
+    ask("GET", "cameras"),
+    holds.value ? ask("POST", "cameras/settings", { token: token.value }) : { settings: null, limits: null },
+  ]);
+  cameras.value = { ...found, ...read, ...(before === settings ? {} : { settings: cameras.value.settings }) };
 }
 export const lookAtCameras = () => glance(search);
 export function keepSettings(side, read) {
@@ -302,6 +302,7 @@ export const wake = (password) =>
   attempt(async () => {
     await ask("POST", "me/wake", { password });
     me.value = await ask("GET", "me");
+    return true;
   });
 effect(() => {
   if (trouble.value?.code === "idle")
