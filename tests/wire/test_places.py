@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ssl
+import zlib
 from asyncio import StreamReader, StreamWriter
+from pathlib import Path
+from urllib.parse import urlencode
 
 import aiohttp
 import pytest
-from helpers.waiting import until
-from helpers.webcell import Cell, run
+from helpers.browsersession import PASSWORD
+from helpers.certificates import make_certificates
+from helpers.pagesources import FixedSources
+from helpers.waiting import WHOLE_S, until
+from helpers.webcell import HASH, Cell, run
 
-from edged.adapters.web import login, places, sockets
+from edged.adapters.web import WebPublisher, WebSettings, login, places, sockets
 
 SLOW_FORM = (
     b"POST /login HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://127.0.0.1\r\nContent-Length: 99\r\n\r\npass"
@@ -166,3 +173,67 @@ def test_requests_that_expect_too_much_are_counted() -> None:
         writer.close()
 
     run(test)
+
+
+@pytest.mark.parametrize("coding", ["deflate", "gzip", "br"])
+def test_a_compressed_body_is_not_unpacked(coding: str) -> None:
+    """A few kilobytes of it would be megabytes in the loop, before anybody is asked who they are."""
+
+    async def test(cell: Cell) -> None:
+        form = zlib.compress(urlencode({"name": "Vera", "password": PASSWORD}).encode())
+        headers = {
+            "Origin": cell.origin,
+            "Content-Encoding": coding,
+            "Content-Type": "application/x-www-form-urlencoded",
+        }
+        async with cell.session.post("/login", data=form, headers=headers, allow_redirects=False) as answer:
+            assert 415 == answer.status
+        assert {} == cell.cookies()
+
+    run(test)
+
+
+def test_a_request_without_a_host_asks_no_name_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A load balancer's, for example; it is answered, and it is no browser's."""
+    asked = list[tuple[str, ...]]()
+    monkeypatch.setattr("socket.getfqdn", lambda *names: asked.append(names) or "cellpc")
+
+    async def test(cell: Cell) -> None:
+        for line, expected in (
+            (b"GET /health HTTP/1.0\r\n\r\n", b"503"),
+            (b"POST /login HTTP/1.0\r\nOrigin: http://\r\nContent-Length: 0\r\n\r\n", b"403"),
+        ):
+            reader, writer = await connect(cell, "127.0.0.9", line)
+            assert (await reader.readline()).split()[1] in (expected, b"200")
+            writer.close()
+
+    run(test)
+    assert [] == asked
+
+
+@pytest.mark.slow
+def test_handshakes_of_one_address_keep_nobody_out(tmp_path: Path) -> None:
+    """Two hundred connections at once that want TLS: somebody else's is served beside them."""
+    make_certificates(tmp_path)
+    certificate, key = tmp_path / "server.pem", tmp_path / "server.key"
+    settings = WebSettings(port=0, password_hash=HASH, certificate=certificate, key=key)
+
+    async def test() -> None:
+        web = WebPublisher("cell1", settings, FixedSources(rectification=lambda: pytest.fail("no picture")))
+        await web.start()
+        trusting = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+        place = f"https://127.0.0.1:{web.port}/login"
+        lines = [
+            await asyncio.open_connection("127.0.0.1", web.port, local_addr=("127.0.0.9", 0))
+            for _ in range(200)
+        ]
+        async with aiohttp.ClientSession() as session, session.get(place, ssl=trusting) as answer:
+            assert 200 == answer.status
+        shut(lines)
+        await web.close()
+
+    async def bounded() -> None:
+        async with asyncio.timeout(WHOLE_S):
+            await test()
+
+    asyncio.run(bounded())

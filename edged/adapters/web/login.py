@@ -59,7 +59,8 @@ def cookie_name(cell: str, *, secure: bool) -> str:
 
 def is_from_here(request: web.Request) -> bool:
     """Whether a browser's page of this very host sent a request."""
-    return request.headers.get("Origin") == f"{request.scheme}://{request.host}"
+    host = request.headers.get("Host")
+    return host is not None and request.headers.get("Origin") == f"{request.scheme}://{host}"
 
 
 class LoginForms:

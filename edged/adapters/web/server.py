@@ -37,7 +37,7 @@ from edged.adapters.web.viewers import Viewers
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.config.fields import is_loopback
-from edged.connections import Rate, Rates, TcpClient, TcpListener
+from edged.connections import Rate, Rates, TcpClient, TcpListener, network_of
 from edged.domain.cell import CellState
 from edged.domain.events import Event, Idle
 from edged.errors import ListenError
@@ -55,7 +55,8 @@ log = logging.getLogger(__name__)
 
 IDLE_S = 15.0
 """From the connection to its first whole request, from an answer to the next one, and to fetch an answer."""
-HANDSHAKES_PER_S = 50.0
+HANDSHAKES_PER_S, HANDSHAKES_OF_ADDRESS_PER_S = 50.0, 10.0
+"""Handshakes of TLS, which take a millisecond of the loop each: of all, and of one address."""
 REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 1000.0
 """Limits of one session, or of all at one address who have not logged in.
 
@@ -170,6 +171,7 @@ class WebPublisher:
         self._runner: web.AppRunner | None = None
         self._listener: TcpListener | None = None
         self._handshakes = Rate(HANDSHAKES_PER_S)
+        self._handshakes_of = Rates(HANDSHAKES_OF_ADDRESS_PER_S, HANDSHAKES_OF_ADDRESS_PER_S)
         self._requests = Rates(REQUESTS_PER_S, REQUESTS_AT_ONCE)
         self._limit = LogLimit(__name__)
 
@@ -197,7 +199,12 @@ class WebPublisher:
             self._api(self._setup.commissioner).add_to(app.router)
             app.router.add_get("/setup", self._show_setup)
         self._runner = runner = web.AppRunner(
-            app, handle_signals=False, access_log=None, shutdown_timeout=0.5, logger=_ServerLog()
+            app,
+            handle_signals=False,
+            access_log=None,
+            shutdown_timeout=0.5,
+            logger=_ServerLog(),
+            auto_decompress=False,  # a stranger's kilobytes would be unpacked to megabytes, in the loop
         )
         await runner.setup()
         protocol = runner.server
@@ -282,10 +289,12 @@ class WebPublisher:
         listener = self._listener
         if listener is None:
             return False
-        if self._settings.certificate is not None and not self._handshakes.take():
+        place = network_of(newcomer.peer)
+        is_tls = self._settings.certificate is not None
+        if is_tls and not (self._handshakes_of.of(place).take() and self._handshakes.take()):
             self._limit.warning("status page: %s closed, too many TLS handshakes", newcomer.peer)
             return False
-        if not self._requests.of(newcomer.peer).take():
+        if not self._requests.of(place).take():
             self._limit.warning("status page: %s closed, too many connections", newcomer.peer)
             return False
         clients = listener.clients
@@ -341,17 +350,16 @@ class WebPublisher:
     def _rate(self, request: web.Request) -> Rate:
         """The rate of a session, else of an address: strangers use up none of a session's."""
         visitor = self._visitor(request)
-        return self._requests.of(visitor.session if visitor is not None else request.remote or "")
+        return self._requests.of(visitor.session if visitor is not None else network_of(request.remote or ""))
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         try:
-            if not self._names.has(request.host or ""):
-                self._limit.warning(
-                    "status page: %s asked for the host %r, which web.names does not have",
-                    request.remote,
-                    request.host,
-                )
+            host = request.headers.get("Host")
+            if host is not None and not self._names.has(host):  # every browser's request has one
+                self._limit.warning("status page: %s asked for %r, not in web.names", request.remote, host)
                 raise web.HTTPMisdirectedRequest(text="this host name is not served here\n")
+            if "Content-Encoding" in request.headers:
+                raise web.HTTPUnsupportedMediaType(text="expected a body that is not compressed\n")
             is_let_in = await self._is_let_in(request)
             request[CLIENT].is_let_in = is_let_in
             if not (is_let_in or self._is_free(request)):
