@@ -204,12 +204,12 @@ def test_an_invitation_changes_nothing_of_roots(
     trap(machine)
     before = machine.what_root_has()
     try:
-        invite(machine.config)
+        invite(machine.config, "Anna")
     except UserError as error:
         assert str(machine.state) in str(error)
     else:
         out, err = capsys.readouterr()
-        assert Invite(machine.state).take(out.split()[0])
+        assert Invite(machine.state).take(out.split()[0], "Anna", is_new=True)
         kept = AuditFile(machine.state).verify().records if not err else ()
         assert bool(kept) != bool(err)
     assert before == machine.what_root_has()
@@ -217,7 +217,7 @@ def test_an_invitation_changes_nothing_of_roots(
 
 def test_an_invitation_belongs_to_the_daemons_user(machine: Machine) -> None:
     """So do the chain and its head: the daemon can read them, and goes on with them."""
-    invite(machine.config)
+    invite(machine.config, "Anna")
     found = {file.name: file.stat() for file in machine.state.iterdir()}
     owners = {name: (about.st_uid, about.st_mode & 0o777) for name, about in found.items()}
     assert dict.fromkeys(("invite.json", "audit.jsonl", "audit.head"), (DAEMON, 0o600)) == owners
