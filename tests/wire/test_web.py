@@ -51,7 +51,6 @@ from edged.robot.orientations import Convention
 from edged.sim.cell import demo_rig
 from edged.vision.geometry.rectification import make_rectification
 
-PASSWORD = "correct horse"
 COOKIE = login.cookie_name("cell<1>", secure=False).encode()
 SLOW_FORM = (
     b"POST /login HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://127.0.0.1\r\nContent-Length: 99\r\n\r\npass"
