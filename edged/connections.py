@@ -16,9 +16,10 @@ import socket
 import ssl
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address
+from pathlib import Path
 from typing import Any
 
 from edged.errors import ListenError
@@ -95,6 +96,44 @@ class TcpClient:
         self._listener.forget(self)
 
 
+def tls_with(name: str, certificate: Path, key: Path) -> ssl.SSLContext:
+    """TLS of a server by PEM files. name : for messages. Raises `ListenError` for files that do not fit."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(certificate, key)
+    except (OSError, ssl.SSLError) as error:
+        raise ListenError(f"{name}: {certificate}, {key}: {error}") from error
+    return context
+
+
+async def listening_on(name: str, host: str, port: int) -> list[socket.socket]:
+    """Sockets that listen on a port, one for each address of the host.
+
+    name : for messages. Raises `ListenError` that says what to do; then none stays open.
+    """
+    opened: list[socket.socket] = []
+    try:
+        found = await asyncio.get_running_loop().getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )
+        for family, kind, protocol, _, address in dict.fromkeys(found):
+            listening = socket.socket(family, kind, protocol)
+            opened.append(listening)
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if family == socket.AF_INET6:
+                listening.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            listening.setblocking(False)
+            listening.bind(address)
+            listening.listen(BACKLOG)
+    except BaseException as error:
+        for listening in opened:
+            listening.close()
+        if isinstance(error, OSError | OverflowError):
+            raise ListenError(f"{name}: cannot listen on {host}:{port}: {_why(error, port)}") from error
+        raise
+    return opened
+
+
 class TcpListener:
     """Listens on one port.
 
@@ -145,29 +184,14 @@ class TcpListener:
 
     async def open(self, host: str, port: int) -> None:
         """Listen. Raises `ListenError` that says what to do; then nothing stays open."""
-        try:
-            await self._open_all(host, port)
-        except (OSError, OverflowError) as error:
-            raise ListenError(f"{self._name}: cannot listen on {host}:{port}: {_why(error, port)}") from error
+        self.take(await listening_on(self._name, host, port))
 
-    async def _open_all(self, host: str, port: int) -> None:
+    def take(self, listening: Sequence[socket.socket]) -> None:
+        """Listen on sockets of `listening_on`, which are owned from now on."""
+        self._listening += listening
         loop = asyncio.get_running_loop()
-        found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-        try:
-            for family, kind, protocol, _, address in dict.fromkeys(found):
-                listening = socket.socket(family, kind, protocol)
-                self._listening.append(listening)
-                listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                if family == socket.AF_INET6:
-                    listening.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-                listening.setblocking(False)
-                listening.bind(address)
-                listening.listen(BACKLOG)
-        except BaseException:
-            self.shut()
-            raise
-        for listening in self._listening:
-            loop.add_reader(listening, self._accept, listening)
+        for opened in self._listening:
+            loop.add_reader(opened, self._accept, opened)
         self._sweep()
 
     def shut(self) -> None:

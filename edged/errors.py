@@ -25,6 +25,7 @@
     │   └── BeingSetUp            the cell is in SETUP: nobody is served
     ├── TaskFailed                long work that ended without a result: its process was killed, or a bug
     │   └── TaskTooLarge          it took more memory or time than it may: asked again, it would again
+    ├── LinkError                 the other process cannot be reached, or says what cannot be understood
     ├── RegressionNeeded          a job or rig that makes recorded cycles worse, or was not tried on them
     ├── SetupRefused              SETUP cannot be entered, or is not (any more) whose token it was
     └── ListenError               a port or socket that cannot be opened
@@ -213,6 +214,10 @@ class RegressionNeeded(EdgedError):
         else:
             what = f"{good_to_bad} recorded cycles that were good are bad by it: look at them, and sign why"
         super().__init__(what)
+
+
+class LinkError(EdgedError):
+    """The link between the cell and its page: closed, of another version, or with a message that is none."""
 
 
 class SetupRefused(EdgedError):

@@ -90,7 +90,7 @@ def inspect(
         again = _inspect_solid(images, job, lap)
         if again.measured:
             return again
-    nearest = None if matches else Nearest(lambda: _nearest(pair, job, rig))
+    nearest = None if matches else Nearest(lambda: nearest_miss(pair, job, rig))
     return PairInspection(tuple(measured), tuple(dismissed), nearest)
 
 
@@ -119,7 +119,7 @@ def _found(rectified: Image, job: Job, params: SearchParams, rig: PreparedRig) -
         return find_shapes(rectified, job.shape, params, valid, work, views)
 
 
-def _nearest(pair: FramePair, job: Job, rig: PreparedRig) -> NearMiss | None:
+def nearest_miss(pair: FramePair, job: Job, rig: PreparedRig) -> NearMiss | None:
     """The best match of a more lenient search; None without one."""
     lenient = replace(job.search, min_score=NEAR_SHARE * job.search.min_score, max_matches=1)
     found = _found(_rectified(pair, rig).rectified_left, job, lenient, rig)

@@ -113,13 +113,13 @@ class Commissioner(Protocol):
     async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
         """Take the cell (take_over : from its holder) after the running cycle; returns a lease's token."""
 
-    def renew_setup(self, token: str) -> None:
+    async def renew_setup(self, token: str) -> None:
         """Extend the lease, at least once a minute."""
 
-    def leave_setup(self, token: str) -> None:
+    async def leave_setup(self, token: str) -> None:
         """Give the cell back."""
 
-    def end_setup(self, name: str) -> None:
+    async def end_setup(self, name: str) -> None:
         """End SETUP for any holder, present or lapsed. name : of the person who says so."""
 
     async def capture(self, token: str) -> FramePair:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,16 +13,20 @@ from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import Size, head_of
 from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_registration
+from edged.app.cellservice import CellService
+from edged.app.pageserver import PageServer, PageWitness
 from edged.app.running import Running
 from edged.app.servers import START_S, Servers, close_within, start_within
 from edged.cell.cycle import Cycle
-from edged.cell.lease.live import LivePictures
-from edged.cell.lease.notices import Notices
 from edged.cell.loaded import Setup
 from edged.cell.stereohead import StereoHead
-from edged.config.cameras import CamerasSection
+from edged.config.cameras import CameraSection
+from edged.config.chosencameras import ChosenCamera
+from edged.config.servers import WebSection
+from edged.domain.arrays import Side
 from edged.errors import EdgedError, TookTooLong, UserError
 from edged.files.statefolder import SetupNote, setup_note, state_folder
+from edged.link.summary import PageTask
 from edged.logs import fields
 from edged.ports import Publisher
 from edged.setup.cellfiles import exposed_secrets
@@ -30,8 +34,7 @@ from edged.setup.registration.registrar import CellRegistrar
 from edged.setup.releases.jobuse import JobUse
 from edged.vision.geometry.camera import StereoRig
 
-if TYPE_CHECKING:  # a cell with real cameras starts without the simulation, one without the page without both
-    from edged.app.setup import SetupServices
+if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld
 
 log = logging.getLogger(__name__)
@@ -68,7 +71,8 @@ class Daemon:
 
     observers : more publishers, for example the demo's view; they outlive a reload.
     world : the virtual cell that a configuration with virtual cameras needs; its owner starts and stops it.
-    routes : more routes of the page, for example the stage's. on_started : called before the first cycle.
+    routes : of the stage before virtual cameras, which its page forwards. on_started : called before the
+    first cycle.
     """
 
     def __init__(
@@ -82,7 +86,7 @@ class Daemon:
     ) -> None:
         self.on_started: Callable[[], None] = lambda: None
         self._path = path
-        self._more_routes = tuple(routes)
+        self._stage_routes = tuple(routes)
         self._world = world
         head = head_for(loaded, world)
         self._registrar = CellRegistrar(self)
@@ -98,18 +102,7 @@ class Daemon:
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, self._running.figures)
         self._job_use = JobUse()
         self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, self._job_use, *observers)
-        self._notices = Notices()
-        self._live = LivePictures(self._cycle.session, self._notices)
-        self._servers = Servers(
-            self._running,
-            self._tell_cycle,
-            self._metrics.render,
-            self._notices,
-            self._live,
-            self._routes,
-            state_folder(path),
-        )
-        self._setup: SetupServices | None = None
+        self._servers = Servers(self._running, self._tell_cycle, self._page)
         self._reloading = asyncio.Lock()
 
     async def run(self) -> None:
@@ -131,9 +124,6 @@ class Daemon:
             await self._run_cycle()
         finally:
             await self._servers.close()
-            await self._live.close()
-            if self._setup is not None:
-                await self._setup.close()
             for observer in started:
                 await close_within(observer, type(observer).__name__)
 
@@ -232,24 +222,35 @@ class Daemon:
             with contextlib.suppress(asyncio.CancelledError):
                 await task
 
-    def _routes(self) -> Sequence[object]:
-        """What is set up on the page; a cell without the page loads none of it."""
-        from edged.app.setup import SetupServices
+    def _page(self, cell: str, section: WebSection) -> PageServer:
+        """The page of the cell, in a process of its own."""
+        stage = None
+        if self._stage_routes:
+            from edged.setup.stage.forwarding import StageService
 
-        if self._setup is None:
-            self._setup = SetupServices(
-                self._running,
-                self._notices,
-                self._live,
-                self._job_use,
-                None if self._world is None else self._world.addresses,
-                self._head_with,
-            )
-            self._registrar.witness = self._setup.program
-        return (*self._setup.routes(), *self._more_routes)
+            stage = StageService(self._stage_routes)
+        task = PageTask(
+            path=self._running.path,
+            cell=cell,
+            state=state_folder(self._path),
+            addresses=None if self._world is None else self._world.addresses,
+            is_staged=stage is not None,
+        )
+        service = CellService(
+            self._running, task, self._job_use, self._metrics.render, self._head_with, stage
+        )
+        page = PageServer(section.host, section.port, service)
+        self._registrar.witness = PageWitness(page.tell_step, asyncio.get_running_loop())
+        return page
 
-    def _head_with(self, cameras: CamerasSection) -> StereoHead:
+    def _head_with(self, changes: Mapping[Side, ChosenCamera]) -> StereoHead:
         """Other cameras for the cell as it is, whose images must fit its rig, also while jobs are missing."""
+        section = self.loaded.cell.config.cameras
+        sides: dict[str, CameraSection] = {
+            side: getattr(section, side).model_copy(update=change.stated())
+            for side, change in changes.items()
+        }
+        cameras = section.model_copy(update=sides)
         sizes = _image_sizes(self.loaded.cell.rig)
         return head_of(cameras, self._world, external=self.loaded.setup.listens, calibrated=sizes)
 

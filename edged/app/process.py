@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 from edged.adapters.journal import set_up_logging
 from edged.app.daemon import Daemon
+from edged.app.garbage import keep_what_is_loaded
 
 log = logging.getLogger(__name__)
 
@@ -37,16 +38,6 @@ def set_up_process(level: int = logging.INFO) -> None:
 def log_as(cell: str) -> None:
     """Every entry of the log names the cell, now that its configuration is read."""
     set_up_logging(cell)
-
-
-def keep_what_is_loaded() -> None:
-    """What is there by now stays, and is not looked through for garbage again and again.
-
-    That holds up the loop: 70 ms for all of a process with its modules, 25 ms for what servers load as they
-    start. It came once in a while, with what a viewer of the page leaves behind.
-    """
-    gc.collect()
-    gc.freeze()
 
 
 async def serve(build: Callable[[], Daemon]) -> None:

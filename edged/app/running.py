@@ -6,7 +6,7 @@ import math
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,17 +18,12 @@ from edged.app.cell import LoadedCell
 from edged.cell.cycle import Cycle
 from edged.cell.lease.session import SetupSession
 from edged.cell.stereohead import StereoHead
+from edged.domain.overview import Overview, RigFigures
 from edged.payload import Json, said
 from edged.plc.registers import Number, Register
 from edged.ports import Publisher
-from edged.robot.orientations import Convention
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
-from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.uncertainty import calibration_covariance
-
-if TYPE_CHECKING:  # a cell without the page does not load it
-    from edged.adapters.web import Overview
-
 
 GROUPS = {"modbus": "Modbus", "opcua": "OPC UA", "zenoh": "Zenoh", "recorder": "Recorder"}
 """Where the status page says what is wrong with a server."""
@@ -67,20 +62,10 @@ class Running:
         modbus = self.servers.get("modbus")
         return modbus if isinstance(modbus, ModbusPublisher) else None
 
-    def rectification(self) -> Rectification:
-        """Rectification of the pictures on the page. Raises `LookupError` without a rig."""
-        if self.loaded.rig is None:
-            raise LookupError("a cell without a rig has no pictures")
-        return self.loaded.rig.rectification
-
     def registers(self) -> list[tuple[Register, Number]]:
         """Each register with its value; none where Modbus is off."""
         modbus = self.modbus()
         return [] if modbus is None else list(modbus.values())
-
-    def convention(self) -> Convention:
-        """How A, B, C state an orientation in the registers."""
-        return Convention[self.files.config.modbus.convention.upper()]
 
     def fingerprint(self) -> str:
         """Digest of all that results stand on."""
@@ -93,13 +78,6 @@ class Running:
     def jobs(self) -> list[tuple[int, str]]:
         """Number and name of each job."""
         return [(job.number, job.name) for job in self.loaded.setup.jobs.values()]
-
-    def limits(self) -> dict[int, float]:
-        """What each job allows a coordinate's sigma to be, mm, by its number."""
-        cell = self.files
-        return (
-            {job.number: job.limits.max_sigma_mm for job in cell.jobs} if isinstance(cell, CellFiles) else {}
-        )
 
     def config_summary(self) -> dict[str, Any]:
         """What `edged/<cell>/config` answers; asterisks say that there is a password's hash, and no more."""
@@ -201,9 +179,7 @@ class Running:
         return result
 
     def overview(self) -> Overview:
-        """What who sets the cell up sees first; only a cell with the page asks."""
-        from edged.adapters.web import Overview, RigFigures
-
+        """What who sets the cell up sees first."""
         loaded, drift, rig = self.loaded, self.cycle.drift, None
         calibrated = loaded.cell.rig
         if calibrated is not None:

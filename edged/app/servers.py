@@ -1,6 +1,6 @@
 """What a configuration publishes by: Modbus, OPC UA, Zenoh, recorder and web page, started and exchanged.
 
-A cell without page, Zenoh or OPC UA loads none of them: each is a tenth of a start.
+A cell without Zenoh or OPC UA loads none of them: each is a tenth of a start. The page has its own process.
 """
 
 from __future__ import annotations
@@ -9,9 +9,8 @@ import asyncio
 import contextlib
 import importlib
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 
 from edged.adapters.modbus import ModbusPublisher, server_context
 from edged.adapters.recorder import Recorder
@@ -21,15 +20,13 @@ from edged.app.wantedservers import (
     modbus_settings,
     opcua_settings,
     wanted_servers,
-    web_settings,
     zenoh_settings,
 )
-from edged.cell.lease.live import LivePictures
-from edged.cell.lease.notices import Notices
 from edged.config.cell import RecorderSection
 from edged.config.configuration import Config
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection
+from edged.connections import tls_with
 from edged.errors import EdgedError, ListenError, TookTooLong
 from edged.ports import Publisher
 
@@ -48,7 +45,6 @@ RETRY_S = 5.0
 def import_servers(config: Config) -> None:
     """Import what a configuration's servers need; a part of it, as reading certificates, is not Python."""
     wanted = {
-        "web": config.web is not None,
         "zenoh": config.zenoh.enabled,
         "opcua": config.opcua is not None,
     }
@@ -87,30 +83,20 @@ class Servers:
     """The publishers that a configuration asks for.
 
     running : the cell, whose `servers` and `problems` are kept up to date. changed : called whenever others
-    run than before an exchange. metrics : Prometheus' text. notices, live : what pages get and show.
-    routes : objects with further routes of /api/v1; asked when a page that has it is made. state : folder of
-    the users.
+    run than before an exchange. page : makes the page of a cell by its name.
     """
 
     def __init__(
         self,
         running: Running,
         changed: Callable[[], None],
-        metrics: Callable[[], bytes] = bytes,
-        notices: Notices | None = None,
-        live: LivePictures | None = None,
-        routes: Callable[[], Sequence[object]] = tuple,
-        state: Path | None = None,
+        page: Callable[[str, WebSection], Publisher],
     ) -> None:
         self._running = running
         self._started = running.servers
         self._problems = running.problems
         self._changed = changed
-        self._metrics = metrics
-        self._notices = notices
-        self._live = live
-        self._routes = routes
-        self._state = state
+        self._page = page
         self._wanted: dict[str, tuple[WantedServer, Build]] = {}  # of those that run
         self._failing: dict[str, tuple[WantedServer, Build]] = {}
         self._trying: asyncio.Task[None] | None = None
@@ -269,19 +255,9 @@ class Servers:
             case OpcUaSection():
                 return self._opcua_builder(wanted, section)
             case WebSection():
-                from edged.adapters.web import SettingUp, WebPublisher, page_context
-
-                web = web_settings(section, self._state)
-                routes = self._routes() if section.commissioning else ()
-                return partial(
-                    WebPublisher,
-                    wanted.cell,
-                    web,
-                    running,
-                    self._metrics,
-                    context=page_context(web),
-                    setup=SettingUp(running.session, self._notices, self._live, routes),
-                )
+                if section.certificate is not None and section.key is not None:
+                    tls_with("status page", section.certificate, section.key)  # the page's process reads them
+                return partial(self._page, wanted.cell, section)
 
     def _opcua_builder(self, wanted: WantedServer, section: OpcUaSection) -> Build:
         try:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections import ChainMap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from edged.app.running import Running
+from edged.app.remotecell import RemoteCell
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
-from edged.config.cameras import CamerasSection
 from edged.domain.frames import FramePair
-from edged.ports import Head
 from edged.setup.calibration import service as calibrations
 from edged.setup.calibration.checks import Checks
 from edged.setup.calibration.service import Calibrations
@@ -29,7 +27,6 @@ from edged.setup.registration import service as registrations
 from edged.setup.registration.program import RobotProgram
 from edged.setup.registration.service import Registrations
 from edged.setup.releases.jobs import Jobs
-from edged.setup.releases.jobuse import JobUse
 from edged.setup.releases.releasefolder import ReleaseFolder
 from edged.setup.releases.service import Activation
 from edged.setup.teaching import service as teachings
@@ -39,23 +36,24 @@ from edged.setup.trials.service import Trials
 
 
 class SetupServices:
-    """Built for the first page by which the cell may be set up; outlives its reloads."""
+    """Built for a page by which the cell may be set up, in the page's own process.
+
+    addresses : of virtual cameras, left and right; None without.
+    """
 
     def __init__(
         self,
-        running: Running,
+        running: RemoteCell,
         notices: Notices,
         live: LivePictures,
-        job_use: JobUse,
         addresses: tuple[str, str] | None,
-        head_with: Callable[[CamerasSection], Head],
     ) -> None:
-        self._servers, cycle = running.servers, running.cycle
+        self._running = running
         services = calibrations, cycles, registrations, regressions, teachings, trials
         functions = ChainMap(*(service.FUNCTIONS for service in services))
         # while the cell measures, one processor is left to it alone
-        worker, tasks = Worker(functions, lambda: 2 if cycle.in_setup else 1), Tasks(notices)
-        self._cell = cell = CellInUse(running, worker, tasks, notices)
+        worker, tasks = Worker(functions, lambda: 2 if running.in_setup else 1), Tasks(notices)
+        self.cell = cell = CellInUse(running, worker, tasks, notices)
         self._calibrations = Calibrations(cell)
         releases = ReleaseFolder(cell.folder / "releases")
         self._regressions = Regressions(cell)
@@ -69,8 +67,8 @@ class SetupServices:
             cell, releases, self._calibrations.solution, self._teachings.candidate
         )
         self._trials = Trials(cell, self._teachings.job)
-        self._jobs = Jobs(cell, releases, self._activation, job_use, cycle, running.servers)
-        self._cameras = CameraService(cell, live, addresses, head_with)
+        self._jobs = Jobs(cell, releases, self._activation)
+        self._cameras = CameraService(cell, live, addresses)
         self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
         self._stop = live.listen(self._offer)
 
@@ -87,12 +85,12 @@ class SetupServices:
 
         return [
             CameraRoutes(self._cameras),
-            CalibrationRoutes(self._calibrations, self._cell.tasks, self._activation),
-            ReleaseRoutes(self._activation, self._cell.worker),
+            CalibrationRoutes(self._calibrations, self.cell.tasks, self._activation),
+            ReleaseRoutes(self._activation, self.cell.worker),
             CheckRoutes(self._checks),
             CycleRoutes(self._cycles),
             RegistrationRoutes(self._registrations, self._activation),
-            PlcRoutes(self._servers),
+            PlcRoutes(self._running),
             TeachingRoutes(self._teachings, self._activation),
             TrialRoutes(self._trials),
             JobRoutes(self._jobs, self._activation),
@@ -113,6 +111,6 @@ class SetupServices:
         await self._trials.close()
         await self.program.close()
         await self._registrations.close()
-        await self._cell.tasks.close()
+        await self.cell.tasks.close()
         await self._cycles.close()
-        await self._cell.worker.close()
+        await self.cell.worker.close()

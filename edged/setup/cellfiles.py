@@ -23,6 +23,7 @@ from edged.files.jobs import job_folders, job_of, read_job
 from edged.files.private import closing, is_exposed, read_shared_key
 from edged.files.rig import read_rig, rig_of
 from edged.files.secrettext import without_secrets
+from edged.link.summary import FilesInUse
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.part.job import Job
@@ -97,6 +98,41 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
     if rig is None or rectification is None or problems:
         raise ConfigError(str(path), problems)
     return CellFiles(config, rig, rectification, tuple(jobs), identity, contents)
+
+
+def files_in_use(cell: CellFiles | UnfinishedCell) -> FilesInUse:
+    """A cell as another process gets it; of secrets only the page's own password hash goes with it."""
+    # what is left out stays so: some keys must not be stated with others
+    settings = cell.config.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    if cell.config.web is not None:
+        settings["web"]["password_hash"] = cell.config.web.password_hash.get_secret_value()
+    if cell.config.opcua is not None:
+        settings.pop("opcua", None)
+    return FilesInUse(
+        config=json.dumps(settings),
+        contents=cell.contents,
+        fingerprint=cell.fingerprint,
+        lacks=cell.lacks.name if isinstance(cell, UnfinishedCell) else "",
+        missing=cell.missing if isinstance(cell, UnfinishedCell) else (),
+    )
+
+
+def cell_of(files: FilesInUse) -> CellFiles | UnfinishedCell:
+    """The cell again. Raises `EdgedError`, `ValueError`."""
+    config = Config.model_validate_json(files.config)
+    content = files.contents.get("rig.json")
+    rig = None if content is None else rig_of(content, config.cell.rig)
+    if files.lacks or rig is None:
+        lacks = SetupSource[files.lacks]
+        return UnfinishedCell(config, rig, files.fingerprint, files.contents, lacks, files.missing)
+    jobs = dict[str, dict[str, bytes]]()
+    for name, data in files.contents.items():
+        if name.startswith("jobs/"):
+            _, folder, inner = name.split("/", 2)
+            jobs.setdefault(folder, {})[inner] = data
+    read = tuple(job_of(contents, config.cell.jobs / folder) for folder, contents in jobs.items())
+    rectification = make_rectification(rig)
+    return CellFiles(config, rig, rectification, read, files.fingerprint, files.contents)
 
 
 def _is_missing(path: Path) -> bool:

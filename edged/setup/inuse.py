@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Awaitable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from edged.errors import SetupRefused
 from edged.files.rig import rig_of
 from edged.files.statefolder import state_folder
+from edged.ports import Commissioner
 from edged.robot.orientations import Brand, Convention
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
 from edged.setup.releases.jobsinuse import JobsInUse, lines_in
@@ -19,7 +20,10 @@ from edged.vision.geometry.camera import StereoRig
 
 if TYPE_CHECKING:  # the worker process knows rigs, and needs none of these
     from edged.cell.lease.notices import Notices
-    from edged.cell.lease.session import SetupSession
+    from edged.config.chosencameras import ChosenCamera
+    from edged.domain.arrays import Side
+    from edged.domain.exposure import CameraLimits, CameraValues
+    from edged.link.summary import CellSummary
     from edged.setup.jobs.tasks import Tasks
     from edged.setup.jobs.worker import Worker
     from edged.vision.part.job import Job
@@ -60,8 +64,33 @@ def _stereo(rig: RigInUse) -> StereoRig:
     return rig_of(rig.content, rig.path)
 
 
+class CellSession(Commissioner, Protocol):
+    """The lease of a cell, and its cameras in SETUP; who asks for pictures and cameras names the lease."""
+
+    @property
+    def holder(self) -> str:
+        """Name of the lease's holder; "" without a lease."""
+
+    @property
+    def is_locked(self) -> bool:
+        """Whether the PLC forbids SETUP."""
+
+    @property
+    def camera_changes(self) -> Mapping[Side, ChosenCamera]:
+        """How the cameras in use differ from the configured ones, by side."""
+
+    async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
+        """Set the stated values until SETUP ends; returns all as read back. Raises also `CaptureError`."""
+
+    async def limits(self, token: str, side: Side) -> CameraLimits:
+        """What a camera can be set to now. Raises also `CaptureError`."""
+
+    async def try_cameras(self, token: str, changes: Mapping[Side, ChosenCamera]) -> None:
+        """Use other cameras than the configured ones until SETUP ends. Raises also `CaptureError`."""
+
+
 class RunningCell(Protocol):
-    """The cell that the daemon runs; a reload exchanges `files`."""
+    """The cell that the daemon runs, as its page sees it; a reload exchanges `files`."""
 
     @property
     def path(self) -> Path:
@@ -72,11 +101,18 @@ class RunningCell(Protocol):
         """The files that it runs by."""
 
     @property
-    def session(self) -> SetupSession:
+    def session(self) -> CellSession:
         """Its lease, and its cameras in SETUP."""
 
-    def reload(self) -> Awaitable[str]:
+    @property
+    def summary(self) -> CellSummary:
+        """What no event tells of it."""
+
+    async def reload(self) -> str:
         """Read the configuration again; returns why it was refused, or ""."""
+
+    async def take_job(self, number: int) -> None:
+        """Measure by a job. Raises `SetupRefused` where a PLC owns the right to write, `CommandRefused`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +140,7 @@ class CellInUse:
         return self.running.files
 
     @property
-    def session(self) -> SetupSession:
+    def session(self) -> CellSession:
         """The lease of the cell, and its cameras in SETUP."""
         return self.running.session
 

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
+from typing import Protocol
 
 from aiohttp import web
 
-from edged.adapters.modbus import ModbusPublisher
 from edged.adapters.web.routes import Answer, Call, route
 from edged.identity.visitors import Role
+from edged.link.summary import CellSummary
 from edged.plc.ladder import Exchange
 from edged.plc.registers import ADDRESS, constant_values
-from edged.ports import Publisher
+from edged.robot.orientations import Convention
 from edged.robots.formats import written
 from edged.setup.draftroutes import unknown
 
@@ -105,36 +106,41 @@ class PlcDocument(Answer):
     clients: list[ClientDocument]
 
 
-class PlcRoutes:
-    """The routes. servers : those that run, by the name of their section."""
-
-    def __init__(self, servers: Mapping[str, Publisher]) -> None:
-        self._servers = servers
+class PlcSide(Protocol):
+    """The cell, as far as PLCs reach it."""
 
     @property
-    def _modbus(self) -> ModbusPublisher | None:
-        server = self._servers.get("modbus")
-        return server if isinstance(server, ModbusPublisher) else None
+    def summary(self) -> CellSummary:
+        """State of the cell."""
+
+    async def exchanges(self) -> Sequence[Exchange]:
+        """The last commands and their outcome, newest first. Raises `LinkError`."""
+
+
+class PlcRoutes:
+    """The routes."""
+
+    def __init__(self, cell: PlcSide) -> None:
+        self._cell = cell
 
     @route("GET", "/plc", "How PLCs reach the cell", role=Role.VIEWER)
     async def _plc(self, _call: Call[None]) -> PlcDocument:
-        modbus = self._modbus
+        now = self._cell.summary.plc
         clients = [ClientDocument(kind=kind, file=file) for kind, file in FILES.items()]
-        if modbus is None:
+        if now is None:
             return PlcDocument(listening=False, clients=clients)
-        now = modbus.settings
-        known = constant_values(now.convention, 0, 0)
+        known = constant_values(Convention[now.convention.upper()], 0, 0)
         return PlcDocument(
             listening=True,
             host=now.host,
-            port=modbus.port,
+            port=now.port,
             unit_id=now.unit_id,
             word_order=now.word_order,
             base_address=now.base_address,
-            convention=now.convention.name.lower(),
-            connected=modbus.clients,
-            owner=modbus.owner or None,
-            refused=list(modbus.refused_writers),
+            convention=now.convention,
+            connected=now.connected,
+            owner=now.owner or None,
+            refused=list(now.refused),
             probes=[
                 ProbeDocument(name=name, address=now.base_address + ADDRESS[name], value=known[name])
                 for name in ("MAGIC", "MAP_VERSION", "PROBE_U32", "PROBE_F32")
@@ -150,10 +156,7 @@ class PlcRoutes:
         is_by_itself=True,
     )
     async def _exchanges(self, _call: Call[None]) -> Exchanges:
-        modbus = self._modbus
-        return Exchanges(
-            exchanges=[] if modbus is None else [_document(exchange) for exchange in modbus.exchanges]
-        )
+        return Exchanges(exchanges=[_document(exchange) for exchange in await self._cell.exchanges()])
 
     @route(
         "GET",

@@ -22,11 +22,13 @@ from helpers.ports import free_port
 from helpers.waiting import LIMIT_S, WHOLE_S
 from helpers.zenohcell import ask
 
+from edged.app.pageserver import PageServer
 from edged.app.running import Running
 from edged.app.servers import Servers
 from edged.app.wantedservers import wanted_servers
 from edged.config.configuration import Config
 from edged.config.reading import load
+from edged.config.servers import WebSection
 from edged.domain.events import Command
 from edged.errors import CommandRefused, ConfigError, ListenError
 
@@ -57,6 +59,16 @@ class _Commander:
         raise NotImplementedError
 
 
+class PagePort(PageServer):
+    """A page whose port is opened, and whose process is not started."""
+
+    def __init__(self, _cell: str, section: WebSection) -> None:
+        super().__init__(section.host, section.port, cast(Any, None))
+
+    async def _run(self) -> None:
+        await asyncio.Event().wait()
+
+
 def running_cell(commander: object = None) -> Running:
     """A cell without jobs."""
     loaded = SimpleNamespace(setup=SimpleNamespace(jobs={}))
@@ -78,7 +90,7 @@ def exchanged(before: Config, after: Config, look: list[int]) -> tuple[list[bool
     told: list[None] = []
 
     async def main() -> tuple[list[bool], list[str]]:
-        servers = Servers(running_cell(), lambda: told.append(None))
+        servers = Servers(running_cell(), lambda: told.append(None), PagePort)
         await servers.start(before)
         try:
             await servers.exchange(after)
@@ -209,7 +221,7 @@ def test_opcua_without_its_package_is_a_mistake_that_names_it(
     )
 
     async def main() -> None:
-        servers = Servers(running_cell(), lambda: None)
+        servers = Servers(running_cell(), lambda: None, PagePort)
         with pytest.raises(ListenError, match=r"edged\[opcua\]"):
             await servers.exchange(wanted)
         assert {} == servers.started
@@ -222,7 +234,7 @@ def exchange_after(folder: Path, sections: str, change: Callable[[], None], port
     wanted = config(folder, sections)
 
     async def main() -> tuple[bool, bool]:
-        servers = Servers(running_cell(), lambda: None)
+        servers = Servers(running_cell(), lambda: None, PagePort)
         await servers.start(wanted)
         before = dict(servers.started)
         change()
@@ -280,7 +292,7 @@ def test_a_port_that_is_taken_leaves_the_running_server_alone(tmp_path: Path) ->
         after = config(tmp_path, f"{off}[modbus]\nport = {taken.getsockname()[1]}\n")
 
         async def main() -> bool:
-            servers = Servers(running_cell(), lambda: None)
+            servers = Servers(running_cell(), lambda: None, PagePort)
             await servers.start(before)
             running = servers.started["modbus"]
             try:
@@ -326,7 +338,7 @@ def test_a_cell_that_refuses_commands_over_zenoh_is_read_only_there(
     section = f'[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\ncommands = "{commands}"\n'
 
     async def main() -> None:
-        servers = Servers(running_cell(Taking()), lambda: None)
+        servers = Servers(running_cell(Taking()), lambda: None, PagePort)
         await servers.start(config(tmp_path, f"[modbus]\nenabled = false\n{section}"))
         try:
             (reply,) = await ask(port, "edged/cell1/trigger?kind=change_job;job=2")
@@ -406,7 +418,7 @@ TASKS = {
     "tcp": "edged.adapters.modbus.tcp.TcpServer.start",
     "tls": "edged.adapters.modbus.tcp.TcpServer.start",
     "socket": "edged.adapters.modbus.lines.LineServer.start",
-    "web": "edged.adapters.web.server.WebPublisher.start",
+    "web": "edged.app.pageserver.PageServer.start",
     "opcua": "edged.adapters.opcua.server.ServerThread._prepare",
     "recorder": "edged.adapters.recorder.Recorder.start",
 }
@@ -488,7 +500,7 @@ def test_a_server_that_starts_slowly_is_named_and_started_later(
     told: list[None] = []
 
     async def main() -> None:
-        servers = Servers(running_cell(), lambda: told.append(None))
+        servers = Servers(running_cell(), lambda: told.append(None), PagePort)
         try:
             async with asyncio.timeout(WHOLE_S):
                 await servers.start(config(tmp_path, slow.sections))
@@ -518,7 +530,7 @@ def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
     hanging = held(kind, monkeypatch)
 
     async def main() -> None:
-        servers = Servers(running_cell(), lambda: None)
+        servers = Servers(running_cell(), lambda: None, PagePort)
         try:
             await servers.start(config(tmp_path, slow.before))
             running = dict(servers.started)
@@ -545,7 +557,7 @@ def test_a_reload_does_not_wait_for_what_could_not_start_before(
     hanging = held("opcua", monkeypatch)
 
     async def main() -> None:
-        servers = Servers(running_cell(), lambda: None)
+        servers = Servers(running_cell(), lambda: None, PagePort)
         try:
             await servers.start(config(tmp_path, slow.sections))
             await servers.exchange(config(tmp_path, f"{slow.sections}[web]\nport = {port}\n"))
@@ -566,11 +578,11 @@ def test_a_server_that_does_not_close_is_left_behind(
     """Within its time, and that is said; the others close."""
     port, page = free_port(), free_port()
     hanging = Hanging(monkeypatch)
-    real = derive("edged.adapters.web.server.WebPublisher.close")
-    hanging.hold_task("edged.adapters.web.server.WebPublisher.close")
+    real = derive("edged.app.pageserver.PageServer.close")
+    hanging.hold_task("edged.app.pageserver.PageServer.close")
 
     async def main() -> None:
-        servers = Servers(running_cell(), lambda: None)
+        servers = Servers(running_cell(), lambda: None, PagePort)
         sections = f"[zenoh]\nenabled = false\n[modbus]\nport = {port}\n[web]\nport = {page}\n"
         await servers.start(config(tmp_path, sections))
         web = servers.started["web"]

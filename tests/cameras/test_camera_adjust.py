@@ -174,7 +174,7 @@ def test_setup_tries_and_ready_has_what_is_configured(cell: Cell) -> None:
             assert {"left": ChosenCamera(exposure_us=700.0)} == cycle.session.camera_changes
             with pytest.raises(CameraSetupError):
                 await cycle.session.adjust(token, "right", CameraValues(gain_db=99.0))
-            cycle.session.leave_setup(token)
+            await cycle.session.leave_setup(token)
             await until(lambda: ear.state() is CellPhase.READY)
             assert {} == cycle.session.camera_changes
             assert [700.0, 3000.0] == [request.exposure_us for request in cell.left_sensor.requests]

@@ -21,8 +21,8 @@ from helpers.zenohcell import READY, Cell
 from rich.console import Console, ConsoleDimensions
 
 from edged.adapters.zenoh import open_session, session_config
-from edged.adapters.zenoh.cbor import decode_cbor
 from edged.app.fleet import ClientTls, News
+from edged.cbor import decode_cbor
 from edged.commands.watch import CellView, WatchOptions, fleet_view, watch
 from edged.domain.cell import CalibrationHealth, DriftState
 from edged.domain.events import Snapshot

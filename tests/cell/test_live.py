@@ -56,7 +56,7 @@ def test_pictures_come_while_they_are_wanted(monkeypatch: pytest.MonkeyPatch) ->
     """Numbered without a gap; with nobody who wants them the cameras rest."""
 
     async def test(scene: Scene) -> None:
-        scene.live.want("tab", scene.token)
+        await scene.live.want("tab", scene.token)
         await until(lambda: len(scene.numbers) >= 5)
         assert list(range(1, len(scene.numbers) + 1)) == scene.numbers
         scene.live.unwant("tab")
@@ -74,9 +74,9 @@ def test_only_who_has_the_cell_gets_them(monkeypatch: pytest.MonkeyPatch) -> Non
 
     async def test(scene: Scene) -> None:
         with pytest.raises(SetupRefused):
-            scene.live.want("tab", "of nobody")
+            await scene.live.want("tab", "of nobody")
         assert not scene.live.is_on
-        scene.live.want("tab", scene.token)
+        await scene.live.want("tab", scene.token)
         await until(lambda: scene.numbers)
         await scene.cycle.session.enter_setup("Ben", take_over=True)
         await until(lambda: not scene.live.is_on)
@@ -92,7 +92,7 @@ def test_who_does_not_look_gets_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tablet that sleeps does not keep the cell taken; one that looks does."""
 
     async def test(scene: Scene) -> None:
-        scene.live.want("tab", scene.token)
+        await scene.live.want("tab", scene.token)
         for _ in range(3):
             scene.now_s += 0.7 * UNSEEN_S
             scene.live.seen("tab")
@@ -110,7 +110,7 @@ def test_a_dead_camera_is_told_once_and_tried_again(monkeypatch: pytest.MonkeyPa
 
     async def test(scene: Scene) -> None:
         scene.head.broken = True
-        scene.live.want("tab", scene.token)
+        await scene.live.want("tab", scene.token)
         await until(lambda: len(scene.told) >= 2)
         await asyncio.sleep(0.02)
         assert [None, "camera_104"] == [one["code"] for one in scene.told]
@@ -128,7 +128,7 @@ def test_who_has_stopped_listening_hears_nothing(monkeypatch: pytest.MonkeyPatch
         scene.live.listen(lambda number, _pair: others.append(number))
         scene.stop()
         scene.stop()
-        scene.live.want("tab", scene.token)
+        await scene.live.want("tab", scene.token)
         await until(lambda: len(others) >= 2)
         assert [] == scene.numbers
 

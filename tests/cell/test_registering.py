@@ -148,7 +148,7 @@ async def _person(robot: Program) -> None:
     assert (SetupSource.PERSON, "Anna") == (robot.state.setup, robot.state.setup_by)
     with pytest.raises(BeingSetUp):
         robot.cycle.submit(robot.command(ADD))
-    robot.cycle.session.end_setup("Anna")
+    await robot.cycle.session.end_setup("Anna")
 
 
 async def _reload(robot: Program) -> None:
@@ -162,7 +162,7 @@ async def _lock(robot: Program) -> None:
 
 
 async def _somebody(robot: Program) -> None:
-    robot.cycle.session.end_setup("Anna")
+    await robot.cycle.session.end_setup("Anna")
 
 
 @pytest.mark.parametrize("comes", [_person, _reload, _lock, _somebody])

@@ -86,7 +86,7 @@ def test_nobody_else_hears_of_pictures_in_setup() -> None:
         tried, outcome = await cycle.session.try_job(token, found_nothing)
         assert (2, Status.NO_TARGET) == (tried.left.frame_id, outcome.status)
         await until(lambda: latest(ear).cameras_ok)
-        cycle.session.leave_setup(token)
+        await cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.READY)
         assert 3 == head.captures
 
@@ -105,7 +105,7 @@ def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> None:
         with pytest.raises(FrameTimeout):
             await cycle.session.capture(token)
         assert (CellPhase.SETUP, "", False) == (latest(ear).state, latest(ear).error, latest(ear).cameras_ok)
-        cycle.session.leave_setup(token)
+        await cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.FAULT)
         head.broken = False
         await until(lambda: ear.state() is CellPhase.READY)
@@ -137,7 +137,7 @@ def test_other_cameras_are_for_setup_alone() -> None:
         await cycle.session.try_head(token, draft)
         assert 1 == head.closed
         await cycle.session.capture(token)
-        cycle.session.leave_setup(token)
+        await cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.READY)
         assert (1, 1) == (draft.captures, draft.closed)
         assert 1 == head.captures
@@ -187,7 +187,7 @@ def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alone(
         token = await cycle.session.enter_setup("Anna")
         assert SetupSource.PERSON is latest(ear).setup
         await cycle.session.capture(token)
-        cycle.session.leave_setup(token)
+        await cycle.session.leave_setup(token)
         await until(lambda: head.closed > closed)
         assert SetupSource.NO_CALIBRATION is latest(ear).setup
         cycle.exchange(make_setup())
@@ -209,7 +209,7 @@ def test_setup_is_left_by_a_person_only() -> None:
             await asyncio.sleep(0.005)
         assert CellPhase.SETUP is ear.state()
         assert [] == ear.snapshots()
-        cycle.session.end_setup("Ben")
+        await cycle.session.end_setup("Ben")
         await until(ear.snapshots)
 
     drive(LACKING, script)
@@ -222,7 +222,7 @@ def test_no_tick_is_made_up_for_after_setup() -> None:
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         token = await cycle.session.enter_setup("Anna")
         await asyncio.sleep(0.7)
-        cycle.session.leave_setup(token)
+        await cycle.session.leave_setup(token)
         await until(lambda: len(ear.snapshots()) >= 2)
         assert 0 == latest(ear).missed_triggers
 
@@ -246,7 +246,7 @@ def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:
         await until(lambda: ear.state() is CellPhase.SETUP)
         assert ("", "setup, unattended") == (latest(ear).setup_by, latest(ear).why)
         token = await cycle.session.enter_setup("Ben")
-        cycle.session.leave_setup(token)
+        await cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.READY)
         assert not note.path.exists()
 

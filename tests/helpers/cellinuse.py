@@ -18,29 +18,22 @@ from edged.setup.jobs.tasks import Tasks
 
 
 @dataclass
-class StillLease:
-    """Whose it is, and whether the plant forbids it."""
-
-    name: str = ""
-    locked: bool = False
-
-
-@dataclass
 class StillSession:
     """A session whose token is "theirs"; every capture gives the same pair."""
 
     camera_changes: Mapping[Side, ChosenCamera] = field(default_factory=dict)
-    lease: StillLease = field(default_factory=StillLease)
+    holder: str = ""
+    is_locked: bool = False
     pair: FramePair | None = None
 
-    def renew_setup(self, token: str) -> None:
+    async def renew_setup(self, token: str) -> None:
         """Raises `SetupRefused` for another token."""
         if token != "theirs":
             raise SetupRefused("SETUP has ended")
 
     async def capture(self, token: str) -> FramePair:
         """The pair. Raises as `renew_setup`."""
-        self.renew_setup(token)
+        await self.renew_setup(token)
         assert self.pair is not None
         return self.pair
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,9 +14,13 @@ import pytest
 from argon2 import PasswordHasher
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
-from edged.adapters.web import Overview, SettingUp, WebPublisher, WebSettings
+from edged.adapters.web import SettingUp, WebPublisher, WebSettings
+from edged.app.cellservice import plc_now
 from edged.cell.cycle import Cycle
+from edged.domain.overview import Overview
 from edged.identity.users import RoleName, User, UserFile
+from edged.link.summary import CellSummary
+from edged.plc.ladder import Exchange
 from edged.setup.plcroutes import PlcRoutes
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
 from helpers.pagesources import FixedSources
@@ -27,6 +31,22 @@ HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD
 """Cheap to check: many tests log in."""
 USERS: dict[str, RoleName] = {"Anna": "engineer", "Ben": "engineer", "Otto": "operator", "Vera": "viewer"}
 """All with the same password."""
+
+
+class PlcBeside:
+    """The Modbus server beside a page in one process (`edged.setup.plcroutes.PlcSide`)."""
+
+    def __init__(self, modbus: ModbusPublisher) -> None:
+        self._modbus = modbus
+
+    @property
+    def summary(self) -> CellSummary:
+        """With the server alone."""
+        return CellSummary(plc=plc_now(self._modbus))
+
+    async def exchanges(self) -> Sequence[Exchange]:
+        """As the server has them."""
+        return self._modbus.exchanges
 
 
 class Cell(BrowserSession):
@@ -103,7 +123,7 @@ async def running(
             "cell1",
             settings,
             sources,
-            setup=SettingUp(cycle.session, routes=[] if plc is None else [PlcRoutes({"modbus": plc})]),
+            setup=SettingUp(cycle.session, routes=[] if plc is None else [PlcRoutes(PlcBeside(plc))]),
             clock_s=lambda: time.monotonic() + asleep_s[0],
         )
         await web.start()

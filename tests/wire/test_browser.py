@@ -78,7 +78,7 @@ def on_the_page(
             rectification=lambda: rectification,
             limits=lambda: {1: limit_mm},
             facts=lambda: FACTS,
-            registers=lambda: REGISTERS,
+            known_registers=lambda: REGISTERS,
         )
         web = WebPublisher("cell", WebSettings(port=0), asked)
         await web.start()

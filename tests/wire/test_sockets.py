@@ -14,7 +14,8 @@ import pytest
 from helpers.waiting import LIMIT_S, until
 from helpers.webcell import Cell, run
 
-from edged.adapters.web import Overview, server, sockets
+from edged.adapters.web import server, sockets
+from edged.domain.overview import Overview
 from edged.identity.sessions import IDLE_S
 
 PLACE = "/api/v1/ws"

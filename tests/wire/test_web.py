@@ -60,13 +60,18 @@ READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
 SETUP = CellState(CellPhase.SETUP, False, True, "flange", 1, 0, setup=SetupSource.PERSON)
 
 
+async def some_metrics() -> bytes:
+    """Prometheus' text."""
+    return b"# HELP edged_x x\nedged_x 1\n"
+
+
 def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> FixedSources:
     """What the page asks for, fixed."""
     return FixedSources(
         rectification=lambda: RECTIFICATION,
         jobs=lambda: [(1, "flange"), (2, "<script>alert(1)</script>")],
         facts=lambda: facts or {"Modbus": {"clients": 2}},
-        registers=lambda: [
+        known_registers=lambda: [
             (Register("SEQ_HEAD", 300, Kind.U32, "", "sequence"), 7),
             (Register("F_X", 500, Kind.F32, "mm", "x"), float("nan")),
         ],
@@ -102,7 +107,7 @@ def words(fault: Mapping[str, Any]) -> str:
 async def served(
     settings: WebSettings | None = None,
     asked: FixedSources | None = None,
-    metrics: Callable[[], bytes] = lambda: b"# HELP edged_x x\nedged_x 1\n",
+    metrics: Callable[[], Awaitable[bytes]] = some_metrics,
 ) -> AsyncIterator[tuple[WebPublisher, aiohttp.ClientSession]]:
     """A page on a free port, and a browser's session with it."""
     web = WebPublisher("cell<1>", settings or WebSettings(port=0), asked or sources(), metrics)

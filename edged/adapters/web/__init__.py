@@ -1,13 +1,11 @@
 """The status page: what the cell sees and does, for a browser beside it. Read-only, but for /api/v1."""
 
-from edged.adapters.web.page import Overview, PageSources, RigFigures
+from edged.adapters.web.page import PageSources
 from edged.adapters.web.server import SettingUp, WebPublisher
 from edged.adapters.web.settings import WebSettings, page_context
 
 __all__ = [
-    "Overview",
     "PageSources",
-    "RigFigures",
     "SettingUp",
     "WebPublisher",
     "WebSettings",

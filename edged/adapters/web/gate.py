@@ -33,6 +33,7 @@ from edged.errors import (
     EdgedError,
     FileFormatError,
     ImageError,
+    LinkError,
     RegressionNeeded,
     SetupRefused,
     TaskFailed,
@@ -61,6 +62,7 @@ STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
     (UserError, 422, "input"),
     (TaskTooLarge, 422, "task_too_large"),
     (TaskFailed, 503, "task_failed"),
+    (LinkError, 503, "no_cell"),
 )
 """Errors of services, their statuses and codes; the first that fits."""
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
@@ -128,7 +130,7 @@ class Gate:
 
     async def _done(self, route: Route, call: Call[Any]) -> web.StreamResponse:
         if route.needs_lease:
-            self._commissioner.renew_setup(call.body.token)
+            await self._commissioner.renew_setup(call.body.token)
         return _response(route, await route.handler(call))
 
 

@@ -24,6 +24,7 @@ from edged.domain.events import CommandKind, Event, ExposureDone, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Status, Target
 from edged.domain.numerals import known
+from edged.domain.overview import Overview
 from edged.logs import RELAPSE_S
 from edged.payload import Json, reject_names, said, snapshot_to_json, state_to_json
 from edged.pictures.captions import REASONS, why_nothing
@@ -50,38 +51,8 @@ THUMBNAIL_PX = 200
 QUALITY = 82
 
 
-@dataclass(frozen=True, slots=True)
-class RigFigures:
-    """The rig in use. deviations are NaN where they are not known.
-
-    sigma_um : of X, Y, Z of a point where parts were taught, by the calibration alone; None: not known.
-    """
-
-    calibration_id: str
-    robot: str
-    verdict: str
-    rows_px: float
-    length_percent: float
-    sigma_um: tuple[float, float, float] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Overview:
-    """What events do not tell.
-
-    missing : "rig", "jobs". plc_owner : who holds the right to write, "" for nobody. auto_lock : the plant
-    forbids SETUP. stage : the cameras are virtual, and what stands before them can be moved.
-    """
-
-    missing: tuple[str, ...] = ()
-    rig: RigFigures | None = None
-    plc_owner: str = ""
-    auto_lock: bool = False
-    stage: bool = False
-
-
 class PageSources(Protocol):
-    """What the page shows besides events; called on the event loop, answered at once."""
+    """What the page shows besides events; called on the event loop; all but `registers` answer at once."""
 
     def rectification(self) -> Rectification:
         """Rectification of the rig in use."""
@@ -92,8 +63,8 @@ class PageSources(Protocol):
     def facts(self) -> Mapping[str, Mapping[str, Any]]:
         """Groups of name to value: as it is shown, or what `payload.said` made, or a list of such."""
 
-    def registers(self) -> Sequence[tuple[Register, Number]]:
-        """Each register with its value; empty without a Modbus server."""
+    async def registers(self) -> Sequence[tuple[Register, Number]]:
+        """Each register with its value; empty without a Modbus server. Raises `LinkError`."""
 
     def convention(self) -> Convention:
         """How A, B, C state an orientation to the PLC."""
@@ -246,7 +217,7 @@ class StatusPage:
         """The trends from the cycle that follows `after`, oldest first."""
         return [point for point in self._history if point["cycle"] > after]
 
-    def registers(self) -> list[Json]:
+    async def registers(self) -> list[Json]:
         """The Modbus map with the values that a client would read now."""
         return [
             {
@@ -259,7 +230,7 @@ class StatusPage:
                 "meaning": meaning_of(register, value),
                 "help": register.help,
             }
-            for register, value in self._sources.registers()
+            for register, value in await self._sources.registers()
         ]
 
     def pair(self, cycle: int) -> FramePair | None:

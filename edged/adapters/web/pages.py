@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ class PageHandlers:
         drawer: Executor,
         assets: Mapping[str, str],
         manual: Path,
-        metrics: Callable[[], bytes],
+        metrics: Callable[[], Awaitable[bytes]],
         *,
         protected: bool,
         is_set_up: bool,
@@ -106,11 +106,11 @@ class PageHandlers:
         return web.json_response(await self.status())
 
     async def _registers(self, _request: web.Request) -> web.Response:
-        return web.json_response(self._page.registers())
+        return web.json_response(await self._page.registers())
 
     async def _show_metrics(self, _request: web.Request) -> web.Response:
         return web.Response(
-            body=self._metrics(), headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"}
+            body=await self._metrics(), headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"}
         )
 
     async def _health(self, _request: web.Request) -> web.Response:

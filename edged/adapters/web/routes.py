@@ -10,7 +10,18 @@ from __future__ import annotations
 import re
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Generic, TypedDict, TypeVar, Unpack, get_args, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Generic,
+    NamedTuple,
+    TypedDict,
+    TypeGuard,
+    TypeVar,
+    Unpack,
+    get_args,
+    get_type_hints,
+)
 
 from aiohttp import web
 from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints
@@ -211,13 +222,38 @@ def route(
     return mark
 
 
+def is_model(kind: Any) -> TypeGuard[type[BaseModel]]:
+    """Whether an annotation is a model."""
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
+
+
+class RouteMark(NamedTuple):
+    """A method that `route` marks. name : of the method. answer : a model, a media type or None."""
+
+    name: str
+    method: str
+    path: str
+    what: str
+    body: Any
+    answer: Any
+    options: RouteOptions
+
+
+def marks_of(kind: type) -> Iterator[RouteMark]:
+    """What a class adds to a table."""
+    for name, handler in vars(kind).items():
+        if (mark := getattr(handler, _MARK, None)) is not None:
+            method, path, what, media, options = mark
+            body, answer = _body_and_answer(handler)
+            yield RouteMark(name, method, path, what, body, media or answer, options)
+
+
 def _body_and_answer(handler: Callable[..., Any]) -> tuple[Any, Any]:
     """Models that a handler's annotations name; None for what is none."""
     types = get_type_hints(handler)
     returned = types.pop("return")
     (taken,) = (get_args(call) for call in types.values())
-    is_model = isinstance(returned, type) and issubclass(returned, BaseModel)
-    return (taken[0] if taken else None), (returned if is_model else None)
+    return (taken[0] if taken else None), (returned if is_model(returned) else None)
 
 
 class RouteTable:
@@ -232,12 +268,11 @@ class RouteTable:
     def add(self, *several: object) -> None:
         """Add the methods that `route` marks; an object may also have an `add_to` for this table."""
         for routes in several:
-            for name, handler in vars(type(routes)).items():
-                if (mark := getattr(handler, _MARK, None)) is not None:
-                    method, path, what, media, options = mark
-                    body, answer = _body_and_answer(handler)
-                    bound = getattr(routes, name)
-                    self.route(method, path, bound, what, body=body, answer=media or answer, **options)
+            for row in marks_of(type(routes)):
+                handler = getattr(routes, row.name)
+                self.route(
+                    row.method, row.path, handler, row.what, body=row.body, answer=row.answer, **row.options
+                )
             if (add_to := getattr(routes, "add_to", None)) is not None:
                 add_to(self)
 
@@ -253,7 +288,7 @@ class RouteTable:
         **options: Unpack[RouteOptions],
     ) -> None:
         """Add a route. Raises `ValueError` for a row that contradicts itself, or that is there already."""
-        model = body if isinstance(body, type) and issubclass(body, BaseModel) else None
+        model = body if is_model(body) else None
         if options.get("needs_lease") and (model is None or "token" not in model.model_fields):
             raise ValueError(f"{method} {path}: a route with a lease takes a token")
         if (method, path) in self._routes:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import socket
 import ssl
 import time
 from collections.abc import Awaitable, Callable, Sequence
@@ -40,7 +41,7 @@ from edged.config.fields import is_loopback
 from edged.connections import Rate, Rates, TcpClient, TcpListener, network_of
 from edged.domain.cell import CellState
 from edged.domain.events import Event, Idle
-from edged.errors import ListenError
+from edged.errors import LinkError, ListenError
 from edged.identity.access import Access
 from edged.identity.attempts import TooManyAttempts
 from edged.identity.audit import AuditEntry, AuditFile
@@ -76,6 +77,10 @@ FREE = {"/health", "/ready", "/login", "/static/login.css", "/static/icon.svg"}
 """Answered without a password: they say nothing of what the cell makes."""
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+async def _no_metrics() -> bytes:
+    return b""
 
 
 class _ServerLog(logging.LoggerAdapter[logging.Logger]):
@@ -122,7 +127,7 @@ class WebPublisher:
         cell: str,
         settings: WebSettings,
         sources: PageSources,
-        metrics: Callable[[], bytes] = bytes,
+        metrics: Callable[[], Awaitable[bytes]] | None = None,
         *,
         manual: Path = FOLDER,
         context: ssl.SSLContext | None = None,
@@ -163,7 +168,7 @@ class WebPublisher:
             self._drawer,
             self._assets,
             manual,
-            metrics,
+            metrics or _no_metrics,
             protected=not self._access.is_open,
             is_set_up=is_set_up,
         )
@@ -180,8 +185,8 @@ class WebPublisher:
         """The port that is listened on."""
         return self._listener.port if self._listener is not None else 0
 
-    async def start(self) -> None:
-        """Listen. Raises `ListenError`."""
+    async def start(self, listening: Sequence[socket.socket] | None = None) -> None:
+        """Listen; on sockets that are open already, or on those of the settings. Raises `ListenError`."""
         settings = self._settings
         context = self._context or page_context(settings)
         if context is None and settings.password_hash and not is_loopback(settings.host):
@@ -214,7 +219,10 @@ class WebPublisher:
             "status page", lambda _client: protocol(), self._admit, idle_s=IDLE_S, context=context
         )
         try:
-            await self._listener.open(settings.host, settings.port)
+            if listening is None:
+                await self._listener.open(settings.host, settings.port)
+            else:
+                self._listener.take(listening)
         except ListenError:
             await self.close()
             raise
@@ -373,6 +381,8 @@ class WebPublisher:
         except web.HTTPException as error:
             error.headers.update(HEADERS)
             raise
+        except LinkError as error:
+            response = web.Response(status=503, text=f"{error}\n")
         except TooManyAttempts as error:
             response = web.Response(status=429, text=f"{error}\n")
             response.headers["Retry-After"] = f"{math.ceil(error.wait_s)}"

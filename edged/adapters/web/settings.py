@@ -12,7 +12,7 @@ from pathlib import Path
 from cryptography import x509
 
 from edged.config.fields import is_loopback
-from edged.errors import ListenError
+from edged.connections import tls_with
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +40,7 @@ def page_context(settings: WebSettings) -> ssl.SSLContext | None:
     """TLS of the page; None without certificate. Raises `ListenError` for files that do not fit."""
     if settings.certificate is None or settings.key is None:
         return None
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    try:
-        context.load_cert_chain(settings.certificate, settings.key)
-    except (OSError, ssl.SSLError) as error:
-        raise ListenError(f"status page: {settings.certificate}, {settings.key}: {error}") from error
-    return context
+    return tls_with("status page", settings.certificate, settings.key)
 
 
 class ServedNames:

@@ -115,12 +115,12 @@ class SetupRoutes:
     )
     async def _leave(self, call: Call[Leaving]) -> None:
         if call.body.token is not None:
-            self._commissioner.leave_setup(call.body.token)
+            await self._commissioner.leave_setup(call.body.token)
             log.info("setup: given back from %s", call.visitor.address)
         else:
             name = call.body.name or call.visitor.name
             call.trail.reason = f"{name}, for the holder"
-            self._commissioner.end_setup(name)
+            await self._commissioner.end_setup(name)
             log.info("setup: ended by %s at %s", name, call.visitor.address)
         self._holder = ""
 

@@ -261,12 +261,12 @@ class Sockets:
             try:
                 if message.type is not WSMsgType.TEXT:
                     raise ValueError("expected text")
-                self._obey(tab, visitor, FromTab.model_validate_json(message.data))
+                await self._obey(tab, visitor, FromTab.model_validate_json(message.data))
             except (ValidationError, ValueError):
                 await tab.socket.close(code=WSCloseCode.POLICY_VIOLATION)
                 return
 
-    def _obey(self, tab: _Tab, visitor: Visitor, said: FromTab) -> None:
+    async def _obey(self, tab: _Tab, visitor: Visitor, said: FromTab) -> None:
         if said.seen is not None:
             tab.has_seen = True
             self._live.seen(tab)
@@ -283,7 +283,7 @@ class Sockets:
             try:
                 if not self._holds(tab.session):
                     raise SetupRefused("the cell was not taken in this session, or not any more")
-                self._live.want(tab, said.token or "")
+                await self._live.want(tab, said.token or "")
             except SetupRefused as error:
                 self._refuse(tab, "setup_refused", str(error))
 

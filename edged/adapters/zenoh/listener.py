@@ -13,9 +13,9 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
-from edged.adapters.zenoh.cbor import decode_cbor
 from edged.adapters.zenoh.seals import Seal, Speakers, Verifier, seal_in
 from edged.adapters.zenoh.session import ClientTls, open_session, session_config, with_tls
+from edged.cbor import decode_cbor
 from edged.domain.numerals import json_of
 
 CELL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")

@@ -21,7 +21,6 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
-from edged.adapters.zenoh.cbor import encode_cbor
 from edged.adapters.zenoh.health import HealthCounts
 from edged.adapters.zenoh.keys import PREFIX, QUERYABLES
 from edged.adapters.zenoh.preview import Preview
@@ -31,6 +30,7 @@ from edged.adapters.zenoh.seals import Sealer
 from edged.adapters.zenoh.session import ZenohSettings, configured, open_session, plain
 from edged.adapters.zenoh.triggers import PendingTriggers, parse_trigger
 from edged.adapters.zenoh.worker import JobThread
+from edged.cbor import encode_cbor
 from edged.cell.ages import ExposureClock
 from edged.cell.tasks import bounded
 from edged.domain.cell import CellPhase, CellState

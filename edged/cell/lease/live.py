@@ -70,9 +70,9 @@ class LivePictures:
 
         return stop
 
-    def want(self, who: Hashable, token: str) -> None:
+    async def want(self, who: Hashable, token: str) -> None:
         """Take pictures for the holder of this token. Raises `SetupRefused`."""
-        self._commissioner.renew_setup(token)
+        await self._commissioner.renew_setup(token)
         self._wants[who] = _Want(token, self._clock_s() + UNSEEN_S)
         if self._task is None:
             self._fault = ""

@@ -65,15 +65,15 @@ class SetupSession:
         await self.lease.ask(token, begun)
         return token
 
-    def renew_setup(self, token: str) -> None:
+    async def renew_setup(self, token: str) -> None:
         """Extend the lease. Raises `SetupRefused`."""
         self.lease.renew(token)
 
-    def leave_setup(self, token: str) -> None:
+    async def leave_setup(self, token: str) -> None:
         """Give the cell back. Raises `SetupRefused`."""
         self.lease.leave(token)
 
-    def end_setup(self, name: str) -> None:
+    async def end_setup(self, name: str) -> None:
         """End SETUP for any holder, and a robot's registration. name : of the person who says so."""
         self._registration.end(f"{name} has ended SETUP")
         self.lease.end(f"{name} has ended SETUP")

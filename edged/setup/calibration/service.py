@@ -212,7 +212,7 @@ class Calibrations:
                 opened.guide.set(Guided(None, first_ghosts(board, watched.size, 0, share)))
         opened.waits = self._waits(opened)
         if opened.auto is not None and not opened.waits:
-            self._cell.session.renew_setup(opened.auto)
+            await self._cell.session.renew_setup(opened.auto)
             await self._take(opened, left, right)
             opened.stillness = Stillness()
         self.drafts.tell(opened)

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
-from edged.config.cameras import CameraSection, CamerasSection
 from edged.config.chosencameras import ChosenCamera, chosen_file, read_chosen, with_changes
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.pictures.change import changed_most, changed_share
-from edged.ports import Head
 from edged.setup.inuse import CellInUse
 
 WAVE_S = 8.0
@@ -32,8 +30,7 @@ OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
 class CameraService:
     """The cameras of a cell in SETUP; used on the event loop only.
 
-    addresses : of virtual cameras, left and right; None without. head_with : another stereo head, of changed
-    cameras, not yet open.
+    addresses : of virtual cameras, left and right; None without.
     """
 
     def __init__(
@@ -41,11 +38,9 @@ class CameraService:
         cell: CellInUse,
         live: LivePictures,
         addresses: tuple[str, str] | None,
-        head_with: Callable[[CamerasSection], Head],
     ) -> None:
         self._cell = cell
         self._addresses = addresses
-        self._head_with = head_with
         self._values: dict[Side, CameraValues] = {}
         self.judge = PictureJudge(cell.notices, self._gains)
         live.listen(self.judge.look)
@@ -130,7 +125,7 @@ class CameraService:
         Raises `UserError` where a rig was calibrated with other cameras, where the file cannot be written,
         and where the cell cannot be loaded with it; then nothing has changed. Raises `SetupRefused`.
         """
-        self._cell.session.renew_setup(token)
+        await self._cell.session.renew_setup(token)
         changes = self._cell.session.camera_changes
         stated = {side: change.stated() for side, change in changes.items()}
         if self._cell.files.rig is not None and any("device" in change for change in stated.values()):
@@ -202,13 +197,8 @@ class CameraService:
 
     async def _try(self, token: str, cameras: Mapping[Side, ChosenCamera]) -> None:
         """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
-        tried, section = self._cell.session.camera_changes, self._cell.files.config.cameras
-        sides: dict[str, CameraSection] = {
-            side: getattr(section, side).model_copy(update=change.stated())
-            for side, change in cameras.items()
-        }
-        head = self._head_with(section.model_copy(update=sides))
-        await self._cell.session.try_head(token, head, cameras)
+        tried = self._cell.session.camera_changes
+        await self._cell.session.try_cameras(token, cameras)
         for side, change in tried.items():
             values = CameraValues(change.exposure_us, change.gain_db)
             if values != CameraValues():

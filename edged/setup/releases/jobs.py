@@ -12,18 +12,15 @@ from typing import Annotated
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from edged.adapters.modbus import ModbusPublisher
-from edged.domain.events import Command, CommandKind
-from edged.errors import FileFormatError, SetupRefused, UserError
+from edged.domain.overview import Use
+from edged.errors import FileFormatError, UserError
 from edged.files.atomic import make_folders, write_atomically
-from edged.ports import Commander, Publisher
 from edged.setup.documents import Frozen
 from edged.setup.history import Kept, Text
 from edged.setup.inuse import CellInUse
 from edged.setup.releases.jobsfolder import Jobs as Files
 from edged.setup.releases.jobsfolder import of_job, renamed, with_job, without_job
 from edged.setup.releases.jobsinuse import JobLine, JobsInUse
-from edged.setup.releases.jobuse import JobUse
 from edged.setup.releases.releasefolder import Release, ReleaseFolder
 from edged.setup.releases.service import Activation
 from edged.setup.teaching.drafts import keeps_pair
@@ -88,40 +85,24 @@ _KEPT = TypeAdapter(dict[str, Retired])
 
 
 class Jobs:
-    """Used on the event loop only. servers : those that run, by the name of their section."""
+    """Used on the event loop only."""
 
-    def __init__(
-        self,
-        cell: CellInUse,
-        releases: ReleaseFolder,
-        activation: Activation,
-        use: JobUse,
-        commander: Commander,
-        servers: Mapping[str, Publisher],
-    ) -> None:
+    def __init__(self, cell: CellInUse, releases: ReleaseFolder, activation: Activation) -> None:
         self._cell = cell
         self._retired = cell.folder / "retired.json"
         self._releases = releases
         self._activation = activation
-        self._use = use
-        self._commander = commander
-        self._servers = servers
-        self._commands = 0
 
     async def listed(self) -> JobList:
         """All of them."""
         return await asyncio.to_thread(self._listed)
 
-    def take(self, job: str) -> None:
+    async def take(self, job: str) -> None:
         """Measure by a job, as a PLC's command would have it, where none owns the right to write.
 
         Raises `KeyError`, `SetupRefused`, `CommandRefused`.
         """
-        number, modbus = self._cell.job_lines().line(job).number, self._servers.get("modbus")
-        if isinstance(modbus, ModbusPublisher) and modbus.owner:
-            raise SetupRefused(f"the PLC at {modbus.owner} has the right to write: it changes the job itself")
-        self._commands += 1
-        self._commander.submit(Command(CommandKind.CHANGE_JOB, "page", self._commands, job=number))
+        await self._cell.running.take_job(self._cell.job_lines().line(job).number)
 
     async def change(
         self, job: str, author: str, note: str, signed: str | None, *, name: str | None, number: int | None
@@ -215,14 +196,15 @@ class Jobs:
         return JobList(jobs=found)
 
     def _document(self, line: JobLine, jobs: JobsInUse) -> JobDocument:
-        use = self._use.of(line.number)
+        now = self._cell.running.summary
+        use = now.uses.get(line.number, Use())
         last = datetime.fromtimestamp(use.last_ns * 1e-9, UTC) if use.last_ns else None
         return JobDocument(
             **asdict(line),
             last_used=None if last is None else last.isoformat(timespec="seconds"),
             cycles=use.cycles,
             ok_share=use.good_share,
-            active=line.number == self._use.active,
+            active=line.number == now.active_job,
             editable=keeps_pair(jobs.folder / line.folder),
         )
 

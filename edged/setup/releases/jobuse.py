@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 from edged.domain.cell import CellState
 from edged.domain.events import Event, JobChanged, Snapshot
 from edged.domain.measurement import Status
-
-
-@dataclass(frozen=True, slots=True)
-class Use:
-    """Use of a job since the daemon started. last_ns : UTC of its last cycle; 0: none."""
-
-    cycles: int = 0
-    good: int = 0
-    last_ns: int = 0
-
-    @property
-    def good_share(self) -> float | None:
-        """None before the first cycle."""
-        return self.good / self.cycles if self.cycles else None
+from edged.domain.overview import Use
 
 
 class JobUse:
@@ -38,6 +26,11 @@ class JobUse:
     def of(self, number: int) -> Use:
         """Use of the job with a number."""
         return self._uses.get(number, Use())
+
+    @property
+    def uses(self) -> Mapping[int, Use]:
+        """Use of each job that was used, by its number."""
+        return dict(self._uses)
 
     async def start(self) -> None:
         """Nothing to open."""

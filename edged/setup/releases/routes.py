@@ -74,7 +74,7 @@ class ReleaseRoutes:
         needs_password=True,
     )
     async def _return(self, call: Call[Returning]) -> ReleaseDocument:
-        self._activation.check(call.body.token)
+        await self._activation.check(call.body.token)
         number, body = int(call.part("number")), call.body
         call.trail.before = self._activation.fingerprint
         release = await known(self._activation.activate_again(number, call.visitor.name, body.reason))
@@ -110,7 +110,7 @@ async def activated(
     drafts: OpenDrafts[Any, Any, Any],
 ) -> ReleaseDocument:
     """Let the cell run by the rig that a draft was solved to. Raises as `Activation.activate`; `KeyError`."""
-    activation.check(call.body.token)
+    await activation.check(call.body.token)
     rig = await solution(call.part("id"))
     call.trail.before = activation.fingerprint
     release = await activation.activate(rig, call.visitor.name, call.body.note, signature(call))
@@ -189,7 +189,7 @@ class JobRoutes:
         needs_password=True,
     )
     async def _change(self, call: Call[Changing]) -> JobList:
-        self._activation.check(call.body.token)
+        await self._activation.check(call.body.token)
         folder, body, author = call.part("name"), call.body, call.visitor.name
         call.trail.object, call.trail.before = folder, self._activation.fingerprint
         if body.signed is not None:
@@ -218,7 +218,7 @@ class JobRoutes:
         needs_password=True,
     )
     async def _copy(self, call: Call[Copying]) -> JobList:
-        self._activation.check(call.body.token)
+        await self._activation.check(call.body.token)
         job, body = call.part("name"), call.body
         call.trail.object, call.trail.before = body.new_name, self._activation.fingerprint
         note = body.note or f"{body.new_name}, as {job}"
@@ -243,7 +243,7 @@ class JobRoutes:
     async def _take(self, call: Call[Nothing]) -> None:
         call.trail.object = call.part("name")
         try:
-            self._jobs.take(call.part("name"))
+            await self._jobs.take(call.part("name"))
         except KeyError:
             call.trail.object = ""
             raise unknown() from None

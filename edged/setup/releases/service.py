@@ -94,16 +94,16 @@ class Activation:
         """Archives of releases. Raises `KeyError`, `FileFormatError`."""
         return await asyncio.to_thread(lambda: [self._releases.file(number) for number in numbers])
 
-    def check(self, token: str | None) -> None:
+    async def check(self, token: str | None) -> None:
         """Raises `SetupRefused` when nothing may be changed now, by somebody without or with a token."""
         if token is not None:
-            self._cell.session.renew_setup(token)
-        elif holder := self._cell.session.lease.name:
+            await self._cell.session.renew_setup(token)
+        elif holder := self._cell.session.holder:
             raise SetupRefused(f"{holder} has the cell")
         self._check_unlocked()
 
     def _check_unlocked(self) -> None:
-        if self._cell.session.lease.locked:
+        if self._cell.session.is_locked:
             raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
 
     async def activate(self, rig: bytes, author: str, note: str, signed: str | None = None) -> Release:

@@ -173,7 +173,7 @@ class TeachingRoutes:
         return await self._teachings.wish(draft, body.revision, sets, **more)
 
     async def _activate(self, draft: str, call: Call[Activating]) -> ReleaseDocument:
-        self._activation.check(call.body.token)
+        await self._activation.check(call.body.token)
         candidate = await self._teachings.candidate(draft)
         call.trail.object, call.trail.before = candidate.folder, self._activation.fingerprint
         # first: a kill after the exchange must not leave a draft that does not know its job

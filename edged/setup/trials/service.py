@@ -156,7 +156,7 @@ class Trials:
 
         Raises `SetupRefused`, `UserError`, and `KeyError` for a draft that there is not.
         """
-        self._cell.session.renew_setup(token)
+        await self._cell.session.renew_setup(token)
         if on:
             self._tried = (await self._trial_of(what)).what
         self._token = token if on else None
@@ -178,7 +178,7 @@ class Trials:
 
     async def hold_still(self, token: str, what: What, pictures: int, author: str) -> str:
         """Begin the still test; returns the task. Raises as `turn`."""
-        self._cell.session.renew_setup(token)
+        await self._cell.session.renew_setup(token)
         if self._cell.tasks.is_running(self._still):
             raise SetupRefused("a still test is running")
         trial = await self._trial_of(what)
@@ -204,7 +204,7 @@ class Trials:
     async def _try(self, what: What, token: str, number: int, pair: FramePair) -> None:
         trial = self._known.get(what)
         try:
-            self._cell.session.renew_setup(token)
+            await self._cell.session.renew_setup(token)
             trial = await self._trial_of(what)
             images = pair.left.image, pair.right.image
             trial.note(number, await self._cell.worker.run("try_pair", self._setup(trial), images))

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from helpers.boardcell import BoardCell, with_views
 from helpers.boardpairs import RIG, SPEC, pairs
+from helpers.samepage import in_this_process, worker_of
 from helpers.waiting import WHOLE_S
 from rich.console import Console
 
@@ -173,12 +174,13 @@ def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """While it solves, keeps a pair or suggests: that has failed and says so, and the draft is as it was."""
+    pages = in_this_process(monkeypatch)
 
     async def test(cell: BoardCell) -> None:
         place, token = await with_views(cell, 3)
         await cell.until(place, lambda draft: not draft["guiding"])
         # nobody else knows its process, nor what it can do
-        worker = cell.daemon._setup._cell.worker  # noqa: SLF001
+        worker = worker_of(pages)
         functions = worker._functions  # noqa: SLF001  (as above)
         with monkeypatch.context() as patch:
             patch.setitem(functions, "keep", "helpers.workertasks:vanish")

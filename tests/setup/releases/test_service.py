@@ -324,16 +324,16 @@ def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
 
 def test_the_plant_forbids_it(cell: RunningCell) -> None:
     """AUTO_LOCK, before anybody asks and while somebody has; so does whoever has the cell."""
-    cell.activation.check(None)
-    cell.running.session.lease.name = "Ben"
+    asyncio.run(cell.activation.check(None))
+    cell.running.session.holder = "Ben"
     with pytest.raises(SetupRefused, match="Ben has the cell"):
-        cell.activation.check(None)
+        asyncio.run(cell.activation.check(None))
     with pytest.raises(SetupRefused, match="SETUP has ended"):
-        cell.activation.check("stale")
-    cell.activation.check("theirs")
-    cell.running.session.lease.locked = True
+        asyncio.run(cell.activation.check("stale"))
+    asyncio.run(cell.activation.check("theirs"))
+    cell.running.session.is_locked = True
     with pytest.raises(SetupRefused, match="AUTO_LOCK"):
-        cell.activation.check("theirs")
+        asyncio.run(cell.activation.check("theirs"))
     files = cell.files()
     with pytest.raises(SetupRefused, match="AUTO_LOCK"):
         activate(cell, cell.wider(1.001))

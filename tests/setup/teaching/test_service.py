@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from helpers.cells import flange, frame_pair
 from helpers.partcell import PartCell
+from helpers.samepage import in_this_process, worker_of
 from helpers.waiting import WHOLE_S
 from rich.console import Console
 
@@ -137,9 +138,10 @@ def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_two_people_and_a_kill(tmp_path: Path) -> None:
+def test_two_people_and_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Who comes late is told what is new; a tap finds the part, nothing is found on the table; after a kill
     of the worker and a restart of the daemon the draft is as it was."""
+    pages = in_this_process(monkeypatch)
 
     async def test(cell: PartCell) -> None:
         token = await cell.take()
@@ -182,7 +184,7 @@ def test_two_people_and_a_kill(tmp_path: Path) -> None:
         again = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})
         widths = [np.ptp(np.array(one["region"][0]["points"])[:, 0]) for one in (tapped, again)]
         assert widths[1] < 0.5 * widths[0]
-        worker = cell.daemon._setup._cell.worker  # noqa: SLF001  (nobody else knows its process)
+        worker = worker_of(pages)
         os.kill(worker.pid, signal.SIGKILL)
         draft = await cell.change("POST", draft, "/undo", {})
         assert tapped["region"] == draft["region"]

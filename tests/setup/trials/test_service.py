@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from helpers.cells import flange
 from helpers.partcell import PartCell, turned
+from helpers.samepage import in_this_process
 from helpers.waiting import WHOLE_S
 
 from edged.files.jobs import save_job
@@ -71,6 +72,7 @@ def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]
 def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the part lies, in the robot's frame; when it is laid elsewhere, that is seen, and the trail is
     longer; a draft is tried as a job is. What cannot be tried is said."""
+    in_this_process(monkeypatch)
     cell = TaughtCell(tmp_path)
 
     async def test() -> None:

@@ -15,7 +15,7 @@ from helpers.snapshots import make_snapshot
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edged.adapters.zenoh.cbor import decode_cbor, encode_cbor
+from edged.cbor import decode_cbor, encode_cbor
 from edged.payload import encode, snapshot_to_json
 
 # RFC 8949, appendix A (those that use what JSON can say, in the form that we write)

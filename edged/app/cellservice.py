@@ -1,0 +1,165 @@
+"""The cell as its page's process reaches it: what that is news, and what it may ask."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from edged.adapters.modbus import ModbusPublisher
+from edged.app.cell import LoadedCell
+from edged.app.running import Running
+from edged.config.chosencameras import ChosenCamera
+from edged.connections import Rate
+from edged.domain.arrays import Side
+from edged.domain.events import Command, CommandKind
+from edged.domain.exposure import CameraValues
+from edged.errors import CommandRefused, SetupRefused
+from edged.link import requests as ask
+from edged.link.summary import CellSummary, FilesInUse, PageTask, PlcNow
+from edged.ports import Head
+from edged.setup.cellfiles import files_in_use
+from edged.setup.releases.jobuse import JobUse
+
+if TYPE_CHECKING:  # a cell without a stage does not load what its routes need
+    from edged.setup.stage.forwarding import StageService
+
+RELOAD_S, RELOADS_AT_ONCE = 2.0, 5.0
+"""A page may ask for so many reloads at once, and then for one in so long."""
+PAGE = "page"
+"""Source of the page's commands."""
+
+
+class CellService:
+    """Serves one page (`edged.link.cellend.ServedCell`); used on the event loop.
+
+    metrics : Prometheus' text. head_with : a head of other cameras, not yet open. stage : what stands before
+    virtual cameras; None without.
+    """
+
+    def __init__(
+        self,
+        running: Running,
+        task: PageTask,
+        use: JobUse,
+        metrics: Callable[[], bytes],
+        head_with: Callable[[Mapping[Side, ChosenCamera]], Head],
+        stage: StageService | None = None,
+    ) -> None:
+        self._running = running
+        self._task = task
+        self._use = use
+        self._metrics = metrics
+        self._head_with = head_with
+        self._stage = stage
+        self._commands = 0
+        self._reloading = asyncio.Lock()
+        self._reloads = Rate(1 / RELOAD_S, burst=RELOADS_AT_ONCE)
+
+    @property
+    def task(self) -> PageTask:
+        """What the page is to serve."""
+        return self._task
+
+    def summary(self) -> CellSummary:
+        """State of the cell at this moment."""
+        running, session = self._running, self._running.session
+        modbus = running.modbus()
+        return CellSummary(
+            overview=running.overview(),
+            facts=running.facts(),
+            jobs=tuple(running.jobs()),
+            holder=session.holder,
+            is_locked=session.is_locked,
+            camera_changes=session.camera_changes,
+            uses=self._use.uses,
+            active_job=self._use.active,
+            plc=None if modbus is None else plc_now(modbus),
+        )
+
+    def version(self) -> LoadedCell:
+        """Another object whenever the cell runs by other files."""
+        return self._running.loaded
+
+    def files(self, version: object) -> FilesInUse:
+        """The files of a version; called on any thread."""
+        if not isinstance(version, LoadedCell):
+            raise TypeError(f"no version of a cell: {version!r}")
+        return files_in_use(version.cell)
+
+    async def answer(self, request: ask.Asked) -> object:
+        """Do what a page asks. Raises `EdgedError`, `OSError`."""
+        session = self._running.session
+        match request:
+            case ask.EnterSetup():
+                return await session.enter_setup(request.name, take_over=request.take_over)
+            case ask.RenewLease():
+                await session.renew_setup(request.token)
+            case ask.LeaveSetup():
+                await session.leave_setup(request.token)
+            case ask.EndSetup():
+                await session.end_setup(request.name)
+            case ask.TakePair():
+                return await session.capture(request.token)
+            case ask.AdjustCamera():
+                values = CameraValues(request.exposure_us, request.gain_db)
+                return await session.adjust(request.token, request.side, values)
+            case ask.ReadLimits():
+                return await session.limits(request.token, request.side)
+            case ask.TryCameras():
+                head = self._head_with(request.changes)
+                await session.try_head(request.token, head, request.changes)
+            case ask.AskReload():
+                return await self._reloaded()
+            case ask.TakeJob():
+                self._take_job(request.number)
+            case _:
+                return await self._looked_up(request)
+        return None
+
+    async def _reloaded(self) -> str:
+        """Reload; in a while, where the page has asked too often: it cannot keep the cell busy."""
+        async with self._reloading:
+            if not self._reloads.take():
+                await asyncio.sleep(RELOAD_S)
+                self._reloads.take()
+            return await self._running.reload()
+
+    async def _looked_up(self, request: ask.Asked) -> object:
+        """What changes nothing, but on a stage."""
+        match request:
+            case ask.AskRegisters():
+                return [(register.address, value) for register, value in self._running.registers()]
+            case ask.AskExchanges():
+                modbus = self._running.modbus()
+                found = [] if modbus is None else modbus.exchanges
+                return [replace(exchange, rungs=list(exchange.rungs)) for exchange in found]  # it goes on
+            case ask.AskMetrics():
+                return self._metrics()
+            case ask.OnStage() if self._stage is not None:
+                return await self._stage.answer(request.route, request.body)
+        raise CommandRefused("this cell has no stage")
+
+    def _take_job(self, number: int) -> None:
+        modbus = self._running.modbus()
+        if modbus is not None and modbus.owner:
+            raise SetupRefused(f"the PLC at {modbus.owner} has the right to write: it changes the job itself")
+        self._commands += 1
+        self._running.cycle.submit(Command(CommandKind.CHANGE_JOB, PAGE, self._commands, job=number))
+
+
+def plc_now(modbus: ModbusPublisher) -> PlcNow:
+    """The Modbus server as the page shows it."""
+    now = modbus.settings
+    return PlcNow(
+        host=now.host,
+        port=modbus.port,
+        unit_id=now.unit_id,
+        word_order=now.word_order,
+        base_address=now.base_address,
+        convention=now.convention.name.lower(),
+        connected=modbus.clients,
+        owner=modbus.owner,
+        refused=tuple(modbus.refused_writers),
+    )

@@ -1,0 +1,210 @@
+"""The page as the cell has it: a process of its own, that is started again whenever it ends.
+
+The cell opens the port and hands it on: a browser that comes while the process starts waits a moment, and
+nobody else gets the port meanwhile.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from edged.cell.tasks import cancel_and_await
+from edged.connections import listening_on
+from edged.domain.arrays import FloatArray
+from edged.domain.cell import CellState
+from edged.domain.events import Event, ExposureDone, Snapshot
+from edged.domain.frames import FramePair
+from edged.link.cellend import CellEnd, ServedCell
+from edged.link.summary import ProgramStep
+
+log = logging.getLogger(__name__)
+
+PAUSE_S, MOST_PAUSE_S = 0.2, 5.0
+"""Before the page is started again: doubled each time, unless it ran for a while."""
+GOOD_S = 30.0
+END_S = 1.0
+"""For the process to end by itself once the link is closed."""
+
+
+class PageWitness:
+    """Tells the page of a robot's registration (`edged.setup.registration.registrar.Witness`), on any thread.
+
+    tell : called on the event loop.
+    """
+
+    def __init__(self, tell: Callable[[ProgramStep], None], loop: asyncio.AbstractEventLoop) -> None:
+        self._tell = tell
+        self._loop = loop
+
+    def begun(self, mount: str, kind: str, board: str, limit_mm: float) -> None:
+        """It has begun anew."""
+        self._say(ProgramStep("begun", mount=mount, kind=kind, board=board, limit_mm=limit_mm))
+
+    def posed(self, pair: FramePair, robot_from_flange: FloatArray) -> None:
+        """A pose was taken."""
+        self._say(ProgramStep("posed", pair=pair, pose=robot_from_flange))
+
+    def touched(self, pair: FramePair, job: str, rig_mm: FloatArray, robot_from_tip: FloatArray) -> None:
+        """A point (3,) was taken, on the part of a job."""
+        point_mm = np.asarray(rig_mm)
+        self._say(ProgramStep("touched", pair=pair, job=job, point_mm=point_mm, pose=robot_from_tip))
+
+    def activated(self) -> None:
+        """The cell runs by the result."""
+        self._say(ProgramStep("activated"))
+
+    def _say(self, step: ProgramStep) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._tell, step)
+
+
+class PageServer:
+    """The publisher of the page (`edged.ports.Publisher`). host, port : where it is served."""
+
+    def __init__(self, host: str, port: int, view: ServedCell) -> None:
+        self._host, self._port = host, port
+        self._view = view
+        self._listening: list[socket.socket] = []
+        self._end: CellEnd | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._running: asyncio.Task[None] | None = None
+        self._state: CellState | None = None
+        self._exposed: ExposureDone | None = None
+        self._snapshot: Snapshot | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process; None while there is none."""
+        return None if self._process is None else self._process.pid
+
+    async def start(self) -> None:
+        """Open the port, and start the process. Raises `ListenError`."""
+        self._listening = await listening_on("status page", self._host, self._port)
+        self._running = asyncio.create_task(self._run(), name="page")
+        self._running.add_done_callback(_show_bug)
+
+    def announce(self, event: Event) -> None:
+        """Pass an event on, and remember what a page needs that starts later."""
+        match event:
+            case CellState():
+                self._state = event
+            case ExposureDone():
+                self._exposed = event
+            case Snapshot():
+                self._snapshot = event
+        if self._end is not None:
+            self._end.announce(event)
+
+    def tell_step(self, step: ProgramStep) -> None:
+        """Pass on a step of a robot's registration."""
+        if self._end is not None:
+            self._end.tell_step(step)
+
+    async def close(self) -> None:
+        """End the process, and close the port."""
+        if self._running is not None:
+            await cancel_and_await(self._running)
+            self._running = None
+        for opened in self._listening:
+            opened.close()
+        self._listening.clear()
+
+    async def _run(self) -> None:
+        pause_s = PAUSE_S
+        while True:
+            started_s = time.monotonic()
+            why = await self._serve_once()
+            pause_s = PAUSE_S if time.monotonic() - started_s > GOOD_S else min(2 * pause_s, MOST_PAUSE_S)
+            log.error("the page has ended%s; it is started again in %.1f s", why and f": {why}", pause_s)
+            await asyncio.sleep(pause_s)
+
+    async def _serve_once(self) -> str:
+        """Start the process and serve it until it ends, or the link does; returns why, in words."""
+        ours, theirs = socket.socketpair()
+        try:
+            self._process = process = await self._start_process(theirs)
+        except OSError as error:
+            ours.close()
+            return f"it cannot be started: {error.strerror or error}"
+        except asyncio.CancelledError:
+            ours.close()
+            raise
+        end = CellEnd(ours, self._view)
+        exposed, last = self._exposed, self._snapshot
+        if exposed is not None and (last is None or exposed.cycle != last.cycle):
+            exposed = None
+        for event in (self._state, exposed, last):
+            if event is not None:
+                end.announce(event)
+        self._end = end
+        why = ""
+        try:
+            why = await end.serve()
+        finally:
+            self._end = None
+            # what misbehaves is not asked to end
+            code = await _ended(process, 0.0 if why else END_S)
+            self._process = None
+        return why or (f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"code {code}")
+
+    async def _start_process(self, link: socket.socket) -> subprocess.Popen[bytes]:
+        """Start it on a thread; one that comes too late is ended. Raises `OSError`."""
+        with link:
+            starting = asyncio.ensure_future(asyncio.to_thread(self._started, link))
+            try:
+                return await asyncio.shield(starting)
+            except asyncio.CancelledError:
+                await _ended(await starting, 0.0)
+                raise
+
+    def _started(self, link: socket.socket) -> subprocess.Popen[bytes]:
+        inherited = [link.fileno(), *(opened.fileno() for opened in self._listening)]
+        # one BLAS thread, as the cell itself
+        environment = {
+            "OPENBLAS_NUM_THREADS": "1",
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        }
+        for ours in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"):  # systemd hears the cell alone
+            environment.pop(ours, None)
+        return subprocess.Popen(
+            [sys.executable, "-m", "edged.app.page", *map(str, inherited)],
+            stdin=subprocess.DEVNULL,
+            pass_fds=inherited,
+            env=environment,
+            start_new_session=True,  # a ctrl-C is the cell's, which ends the page
+        )
+
+
+async def _ended(process: subprocess.Popen[bytes], grace_s: float) -> int:
+    """Wait for the process to end, kill it if it does not; returns its exit code."""
+
+    def wait() -> int:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return process.wait(grace_s)
+        process.kill()
+        return process.wait()
+
+    waiting = asyncio.ensure_future(asyncio.to_thread(wait))
+    try:
+        return await asyncio.shield(waiting)
+    except asyncio.CancelledError:
+        await waiting
+        raise
+
+
+def _show_bug(running: asyncio.Task[None]) -> None:
+    """Log a bug at once, not when the daemon ends: the cell goes on without its page."""
+    if not running.cancelled() and (bug := running.exception()) is not None:
+        log.error("the cell runs without its page, because of a bug", exc_info=bug)

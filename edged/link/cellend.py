@@ -1,0 +1,328 @@
+"""The cell's end of the link: it never waits, keeps the newest, and believes nothing that arrives.
+
+What is to be sent is encoded and written by a thread of its own; the loop only puts it where the thread finds
+it, in queues of a bounded length. What arrives is read at a bounded rate: a page that floods waits in its own
+socket's buffer. A page that sends what is no message, or does not read, loses the link.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import socket
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any, Protocol
+
+import cbor2
+
+from edged.connections import Rate
+from edged.domain.arrays import Image
+from edged.domain.events import Event, ExposureDone
+from edged.domain.frames import FramePair
+from edged.errors import EdgedError, LinkError, SetupRefused
+from edged.link import values
+from edged.link.pictures import PictureRing
+from edged.link.requests import (
+    GREETING,
+    MAX_BYTES,
+    Asked,
+    Envelope,
+    TakePair,
+    encoded,
+    envelope_of,
+    greeting_of,
+    plain_error,
+)
+from edged.link.stream import Frames, send_within
+from edged.link.summary import CellSummary, FilesInUse, PageTask, ProgramStep
+
+log = logging.getLogger(__name__)
+
+EVENTS, PAIRS, STEPS = 256, 2, 20
+"""Events that wait to be sent; how many of them with their pictures; steps of a robot's registration."""
+UNDERWAY, CAPTURES = 16, 4
+"""Requests under way, and answers that wait, more are not read; and how many of them have pictures."""
+REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 400.0
+REST_S = 0.05
+"""A page that has asked too much is read again after this."""
+READ_BYTES = 16 * 1024
+WRITE_S = 15.0
+"""A page that does not read for so long loses the link; one that starts on a busy PC imports meanwhile."""
+BEAT_S = 1.0
+"""The summary comes at least so often: a page that hears nothing knows that the cell's loop hangs."""
+GREET_S = 60.0
+"""For a process to start on a busy PC, and to say which version it is."""
+
+
+class ServedCell(Protocol):
+    """What a page is told of the cell, and who does what it asks; called on the event loop."""
+
+    @property
+    def task(self) -> PageTask:
+        """What the page is to serve."""
+
+    def summary(self) -> CellSummary:
+        """State of the cell at this moment."""
+
+    def version(self) -> object:
+        """Another object whenever the cell runs by other files."""
+
+    def files(self, version: object) -> FilesInUse:
+        """The files of a version; called on any thread."""
+
+    async def answer(self, request: Asked) -> object:
+        """Do what a page asks. Raises `EdgedError`, `OSError`."""
+
+
+class CellEnd:
+    """One page's link.
+
+    connection : a Unix stream socket, owned from now on.
+    """
+
+    def __init__(self, connection: socket.socket, view: ServedCell) -> None:
+        connection.setblocking(False)
+        self._connection = connection
+        self._view = view
+        self._frames = Frames(MAX_BYTES)
+        self._rate = Rate(REQUESTS_PER_S, burst=REQUESTS_AT_ONCE)
+        self._rest: asyncio.TimerHandle | None = None
+        self._beats: asyncio.TimerHandle
+        self._is_reading = False
+        self.is_greeted = False
+        self._sender = ThreadPoolExecutor(1, thread_name_prefix="page-link")
+        self._ring = PictureRing()
+        self._wake = asyncio.Event()
+        self._answers: deque[dict[str, Any]] = deque()
+        self._events: deque[Event] = deque(maxlen=EVENTS)
+        self._steps: deque[ProgramStep] = deque(maxlen=STEPS)
+        self._is_summary_due = True
+        self._sent_version: object = None
+        self._captures = 0
+        self._underway: set[asyncio.Task[None]] = set()
+        self._failed: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+
+    async def serve(self) -> str:
+        """Serve the page until the link ends; returns why, "" where the page has closed it."""
+        loop = asyncio.get_running_loop()
+        telling = loop.create_task(self._tell(), name="page link")
+        greeting = loop.call_later(GREET_S, self._miss_greeting)
+        self._beat()
+        self._read_on()
+        try:
+            ends: set[asyncio.Future[Any]] = {telling, self._failed}
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            if telling.done() and (bug := telling.exception()) is not None:
+                log.error("the page cannot be told because of a bug", exc_info=bug)
+                return "a bug, see the log"
+            return self._failed.result()
+        finally:
+            greeting.cancel()
+            self._beats.cancel()
+            self._read_no_more()
+            if self._rest is not None:
+                self._rest.cancel()
+            for task in (telling, *self._underway):
+                task.cancel()
+            await asyncio.gather(telling, *self._underway, return_exceptions=True)
+            with contextlib.suppress(OSError):
+                self._connection.shutdown(socket.SHUT_RDWR)  # a write under way ends, too
+            await loop.run_in_executor(self._sender, self._ring.close)
+            self._sender.shutdown()
+            self._connection.close()
+
+    # --- what the page is told -------------------------------------------------------------------
+
+    def announce(self, event: Event) -> None:
+        """Tell of an event, soon; the oldest are left out where the page is too slow."""
+        self._events.append(event)
+        if isinstance(event, ExposureDone):
+            self._drop_pairs()
+        self._is_summary_due = True
+        self._wake.set()
+
+    def tell_step(self, step: ProgramStep) -> None:
+        """Tell of a step of a robot's registration."""
+        self._steps.append(step)
+        self._wake.set()
+
+    def _drop_pairs(self) -> None:
+        """Only the newest exposures keep their pictures."""
+        kept = 0
+        for index in range(len(self._events) - 1, -1, -1):
+            event = self._events[index]
+            if isinstance(event, ExposureDone) and event.pair is not None:
+                kept += 1
+                if kept > PAIRS:
+                    self._events[index] = replace(event, pair=None)
+
+    async def _tell(self) -> None:
+        """Send what is new, until the link fails."""
+        loop = asyncio.get_running_loop()
+        try:
+            await loop.run_in_executor(self._sender, self._send, encoded(GREETING), None)
+            await self._post("task", self._view.task)
+            while True:
+                await self._wake.wait()
+                self._wake.clear()
+                if self.is_greeted:
+                    await self._tell_all()
+        except (LinkError, OSError) as error:
+            self._fail("" if isinstance(error, ConnectionError) else str(error))
+
+    async def _tell_all(self) -> None:
+        """Files before the summary, and both before the answers: who asked finds what has become of it."""
+        version = self._view.version()
+        if version is not self._sent_version:
+            files = await asyncio.get_running_loop().run_in_executor(self._sender, self._view.files, version)
+            await self._post("files", files)
+            self._sent_version = version
+        answers, events, steps = list(self._answers), list(self._events), list(self._steps)
+        self._events.clear()
+        self._steps.clear()
+        if self._is_summary_due:
+            self._is_summary_due = False
+            await self._post("summary", self._view.summary())
+        for event in events:
+            await self._post("event", event)
+        for step in steps:
+            await self._post("step", step)
+        for answer in answers:
+            await self._post("answer", **answer)
+            self._answers.popleft()
+        if answers and self._rest is None:
+            self._hear()
+
+    async def _post(self, kind: str, body: object = None, **more: object) -> None:
+        await asyncio.get_running_loop().run_in_executor(self._sender, self._write, kind, body, more)
+
+    def _write(self, kind: str, body: object, more: dict[str, object]) -> None:
+        """Encode and send a message, in the sender's thread."""
+        images: list[Image] = []
+        data = values.dumps(body, images)
+        message: dict[str, object] = {"kind": kind, "body": data, **more}
+        memory = None
+        if images:
+            placed, memory = self._ring.place(images)
+            message |= {"pictures": list(placed), "memory": memory is not None}
+        self._send(cbor2.dumps(message), memory)
+
+    def _send(self, data: bytes, memory: int | None) -> None:
+        try:
+            send_within(self._connection, data, [] if memory is None else [memory], WRITE_S)
+        finally:
+            if memory is not None:
+                os.close(memory)
+
+    # --- what the page asks ------------------------------------------------------------------------
+
+    def _read(self) -> None:
+        """Read what has arrived, as much as is allowed."""
+        try:
+            data = self._connection.recv(READ_BYTES)  # descriptors that come with it are closed unread
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._fail("")
+            return
+        self._frames.feed(data)
+        self._hear()
+
+    def _hear(self) -> None:
+        """Carry out the messages that are whole, as fast as a page may ask."""
+        try:
+            while not self._is_full and self._frames.has_next():
+                if not self._rate.take():
+                    self._read_no_more()
+                    self._rest = asyncio.get_running_loop().call_later(REST_S, self._go_on)
+                    return
+                message = self._frames.next()
+                if self.is_greeted:
+                    self._carry_out(envelope_of(message))
+                else:
+                    self._greet(message)
+        except LinkError as error:
+            self._fail(str(error))
+            return
+        if self._is_full:
+            self._read_no_more()
+        else:
+            self._read_on()
+
+    @property
+    def _is_full(self) -> bool:
+        """Whether as many requests are under way, or answered and not sent, as may be."""
+        return len(self._underway) + len(self._answers) >= UNDERWAY
+
+    def _go_on(self) -> None:
+        self._rest = None
+        self._hear()
+
+    def _beat(self) -> None:
+        """The summary is due, and will be again."""
+        self._is_summary_due = True
+        self._wake.set()
+        self._beats = asyncio.get_running_loop().call_later(BEAT_S, self._beat)
+
+    def _miss_greeting(self) -> None:
+        if not self.is_greeted:
+            self._fail(f"the page has not said a word within {GREET_S:g} s")
+
+    def _greet(self, message: bytes) -> None:
+        greeting_of(message).check("the page")
+        self.is_greeted = True
+        self._wake.set()
+
+    def _carry_out(self, envelope: Envelope) -> None:
+        task = asyncio.get_running_loop().create_task(self._answer(envelope), name="page's request")
+        self._underway.add(task)
+        task.add_done_callback(self._carried_out)
+
+    def _carried_out(self, task: asyncio.Task[None]) -> None:
+        self._underway.discard(task)
+        if not task.cancelled() and (bug := task.exception()) is not None:
+            log.error("a request of the page ended in a bug", exc_info=bug)
+            self._fail("a bug, see the log")
+
+    async def _answer(self, envelope: Envelope) -> None:
+        try:
+            answer: dict[str, Any] = {"body": await self._done(envelope.request), "error": None}
+        except (EdgedError, OSError) as error:
+            answer = {"body": None, "error": plain_error(error)}
+        self._answers.append({"number": envelope.number, **answer})
+        self._is_summary_due = True
+        self._wake.set()
+
+    async def _done(self, request: Asked) -> object:
+        if not isinstance(request, TakePair):
+            return await self._view.answer(request)
+        waiting = sum(isinstance(answer["body"], FramePair) for answer in self._answers)
+        if self._captures + waiting >= CAPTURES:
+            raise SetupRefused("too many pictures were asked for at once")
+        self._captures += 1
+        try:
+            return await self._view.answer(request)
+        finally:
+            self._captures -= 1
+
+    def _read_on(self) -> None:
+        if not self._is_reading and not self._failed.done():
+            self._is_reading = True
+            asyncio.get_running_loop().add_reader(self._connection, self._read)
+
+    def _read_no_more(self) -> None:
+        if self._is_reading:
+            self._is_reading = False
+            asyncio.get_running_loop().remove_reader(self._connection)
+
+    def _fail(self, why: str) -> None:
+        """The link has failed; "" where the other end has closed it."""
+        if not self._failed.done():
+            self._read_no_more()
+            self._failed.set_result(why)

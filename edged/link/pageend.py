@@ -1,0 +1,150 @@
+"""The page's end of the link: it asks, and hears answers and news in the order of the cell."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+from collections.abc import AsyncIterator
+from itertools import count
+from typing import Any, NamedTuple
+
+import cbor2
+
+from edged.errors import LinkError
+from edged.link import values
+from edged.link.pictures import Placed, SharedPictures
+from edged.link.requests import GREETING, Asked, Envelope, encoded, error_of, greeting_of
+from edged.link.stream import Frames, framed
+
+MOST_BYTES = 256 * 1024 * 1024
+"""Of a message of the cell: the largest are the files of many jobs."""
+READ_BYTES = 1024 * 1024
+MOST_DESCRIPTORS = 4
+ANSWER_S = 120.0
+"""Longer than any request takes that the cell carries out."""
+
+
+class LinkNews(NamedTuple):
+    """Something that the cell tells. kind : "task", "files", "summary", "event" or "step"."""
+
+    kind: str
+    body: Any
+
+
+class PageEnd:
+    """The link to the cell. connection : a Unix stream socket, owned from now on."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        self._connection = connection
+        self._frames = Frames(MOST_BYTES)
+        self._pictures = SharedPictures()
+        self._memories: list[int] = []
+        self._numbers = count(1)
+        self._asked: dict[int, asyncio.Future[Any]] = {}
+        self._writing = asyncio.Lock()
+        self._is_over = False
+
+    async def greet(self) -> None:
+        """Say which version this is, and hear the cell's. Raises `LinkError` where it is another."""
+        await self._write(encoded(GREETING))
+        greeting_of(await self._message()).check("the cell")
+
+    async def ask(self, request: Asked) -> Any:
+        """Ask the cell. Raises the `EdgedError` or `OSError` that the cell raises, and `LinkError`."""
+        if self._is_over:
+            raise LinkError("the cell is not reached")
+        number = next(self._numbers)
+        answer = self._asked[number] = asyncio.get_running_loop().create_future()
+        try:
+            await self._write(encoded(Envelope(number=number, request=request)))
+            async with asyncio.timeout(ANSWER_S):
+                return await answer
+        except TimeoutError as error:
+            raise LinkError(f"the cell has not answered within {ANSWER_S:g} s") from error
+        finally:
+            self._asked.pop(number, None)
+
+    async def news(self) -> AsyncIterator[LinkNews]:
+        """What the cell tells, until the link ends; answers are given on once what came before is done."""
+        try:
+            while True:
+                message = cbor2.loads(await self._message())
+                images: list[Any] = []
+                if message.get("memory"):
+                    self._pictures.map(self._memories.pop(0))
+                if "pictures" in message:
+                    images = self._pictures.copy(Placed(*message["pictures"]))
+                body = values.loads(message["body"], images)
+                if message["kind"] != "answer":
+                    yield LinkNews(message["kind"], body)
+                    continue
+                answer = self._asked.get(message["number"])
+                if answer is None or answer.done():
+                    continue
+                if message["error"] is not None:
+                    answer.set_exception(error_of(message["error"]))
+                else:
+                    answer.set_result(body)
+        except LinkError:
+            return
+        finally:
+            self._end()
+
+    def close(self) -> None:
+        """Close the link."""
+        self._end()
+        for memory in self._memories:
+            os.close(memory)
+        self._memories.clear()
+        self._connection.close()
+
+    def _end(self) -> None:
+        self._is_over = True
+        for answer in self._asked.values():
+            if not answer.done():
+                answer.set_exception(LinkError("the cell has stopped"))
+
+    async def _write(self, data: bytes) -> None:
+        """Send a whole message, also where who asked is cancelled meanwhile."""
+        await asyncio.shield(asyncio.ensure_future(self._written(data)))
+
+    async def _written(self, data: bytes) -> None:
+        async with self._writing:
+            try:
+                await asyncio.get_running_loop().sock_sendall(self._connection, framed(data))
+            except OSError as error:
+                raise LinkError(f"the cell is not reached: {error.strerror or error}") from error
+
+    async def _message(self) -> bytes:
+        """The next message. Raises `LinkError` when the link has ended."""
+        while not self._frames.has_next():
+            try:
+                data, memories, _flags, _ = socket.recv_fds(self._connection, READ_BYTES, MOST_DESCRIPTORS)
+            except (BlockingIOError, InterruptedError):
+                await self._readable()
+                continue
+            except OSError as error:
+                raise LinkError(f"the cell is not reached: {error.strerror or error}") from error
+            self._memories += memories
+            if not data:
+                raise LinkError("the cell has stopped")
+            self._frames.feed(data)
+        return self._frames.next()
+
+    async def _readable(self) -> None:
+        loop = asyncio.get_running_loop()
+        is_readable: asyncio.Future[None] = loop.create_future()
+
+        def wake() -> None:
+            if not is_readable.done():
+                is_readable.set_result(None)
+
+        loop.add_reader(self._connection, wake)
+        try:
+            await is_readable
+        finally:
+            with contextlib.suppress(ValueError):
+                loop.remove_reader(self._connection)

@@ -1,0 +1,97 @@
+"""The cell as its page sees it, besides events: what holds at one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from edged.config.chosencameras import ChosenCamera
+from edged.domain.arrays import FloatArray, Side
+from edged.domain.frames import FramePair
+from edged.domain.overview import Overview, Use
+
+
+@dataclass(frozen=True, slots=True)
+class PlcNow:
+    """The Modbus server. convention : of A, B, C, by its name in the configuration. refused : addresses."""
+
+    host: str
+    port: int
+    unit_id: int
+    word_order: str
+    base_address: int
+    convention: str
+    connected: int
+    owner: str
+    refused: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CellSummary:
+    """State of a cell that no event tells.
+
+    facts : groups of name to value, as the status page shows them. jobs : number and name. holder : of the
+    lease, "" without one. is_locked : the plant forbids SETUP. camera_changes : on trial, by side.
+    uses : of each job by its number; active_job : the number of the job in use, 0: none. plc : None without
+    a Modbus server.
+    """
+
+    overview: Overview = field(default_factory=Overview)
+    facts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    jobs: tuple[tuple[int, str], ...] = ()
+    holder: str = ""
+    is_locked: bool = False
+    camera_changes: Mapping[Side, ChosenCamera] = field(default_factory=dict)
+    uses: Mapping[int, Use] = field(default_factory=dict)
+    active_job: int = 0
+    plc: PlcNow | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FilesInUse:
+    """The files that the cell runs by. config : JSON of the configuration. contents : as in a recording.
+
+    lacks : name of the `SetupSource` that says what is missing first; "" of a cell that is complete.
+    missing : a line for each file that is not there.
+    """
+
+    config: str
+    contents: Mapping[str, bytes]
+    fingerprint: str
+    lacks: str = ""
+    missing: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PageTask:
+    """What a page process serves, and where. state : folder of people, audit and drafts.
+
+    addresses : of virtual cameras, left and right; None without. is_staged : the stage is set up, too.
+    """
+
+    path: Path
+    cell: str
+    state: Path
+    addresses: tuple[str, str] | None = None
+    is_staged: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProgramStep:
+    """A step of a registration by a robot's program, for the draft that people see grow.
+
+    step : "begun" with mount, kind, board and limit_mm; "posed" with pair and pose (4, 4); "touched" with
+    pair, pose, job and point_mm (3,); or "activated".
+    """
+
+    step: str
+    mount: str = ""
+    kind: str = ""
+    board: str = ""
+    limit_mm: float = 0.0
+    pair: FramePair | None = None
+    pose: FloatArray | None = None
+    job: str = ""
+    point_mm: FloatArray | None = None

@@ -1,0 +1,75 @@
+"""The stage's routes on a page of another process: each is asked of the cell, whose stage it is."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, cast
+
+from pydantic import BaseModel, ValidationError
+
+from edged.adapters.web.routes import Call, Problem, RouteTable, is_model, marks_of
+from edged.errors import CommandRefused
+from edged.identity.visitors import Role, Visitor
+from edged.setup.stage.routes import StageRobotRoutes, StageRoutes
+
+Ask = Callable[[str, dict[str, Any]], Awaitable[Mapping[str, Any]]]
+"""Ask the cell for a route, by `METHOD path`, with a body: `answer` or `problem`."""
+
+
+class ForwardedStage:
+    """The routes on the page's side."""
+
+    def __init__(self, ask: Ask) -> None:
+        self._ask = ask
+
+    def add_to(self, table: RouteTable) -> None:
+        """Add every route of the stage."""
+        for routes in (StageRoutes, StageRobotRoutes):
+            for row in marks_of(routes):
+                handler = partial(self._forward, f"{row.method} {row.path}", row.answer)
+                table.route(
+                    row.method, row.path, handler, row.what, body=row.body, answer=row.answer, **row.options
+                )
+
+    async def _forward(self, route: str, answer: type[BaseModel] | None, call: Call[Any]) -> BaseModel | None:
+        body = call.body.model_dump(mode="json") if isinstance(call.body, BaseModel) else {}
+        found = await self._ask(route, body)
+        if (problem := found.get("problem")) is not None:
+            raise Problem(problem["status"], problem["code"], problem["detail"])
+        return None if answer is None else answer.model_validate(_with_lists(found["answer"]))
+
+
+class StageService:
+    """The routes on the cell's side. Bodies are read again: a page may send anything."""
+
+    def __init__(self, routes: Sequence[object]) -> None:
+        self._rows = {
+            f"{row.method} {row.path}": (row.body, getattr(held, row.name))
+            for held in routes
+            for row in marks_of(type(held))
+        }
+
+    async def answer(self, route: str, body: Mapping[str, Any]) -> dict[str, Any]:
+        """Carry out a route. Raises `CommandRefused` for what is none of the stage."""
+        if route not in self._rows:
+            raise CommandRefused("the stage has no such route")
+        model, handler = self._rows[route]
+        try:
+            read = model.model_validate(body) if is_model(model) else None
+        except ValidationError as error:
+            raise CommandRefused(f"the stage cannot read the body: {error.error_count()} mistakes") from error
+        try:
+            answer = await handler(Call(Visitor("", Role.OPERATOR, ""), read, cast(Any, None)))
+        except Problem as problem:
+            return {"problem": {"status": problem.status, "code": problem.code, "detail": str(problem)}}
+        return {"answer": None if answer is None else answer.model_dump(mode="json")}
+
+
+def _with_lists(value: Any) -> Any:
+    """Lists again, where the link gives tuples."""
+    if isinstance(value, tuple):
+        return [_with_lists(part) for part in value]
+    if isinstance(value, dict):
+        return {key: _with_lists(part) for key, part in value.items()}
+    return value

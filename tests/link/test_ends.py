@@ -1,0 +1,356 @@
+"""The cell's end of the link, whatever a page sends, asks or does not read: the cell measures on."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import cbor2
+import pytest
+from helpers.scriptedhead import Ear, Head, make_setup
+from helpers.waiting import WHOLE_S, until
+
+from edged.cell.cycle import Cycle
+from edged.domain.cell import CellPhase
+from edged.domain.events import Event
+from edged.domain.exposure import CameraValues
+from edged.domain.frames import FramePair
+from edged.errors import CaptureError, LinkError, SetupRefused
+from edged.link import cellend
+from edged.link import requests as ask
+from edged.link.cellend import CellEnd
+from edged.link.pageend import PageEnd
+from edged.link.requests import Envelope, Greeting, encoded, envelope_of
+from edged.link.stream import framed
+from edged.link.summary import CellSummary, FilesInUse, PageTask
+
+FILES = FilesInUse("{}", {"rig.json": b"1"}, "f00d")
+EXAMPLES: tuple[ask.Asked, ...] = (
+    ask.EnterSetup(name="Anna"),
+    ask.RenewLease(token="t"),
+    ask.LeaveSetup(token="t"),
+    ask.EndSetup(name="Ben"),
+    ask.TakePair(token="t"),
+    ask.AdjustCamera(token="t", side="left", exposure_us=500.0),
+    ask.ReadLimits(token="t", side="right"),
+    ask.TryCameras(token="t", changes={}),
+    ask.AskReload(),
+    ask.TakeJob(number=1),
+    ask.AskRegisters(),
+    ask.AskExchanges(),
+    ask.AskMetrics(),
+    ask.OnStage(route="PUT /stage", body={"showing": "part", "rings": {"left": 0.5}}),
+)
+
+
+class View:
+    """A cell as a page is told of it; its lease and its pictures are a real cycle's."""
+
+    task = PageTask(Path("/etc/edged/cell.toml"), "cell1", Path("/var/lib/edged"))
+
+    def __init__(self, cycle: Cycle) -> None:
+        self.cycle = cycle
+        self.asked = 0
+
+    def summary(self) -> CellSummary:
+        return CellSummary(holder=self.cycle.session.holder)
+
+    def version(self) -> object:
+        return self
+
+    def files(self, _version: object) -> FilesInUse:
+        return FILES
+
+    async def answer(self, request: ask.Asked) -> object:
+        self.asked += 1
+        session = self.cycle.session
+        match request:
+            case ask.EnterSetup():
+                return await session.enter_setup(request.name, take_over=request.take_over)
+            case ask.LeaveSetup():
+                await session.leave_setup(request.token)
+            case ask.RenewLease():
+                await session.renew_setup(request.token)
+            case ask.TakePair():
+                return await session.capture(request.token)
+            case ask.AdjustCamera():
+                return await session.adjust(request.token, request.side, CameraValues(request.exposure_us))
+        return None
+
+
+class Scene:
+    """A cell that measures by itself, and its links."""
+
+    def __init__(self, cycle: Cycle, head: Head, ear: Ear) -> None:
+        self.cycle, self.head, self.ear = cycle, head, ear
+        self.view = View(cycle)
+        self.ends: list[CellEnd] = []
+
+    @asynccontextmanager
+    async def linked(self) -> AsyncIterator[tuple[socket.socket, asyncio.Task[str]]]:
+        """The page's side of a link, and the task that serves it."""
+        ours, theirs = socket.socketpair()
+        theirs.setblocking(False)
+        end = CellEnd(ours, self.view)
+        self.ends.append(end)
+        serving = asyncio.create_task(end.serve())
+        try:
+            yield theirs, serving
+        finally:
+            self.ends.remove(end)
+            theirs.close()
+            await serving
+
+    async def goes_on(self) -> None:
+        """It measures, and its results come."""
+        seen = len(self.ear.snapshots())
+        await until(lambda: len(self.ear.snapshots()) > seen + 2)
+
+    def announce(self, event: Event) -> None:
+        """As the page's publisher does."""
+        for end in self.ends:
+            end.announce(event)
+
+    async def start(self) -> None:
+        """A publisher has it."""
+
+    async def close(self) -> None:
+        """Likewise."""
+
+
+def play(test: Callable[[Scene], Awaitable[None]]) -> None:
+    """A test beside a running cell, bounded."""
+
+    async def main() -> None:
+        head, ear = Head(), Ear()
+        cycle = Cycle(head, make_setup(period_s=0.002))
+        scene = Scene(cycle, head, ear)
+        cycle.set_publishers([ear, scene])
+        task = asyncio.create_task(cycle.run())
+        try:
+            async with asyncio.timeout(WHOLE_S):
+                await until(ear.snapshots)
+                await test(scene)
+        finally:
+            cycle.stop()
+            await task
+
+    asyncio.run(main())
+
+
+def mutated(message: bytes, chance: random.Random) -> bytes:
+    """A few of its bytes are others, missing, or there twice."""
+    data = bytearray(message)
+    for _ in range(chance.randint(1, 4)):
+        at = chance.randrange(len(data))
+        match chance.randrange(4):
+            case 0:
+                data[at] ^= 1 << chance.randrange(8)
+            case 1:
+                data[at:at] = chance.randbytes(chance.randint(1, 8))
+            case 2:
+                del data[at : at + chance.randint(1, 8)]
+            case _:
+                data[at] = chance.randrange(256)
+        if not data:
+            return b"\0"
+    return bytes(data)
+
+
+@pytest.mark.slow
+def test_what_is_no_request_is_refused_and_never_more_than_read() -> None:
+    """A hundred thousand messages, random or of a real one with other bytes: read, or a `LinkError`."""
+    chance = random.Random(1)
+    messages = [encoded(Envelope(number=7, request=request)) for request in EXAMPLES]
+    assert list(EXAMPLES) == [envelope_of(message).request for message in messages]
+    refused = 0
+    for number in range(100_000):
+        message = messages[number % len(messages)]
+        data = mutated(message, chance) if number % 4 else chance.randbytes(chance.randint(0, 200))
+        try:
+            envelope_of(data)
+        except LinkError:
+            refused += 1
+    assert refused > 50_000
+    deep = cbor2.dumps({"number": 1, "request": {"ask": "stage", "route": "x", "body": {}}})
+    for hostile in (
+        deep.replace(b"dbody\xa0", b"dbody" + b"\xa1\x61a" * 5000 + b"\xa0"),
+        b"\xbb" + b"\xff" * 8,
+        b"\x9b\x00\x00\x00\xff\xff\xff\xff\xff",
+        b"\xd9\xd9\xf7" * 1000,
+    ):
+        with pytest.raises(LinkError, match="no message"):
+            envelope_of(hostile)
+
+
+@pytest.mark.slow
+def test_a_page_that_sends_anything_costs_no_cycle(caplog: pytest.LogCaptureFixture) -> None:
+    """Hundreds of links, each with greetings, requests and rubbish: each ends, and the cell measures on."""
+    chance = random.Random(2)
+    messages = [encoded(Envelope(number=7, request=request)) for request in EXAMPLES]
+
+    async def test(scene: Scene) -> None:
+        for number in range(200):
+            async with scene.linked() as (page, serving):
+                said = [framed(encoded(ask.GREETING))] if number % 5 else []
+                for _ in range(20):
+                    wrong = mutated(chance.choice(messages), chance)
+                    said.append(framed(wrong) if chance.random() < 0.9 else mutated(framed(wrong), chance))
+                with suppress(OSError, BlockingIOError):
+                    page.sendall(b"".join(said))
+                if number % 3 == 0:
+                    await asyncio.wait({serving}, timeout=0.01)
+        await scene.goes_on()
+        assert CellPhase.READY is scene.ear.state() or scene.cycle.session.holder == ""
+
+    play(test)
+    assert "bug" not in caplog.text
+
+
+def test_a_message_that_is_too_long_ends_the_link() -> None:
+    """Its length alone: none of it is waited for."""
+
+    async def test(scene: Scene) -> None:
+        async with scene.linked() as (page, serving):
+            page.sendall((1 << 31).to_bytes(4, "big"))
+            assert "at most" in await serving
+        await scene.goes_on()
+
+    play(test)
+
+
+def test_another_version_is_refused_by_name() -> None:
+    """On either side: a page that was exchanged beside a running cell says which both are."""
+
+    async def test(scene: Scene) -> None:
+        async with scene.linked() as (page, serving):
+            page.sendall(framed(encoded(Greeting(edged="9.9", schema_id="0"))))
+            assert "the page is edged 9.9 (schema 0)" in await serving
+        ours, theirs = socket.socketpair()
+        link = PageEnd(theirs)
+        ours.sendall(framed(encoded(Greeting(edged="0.0", schema_id="0"))))
+        with pytest.raises(LinkError, match=r"the cell is edged 0\.0 .*start both anew"):
+            await link.greet()
+        link.close()
+        ours.close()
+
+    play(test)
+
+
+def test_who_says_nothing_loses_the_link_and_who_greets_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that hangs as it starts is found out."""
+    monkeypatch.setattr(cellend, "GREET_S", 0.1)
+
+    async def test(scene: Scene) -> None:
+        async with scene.linked() as (page, serving), scene.linked() as (_, silent):
+            page.sendall(framed(encoded(ask.GREETING)))
+            assert "not said a word" in await silent
+            await asyncio.sleep(0.1)
+            assert not serving.done()
+
+    play(test)
+
+
+@pytest.mark.slow
+def test_a_flood_is_read_no_faster_than_allowed() -> None:
+    """Its sender waits; what is read is carried out at the rate that a page may have, and cycles come."""
+
+    async def test(scene: Scene) -> None:
+        async with scene.linked() as (page, serving):
+            page.sendall(framed(encoded(ask.GREETING)))
+            asked = framed(encoded(Envelope(number=1, request=ask.AskMetrics()))) * 100
+            loop = asyncio.get_running_loop()
+            start_s = loop.time()
+
+            async def flood() -> None:
+                while True:
+                    await loop.sock_sendall(page, asked)
+
+            async def swallow() -> None:
+                while await loop.sock_recv(page, 1 << 16):
+                    pass
+
+            flooding = [asyncio.create_task(work) for work in (flood(), swallow())]
+            await until(lambda: scene.view.asked > 2 * cellend.REQUESTS_AT_ONCE)
+            most = cellend.REQUESTS_AT_ONCE + cellend.REQUESTS_PER_S * (loop.time() - start_s)
+            assert scene.view.asked <= most + 1
+            await scene.goes_on()
+            for task in flooding:
+                task.cancel()
+            await asyncio.gather(*flooding, return_exceptions=True)
+            assert not serving.done()
+
+    play(test)
+
+
+@pytest.mark.slow
+def test_a_page_that_reads_nothing_loses_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cell keeps a bounded number of events for it meanwhile, and few pictures."""
+    monkeypatch.setattr(cellend, "WRITE_S", 0.3)
+
+    async def test(scene: Scene) -> None:
+        async with scene.linked() as (page, serving):
+            page.sendall(framed(encoded(ask.GREETING)))
+            page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            assert "has not read" in await serving
+        await scene.goes_on()
+
+    play(test)
+
+
+def test_an_answer_finds_what_has_become_of_the_cell() -> None:
+    """The lease is known, and is of this holder, before the token comes; pictures come as they were taken."""
+
+    async def test(scene: Scene) -> None:
+        async with scene.linked() as (page, _):
+            link = PageEnd(page.dup())
+            await link.greet()
+            holders: list[str] = []
+
+            async def hear() -> None:
+                async for told in link.news():
+                    holders.append(told.body.holder if told.kind == "summary" else (holders or [""])[-1])
+
+            hearing = asyncio.create_task(hear())
+            token = await link.ask(ask.EnterSetup(name="Anna"))
+            assert "Anna" == holders[-1]
+            pair: FramePair = await link.ask(ask.TakePair(token=token))
+            assert (4, 4) == pair.left.image.shape
+            with pytest.raises(SetupRefused):
+                await link.ask(ask.RenewLease(token="of nobody"))
+            scene.head.broken = True
+            with pytest.raises(CaptureError, match="unplugged") as fault:
+                await link.ask(ask.TakePair(token=token))
+            assert ("left", 104) == (fault.value.camera, fault.value.code)
+            scene.head.broken = False
+            await link.ask(ask.LeaveSetup(token=token))
+            assert "" == holders[-1]
+            page.shutdown(socket.SHUT_RDWR)
+            await hearing
+            with pytest.raises(LinkError):
+                await link.ask(ask.AskMetrics())
+            link.close()
+        await scene.goes_on()
+
+    play(test)
+
+
+def test_descriptors_from_a_page_are_not_taken() -> None:
+    """Whatever it attaches is closed by the kernel: a cell cannot run out of them."""
+
+    async def test(scene: Scene) -> None:
+        async with scene.linked() as (page, serving):
+            before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208  (the kernel's, at once)
+            data: Any = framed(encoded(ask.GREETING))
+            socket.send_fds(page, [data], [page.fileno()] * 50)
+            await until(lambda: scene.ends[0].is_greeted)
+            assert len(os.listdir("/proc/self/fd")) <= before + 3  # noqa: PTH208  (likewise)
+            assert not serving.done()
+
+    play(test)

@@ -1,0 +1,164 @@
+"""What crosses the link between the cell and its page is the same on the other side."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import typing
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.ports import free_port
+from helpers.smallcell import SmallCell
+from helpers.snapshots import make_snapshot
+from helpers.webcell import HASH
+from pydantic import BaseModel
+
+from edged.domain.cell import CellPhase, CellState
+from edged.domain.events import Event, ExposureDone
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Match, Nearest, NearMiss
+from edged.link import values
+from edged.link.pictures import PictureRing, SharedPictures
+from edged.link.summary import CellSummary, FilesInUse, PageTask, ProgramStep
+from edged.payload import snapshot_to_json
+from edged.setup.cellfiles import CellFiles, cell_of, files_in_use, read_any_cell, read_cell
+
+ROOTS = (*typing.get_args(Event), CellSummary, FilesInUse, PageTask, ProgramStep)
+
+
+def carried(value: object) -> Any:
+    """A value as the other process has it."""
+    images: list[Any] = []
+    return values.loads(values.dumps(value, images), images)
+
+
+def reachable(kind: Any, found: set[type]) -> None:
+    """Every class that a value of a type may hold."""
+    for part in typing.get_args(kind):
+        reachable(part, found)
+    if not isinstance(kind, type) or kind in found:
+        return
+    if issubclass(kind, enum.Enum | BaseModel):
+        found.add(kind)
+    elif dataclasses.is_dataclass(kind):
+        found.add(kind)
+        for hint in typing.get_type_hints(kind).values():
+            reachable(hint, found)
+
+
+def test_every_type_of_an_event_may_cross() -> None:
+    """Whatever a field of an event, of the summary or of a step may hold, however deep."""
+    found: set[type] = set()
+    for root in ROOTS:
+        reachable(root, found)
+    assert set() == found - set(values.TYPES)
+
+
+def test_a_result_is_the_same_in_every_digit() -> None:
+    """As the payload of Zenoh says it, all its arrays included."""
+    snapshot = make_snapshot()
+    assert snapshot_to_json(snapshot) == snapshot_to_json(carried(snapshot))
+
+
+def test_a_state_is_the_same() -> None:
+    """With its enumerations, not with their numbers."""
+    state = CellState(CellPhase.READY, True, True, "flange", 1, 0)
+    assert state == carried(state)
+    assert CellPhase.READY is carried(state).state
+
+
+def test_a_near_miss_that_is_known_need_not_be_asked_for() -> None:
+    """One that is not is left to who gets it."""
+    miss = NearMiss(Match(1.0, 2.0, 0.0, 1.0, 1.0, 0.4), 0.6)
+    known = Nearest(lambda: miss)
+    known.ask()
+    told = carried(dataclasses.replace(make_snapshot(), nearest=known)).nearest
+    assert told.answered
+    assert 0.4 == told.answer.match.score
+    assert not carried(dataclasses.replace(make_snapshot(), nearest=Nearest(lambda: miss))).nearest.answered
+
+
+def test_what_has_no_place_here_is_refused() -> None:
+    """Neither an unknown class nor a function; nor bytes that are no message."""
+    for value in (object(), print, SmallCell):
+        with pytest.raises(TypeError, match="does not cross the link"):
+            values.dumps(value, [])
+    for data in (b"", b"\xff", b"\x9f\xff", values.dumps({"~": "os"}, []), values.dumps({"~": "Match"}, [])):
+        with pytest.raises(ValueError, match="no message"):
+            values.loads(data, [])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lacks", ["", "NO_JOB", "NO_CALIBRATION"])
+def test_the_files_of_a_cell_are_the_same(tmp_path: Path, lacks: str) -> None:
+    """Also while rig or jobs are missing; the fingerprint stands on them all."""
+    cell = SmallCell(tmp_path)
+    before: Mapping[str, Callable[[], object]] = {
+        "": lambda: None,
+        "NO_JOB": lambda: (cell.folder / "jobs").rename(tmp_path / "kept"),
+        "NO_CALIBRATION": lambda: (cell.folder / "rig.json").unlink(),
+    }
+    before[lacks]()
+    found = read_any_cell(cell.config)
+    told = cell_of(carried(files_in_use(found)))
+    assert type(found) is type(told)
+    assert found.config == told.config
+    assert (found.fingerprint, found.contents) == (told.fingerprint, told.contents)
+    if isinstance(found, CellFiles) and isinstance(told, CellFiles):
+        assert [job.name for job in found.jobs] == [job.name for job in told.jobs]
+        assert found.rig.calibration_id == told.rig.calibration_id
+
+
+@pytest.mark.slow
+def test_no_secret_but_the_pages_own_crosses(tmp_path: Path) -> None:
+    """A page that strangers talk to cannot give away what others log in with."""
+    cell = SmallCell(tmp_path)
+    text = cell.config.read_text().replace("[web]", f'[web]\npassword_hash = "{HASH}"', 1)
+    cell.config.write_text(f"{text}\n[opcua]\nport = {free_port()}\nanonymous = true\n")
+    files = carried(files_in_use(read_cell(cell.config)))
+    told = cell_of(files).config
+    assert told.web is not None
+    assert HASH == told.web.password_hash.get_secret_value()
+    assert None is told.opcua
+    assert not any(HASH.encode() in content for content in files.contents.values())
+
+
+# --- pictures -----------------------------------------------------------------------------------------
+
+
+def pair(value: int, size: tuple[int, int] = (40, 60)) -> FramePair:
+    """Two pictures of one grey."""
+    left, right = (Frame(side, 1, np.full(size, value, np.uint8), 1, 2) for side in ("left", "right"))
+    return FramePair(left, right)
+
+
+def sent(ring: PictureRing, shared: SharedPictures, event: object) -> Callable[[], Any]:
+    """An event on its way; called, it arrives."""
+    images: list[Any] = []
+    data = values.dumps(event, images)
+    placed, memory = ring.place(images)
+    if memory is not None:
+        shared.map(memory)
+    return lambda: values.loads(data, shared.copy(placed))
+
+
+def test_pictures_go_through_shared_memory() -> None:
+    """Every grey value, also after they have become larger."""
+    ring, shared = PictureRing(), SharedPictures()
+    for value, size in ((7, (40, 60)), (8, (40, 60)), (9, (400, 600)), (10, (4, 4))):
+        event = sent(ring, shared, ExposureDone(value, None, pair(value, size)))()
+        assert size == event.pair.left.image.shape
+        assert {value} == set(event.pair.left.image.ravel()) | set(event.pair.right.image.ravel())
+
+
+def test_a_pair_that_is_fetched_too_late_is_missing_and_not_another() -> None:
+    """The ring goes round without asking; a pair of two exposures would be worse than none."""
+    ring, shared = PictureRing(), SharedPictures()
+    arrivals = [sent(ring, shared, ExposureDone(cycle, None, pair(cycle))) for cycle in range(6)]
+    pairs = [arrive().pair for arrive in arrivals]
+    assert [None, None] == pairs[:2]
+    assert [2, 3, 4, 5] == [told.left.image[0, 0] for told in pairs[2:]]
