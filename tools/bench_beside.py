@@ -1,0 +1,161 @@
+#!/usr/bin/env python3
+"""What a PLC's read costs beside guests of the page: nobody, two viewers, and strangers who flood.
+
+Run it with `tools/bench beside`; it prints Markdown. The cell is `edged run` with its page, in processes of
+their own; the PLC reads the status every 5 ms from this one. All phases are measured in turn, so that a busy
+machine is busy for all of them. Guests run on this machine, too, with the least priority.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from http.cookiejar import CookieJar
+from pathlib import Path
+
+import numpy as np
+from benching import TESTS, bench_parser, finish
+from helpers.browsersession import PASSWORD
+from helpers.smallcell import DaemonProcess, SmallCell
+from helpers.webcell import HASH
+
+from edged.files.statefolder import state_folder
+from edged.identity.users import User, UserFile
+from edged.plc.registers import ADDRESS
+
+PERIOD_S = 0.005
+ROUNDS = 3
+VIEWERS, TABS, LINES = 2, 8, 16
+"""Viewers; floods over sockets of a tab, and of requests that are refused."""
+
+
+class Reads:
+    """A PLC's connection, and how long its reads took, ms."""
+
+    def __init__(self, port: int) -> None:
+        self._line = socket.create_connection(("127.0.0.1", port))
+        self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def read(self) -> float:
+        """The status once."""
+        start_s = time.perf_counter()
+        self._line.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, ADDRESS["STATE"], 16))
+        left = 9 + 32
+        while left:
+            left -= len(self._line.recv(left))
+        return 1e3 * (time.perf_counter() - start_s)
+
+    def during(self, seconds: float) -> list[float]:
+        """All of a time."""
+        found = []
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            found.append(self.read())
+            time.sleep(PERIOD_S)
+        return found
+
+
+def measure(seconds: float) -> None:
+    """Print the figures. seconds : of each phase, in each round."""
+    with tempfile.TemporaryDirectory() as folder:
+        cell = SmallCell(Path(folder))
+        page = f'[web]\npassword_hash = "{HASH}"\ncommissioning = true'
+        cell.config.write_text(cell.config.read_text().replace("[web]", page, 1))
+        vera = User(name="Vera", role="viewer", password_hash=HASH)
+        UserFile(state_folder(cell.config) / "users.json").put(vera)
+        daemon = DaemonProcess(cell.config)
+        try:
+            daemon.wait_ready()
+            cookie = logged_in(cell.web_port)
+            reads = Reads(cell.modbus_port)
+            reads.during(2.0)
+            phases: dict[str, list[float]] = {"nobody": [], "two viewers": [], "viewers and floods": []}
+            for name in ROUNDS * tuple(phases):
+                with guests(cell.web_port, cookie, name):
+                    phases[name] += reads.during(seconds)
+        finally:
+            daemon.stop()
+    alone = np.percentile(phases["nobody"], (50, 99))
+    print("\n| beside | reads | p50 ms | p99 ms | longest ms | p50, p99 to nobody |")
+    print("|---|---:|---:|---:|---:|---:|")
+    for name, found in phases.items():
+        p50, p99 = np.percentile(found, (50, 99))
+        print(
+            f"| {name} | {len(found)} | {p50:.2f} | {p99:.2f} | {max(found):.1f} | "
+            f"{p50 / alone[0]:.2f}, {p99 / alone[1]:.2f} |"
+        )
+
+
+def logged_in(port: int) -> str:
+    """The cookies of a viewer, once the page answers."""
+    jar = CookieJar()
+    opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(jar))
+    origin = f"http://127.0.0.1:{port}"
+    form = urllib.parse.urlencode({"name": "Vera", "password": PASSWORD}).encode()
+    opener.open(urllib.request.Request(f"{origin}/login", form, {"Origin": origin}))
+    return "; ".join(f"{cookie.name}={cookie.value}" for cookie in jar)
+
+
+@contextlib.contextmanager
+def guests(port: int, cookie: str, phase: str) -> Iterator[None]:
+    """Those of a phase; who is shown the door comes again."""
+    over = threading.Event()
+    threads = []
+    if phase != "nobody":
+        viewer = [str(Path(__file__).with_name("pageviewer.py")), str(port), "Vera", PASSWORD]
+        threads += [threading.Thread(target=_again, args=(viewer, over)) for _ in range(VIEWERS)]
+    if phase == "viewers and floods":
+        for kind, count in (("pings", TABS), ("messages", TABS), ("requests", LINES)):
+            flooder = [str(TESTS / "helpers" / "flooder.py"), str(port), kind, str(count), cookie]
+            threads.append(threading.Thread(target=_again, args=(flooder, over)))
+    for thread in threads:
+        thread.start()
+    time.sleep(3.0 if threads else 0.5)  # they are there
+    try:
+        yield
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
+
+
+def _again(command: list[str], over: threading.Event) -> None:
+    """Run it again and again."""
+    while not over.is_set():
+        process = subprocess.Popen(
+            [sys.executable, *command],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=lambda: os.nice(19),
+        )
+        shown_the_door_s = time.monotonic() + 3.0
+        while process.poll() is None and not over.wait(0.05):
+            if "flooder" in command[0] and time.monotonic() > shown_the_door_s:
+                break  # its connections are closed by now
+        process.kill()
+        process.wait()
+
+
+def main() -> int:
+    """Measure."""
+    parser = bench_parser(__doc__)
+    parser.add_argument("--seconds", type=float, default=15.0, help="of each phase, in each of three rounds")
+    options = parser.parse_args()
+    measure(options.seconds)
+    finish(options)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
