@@ -361,6 +361,11 @@ class Rate:
         self._left -= count
         return True
 
+    def owe(self, count: float) -> None:
+        """Take so many, also more than there are: who comes next waits the longer."""
+        self.take(0)
+        self._left -= count
+
     def forfeit(self, seconds: float) -> None:
         """Allow none for so long."""
         self.take(0)

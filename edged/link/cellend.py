@@ -30,6 +30,9 @@ from edged.link.requests import (
     GREETING,
     MAX_BYTES,
     Asked,
+    AskExchanges,
+    AskMetrics,
+    AskRegisters,
     Envelope,
     TakePair,
     encoded,
@@ -47,6 +50,8 @@ EVENTS, PAIRS, STEPS = 256, 2, 20
 UNDERWAY, CAPTURES = 16, 4
 """Requests under way, and answers that wait, more are not read; and how many of them have pictures."""
 REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 400.0
+COSTLY, DEAR = (AskExchanges, AskMetrics, AskRegisters), 20
+"""Requests that take milliseconds of the loop, and as how many others each counts."""
 REST_S = 0.05
 """A page that has asked too much is read again after this."""
 READ_BYTES = 16 * 1024
@@ -244,7 +249,9 @@ class CellEnd:
                     return
                 message = self._frames.next()
                 if self.is_greeted:
-                    self._carry_out(envelope_of(message))
+                    envelope = envelope_of(message)
+                    self._rate.owe(DEAR if isinstance(envelope.request, COSTLY) else 0)
+                    self._carry_out(envelope)
                 else:
                     self._greet(message)
         except LinkError as error:
