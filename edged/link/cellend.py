@@ -131,9 +131,8 @@ class CellEnd:
             self._read_no_more()
             if self._rest is not None:
                 self._rest.cancel()
-            for task in (telling, *self._underway):
-                task.cancel()
-            await asyncio.gather(telling, *self._underway, return_exceptions=True)
+            telling.cancel()  # but what was asked is carried out: half a reload would be worse
+            await asyncio.gather(telling, return_exceptions=True)
             with contextlib.suppress(OSError):
                 self._connection.shutdown(socket.SHUT_RDWR)  # a write under way ends, too
             await loop.run_in_executor(self._sender, self._ring.close)

@@ -57,6 +57,7 @@ class View:
     def __init__(self, cycle: Cycle) -> None:
         self.cycle = cycle
         self.asked = 0
+        self.may_reload, self.reloaded = asyncio.Event(), False
 
     def summary(self) -> CellSummary:
         return CellSummary(holder=self.cycle.session.holder)
@@ -79,6 +80,9 @@ class View:
                 await session.renew_setup(request.token)
             case ask.TakePair():
                 return await session.capture(request.token)
+            case ask.AskReload():
+                await self.may_reload.wait()
+                self.reloaded = True
             case ask.AdjustCamera():
                 return await session.adjust(request.token, request.side, CameraValues(request.exposure_us))
         return None
@@ -343,6 +347,23 @@ def test_an_answer_finds_what_has_become_of_the_cell() -> None:
                 await link.ask(ask.AskMetrics())
             link.close()
         await scene.goes_on()
+
+    play(test)
+
+
+def test_what_was_asked_is_carried_out_without_the_page() -> None:
+    """It is killed during a reload: half of one would be worse than either."""
+
+    async def test(scene: Scene) -> None:
+        async with scene.linked() as (page, serving):
+            page.sendall(framed(encoded(ask.GREETING)))
+            page.sendall(framed(encoded(Envelope(number=1, request=ask.AskReload()))))
+            await until(lambda: scene.view.asked)
+            page.close()
+            await serving
+        assert not scene.view.reloaded
+        scene.view.may_reload.set()
+        await until(lambda: scene.view.reloaded)
 
     play(test)
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-from urllib.error import URLError
+from urllib.error import HTTPError, URLError
 from urllib.request import urlopen
 
 import pytest
@@ -95,6 +95,27 @@ def test_a_page_that_hangs_is_replaced(cell: tuple[SmallCell, DaemonProcess]) ->
         assert asked(small, "/ready")["ready"]
     assert {} == witness.report.wrong
     assert any("has not read for" in line for line in daemon.log)
+
+
+def refused(cell: SmallCell) -> str:
+    """Why /ready says that no trigger would be carried out; "" when it would."""
+    try:
+        urlopen(f"http://127.0.0.1:{cell.web_port}/ready", timeout=LIMIT_S).close()
+    except HTTPError as error:
+        return str(json.load(error)["error"])
+    return ""
+
+
+def test_the_page_of_a_cell_that_hangs_says_so(cell: tuple[SmallCell, DaemonProcess]) -> None:
+    """It is not READY on the page because it was once; when it goes on, that is seen, too."""
+    small, daemon = cell
+    asked(small, "/ready")
+    daemon.process.send_signal(signal.SIGSTOP)
+    try:
+        wait_until(lambda: "does not answer" in refused(small))
+    finally:
+        daemon.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: not refused(small))
 
 
 def test_the_page_of_a_killed_cell_ends(cell: tuple[SmallCell, DaemonProcess]) -> None:
