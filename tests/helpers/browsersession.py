@@ -9,6 +9,8 @@ from typing import Any
 import aiohttp
 from yarl import URL
 
+from edged.app.daemon import Daemon
+
 PASSWORD = "correct horse"
 """Of everybody in the tests."""
 POLL_S = 0.02
@@ -54,6 +56,15 @@ class BrowserSession:
             except aiohttp.ClientConnectionError:
                 assert is_running(), "it ended before it listened"
                 await asyncio.sleep(POLL_S)
+
+    async def reload(self, daemon: Daemon) -> None:
+        """Let a daemon read its configuration again, and wait until its page has heard of it."""
+        assert await daemon.reload()
+        while True:
+            _, told = await self.ask("GET", "/status.json")
+            if told["facts"]["Software"]["configuration"] == daemon.loaded.setup.fingerprint:
+                return
+            await asyncio.sleep(POLL_S)
 
     def cookies(self) -> dict[str, str]:
         """Of the session that is used now."""

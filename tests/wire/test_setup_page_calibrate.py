@@ -224,7 +224,7 @@ def test_a_check_says_in_words_and_shapes_whether_the_calibration_holds(tmp_path
             assert "look again" == await page.value(CHECK_STEP)
 
             save_rig(tmp_path / "rig.json", true)
-            assert await newcomer.daemon.reload()
+            await newcomer.browser.reload(newcomer.daemon)
             await page.ask("Page.reload")
             await page.until(said("That was a calibration other than the one in use"))
             assert "not known here" == await page.value(CHECK_STEP)

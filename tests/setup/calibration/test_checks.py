@@ -51,7 +51,7 @@ def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) ->
 
         async def checked(rig: StereoRig) -> dict[str, object]:
             save_rig(tmp_path / "rig.json", rig)
-            assert await newcomer.daemon.reload()
+            await newcomer.browser.reload(newcomer.daemon)
             document = await newcomer.ask("POST", "checks", body, 201)
             assert rig.calibration_id == document["calibration"]
             return dict(document)
@@ -97,7 +97,7 @@ def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) ->
 
         quality = {"board": f"dots:7x7:5,{BOARD}"}
         save_rig(tmp_path / "rig.json", replace(true, calibration_id="another"), quality)
-        assert await newcomer.daemon.reload()
+        await newcomer.browser.reload(newcomer.daemon)
         known = {"last": unseen, "is_current": False, "boards": [BOARD, "dots:7x7:5"], "parts": []}
         assert known == await newcomer.ask("GET", "checks")
 

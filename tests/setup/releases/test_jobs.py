@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.browsersession import BrowserSession
 from helpers.cells import flange
 from helpers.partcell import PartCell
-from helpers.samepage import in_this_process
 from helpers.waiting import WHOLE_S
 
 from edged.domain.events import Command, CommandKind
@@ -54,11 +54,8 @@ def run(cell: PartCell, test: Any) -> None:
 
 
 @pytest.mark.slow
-def test_jobs_are_renamed_numbered_retired_and_brought_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> None:
     """Each a release, with all that people have written; what cannot be is refused, and nothing changes."""
-    pages = in_this_process(monkeypatch)
     cell = cell_with_jobs(tmp_path)
 
     async def told() -> list[tuple[str, int, bool, bool]]:
@@ -108,9 +105,7 @@ def test_jobs_are_renamed_numbered_retired_and_brought_back(
         assert (200, before) == (status, back["fingerprint"])
         assert [("flange", 1, False, False), ("lid", 4, True, False)] == await told()
         cell.config.write_text(cell.config.read_text().replace("[cycle]", 'job = "lid"\n[cycle]'))
-        await cell.daemon.reload()
-        named = read_cell(cell.config).fingerprint  # the page hears of the reload a moment later
-        await cell.until("/openapi.json", lambda _: pages[-1].cell.files.fingerprint == named)
+        await BrowserSession(cell.session).reload(cell.daemon)
         assert (422, "input_named") == await refused("lid", {"retired": True})
         assert (422, "input_named") == await refused("lid", {"new_name": "cover"})
 

@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from helpers.browsersession import BrowserSession
 from helpers.cells import flange, frame_pair
 from helpers.partcell import PartCell
 from helpers.samepage import in_this_process, worker_of
@@ -231,7 +232,7 @@ def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) 
         )
         text = (folder / "job.toml").read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.1")
         (folder / "job.toml").write_text(text)
-        await cell.daemon.reload()
+        await BrowserSession(cell.session).reload(cell.daemon)
 
         edited = await cell.begun(job="part1")
         assert (draft["region"], "part1", False) == (edited["region"], edited["job"], edited["active"])
