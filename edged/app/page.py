@@ -22,7 +22,6 @@ from typing import Any
 from edged.adapters.journal import set_up_logging
 from edged.adapters.web import SettingUp, WebPublisher
 from edged.app.garbage import keep_what_is_loaded
-from edged.app.lesserprocess import become_lesser
 from edged.app.remotecell import RemoteCell
 from edged.app.setup import SetupServices
 from edged.app.wantedservers import web_settings
@@ -236,7 +235,6 @@ def main(arguments: Sequence[str]) -> int:
     """Run the process. arguments : descriptors of the link, and of the sockets that listen."""
     set_up_logging()
     faulthandler.enable()
-    become_lesser()
     link, *listening = (socket.socket(fileno=int(number)) for number in arguments)
     for opened in (link, *listening):
         opened.set_inheritable(False)

@@ -33,6 +33,7 @@ log = logging.getLogger(__name__)
 PAUSE_S, MOST_PAUSE_S = 0.2, 5.0
 """Before the page is started again: doubled each time, unless it ran for a while."""
 GOOD_S = 30.0
+LESSER = (sys.executable, "-m", "edged.app.lesserprocess")
 END_S = 1.0
 """For the process to end by itself once the link is closed."""
 
@@ -179,7 +180,7 @@ class PageServer:
         for ours in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"):  # systemd hears the cell alone
             environment.pop(ours, None)
         return subprocess.Popen(
-            [sys.executable, "-m", "edged.app.page", *map(str, inherited)],
+            [*LESSER, sys.executable, "-m", "edged.app.page", *map(str, inherited)],
             stdin=subprocess.DEVNULL,
             pass_fds=inherited,
             env=environment,

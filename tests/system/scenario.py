@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import socket
 import struct
 import subprocess
@@ -137,6 +138,32 @@ def is_confined() -> str:
     return f"user {user}, CAP_NET_BIND_SERVICE, CAP_NET_RAW, nice -10; recordings in /var/lib/edged"
 
 
+def page_has_less() -> str:
+    """The page has no capability, gives way, and goes first; killed, it is back beside the same cell."""
+    pid = main_pid()
+    before = until(lambda: page_pid(), "the page's process")
+    until(lambda: page("/ready") == 200, "an answer of the page")
+    status = dict(line.split(":\t", 1) for line in Path(f"/proc/{before}/status").read_text().splitlines())
+    assert int(status["CapEff"], 16) == int(status["CapAmb"], 16) == int(status["CapPrm"], 16) == 0
+    assert (status["NoNewPrivs"], status["Seccomp"]) == ("1", "2")
+    assert os.getpriority(os.PRIO_PROCESS, before) == 0
+    assert int(Path(f"/proc/{before}/oom_score_adj").read_text()) == 500
+    os.kill(before, signal.SIGKILL)
+    after = until(lambda: page_pid() not in (0, before) and page_pid(), "another page")
+    until(lambda: page("/ready") == 200, "an answer of the page")
+    assert pid == main_pid()
+    return f"no capabilities, nice 0, oom score 500; process {before}, then {after}, cell {pid}"
+
+
+def page_pid() -> int:
+    """The page's process; 0: there is none."""
+    for task in Path(f"/proc/{main_pid()}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            if b"edged.app.page" in Path(f"/proc/{child}/cmdline").read_bytes():
+                return int(child)
+    return 0
+
+
 def reloads() -> str:
     """`systemctl reload`: another configuration in the same process; one with a mistake changes nothing."""
     pid, before = main_pid(), registers(0, 16)
@@ -235,6 +262,7 @@ def cells_side_by_side() -> str:
 STEPS: tuple[Callable[[], str], ...] = (
     becomes_ready,
     is_confined,
+    page_has_less,
     reloads,
     hung_cycle_is_killed,
     hung_loop_is_killed,
