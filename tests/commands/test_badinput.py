@@ -203,7 +203,7 @@ CASES: dict[str, Bad] = {
     "job: not TOML": Bad(
         CHECK,
         "edged: cell.toml: 2 problems\n"
-        "cell.jobs: ~/jobs/flange/job.toml: line 31: not TOML: Expected ']' at the end of a table "
+        "cell.jobs: ~/jobs/flange/job.toml: line 32: not TOML: Expected ']' at the end of a table "
         "declaration, got '[search'\n"
         "cell.job: no usable job 'flange' in ~/jobs (there: none)",
         {JOB: ("[search]", "[search")},

@@ -99,7 +99,7 @@ def test_what_cannot_become_a_grasp_is_said_and_nothing_is_written(
         (["--rig", folder / "alone.json"], "not registered to a robot"),
         (["--brand", "acme"], "--brand acme: expected one of ur, kuka"),
         (["--pose", "1,2,3"], "--pose 1,2,3: expected 6 numbers"),
-        (["--pose", "1,2,3,4,5,nan"], "expected 6 numbers"),
+        (["--pose", "1,2,3,4,5,nan"], "expected a finite number"),
         (["--pose", "here"], "--pose here"),
         (["--pose", "1e9,0,0,0,0,0"], "position_mm"),
         (["--name", "a b"], "name"),

@@ -149,8 +149,10 @@ class Auditor:
         self._thread.submit(self._keep_run, self._file, fingerprint)
 
     async def close(self) -> None:
-        """Wait until everything is on the disc."""
-        if self._left_out and not self._is_closed:
+        """Wait until everything is on the disc; a second time there is nothing to do."""
+        if self._is_closed:
+            return
+        if self._left_out:
             self._say_left_out()
         self._is_closed = True
         self._thread.submit(self._keep_lost)

@@ -112,7 +112,7 @@ class ViewScanParams:
     smallest_px: float = 64.0  # of the picture there
     lean_rad: float = math.radians(13.0)  # between views: the lock comes from 12 degrees off in 4 of 5 cases
     turn_rad: float = math.radians(10.0)  # between views
-    scale: float = 0.12  # between two distances: a part of 64 px changes by 4 px either way
+    scale: float = 0.06  # between two distances: with twice that a part at 45 degrees is lost
     max_lean_rad: float = math.radians(65.0)  # beyond it a face is a line
     points: int = 120  # of a view
     glance_points: int = 32  # of them that all places are compared with
