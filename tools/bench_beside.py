@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What a PLC's read costs beside guests of the page: nobody, two viewers, and strangers who flood.
+"""What a PLC's read costs beside guests of the page: nobody, two viewers, one who asks, and floods.
 
 Run it with `tools/bench beside`; it prints Markdown. The cell is `edged run` with its page, in processes of
 their own; the PLC reads the status every 5 ms from this one. All phases are measured in turn, so that a busy
@@ -35,8 +35,22 @@ from edged.plc.registers import ADDRESS
 
 PERIOD_S = 0.005
 ROUNDS = 3
+PHASES = "nobody", "two viewers", "one who asks all the time", "viewers and floods"
 VIEWERS, TABS, LINES = 2, 8, 16
 """Viewers; floods over sockets of a tab, and of requests that are refused."""
+
+ASKING = """
+import http.client, sys
+while True:
+    line = http.client.HTTPConnection("127.0.0.1", int(sys.argv[1]))
+    try:
+        while True:
+            line.request("GET", "/status.json", headers={"Cookie": sys.argv[2]})
+            line.getresponse().read()
+    except (OSError, http.client.HTTPException):
+        pass
+"""
+"""Within the rate that a session may have."""
 
 
 class Reads:
@@ -79,7 +93,7 @@ def measure(seconds: float) -> None:
             cookie = logged_in(cell.web_port)
             reads = Reads(cell.modbus_port)
             reads.during(2.0)
-            phases: dict[str, list[float]] = {"nobody": [], "two viewers": [], "viewers and floods": []}
+            phases: dict[str, list[float]] = {name: [] for name in PHASES}
             for name in ROUNDS * tuple(phases):
                 with guests(cell.web_port, cookie, name):
                     phases[name] += reads.during(seconds)
@@ -111,7 +125,9 @@ def guests(port: int, cookie: str, phase: str) -> Iterator[None]:
     """Those of a phase; who is shown the door comes again."""
     over = threading.Event()
     threads = []
-    if phase != "nobody":
+    if phase == "one who asks all the time":
+        threads.append(threading.Thread(target=_again, args=(["-c", ASKING, str(port), cookie], over)))
+    elif phase != "nobody":
         viewer = [str(Path(__file__).with_name("pageviewer.py")), str(port), "Vera", PASSWORD]
         threads += [threading.Thread(target=_again, args=(viewer, over)) for _ in range(VIEWERS)]
     if phase == "viewers and floods":
