@@ -92,9 +92,11 @@ def view_set(
             offsets.append(offset @ np.array([[c, s], [-s, c]]))
             bins.append(np.rint((angle + turn) * BINS / math.pi).astype(np.int64) % BINS)
     lean = np.repeat(np.arange(len(points)), len(turns))
+    size = SCAN.points
     return ViewSet(
-        np.array(rotations), np.array(offsets), np.array(bins), np.array(points), np.array(along), lean,
-        distance_mm,
+        np.array(rotations).reshape(-1, 3, 3), np.array(offsets).reshape(-1, size, 2),
+        np.array(bins, np.int64).reshape(-1, size), np.array(points).reshape(-1, size, 3),
+        np.array(along).reshape(-1, size, 3), lean, distance_mm,
     )  # fmt: skip
 
 
@@ -153,6 +155,8 @@ def scan(
     to_place = _turn_onto(np.array([0.0, 0.0, 1.0]), ray)
     leaning = (to_place @ views.rotations)[:, :, 2] @ bisector
     allowed = np.flatnonzero(leaning > math.cos(tilt_rad))
+    if not len(allowed):  # too little is seen of it from anywhere
+        return views, np.zeros(0, np.int64), np.zeros((0, 4, 4))
     spread = math.log(distances_mm[1] / distances_mm[0])
     count = max(1, math.ceil(spread / SCAN.scale))
     scales = np.exp(np.linspace(0.5 * spread, -0.5 * spread, count)) if count > 1 else np.ones(1)

@@ -129,3 +129,15 @@ def test_a_part_that_its_shape_does_not_find_is_found_by_its_edges() -> None:
     error = target.position_mm - apply(where, np.array([*REFERENCE_MM, 0.0]))
     assert np.linalg.norm(error) < 0.1
     assert (np.abs(error) < 4 * np.sqrt(np.diag(target.covariance)[:3])).all()
+
+
+def test_a_job_of_a_few_small_circles_is_looked_for_all_the_same() -> None:
+    """Of three pins far apart too little is seen where the whole is small: nothing is found, and no error."""
+    here = taught()
+    pin = replace(here.job.circles[0], radius_mm=0.4)
+    places = ((0.0, 0.0, 0.0), (60.0, 0.0, 0.0), (0.0, 60.0, -2.0))
+    circles = tuple(replace(pin, name=f"p{k}", centre_mm=np.array(place)) for k, place in enumerate(places))
+    job = replace(here.job, circles=circles, edges=(), slots=(), corners=(), reference="p0", measurements=(),
+                  witness=None)  # fmt: skip
+    outcome = replace(here, job=job).see(block(lying(here.rig.rig, 30.0, 100.0, 200.0)))
+    assert all(target.reject is not Reject.NONE for target in outcome.targets)
