@@ -1,6 +1,7 @@
 """The page's process: HTTP, people, set-up, drafts, audit, manual and the worker, for the cell at the link.
 
-`python -m edged.app.page LINK LISTENING...` with the numbers of inherited sockets; the cell starts it.
+`python -m edged.app.page LEVEL LINK LISTENING...` with the level of the log and the numbers of inherited
+sockets; the cell starts it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from edged.adapters.journal import set_up_logging
@@ -232,15 +234,17 @@ def _end_with(link: socket.socket) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the process. arguments : descriptors of the link, and of the sockets that listen."""
-    set_up_logging()
+    """Run the process. arguments : level of the cell's log, descriptors of the link and of what listens."""
+    level, *descriptors = map(int, arguments)
+    start_log = partial(set_up_logging, level=level)
+    start_log()
     faulthandler.enable()
-    link, *listening = (socket.socket(fileno=int(number)) for number in arguments)
+    link, *listening = (socket.socket(fileno=number) for number in descriptors)
     for opened in (link, *listening):
         opened.set_inheritable(False)
         opened.setblocking(False)
     threading.Thread(target=_end_with, args=(link.dup(),), name="link", daemon=True).start()
-    return asyncio.run(serve(link, listening, set_up_logging, keep_what_is_loaded))
+    return asyncio.run(serve(link, listening, start_log, keep_what_is_loaded))
 
 
 if __name__ == "__main__":

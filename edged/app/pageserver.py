@@ -180,7 +180,14 @@ class PageServer:
         for ours in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"):  # systemd hears the cell alone
             environment.pop(ours, None)
         return subprocess.Popen(
-            [*LESSER, sys.executable, "-m", "edged.app.page", *map(str, inherited)],
+            [
+                *LESSER,
+                sys.executable,
+                "-m",
+                "edged.app.page",
+                str(logging.getLogger().level),
+                *map(str, inherited),
+            ],
             stdin=subprocess.DEVNULL,
             pass_fds=inherited,
             env=environment,

@@ -146,7 +146,10 @@ function Confirm() {
   return html`<${Dialog}
     title=${t("confirm-title")} isOpen=${Boolean(waits)} onClose=${() => waits.answer(false)}
   >
-    <${Wake} text=${t("confirm", { name: me.value.name })} label=${t("confirm-yes")} onSaid=${() => waits.answer(true)} />
+    <${Wake}
+      text=${t("confirm", { name: me.value.name })} label=${t("confirm-yes")}
+      onSaid=${() => waits.answer(true)}
+    />
     <div class="actions">
       <button type="button" onClick=${() => waits.answer(false)}>${t("back")}</button>
     </div>
