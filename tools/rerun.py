@@ -59,7 +59,7 @@ FINDING = re.compile(r"(?:ok|warn|bad|skip) +(?P<check>[^:]+):.*|\d+ checks, .*|
 """Of `edged doctor`, whose answers are the PC's: what was looked at is the same on each."""
 MASKS = (
     (re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d+"), "TIME"),
-    (re.compile(r"(?<=cal-)[0-9a-f]{8}\b|\b[0-9a-f]{8}\b|\b[0-9a-f]{32}\b"), "ID"),
+    (re.compile(r"(?<=cal-)[0-9a-f]{8}\b|\b[0-9a-f]{8}\b|\b[0-9a-f]{28,32}\b"), "ID"),
     (re.compile(r"(?<=edged-demo-)\w+"), "ID"),
     (re.compile(r"(?<![\d.])[-+]?\d+\.\d+(?!\.?\d)(?: [nµm]?m\b)?|±?\d+ (?:ms|µs|µm)\b"), "MEASURED"),
     (re.compile(r"[─━]+|[^\w\s]*[┌┬┐├┼┤└┴┘│┏┳┓┡╇┩┃][┌┬┐├┼┤└┴┘┏┳┓┡╇┩]*"), " "),

@@ -199,8 +199,8 @@ async def serve(
                 hearing.cancel()
                 with contextlib.suppress(asyncio.CancelledError):
                     await hearing
-    except LinkError as error:  # the cell has its own words for it
-        log.warning("the page has stopped: %s", error)
+    except LinkError as error:  # the cell has gone, and has its own words for it
+        log.info("the page has stopped: %s", error)
         return 1
     except (EdgedError, OSError) as error:
         # the message says what and why: a traceback says no more

@@ -72,6 +72,7 @@ def test_a_page_that_is_killed_is_back_and_the_cell_measures_on(
             os.kill(page, signal.SIGKILL)
             pages.add(page)
             wait_until(lambda: page_of(daemon) not in (None, *pages))
+        wait_until(lambda: asked(small, "/status.json")["picture"] is not None)  # of a cycle since then
         told = asked(small, "/status.json")
         end_s = time.monotonic()
     sights = witness.report.between(start_s, end_s)
