@@ -19,6 +19,7 @@ import sys
 import time
 import urllib.request
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -158,9 +159,10 @@ def page_has_less() -> str:
 def page_pid() -> int:
     """The page's process; 0: there is none."""
     for task in Path(f"/proc/{main_pid()}/task").iterdir():
-        for child in (task / "children").read_text().split():
-            if b"edged.app.page" in Path(f"/proc/{child}/cmdline").read_bytes():
-                return int(child)
+        with suppress(OSError):  # a thread or a process that has just ended
+            for child in (task / "children").read_text().split():
+                if b"edged.app.page" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    return int(child)
     return 0
 
 
