@@ -22,9 +22,8 @@ from edged.vision.part.tilt import views_of
 from edged.vision.shape.params import SearchParams, ShapeMatch
 from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
-from edged.vision.solid.curvemodel import count_curves
+from edged.vision.solid.curvemodel import has_enough_curves
 from edged.vision.solid.locate import locate_solid
-from edged.vision.solid.params import CURVES
 
 NEAR_SHARE = 0.7
 """Share of min_score that counts as a near miss: at half of it clutter looks like parts, and a search in
@@ -73,6 +72,7 @@ def inspect(
     """`locate` with the evidence: every part found, with its edges."""
     images = _rectified(pair, rig)
     if job.body is not None:
+        lap("rectify")
         return _inspect_solid(images, job, lap)
     rectified = images.rectified_left
     lap("rectify")
@@ -86,7 +86,8 @@ def inspect(
         else:
             dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))
     lap("measure")
-    if _by_all_edges(job) and not any(part.target.reject is Reject.NONE for part in measured):
+    found = any(part.target.reject is Reject.NONE for part in measured)
+    if not found and (job.solid or job.tilt_rad is not None) and has_enough_curves(job):
         again = _inspect_solid(images, job, lap)
         if again.measured:
             return again
@@ -94,14 +95,8 @@ def inspect(
     return PairInspection(tuple(measured), tuple(dismissed), nearest)
 
 
-def _by_all_edges(job: Job) -> bool:
-    """Whether a part that its shape does not find is looked for by all of its taught edges."""
-    return (job.solid or job.tilt_rad is not None) and count_curves(job) >= CURVES.fewest
-
-
 def _inspect_solid(images: StereoImages, job: Job, lap: Callable[[str], None]) -> PairInspection:
-    """`inspect` for a part whose body is known: it is looked for by all its edges, in both pictures."""
-    lap("rectify")
+    """`inspect` by all edges of a part, those of its body or those that were taught, in both pictures."""
     measured, dismissed, missed = locate_solid(images, job)
     lap("find")
     lap("measure")

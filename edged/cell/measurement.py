@@ -14,27 +14,12 @@ from edged.domain.cell import CalibrationHealth
 from edged.domain.events import Command, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status
+from edged.domain.stopwatch import Stopwatch
 from edged.errors import CaptureError
 from edged.robot.picking import picked
 
 TRY_ALL_S = 3.0
 """A command that tries every job starts no further job after this time."""
-
-
-class _Stopwatch:
-    """Collects stage times; called at the end of each stage."""
-
-    def __init__(self) -> None:
-        self._start_s = self._last_s = time.perf_counter()
-        self._stages: dict[str, float] = {}
-
-    def __call__(self, stage: str) -> None:
-        now_s = time.perf_counter()
-        self._stages[stage] = self._stages.get(stage, 0.0) + (now_s - self._last_s) * 1e3
-        self._last_s = now_s
-
-    def timing_ms(self) -> dict[str, float]:
-        return {**self._stages, "total": (time.perf_counter() - self._start_s) * 1e3}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +33,7 @@ class CycleRun:
     cell: CellContext
     command: Command | None
     utc_ns: Callable[[], int]
-    lap: _Stopwatch = field(default_factory=_Stopwatch, init=False)
+    lap: Stopwatch = field(default_factory=Stopwatch, init=False)
 
     def failed(self, error: CaptureError) -> Snapshot:
         """Snapshot without an exposure."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status, Target
 from edged.domain.picking import GraspPose
+from edged.domain.stopwatch import Stopwatch
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.images import load_image
@@ -69,16 +69,9 @@ def locate(
         raise UserError(f"--convention {convention!r}: expected one of {', '.join(known)}")
     prepared, taught = prepare(load_rig(rig)), load_job(job)
     pair = FramePair.of_images(load_image(left), load_image(right))
-    timing_ms: dict[str, float] = {}
-    last_s = time.perf_counter()
-
-    def lap(stage: str) -> None:
-        nonlocal last_s
-        now_s = time.perf_counter()
-        timing_ms[stage] = round((now_s - last_s) * 1e3, 3)
-        last_s = now_s
-
-    inspection, frame = inspect(pair, taught, prepared, lap), frame_of(prepared.rig)
+    watch = Stopwatch()
+    inspection, frame = inspect(pair, taught, prepared, watch), frame_of(prepared.rig)
+    timing_ms = {stage: round(taken_ms, 3) for stage, taken_ms in watch.stages_ms().items()}
     parts = [
         replace(part, target=allowed(part.target, taught.picking, frame)) for part in inspection.measured
     ]

@@ -20,11 +20,11 @@ from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import Job
-from edged.vision.solid.curvemodel import count_curves, curve_model
+from edged.vision.solid.curvemodel import curve_model, has_enough_curves
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over, sigmas_of
 from edged.vision.solid.lock import Pyramids, lay, scale_at
-from edged.vision.solid.params import BREAKS, CURVES, DECISION, PROFILE
+from edged.vision.solid.params import BREAKS, DECISION, PROFILE
 from edged.vision.solid.profiles import ProfileFit, best_fit, fit_profiles, profiles_of
 
 
@@ -75,7 +75,7 @@ def shown_break(images: StereoImages, job: Job) -> float | None:
 
     Face-on, a break shows both of its edges here and there. None where it does not, or there is none.
     """
-    if count_curves(job) < CURVES.fewest:
+    if not has_enough_curves(job):
         return None
     pyramids = Pyramids(images.rig, images.raw, 1)
     px_per_mm = images.rig.left.fx / float(job.rig_from_part[2, 3])

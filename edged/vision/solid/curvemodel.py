@@ -42,9 +42,9 @@ class _Rim:
         return np.asarray(middles + break_mm * (self.outwards - UP))
 
 
-def count_curves(job: Job) -> int:
-    """Of a job: circles, straight edges and slots."""
-    return len(job.circles) + len(job.edges) + len(job.slots)
+def has_enough_curves(job: Job) -> bool:
+    """Whether the circles, straight edges and slots of a job tell its part from chance."""
+    return len(job.circles) + len(job.edges) + len(job.slots) >= CURVES.fewest
 
 
 def curve_model(job: Job, break_mm: float = 0.0) -> EdgeModel:

@@ -7,15 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.blockpart import REFERENCE_MM, block, taught
+from helpers.blockpart import REFERENCE_MM, block, pair_of_block, taught
 from helpers.brokenparts import pair_of
-from helpers.cells import small_rig
+from helpers.cells import frame_pair, small_rig
 from helpers.flatparts import only
 from helpers.tilted import lying
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject
-from edged.pipeline import prepare
+from edged.domain.stopwatch import Stopwatch
+from edged.pipeline import inspect, prepare
 from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.solid.climb import FULL, climb, eye_of, response_of, step_of
 from edged.vision.solid.curvemodel import curve_model
@@ -141,3 +142,19 @@ def test_a_job_of_a_few_small_circles_is_looked_for_all_the_same() -> None:
                   witness=None)  # fmt: skip
     outcome = replace(here, job=job).see(block(lying(here.rig.rig, 30.0, 100.0, 200.0)))
     assert all(target.reject is not Reject.NONE for target in outcome.targets)
+
+
+def test_stages_are_those_of_any_measurement() -> None:
+    """Also where a part is looked for twice: the pictures are rectified once, and no stage is lost."""
+    here = taught()
+    job = replace(here.job, search=replace(here.job.search, min_score=0.999))
+    pair = frame_pair(*pair_of_block(here.rig, block(lying(here.rig.rig, 30.0, 100.0, 200.0))))
+    watch, named = Stopwatch(), list[str]()
+
+    def lap(stage: str) -> None:
+        named.append(stage)
+        watch(stage)
+
+    inspect(pair, job, here.rig, lap)
+    assert named.count("rectify") == 1
+    assert set(watch.stages_ms()) == {"rectify", "find", "measure"}
