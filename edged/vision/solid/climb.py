@@ -24,6 +24,7 @@ U8 = npt.NDArray[np.uint8]
 # numba freezes globals when it compiles: kernels read these by name
 HALVINGS = CLIMB.halvings
 ROUNDS = CLIMB.rounds
+SOUGHT_EVERY = CLIMB.every
 FULL = 15
 """Response of a gradient that fits: sums of 16 fit a byte."""
 
@@ -83,6 +84,16 @@ def response_of(points: F64, along: F64, pose: F64, eye: Eye, maps: U8, every: i
     return total / (FULL * count)
 
 
+@kernel("f8(f8[:, ::1], f8[:, ::1], f8[:, ::1], Eye, Eye, u1[:, :, ::1], u1[:, :, ::1], i8)", tuples=(Eye,))
+def response_in_both(
+    points: F64, along: F64, pose: F64, left: Eye, right: Eye, left_maps: U8, right_maps: U8, every: int
+) -> float:
+    """The sum of both cameras' responses."""
+    return response_of(points, along, pose, left, left_maps, every) + response_of(
+        points, along, pose, right, right_maps, every
+    )
+
+
 @kernel("void(f8[:, ::1], f8[::1], i8, f8, f8[:, ::1])")
 def step_of(pose: F64, middle: F64, axis: int, by: float, moved: F64) -> None:
     """Fill moved (4, 4): axes 0 to 2 turn the part about its own, at its middle, 3 to 5 shift it along."""
@@ -117,6 +128,7 @@ def seek(
     trial, best = np.empty((4, 4)), np.empty((4, 4))
     for k in range(len(poses)):
         scores[k] = -1.0
+        seen, ways = points[view[k]], along[view[k]]
         for share in shares:
             trial[:] = poses[k]
             for i in range(3):
@@ -124,8 +136,7 @@ def seek(
                 for j in range(3):
                     centre += trial[i, j] * middle[j]
                 trial[i, 3] += (share - 1.0) * (centre - eyes[k, i])
-            score = response_of(points[view[k]], along[view[k]], trial, left, left_maps, 2)
-            score += response_of(points[view[k]], along[view[k]], trial, right, right_maps, 2)
+            score = response_in_both(seen, ways, trial, left, right, left_maps, right_maps, SOUGHT_EVERY)
             if score > scores[k]:
                 scores[k] = score
                 best[:] = trial
@@ -144,8 +155,8 @@ def climb(
     """Move each pose (K, 4, 4) by smaller and smaller steps (6,) while both cameras' response grows."""
     trial = np.empty((4, 4))
     for k in range(len(poses)):
-        here = response_of(points[view[k]], along[view[k]], poses[k], left, left_maps, every)
-        here += response_of(points[view[k]], along[view[k]], poses[k], right, right_maps, every)
+        seen, ways = points[view[k]], along[view[k]]
+        here = response_in_both(seen, ways, poses[k], left, right, left_maps, right_maps, every)
         scale = 1.0
         for _ in range(HALVINGS):
             for _ in range(ROUNDS):
@@ -153,8 +164,7 @@ def climb(
                 for axis in range(6):
                     for sign in range(2):
                         step_of(poses[k], middle, axis, (1.0 - 2.0 * sign) * scale * steps[axis], trial)
-                        score = response_of(points[view[k]], along[view[k]], trial, left, left_maps, every)
-                        score += response_of(points[view[k]], along[view[k]], trial, right, right_maps, every)
+                        score = response_in_both(seen, ways, trial, left, right, left_maps, right_maps, every)
                         if score > here:
                             here = score
                             poses[k] = trial

@@ -1,4 +1,4 @@
-"""Parts of a job with a known body, found and measured in a pair: tilted, stepped, with broken edges.
+"""Parts by all their edges, of a body or as they were taught, found and measured: tilted, stepped, broken.
 
 Nothing of a flat face is used: all edges of the part, those of its edge breaks among them, are looked for in
 both pictures, locked as one, weighed against chance and against every rival, and measured.

@@ -317,30 +317,32 @@ def starts_of(
     along their lines of sight, and climbed in both pictures at the top level, then on the one below.
     """
     top = len(pictures) - 1
-    both = [_Seen.of(rig, level, pictures[level], place) for level in (top, max(top - 1, 0))]
+    coarse = fine = _Seen.of(rig, top, pictures[top], place)
+    if top:
+        fine = _Seen.of(rig, top - 1, pictures[top - 1], place)
+    reach = CLIMB.sought_share * SCAN.scale
+    step = CLIMB.sought_px / (coarse.eyes[0].focal[0] * rig.baseline_mm / float(place[2]))
+    shares = np.exp(np.arange(-reach, reach + step, step))
     found: list[tuple[float, FloatArray]] = []
     for camera in (0, 1):
         eye = invert(Cameras.of(rig, 0).from_rig[camera])[:3, 3]
         share = float(np.linalg.norm(place - eye)) / float(np.linalg.norm(place))
         near, far = distances_mm[0] * share, distances_mm[1] * share
         views, numbers, poses = scan(
-            model, rig, camera, both[0].maps[camera], top, tilt_rad, (near, far), place
+            model, rig, camera, coarse.maps[camera], top, tilt_rad, (near, far), place
         )
         lean, scores = views.lean[numbers], np.empty(len(poses))
-        reach = CLIMB.sought_share * SCAN.scale
-        step = CLIMB.sought_px / (both[0].eyes[0].focal[0] * rig.baseline_mm / float(place[2]))
-        shares = np.exp(np.arange(-reach, reach + step, step))
-        seek(views.points, views.along, lean, poses, *both[0].eyes, *both[0].maps,
+        seek(views.points, views.along, lean, poses, *coarse.eyes, *coarse.maps,
              np.tile(eye, (len(poses), 1)), model.centre, shares, scores)  # fmt: skip
         order = np.argsort(-scores, kind="stable")
         rows = order[_unlike(model, poses[order], SCAN.kept, SCAN.kept_elsewhere)[: CLIMB.climbed]]
         lean, poses, scores = lean[rows], poses[rows], scores[rows]
-        climb(views.points, views.along, lean, poses, *both[0].eyes, *both[0].maps, model.centre,
-              both[0].steps, CLIMB.every, scores)  # fmt: skip
+        climb(views.points, views.along, lean, poses, *coarse.eyes, *coarse.maps, model.centre,
+              coarse.steps, CLIMB.every, scores)  # fmt: skip
         rows = np.argsort(-scores, kind="stable")[: CLIMB.climbed_finely]
         lean, poses, scores = lean[rows], poses[rows], scores[rows]
-        climb(views.points, views.along, lean, poses, *both[1].eyes, *both[1].maps, model.centre,
-              both[1].steps, 1, scores)  # fmt: skip
+        climb(views.points, views.along, lean, poses, *fine.eyes, *fine.maps, model.centre,
+              fine.steps, 1, scores)  # fmt: skip
         found += [(float(score), pose) for score, pose in zip(scores, poses, strict=True)]
     found.sort(key=lambda scored: -scored[0])
     poses = np.array([pose for _, pose in found]).reshape(-1, 4, 4)
@@ -362,6 +364,5 @@ class _Seen:
         cameras = Cameras.of(rig, level)
         left, right = (eye_of(cameras.models[k], cameras.from_rig[k]) for k in (0, 1))
         shift = CLIMB.shift_px * float(place[2]) / left.focal[0]
-        turn = CLIMB.turn_rad
-        steps = np.r_[np.full(3, turn), np.full(3, shift)]
+        steps = np.r_[np.full(3, CLIMB.turn_rad), np.full(3, shift)]
         return _Seen((left, right), (responses(pictures[0]), responses(pictures[1])), steps)

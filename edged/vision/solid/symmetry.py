@@ -36,7 +36,7 @@ def is_round(model: EdgeModel, axis: tuple[float, float]) -> bool:
     return bool(_shares(model, axis)[1].min() > SYMMETRY.round_share)
 
 
-@lru_cache(maxsize=16)  # of a few jobs
+@lru_cache(maxsize=64)  # of a few jobs, some with a model for each width of their breaks
 def _shares(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """Turns, and the share of edge points that have another one near after each."""
     samples = sampled(model, model.size_mm / SYMMETRY.points)
