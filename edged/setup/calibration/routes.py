@@ -17,7 +17,7 @@ from edged.setup.calibration.service import Calibrations
 from edged.setup.documents import DraftHead
 from edged.setup.draftroutes import Begun, DraftRoutes, Nothing, known, unknown
 from edged.setup.jobs.tasks import TaskDocument, Tasks
-from edged.setup.releases.routes import Activating, ReleaseDocument, activated
+from edged.setup.releases.routes import Activating, ReleaseDocument, activated, add_activation
 from edged.setup.releases.service import Activation
 from edged.vision.boards.board import parse_boards
 from edged.vision.calibration.lenschoice import LensWish
@@ -95,17 +95,7 @@ class CalibrationRoutes:
         )
         what = "Solve it, and hold views out: half a minute for 20 pairs"
         routes.add("POST", "/solve", self._solve, what, Nothing, answer=Begun, status=202, audit=True)
-        what = "Let the cell run by what the draft was solved to"
-        routes.add(
-            "POST",
-            "/activate",
-            self._activate,
-            what,
-            Activating,
-            answer=ReleaseDocument,
-            audit=True,
-            needs_password=True,
-        )
+        add_activation(routes, self._activate, "Let the cell run by what the draft was solved to")
         what = "What it was solved to, for people"
         routes.add("GET", "/report", self._report, what, answer="text/html", role=see)
 

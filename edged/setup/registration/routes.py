@@ -15,7 +15,7 @@ from edged.setup.draftroutes import DraftRoutes, Revised
 from edged.setup.registration.documents import Conventions, RegistrationDocument, RegistrationList, brands
 from edged.setup.registration.drafts import RobotDraft
 from edged.setup.registration.service import Given, Registrations
-from edged.setup.releases.routes import Activating, ReleaseDocument, activated
+from edged.setup.releases.routes import Activating, ReleaseDocument, activated, add_activation
 from edged.setup.releases.service import Activation
 
 SAMPLE = "/samples/{name:(?:point|pose)_[0-9]{3}}"
@@ -146,17 +146,7 @@ class RegistrationRoutes:
             "POST", "/confirm", self._confirm, "How far a touch is from where it should be", Confirming
         )
         routes.add_file(PICTURE, _small, "A small picture")
-        what = "Let the cell run by the registered rig"
-        routes.add(
-            "POST",
-            "/activate",
-            self._activate,
-            what,
-            Activating,
-            answer=ReleaseDocument,
-            audit=True,
-            needs_password=True,
-        )
+        add_activation(routes, self._activate, "Let the cell run by the registered rig")
 
     async def _begin(self, call: Call[BeginningToRegister]) -> DraftHead:
         return await self._registrations.begin(call.visitor.name, **dict(call.body))

@@ -9,7 +9,7 @@ from pydantic import model_validator
 
 from edged.adapters.web.routes import Answer, Body, Call, Reason, Token, route
 from edged.identity.visitors import Role
-from edged.setup.draftroutes import Nothing, known, unknown
+from edged.setup.draftroutes import DraftRoutes, Nothing, known, unknown
 from edged.setup.drafts import OpenDrafts
 from edged.setup.jobs.worker import Worker
 from edged.setup.releases.differences import ReleaseDifference
@@ -101,6 +101,22 @@ class ReleaseRoutes:
                 document_of_release(release, is_active=release.number == active) for release in releases
             ]
         )
+
+
+def add_activation(
+    routes: DraftRoutes, activate: Callable[[str, Call[Activating]], Awaitable[ReleaseDocument]], what: str
+) -> None:
+    """The route by which a draft becomes what the cell runs by; it asks for one's own password."""
+    routes.add(
+        "POST",
+        "/activate",
+        activate,
+        what,
+        Activating,
+        answer=ReleaseDocument,
+        audit=True,
+        needs_password=True,
+    )
 
 
 async def activated(

@@ -11,7 +11,13 @@ from edged.adapters.web.routes import Body, Call, Name, Problem, RouteTable, Tok
 from edged.errors import EdgedError
 from edged.setup.documents import DraftHead
 from edged.setup.draftroutes import DraftRoutes, Revised
-from edged.setup.releases.routes import Activating, ReleaseDocument, document_of_release, signature
+from edged.setup.releases.routes import (
+    Activating,
+    ReleaseDocument,
+    add_activation,
+    document_of_release,
+    signature,
+)
 from edged.setup.releases.service import Activation
 from edged.setup.teaching.documents import TeachingDocument, TeachingList
 from edged.setup.teaching.model import (
@@ -131,17 +137,7 @@ class TeachingRoutes:
         routes.add("POST", "/tap", self._tap, "What was tapped is the part", Tap)
         what = "Take features, or leave them"
         routes.add("PUT", "/features", self._take, what, Taking, limit_bytes=64 * 1024)
-        what = "Let the cell have the job"
-        routes.add(
-            "POST",
-            "/activate",
-            self._activate,
-            what,
-            Activating,
-            answer=ReleaseDocument,
-            audit=True,
-            needs_password=True,
-        )
+        add_activation(routes, self._activate, "Let the cell have the job")
 
     async def _begin(self, call: Call[TeachingBeginning]) -> DraftHead:
         return await self._teachings.begin(call.visitor.name, **dict(call.body))
