@@ -28,19 +28,28 @@ def decode_cbor(data: bytes) -> Any:
 
     What it needs is bounded by the length of the data, whatever the data claims.
     """
+    try:
+        value = decode_item(data, MAX_DEPTH, strict_hashable_types=True)
+        _check(value)
+    except (cbor2.CBORDecodeError, TypeError) as error:
+        raise ValueError(f"not used here: {error}") from error
+    return value
+
+
+def decode_item(data: bytes, max_depth: int, *, strict_hashable_types: bool = False) -> Any:
+    """The one item that data is, of any kind, without tags: dates, expressions, what contains itself.
+
+    Raises `cbor2.CBORDecodeError` and what cbor2 raises besides, `ValueError` for bytes behind it.
+    """
     stream = io.BytesIO(data)
     decoder = cbor2.CBORDecoder(
         stream,
         semantic_decoders=_NoTags(),
-        max_depth=MAX_DEPTH,
+        max_depth=max_depth,
         allow_indefinite=False,
-        strict_hashable_types=True,
+        strict_hashable_types=strict_hashable_types,
     )
-    try:
-        value = decoder.decode()
-        _check(value)
-    except (cbor2.CBORDecodeError, TypeError) as error:
-        raise ValueError(f"not used here: {error}") from error
+    value = decoder.decode()
     if stream.tell() != len(data):
         raise ValueError(f"{len(data) - stream.tell()} bytes behind the end")
     return value

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import enum
 import hashlib
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ import cbor2
 import numpy as np
 from pydantic import BaseModel
 
+from edged.cbor import decode_item
 from edged.config.chosencameras import ChosenCamera
 from edged.domain import cell, events, exposure, frames, measurement, overview, picking, registration
 from edged.domain.arrays import Image
@@ -107,8 +107,7 @@ def loads(data: bytes, images: Sequence[Image | None]) -> Any:
     Lists become tuples. Raises `ValueError` for what `dumps` does not write.
     """
     try:
-        decoder = cbor2.CBORDecoder(io.BytesIO(data), max_depth=MAX_DEPTH, allow_indefinite=False)
-        return _value(decoder.decode(), images)
+        return _value(decode_item(data, MAX_DEPTH), images)
     except (cbor2.CBORDecodeError, TypeError, KeyError, IndexError, AttributeError) as error:
         raise ValueError(f"no message of a cell: {error!r}") from error
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-import io
 import re
 from collections.abc import Mapping
 from importlib import import_module
@@ -25,6 +24,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from edged import errors
+from edged.cbor import decode_item
 from edged.errors import UserError
 
 MAX_DEPTH = 256
@@ -53,24 +53,10 @@ def encode_answer(value: object) -> bytes:
 
 def decode_answer(data: bytes) -> Any:
     """The value. Raises `ValueError` for anything that `encode_answer` does not write."""
-    stream = io.BytesIO(data)
-    decoder = cbor2.CBORDecoder(
-        stream, semantic_decoders=_NoTags(), max_depth=MAX_DEPTH, allow_indefinite=False
-    )
     try:
-        value = _value(decoder.decode())
+        return _value(decode_item(data, MAX_DEPTH))
     except _DAMAGE as error:
         raise ValueError(f"no answer of a worker: {error!r}") from error
-    if stream.tell() != len(data):
-        raise ValueError(f"{len(data) - stream.tell()} bytes behind the answer")
-    return value
-
-
-class _NoTags(dict[int, Any]):
-    """Refuses every tag: dates, expressions, and structures that contain themselves."""
-
-    def __missing__(self, tag: int) -> Any:
-        raise ValueError(f"tag {tag}")
 
 
 def _plain(value: Any) -> Any:
