@@ -7,17 +7,16 @@ change of the program, as they come by the ambient set: the filter of the system
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from edged.setup.jobs.workerprocess import gain_no_more_rights
+
 NICER = 10
 OOM_SCORE = 500
 """/proc/self/oom_score_adj: where memory is short, the page goes before the cell."""
-PR_SET_NO_NEW_PRIVS, PR_CAP_AMBIENT, PR_CAP_AMBIENT_CLEAR_ALL = 38, 47, 4
-"""<linux/prctl.h>."""
 
 
 def become(program: Sequence[str]) -> None:
@@ -29,9 +28,7 @@ def become(program: Sequence[str]) -> None:
         os.nice(NICER)
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(str(OOM_SCORE))
-    libc = ctypes.CDLL(None, use_errno=True)
-    libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
-    libc.prctl(PR_CAP_AMBIENT, PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
+    gain_no_more_rights()
     os.execv(program[0], list(program))
 
 

@@ -193,15 +193,21 @@ def _stand_back() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # of gigabytes, where a task took too long
 
 
+def gain_no_more_rights() -> None:
+    """No program that this process becomes or starts has more rights from now on, or capabilities from it."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
+    libc.prctl(PR_CAP_AMBIENT, PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
+
+
 def _withdraw() -> None:
     """Give up what a task never needs: more rights by running programs, capabilities, and the network.
 
     The network where the kernel lets it: to leave it takes a user namespace, or root. A service may not make
     any (`RestrictNamespaces=`).
     """
+    gain_no_more_rights()
     libc = ctypes.CDLL(None, use_errno=True)
-    libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
-    libc.prctl(PR_CAP_AMBIENT, PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
     is_root = os.geteuid() == 0
     libc.unshare(CLONE_NEWNET if is_root else CLONE_NEWUSER | CLONE_NEWNET)
     call = CAPSET.get(os.uname().machine)
