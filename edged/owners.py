@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from edged.errors import FileFormatError
 
@@ -114,6 +115,11 @@ def open_to_read(path: Path, flags: int = 0, folder: int | None = None) -> int:
             raise PermissionError(errno.EPERM, "another user's, and no plain file: root does not open it")
         # by its descriptor: the name may mean another file by now
         return os.open(f"/proc/self/fd/{last.handle}", flags)
+
+
+def file_to_read(path: Path) -> BinaryIO:
+    """A file, opened as `open_to_read` does. Raises `OSError`."""
+    return os.fdopen(open_to_read(path), "rb")
 
 
 def _first_of_another(place: Path, opened: ExitStack) -> tuple[int, Path] | None:

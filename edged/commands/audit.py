@@ -19,7 +19,7 @@ from edged.errors import FileFormatError, UserError
 from edged.files.statefolder import state_folder
 from edged.identity.audit import LINES, AuditFile, AuditVerdict
 from edged.identity.auditjournal import FIELDS, MAX_LINE_BYTES, JournalVerdict, JournalWriter, compare
-from edged.owners import as_owner, open_to_read
+from edged.owners import as_owner, file_to_read
 
 JOURNAL = "journal"
 JOURNALCTL = (
@@ -76,7 +76,7 @@ def _against(source: str, config: Path, folder: Path) -> JournalVerdict:
 def _entries(source: str) -> Iterator[IO[bytes]]:
     """The entries of the journal, or of a file of them. Raises `UserError`, `OSError`."""
     if source != JOURNAL:
-        with os.fdopen(open_to_read(Path(source)), "rb") as file:
+        with file_to_read(Path(source)) as file:
             yield file
         return
     with subprocess.Popen(JOURNALCTL, stdout=subprocess.PIPE) as process:

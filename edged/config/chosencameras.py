@@ -8,7 +8,6 @@ is written with it: `rig.json` has `rig.cameras.json`. What it states counts bef
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from pydantic import Field, ValidationError
 from edged.config.fields import Section
 from edged.domain.arrays import SIDES, Side
 from edged.errors import ConfigError
-from edged.owners import open_to_read
+from edged.owners import file_to_read
 
 MAX_BYTES = 64 * 1024
 NAME = "rig.cameras.json"
@@ -67,7 +66,7 @@ def read_chosen(rig: Path) -> bytes | None:
     """Read the choice; None without one. Raises `ConfigError`."""
     file = chosen_file(rig)
     try:
-        with os.fdopen(open_to_read(file), "rb") as opened:
+        with file_to_read(file) as opened:
             content = opened.read(MAX_BYTES + 1)
     except FileNotFoundError:
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 import re
 import tomllib
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ from edged.config.chosencameras import chosen_file, chosen_of, read_chosen
 from edged.config.configuration import Config
 from edged.config.tomltext import MAX_TOML_BYTES, toml_of
 from edged.errors import ConfigError
-from edged.owners import open_to_read
+from edged.owners import file_to_read
 
 EXPECTED = {
     "float_type": "expected a number",
@@ -68,7 +67,7 @@ def load(path: Path) -> Config:
 def read(path: Path) -> bytes:
     """Parse a configuration file. Raises `ConfigError`."""
     try:
-        with os.fdopen(open_to_read(path), "rb") as file:
+        with file_to_read(path) as file:
             content = file.read(MAX_TOML_BYTES + 1)  # a device has no size, and no end
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from error

@@ -7,7 +7,6 @@ Lines and arcs that meet are joined; what does not close is an error that names 
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections import deque
 from collections.abc import Iterable, Sequence, Set
@@ -38,7 +37,7 @@ from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 from edged.files.readingcost import reading_cost
 from edged.files.tables import number_of, read_table
-from edged.owners import open_to_read
+from edged.owners import file_to_read
 
 FLATTENING_MM = 0.002
 """Largest distance of a curve from its polygon: a hundredth of a pixel of a fine camera."""
@@ -117,7 +116,7 @@ def read_dxf(
 def _read_chains(
     path: Path, layers: Sequence[str], units: str | None, most_points: int
 ) -> list[JoinedPoints]:
-    with os.fdopen(open_to_read(path), "rb") as opened:
+    with file_to_read(path) as opened:
         place = f"/proc/self/fd/{opened.fileno()}"  # the name may mean another file by now
         try:
             document = readfile(place)

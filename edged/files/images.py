@@ -12,7 +12,7 @@ from cv2.typing import MatLike
 from edged.domain.arrays import Image
 from edged.errors import ImageError
 from edged.files.imagesizes import MAX_PIXELS, MAX_UNPACKED_BYTES, claimed_size
-from edged.owners import open_to_read
+from edged.owners import file_to_read
 
 MAX_IMAGE_BYTES = MAX_UNPACKED_BYTES + (1 << 20)
 """Bytes of a file: an uncompressed picture and its header."""
@@ -30,7 +30,7 @@ def load_image(path: Path) -> Image:
     if not path.is_file():
         raise ImageError(f"{path}: no such file")
     try:
-        with os.fdopen(open_to_read(path), "rb") as file:
+        with file_to_read(path) as file:
             size = os.fstat(file.fileno()).st_size
             data = b"" if size > MAX_IMAGE_BYTES else file.read(MAX_IMAGE_BYTES + 1)
     except OSError as error:

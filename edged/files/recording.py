@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import platform
 import re
 import shutil
@@ -44,7 +43,7 @@ from edged.files.atomic import (
 )
 from edged.files.images import decode_image
 from edged.files.zipmembers import open_zip, read_member
-from edged.owners import open_to_read
+from edged.owners import file_to_read
 from edged.payload import Json, snapshot_to_json
 
 FORMAT = "edged-recording"
@@ -189,7 +188,7 @@ def _members_of(path: Path, wanted: Iterable[str]) -> tuple[dict[str, bytes], se
     try:
         if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
             raise FileFormatError(f"{path}: no file of a recording")
-        with os.fdopen(open_to_read(path), "rb") as file, open_zip(file) as archive:
+        with file_to_read(path) as file, open_zip(file) as archive:
             return {name: _read(archive, name) for name in wanted}, set(archive.namelist())
     except (*_DAMAGE, OSError) as error:
         raise FileFormatError(f"{path}: not a recording: {error}") from error

@@ -155,7 +155,7 @@ def test_a_picture_that_cannot_be_read_now_is_a_fault_and_no_end(
         await left.open()
         await left.trigger()
         with monkeypatch.context() as patch:
-            patch.setattr(images, "open_to_read", exhausted)
+            patch.setattr(images, "file_to_read", exhausted)
             with pytest.raises(FrameIncomplete, match="Too many open files"):
                 await left.frame()
         await left.trigger()
