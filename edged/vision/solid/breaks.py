@@ -61,6 +61,8 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     if best is None:
         return None
     found = best[1]
+    if found.model.breaks_mm.any():
+        found = _each_by_itself(found, pyramids, images)
     fit = best_fit(found.model, pyramids, images, found.pose)
     if fit is None:
         return None
@@ -115,7 +117,7 @@ def _refined(model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: F
     """The pose and the breaks in turn, from breaks of one width."""
     sigma = 0.0
     for _ in range(BREAKS.rounds if model.breaks_mm.any() else 1):
-        fit = fit_profiles(model, pyramids, images, pose, BREAKS.blur_px)
+        fit = fit_profiles(model, pyramids, images, pose, BREAKS.blur_px, alike=True)
         if fit is None:
             return None
         pose = fit.pose
@@ -128,6 +130,35 @@ def _refined(model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: F
     if not len(misfit[0]):
         return None
     return _Refined(model, pose, sigma, float(np.sqrt(np.mean(misfit[1]))))
+
+
+def _each_by_itself(found: _Refined, pyramids: Pyramids, images: StereoImages) -> _Refined:
+    """The breaks anew, each curve's width from a grid and by itself, in turn with the pose.
+
+    No rounded or glinting one pulls the others off any more: a fit weighs each by its own scatter.
+    """
+    model, pose, sigma = found.model, found.pose, found.sigma_break_mm
+    for _ in range(BREAKS.rounds):
+        fit = fit_profiles(model, pyramids, images, pose, BREAKS.blur_px)
+        if fit is None:
+            return found
+        pose = fit.pose
+        widths = _likeliest_widths(model, pyramids, images, pose)
+        widths, sigma = _widths(with_breaks(model, widths), pyramids, images, pose)
+        model = with_breaks(model, widths)
+    return replace(found, model=model, pose=pose, sigma_break_mm=sigma)
+
+
+def _likeliest_widths(
+    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray
+) -> FloatArray:
+    """(E,) the width of a grid that each curve's profiles fit best; 0 where none explains them as well."""
+    count = int(model.chain.max()) + 1
+    costs = np.ones((len(BREAKS.grid_mm), count))
+    for k, width in enumerate(BREAKS.grid_mm):
+        costs[k] = _mean_misfits(with_breaks(model, np.full(len(model.start), width)), pyramids, images, pose)
+    best = np.where(_are_needed(costs.min(axis=0), costs[0]), costs.argmin(axis=0), 0)
+    return np.array(BREAKS.grid_mm)[best][model.chain]
 
 
 def _misfits(
@@ -143,14 +174,22 @@ def _without_needless(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray
 ) -> EdgeModel:
     """The model without the breaks of curves that a sharp edge explains as well."""
+    sharp = with_breaks(model, np.zeros(len(model.start)))
+    with_own, without = (_mean_misfits(variant, pyramids, images, pose) for variant in (model, sharp))
+    return with_breaks(model, np.where(_are_needed(with_own, without)[model.chain], model.breaks_mm, 0.0))
+
+
+def _are_needed(with_own: FloatArray, without: FloatArray) -> npt.NDArray[np.bool_]:
+    """(C,) of which curves the breaks must be believed: two edges can take the form of one."""
+    return np.asarray(with_own < without * (1 - BREAKS.better))
+
+
+def _mean_misfits(model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray) -> FloatArray:
+    """(C,) mean square misfit of each curve's profiles, px²; 1 of one without any."""
+    curve, square = _misfits(model, pyramids, images, pose)
     count = int(model.chain.max()) + 1
-    costs = []
-    for variant in (model, with_breaks(model, np.zeros(len(model.start)))):
-        curve, square = _misfits(variant, pyramids, images, pose)
-        total = np.bincount(curve, square, minlength=count)
-        costs.append(total / np.maximum(np.bincount(curve, minlength=count), 1))
-    needed = costs[0] < costs[1] * (1 - BREAKS.better)
-    return with_breaks(model, np.where(needed[model.chain], model.breaks_mm, 0.0))
+    many = np.bincount(curve, minlength=count)
+    return np.where(many > 0, np.bincount(curve, square, minlength=count) / np.maximum(many, 1), 1.0)
 
 
 def likeliest(images: StereoImages, model: EdgeModel, poses: Sequence[FloatArray]) -> int | None:

@@ -184,6 +184,8 @@ class ProfileParams:
     """Another light draws all edges to their darker side by up to a sixth of a pixel (`LIGHT_PX`): half."""
     first_sigmas_px: tuple[float, ...] = (1.0, 0.5)  # of each round of profiles
     min_sigma_px: float = 0.05  # of the robust scale
+    correlated: float = 4.0  # profiles that err alike: 12 px of texture
+    prior_blocks: float = 4.0  # of these, by which a stretch's scatter is taken to be that of all
     rounds: int = 10  # of reweighting
     still_mm: float = 1e-6  # at the rim of the part: less ends the rounds
     fewest: int = 40  # profiles
@@ -285,6 +287,8 @@ class BreaksParams:
     """
 
     tried_mm: tuple[float, ...] = (0.0, 0.07, 0.14, 0.24, 0.36, 0.5, 0.7)  # ISO 13715: 0.1 to 0.5 is usual
+    grid_mm: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)
+    """At which the profiles of each curve are compared: a profile finds what is within two pixels."""
     usual_mm: float = 0.15  # to look for a part by: between the edges of one of 0.3 and none
     most_mm: float = 1.0  # of a break
     least_mm: float = 0.02  # less is a sharp edge for any camera

@@ -21,7 +21,7 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
-from edged.vision.kernels.robust import mad_sigma, tukey_weights
+from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, mad_sigma, tukey_weights
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.lock import Pyramids, scale_at
 from edged.vision.solid.params import PROFILE, VISIBILITY
@@ -113,16 +113,17 @@ def profiles_of(
 
 def fit_profiles(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
-    held: FloatArray | None = None,
+    held: FloatArray | None = None, *, alike: bool = False,
 ) -> ProfileFit | None:  # fmt: skip
     """The pose by profiles from one that is good to a pixel; None where they say too little.
 
-    held (3,) : axis of the part about which nothing tells its turn.
+    held (3,) : axis of the part about which nothing tells its turn.  alike : all curves are worth the same,
+    as long as their breaks are not known.
     """
     fit: ProfileFit | None = None
     for first_sigma_px in PROFILE.first_sigmas_px:
         profiles = profiles_of(model, pyramids, images, pose, blur_px)
-        fit = _fitted(model, images, pose, profiles, first_sigma_px, held)
+        fit = _fitted(model, images, pose, profiles, first_sigma_px, held, alike)
         if fit is None:
             return None
         pose = fit.pose
@@ -148,7 +149,7 @@ def best_fit(
 
 def _fitted(
     model: EdgeModel, images: StereoImages, pose: FloatArray, profiles: Profiles, first_sigma_px: float,
-    held: FloatArray | None,
+    held: FloatArray | None, alike: bool,
 ) -> ProfileFit | None:  # fmt: skip
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
     design = profiles.seen.design / scale
@@ -157,11 +158,15 @@ def _fitted(
     if good.sum() < PROFILE.fewest:
         return None
     variance = 1 / np.maximum(base, 1e-9) + PROFILE.model_px**2
+    stretch = np.zeros(len(shift), np.int64)
+    if not alike:
+        _, stretch = np.unique(2 * (profiles.seen.curve // 3) + profiles.seen.walled, return_inverse=True)
     delta, weights = np.zeros(6), np.where(good, 1 / variance, 0.0)
     for number in range(PROFILE.rounds):
         left = shift - design @ delta
-        sigma = max(mad_sigma(left[good]), PROFILE.min_sigma_px) if number else first_sigma_px
-        weights = np.where(good, tukey_weights(left, sigma), 0.0) / variance
+        sigma = scatter_of(left, stretch, good) if number else np.full(len(left), first_sigma_px)
+        own = sigma**2 if number else 0.0
+        weights = np.where(good, tukey_weights(left / sigma, 1.0), 0.0) / (variance + own)
         normal = design.T @ (weights[:, None] * design)
         if held is not None:
             normal[:3, :3] += np.trace(normal) * np.outer(held, held)
@@ -188,6 +193,27 @@ def _fitted(
         moved(model, pose, delta / scale), edges / units, -by_break / scale, calibration / units,
         float(np.sqrt(np.sum(weights * left**2) / weights.sum())), *extra,
     )  # fmt: skip
+
+
+def scatter_of(left: FloatArray, stretch: I64, good: npt.NDArray[np.bool_]) -> FloatArray:
+    """(M,) robust sigma of the residuals left (M,) about 0, px, each of the stretch of a curve it belongs to.
+
+    A rounded or glinting edge errs as a whole, and where its wall is seen otherwise than where it is not; so
+    does each say by its own scatter what it is worth. A short one is taken to be like all others as far as
+    it does not say more.
+    Source: W. Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", 1979.
+
+    stretch (M,) : numbers from 0 on.
+    """
+    common = max(mad_sigma(left[good]), PROFILE.min_sigma_px) ** 2
+    result = np.empty(len(left))
+    for number in range(int(stretch.max()) + 1):
+        own = stretch == number
+        scatter = np.abs(left[own & good])
+        blocks = len(scatter) / PROFILE.correlated
+        square = (SIGMA_PER_MEDIAN * float(np.median(scatter))) ** 2 if blocks else 0.0
+        result[own] = (PROFILE.prior_blocks * common + blocks * square) / (PROFILE.prior_blocks + blocks)
+    return np.maximum(np.sqrt(result), PROFILE.min_sigma_px)
 
 
 def _blocks(curve: I64) -> I64:

@@ -53,7 +53,8 @@ class VisibleSamples(NamedTuple):
 
     row (M,) : of the samples.  pixels, normals (M, 2) : raw px, unit.  design (M, 6) : motion along the
     normal, px, by a turn about the part's axes (rad, about its centre) and a shift along them (mm).
-    by_break (M,) : the same by the width of the edge break, px / mm.
+    by_break (M,) : the same by the width of the edge break, px / mm.  walled (M,) : both faces look at the
+    camera.
     """
 
     row: npt.NDArray[np.int64]
@@ -62,6 +63,7 @@ class VisibleSamples(NamedTuple):
     design: F64
     by_break: F64
     curve: npt.NDArray[np.int64]
+    walled: B64
 
 
 def at_level(camera: CameraModel, level: int) -> CameraModel:
@@ -112,15 +114,15 @@ def moved(model: EdgeModel, pose: FloatArray, twist: FloatArray) -> FloatArray:
 def see(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -> VisibleSamples:
     """The samples that a camera sees.  buffer_px : side of the z-buffer; the part fills it."""
     count = len(samples.points)
-    facing = np.empty(count, np.bool_)
-    find_facing(samples, view, facing)
+    facing, walled = np.empty(count, np.bool_), np.empty(count, np.bool_)
+    find_facing(samples, view, facing, walled)
     rows = np.flatnonzero(facing)
     if len(rows) and len(model.triangles):
         points = samples.points[rows]
         rows = rows[~hidden_points(model.vertices, model.triangles, points, view.eye, buffer_px)]
     seen = VisibleSamples(
         rows, np.empty((len(rows), 2)), np.empty((len(rows), 2)), np.empty((len(rows), 6)),
-        np.empty(len(rows)), samples.curve[rows],
+        np.empty(len(rows)), samples.curve[rows], walled[rows],
     )  # fmt: skip
     kept = np.empty(len(rows), np.bool_)
     project_samples(samples, rows, view, seen.pixels, seen.normals, seen.design, seen.by_break, kept)
@@ -133,15 +135,19 @@ def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> Edg
     return sampled(model, math.exp(-steps * VISIBILITY.alike))
 
 
-@kernel("void(EdgePoints, PartView, b1[::1])", tuples=(EdgePoints, PartView))
-def find_facing(samples: EdgePoints, view: PartView, facing: B64) -> None:
-    """Fill facing (N,): sharp edges with a face towards the camera, smooth walls where they are outline."""
+@kernel("void(EdgePoints, PartView, b1[::1], b1[::1])", tuples=(EdgePoints, PartView))
+def find_facing(samples: EdgePoints, view: PartView, facing: B64, walled: B64) -> None:
+    """Fill facing (N,): sharp edges with a face towards the camera, smooth walls where they are outline.
+
+    And walled (N,): both faces look at the camera.
+    """
     for n in range(len(samples.points)):
         first = second = 0.0
         for i in range(3):
             to_eye = view.eye[i] - samples.points[n, i]
             first += to_eye * samples.normals[n, i]
             second += to_eye * samples.normals[n, 3 + i]
+        walled[n] = first > 0.0 and second > 0.0
         if samples.sharp[n]:
             facing[n] = first > 0.0 or second > 0.0
         else:

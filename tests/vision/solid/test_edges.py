@@ -18,7 +18,7 @@ from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.jit import for_kernel
 from edged.vision.solid.breaks import with_breaks
 from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled, widths_of
-from edged.vision.solid.profiles import find_shifts
+from edged.vision.solid.profiles import find_shifts, scatter_of
 from edged.vision.solid.symmetry import like_turns
 from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, see
 from edged.vision.teaching.cadbody import body_of
@@ -115,6 +115,17 @@ def test_two_merged_edges_are_measured_as_one_pair(gap_px: float) -> None:
     assert found == pytest.approx(shift, abs=0.02)
     assert (weight > 0).all()
     assert height == pytest.approx(130.0, rel=0.12)  # damped, where both hardly part
+
+
+def test_each_curve_says_by_its_own_scatter_what_it_is_worth() -> None:
+    """A rim that errs as a whole stands alone with it; one of four samples is taken to be like the others."""
+    rng = np.random.default_rng(0)
+    counts, offsets = (200, 60, 200, 4), (0.0, 0.8, 0.0, 0.0)
+    left = np.concatenate([rng.normal(at, 0.06, many) for many, at in zip(counts, offsets, strict=True)])
+    stretch = np.repeat(np.arange(4), counts)
+    sigma = [scatter_of(left, stretch, np.ones(len(left), bool))[stretch == k][0] for k in range(4)]
+    assert sigma[1] > 0.7
+    assert max(sigma[0], sigma[2], sigma[3]) < 0.1
 
 
 @pytest.mark.slow
