@@ -761,7 +761,7 @@ def test_every_capture_error_has_a_code_of_its_own() -> None:
 
 
 def test_repeated_and_frozen_frames_are_told_apart() -> None:
-    """The same number, and the same picture under a new number."""
+    """A number that comes again is one fault, a picture that comes again under a new number another."""
 
     async def script(bench: Bench) -> None:
         await bench.head.capture()
