@@ -57,7 +57,6 @@ class MeasuringParams:
     max_rivals: int = 12  # starts of the reference circle
     min_support: float = 0.15
     """Share of the reference circle that each camera must show at all; the job asks for more."""
-    other_support: float = 0.4  # of any other circle
     enough_support: float = 0.8  # in both cameras: no better start is looked for
     pnp_points: int = 16  # of a circle that gives a start
     other_end: float = 4.0  # sigmas of a radius by which it differs from the taught one not by chance
