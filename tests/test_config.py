@@ -217,7 +217,7 @@ def test_lines_for_robots_need_a_port_of_their_own_a_brand_and_no_tls(tmp_path: 
 
 
 def test_the_fingerprint_does_not_depend_on_the_place(tmp_path: Path) -> None:
-    """The same files in another folder are the same cell; another name of the rig is another setting."""
+    """These files in another folder are the same cell; another name of the rig is another setting."""
     (tmp_path / "moved").mkdir()
     here, there = load(write(tmp_path, GOOD)), load(write(tmp_path / "moved", GOOD))
     assert here.cell.rig != there.cell.rig

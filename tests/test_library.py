@@ -51,7 +51,7 @@ def test_the_names_are_those_of_the_library() -> None:
 
 @pytest.mark.slow
 def test_locate_gives_the_digits_of_the_pipeline(job: Job) -> None:
-    """The same pose and covariance, bit by bit, also when a rig is used a second time."""
+    """Pose and covariance are the same, bit by bit, also when a rig is used a second time."""
     part = flange()
     (expected,) = locate(frame_pair(part.left, part.right), job, prepare(part.rig)).targets
     for _ in range(2):

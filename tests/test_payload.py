@@ -123,7 +123,7 @@ def test_only_a_good_result_has_usable_targets(status):
 
 
 def test_a_rejected_target_is_not_among_the_usable_ones():
-    """Of two targets only the one without a reject reason may be used; order is kept."""
+    """Only the target without a reject reason may be used; order is kept."""
     targets = (make_target(Reject.TOLERANCE, 1.0), make_target(x_mm=2.0), make_target(x_mm=3.0))
     document = snapshot_to_json(make_snapshot(targets=targets))
     assert [2.0, 3.0] == [target["position_mm"][0] for target in document["targets"]]

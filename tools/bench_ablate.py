@@ -42,8 +42,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 FACTORS = (0.5, 2.0)
 WRONG_MM, WRONG_DEG = 0.1, 3.0
-SETS = {"boards": "boards", "calibration": "boards"}
-"""By package; of all others *parts*, of solid parts *solids*."""
+SETS = {"boards": "boards", "calibration": "boards", "solid": "solids"}
+"""By package; of all others *parts*, of the numbers of `SolidParams` *solids*."""
 PATIENCE = 20.0
 """Times the usual time, after which a number is taken to be far too slow."""
 

@@ -66,7 +66,7 @@ Corners = Literal["fit", "edges"]
 NEAREST, FARTHEST, SAMPLES = 0.2, 0.8, 16
 """Part of a square's side, from the crossing, along which edges are measured; how many on each side."""
 REACH_SHARE = 0.2
-"""Of a square's side in pixels: how far from the expected place an edge may lie."""
+"""Share of a square's side in pixels: how far from the expected place an edge may lie."""
 MIN_SAMPLES = 6
 MIN_PAIRS = 3
 ROUNDS = 4
@@ -219,7 +219,7 @@ def _line(
     t: FloatArray,
     reach_px: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of the line along a board axis through each point (N, 3): normal (N, 2), shift along it, its variance.
+    """The line along a board axis through each point (N, 3): normal (N, 2), shift along it, its variance.
 
     t (T,) : mm from the point, on both sides, where edges are measured. NaN where too few are found.
     """

@@ -48,7 +48,7 @@ SILENT_SIGMAS = 4.0
 APART_MM = 0.3
 """Both ends of a break have one axis; taught from a poor pair, the circle lies beside it."""
 ROI_MARGIN = 0.06
-"""Of the part's half size in the picture: what a person leaves about it who draws a region."""
+"""Share of the part's half size in the picture: what a person leaves about it who draws a region."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def region_of(part: dict[str, Any], rig: PreparedRig) -> PolygonRegion:
 
 
 def taught_radius(job: Job, part: dict[str, Any]) -> float:
-    """Of the end of the reference's break that was taught: of the true circles there that of its size."""
+    """Radius of the reference at the end of its break that was taught: of the true circle of its size."""
     if not job.circles:
         return math.nan
     place = (job.rig_from_part @ np.append(job.reference_circle.centre_mm, 1.0))[:3]
@@ -183,7 +183,7 @@ def mirrored_rig(rig: StereoRig) -> StereoRig:
 
 
 def mirrored_part(part: dict[str, Any], rig: StereoRig) -> dict[str, Any]:
-    """The same part in the mirrored world; its own frame is mirrored, too."""
+    """This part in the mirrored world; its own frame is mirrored, too."""
     R, T = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
 
     def place(point: Any) -> Any:

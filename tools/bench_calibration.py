@@ -164,7 +164,7 @@ def rms(values: list[float]) -> float:
 
 
 def plain_marks(calibration: Calibration, pairs: list[ImagePair]) -> list[StereoView]:
-    """The same views as plain OpenCV would have them."""
+    """These views as plain OpenCV would have them."""
     views = [replace(fit.view, board=nominal(fit.view.board)) for fit in calibration.views]
     if not all(isinstance(view.board, Chessboard) for view in views):
         return views

@@ -57,9 +57,9 @@ Pair = tuple[Image, Image]
 LEVELS = 4
 LARGE = ((2448, 2048), (4096, 3000))
 PLACES_MM = ((-17.0, -15.0), (17.0, 15.0), (17.0, -15.0), (-17.0, 15.0))
-"""Of parts beside each other, all in view of both cameras."""
+"""Places of parts beside each other, all in view of both cameras."""
 MANY_MM = tuple((34.0 * x, 32.0 * y) for y in (0, -1, 1) for x in (-0.5, 0.5, -1.5, 1.5))
-"""Of a dozen in images of 5 megapixels."""
+"""Places of a dozen in images of 5 megapixels."""
 SCENES = 1000
 COUNTED = {
     "candidates followed": (search._Search, "_climb"),  # noqa: SLF001 - it is their work that is counted

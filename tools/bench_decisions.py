@@ -165,7 +165,7 @@ def jittered(rig: StereoRig, rng: np.random.Generator) -> StereoRig:
 
 
 def albedo_of(look: str) -> float:
-    """Of the part's face."""
+    """The albedo of the part's face."""
     return 0.34 if look == DARK else 0.62
 
 

@@ -40,7 +40,7 @@ POINTS_MM = np.array(
 
 
 class Clock:
-    """Of the stage: moves when it is told to."""
+    """The stage's clock, which moves when it is told to."""
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000_000
@@ -120,7 +120,7 @@ def outcome(views: list[StereoView]) -> Compared:
 
 
 def outcomes(guided: int, careful: int, noise_px: float, seed: int) -> tuple[Compared, Compared]:
-    """Of both, with the same seed."""
+    """Figures of both, with the same seed."""
     poses = calibration_poses(demo_rig(), stage_board(), careful, seed=seed)
     return (
         outcome(guided_views(guided, noise_px, seed)),

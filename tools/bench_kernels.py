@@ -95,14 +95,14 @@ def shortest_us(*works: Callable[[], object]) -> list[float]:
 
 @kernel("void(f8[:, ::1], f8[::1])")
 def medians(rows: FloatArray, found: FloatArray) -> None:
-    """Of each row, by counting."""
+    """The median of each row, by counting."""
     for n in range(len(rows)):
         found[n] = median(rows[n])
 
 
 @kernel("void(f8[:, ::1], f8[::1])")
 def numpy_medians(rows: FloatArray, found: FloatArray) -> None:
-    """Of each row, by the selection that numba has for np.median."""
+    """The median of each row, by the selection that numba has for np.median."""
     for n in range(len(rows)):
         found[n] = np.median(rows[n])
 

@@ -76,7 +76,7 @@ def some_rig(kind: str, seed: int) -> StereoRig:
 
 
 def some_lens(camera: CameraModel, kind: str, rng: np.random.Generator) -> CameraModel:
-    """Of a kind, otherwise at random."""
+    """A lens of a kind, otherwise at random."""
     focal = camera.fx * rng.uniform(0.97, 1.03)
     place = {"fx": focal, "fy": focal, "cx": 639.5 + rng.normal(0, 6), "cy": 479.5 + rng.normal(0, 6)}
     if kind == "division":
@@ -149,7 +149,7 @@ def choices(fits: dict[str, Fit]) -> dict[str, str]:
 
 
 def compared_rigs(kind: str, count: int, seed: int) -> dict[str, Compared]:
-    """Of one rig: what each way gives beside the truth. Raises `CalibrationError`, ValueError."""
+    """What each way gives of one rig beside the truth. Raises `CalibrationError`, ValueError."""
     truth, plate = some_rig(kind, seed), chessboard_plate(11, 8, 4.0)
     poses = list(calibration_poses(truth, plate, count, seed=seed))
     board = Chessboard(11, 8, 4.0)

@@ -150,7 +150,7 @@ async def bench_trigger(folder: Path, count: int) -> None:
 
 
 async def bench_full_house(folder: Path, count: int) -> None:
-    """The same beside a recorder, a viewer of the page, and eight clients that read all the time."""
+    """The times beside a recorder, a viewer of the page, and eight clients that read all the time."""
     cell, web_port = BenchCell(folder, mode="command"), free_port()
     with cell.config.open("a") as config:
         config.write(f'\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n\n[web]\nport = {web_port}\n')

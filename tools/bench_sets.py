@@ -43,7 +43,7 @@ from edged.vision.geometry.triangulation import triangulate_raw
 
 FOLDS = 10
 SIGMA_PX = 0.1
-"""Of every corner of OpenCV, which states none; all count alike."""
+"""Sigma of every corner of OpenCV, which states none; all count alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ SETS = (
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Of one calibration; NaN where there is none. verdict : what edged says of it, or why there is none."""
+    """One calibration; NaN where there is none. verdict : what edged says of it, or why there is none."""
 
     pairs: int
     rms_px: float

@@ -88,7 +88,7 @@ class SetupCell:
 
     @property
     def origin(self) -> str:
-        """Of its page."""
+        """The address of its page."""
         return f"http://127.0.0.1:{self.port}"
 
     @contextlib.asynccontextmanager

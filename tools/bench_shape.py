@@ -122,7 +122,7 @@ Find = Callable[[sc.Grey], list[Found]]
 
 
 def params_of(condition: Condition) -> SearchParams:
-    """The same for every condition but for the asked ranges."""
+    """What holds for every condition but for the asked ranges."""
     mode = "stretch" if condition.stretch else "similarity" if condition.scale != (1.0, 1.0) else "rigid"
     y_low, y_high = condition.stretch or (None, None)
     return SearchParams(

@@ -23,7 +23,7 @@ from benchcell import BenchCell, free_port
 from benching import bench_parser, finish
 
 LIMIT_MS = 2.0
-"""Of the 99th percentile, beside the cycle."""
+"""Limit of the 99th percentile, beside the cycle."""
 
 
 def locate_all(port: int, count: int, results: Queue[list[float]]) -> None:

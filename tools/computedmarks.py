@@ -15,7 +15,7 @@ from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.geometry.uncertainty import calibration_covariance
 
 STATED_SHARE = 0.6
-"""Of the noise of marks, that their own fits state; the rest is for the calibration to find."""
+"""Share of the noise of marks, that their own fits state; the rest is for the calibration to find."""
 
 
 def seen_by(

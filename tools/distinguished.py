@@ -92,7 +92,7 @@ class Design:
 
     @property
     def inner_radius_mm(self) -> float:
-        """Of the largest disc about the middle within the outline."""
+        """Radius of the largest disc about the middle within the outline."""
         match self.outline:
             case Disc():
                 return self.outline.radius_mm
@@ -108,7 +108,7 @@ class Design:
 
     @property
     def radius_mm(self) -> float:
-        """Of the smallest disc about the middle that holds the part."""
+        """Radius of the smallest disc about the middle that holds the part."""
         match self.outline:
             case Disc():
                 return self.outline.radius_mm
@@ -207,6 +207,6 @@ HELD_OUT = ("pinned cover", "keyed plate")
 
 
 def without_holes(part: Part) -> Part:
-    """The same silhouette, white and closed."""
+    """This silhouette, white and closed."""
     cuts = tuple(hole for hole in part.holes if hole.transmission == 1.0)
     return replace(part, surface=Surface(1.0), holes=cuts, marks=())

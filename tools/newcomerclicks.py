@@ -128,7 +128,7 @@ async def long(page: Browser, expression: str) -> None:
 
 
 async def check(page: Browser, ask: Ask) -> None:
-    """The same board once more, held still."""
+    """This board once more, held still."""
     await ask("PUT", "stage/hand", {})
     await ask("PUT", "stage", {"still": True})
     await go(page, "check")

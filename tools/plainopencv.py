@@ -26,7 +26,7 @@ BLUR_PX = 1.0
 STEP_PX = 0.25
 REACHES_PX = (4.0, 3.0, 3.0)
 MIN_SHARE = 0.3
-"""Of the median slope of the edge, below which a profile shows none."""
+"""Share of the median slope of the edge, below which a profile shows none."""
 TUKEY = 4.685
 ROUNDS = 12
 ROWS = 200
@@ -249,12 +249,12 @@ class Conic:
     spread: float = 0.0
 
     def distance(self, pixels: FloatArray) -> FloatArray:
-        """Of points (N, 2), px, to first order (Sampson)."""
+        """Distances of points (N, 2), px, to first order (Sampson)."""
         value, gradient = self.value(pixels)
         return np.asarray(np.abs(value) / gradient * self.scale)
 
     def value(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the equation at points (N, 2) px, and the length of its gradient there; not in px."""
+        """Value of the equation at points (N, 2) px, and the length of its gradient there; not in px."""
         x, y = ((pixels - self.middle) / self.scale).T
         a, b, c, d, e, _ = self.coefficients
         slope = np.hypot(2 * a * x + b * y + d, b * x + 2 * c * y + e)

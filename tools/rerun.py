@@ -56,7 +56,7 @@ ALONE = ("unshare", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up &
 SETTING_UP = ("==> ", "edged: compiling ")
 """What is said only where something had to be installed."""
 FINDING = re.compile(r"(?:ok|warn|bad|skip) +(?P<check>[^:]+):.*|\d+ checks, .*| +(?:then|help):.*")
-"""Of `edged doctor`, whose answers are the PC's: what was looked at is the same on each."""
+"""Lines of `edged doctor`, whose answers are the PC's: what was looked at is the same on each."""
 MASKS = (
     (re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d+"), "TIME"),
     (re.compile(r"(?<=cal-)[0-9a-f]{8}\b|\b[0-9a-f]{8}\b|\b[0-9a-f]{28,32}\b"), "ID"),

@@ -28,7 +28,7 @@ class Part:
 
     @property
     def radius(self) -> float:
-        """Of the farthest point from the origin."""
+        """Distance of the farthest point from the origin."""
         return max(float(np.linalg.norm(points, axis=1).max()) for points, _ in self.outlines)
 
 

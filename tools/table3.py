@@ -282,7 +282,7 @@ def report(rows: list[dict[str, Any]]) -> None:
 
 
 def report_silent(rows: list[dict[str, Any]], problems: int) -> None:
-    """Of the results that nothing speaks against, those that are wrong; on stderr, beside --json."""
+    """Results that are wrong though nothing speaks against them; on stderr, beside --json."""
     turned = [row for row in rows if abs(row["rotation_deg"]) > SILENT_DEG]
     placed = [row for row in rows if _is_off(row["error_mm"], row["sigma_mm"])]
     sized = [row for row in rows if _is_off([row["radius_error_mm"]], [row["sigma_radius_mm"]])]

@@ -17,7 +17,7 @@ from edged.setup.releases.archive import restore as put_back
 from edged.setup.releases.rights import rights_at, rights_in
 
 MAX_LINES = 50
-"""Of one kind: an archive may name very many."""
+"""The most lines of one kind: an archive may name very many."""
 
 
 def backup(config: Path, output: Path, console: Console, *, force: bool = False) -> int:

@@ -62,7 +62,7 @@ _ARGON2 = re.compile(
 )
 """An encoded hash: cost, salt of 8 to 64 bytes, hash of 16 to 64 (RFC 9106, 3.1 recommends 16 and 32)."""
 MAX_MEMORY_KIB, MAX_PASSES, MAX_LANES = 256 * 1024, 16, 4
-"""Of a hash that is computed here: one from elsewhere must not exhaust memory or processor."""
+"""The most that a hash computed here may cost: one from elsewhere must not exhaust memory or processor."""
 HASH_LEFT_OUT = "$argon2-left-out"
 """In place of a password's hash: a configuration that can be read, and a password that nothing fits."""
 

@@ -53,7 +53,7 @@ class FramePair:
 
     @classmethod
     def of_images(cls, left: Image, right: Image) -> Self:
-        """Of pictures (H, W) uint8 that no camera has just taken."""
+        """A pair of pictures (H, W) uint8 that no camera has just taken."""
         return cls(Frame("left", 0, left, 0, 0), Frame("right", 0, right, 0, 0))
 
     def side(self, side: Side) -> Frame:

@@ -19,9 +19,9 @@ class Stopwatch:
         self._last_s = now_s
 
     def stages_ms(self) -> dict[str, float]:
-        """Of each stage."""
+        """The time of each stage."""
         return dict(self._stages_ms)
 
     def timing_ms(self) -> dict[str, float]:
-        """Of each stage, and "total" until now."""
+        """The time of each stage, and "total" until now."""
         return {**self._stages_ms, "total": (time.perf_counter() - self._start_s) * 1e3}

@@ -18,10 +18,10 @@ from edged.identity.audit import AuditFile
 
 NUMBER, HASH = "EDGED_AUDIT", "EDGED_AUDIT_HASH"
 FIELDS = (NUMBER, HASH, "EDGED_CELL", "_UID", "_SYSTEMD_UNIT")
-"""Of an entry. Those with an underscore are journald's own, and nobody else can state them
+"""The fields of an entry. Those with an underscore are journald's own, and nobody else can state them
 (systemd.journal-fields(7))."""
 MAX_LINE_BYTES = 1 << 20
-"""Of an entry as JSON; a longer one is not the audit's."""
+"""The longest entry, as JSON; a longer line is not the audit's."""
 MOST_OTHERS = 1000
 """Entries that differ and are looked at again: fewer deeds are done while the journal is read."""
 

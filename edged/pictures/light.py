@@ -18,7 +18,6 @@ MOST_CLIPPED = 0.002
 BRIGHT_PERCENT = 99.5
 TARGET_GREY, LEAST_GREY = 200.0, 130.0
 """What the bright parts of a picture should have, and where advice begins."""
-MOST_DARK = 0.9
 LOUD_SHARE = 0.02
 """Noise of so much of the contrast costs more than light would."""
 BLOCK_PX = 32

@@ -14,7 +14,7 @@ EXPOSED_NS = 1_700_000_000_000_000_000
 
 
 def snapshot(latency_s: float) -> Snapshot:
-    """Of cycle 7, complete so long after its exposure by the wall clock."""
+    """A result of cycle 7, complete so long after its exposure by the wall clock."""
     published_ns = EXPOSED_NS + round(latency_s * 1e9)
     return dataclasses.replace(make_snapshot(7, exposed_ns=EXPOSED_NS), published_ns=published_ns)
 

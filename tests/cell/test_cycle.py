@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from helpers.scriptedhead import Ear, Head, held, locate_command, make_setup
+from helpers.scriptedhead import Ear, Head, held, locate_command, make_setup, running
 from helpers.snapshots import make_target, make_transform
 from helpers.waiting import LIMIT_S, until
 
@@ -42,13 +42,8 @@ def drive(setup: Setup, script, head: Head | None = None) -> tuple[Ear, Head]:
 
     async def main() -> None:
         cycle = Cycle(head, setup)
-        cycle.set_publishers([ear])
-        task = asyncio.create_task(cycle.run())
-        try:
+        async with running(cycle, ear):
             await script(cycle, ear, head)
-        finally:
-            cycle.stop()
-            await asyncio.wait_for(task, LIMIT_S)
 
     asyncio.run(main())
     return ear, head

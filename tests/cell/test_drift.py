@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import cells
-from helpers.scriptedhead import Ear, Head
+from helpers.scriptedhead import Ear, Head, running
 from helpers.snapshots import make_target
-from helpers.waiting import LIMIT_S, until
+from helpers.waiting import until
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
@@ -221,12 +221,9 @@ def test_a_wrong_calibration_takes_the_coordinates_away() -> None:
                 bits.append(cell.read(201, 1)[0])
 
     async def main() -> None:
-        plc, cycle = Plc(), Cycle(Head(), setup)
-        cycle.set_publishers([plc])
-        task = asyncio.create_task(cycle.run())
-        await until(lambda: len(plc.snapshots()) >= 8)
-        cycle.stop()
-        await asyncio.wait_for(task, LIMIT_S)
+        plc = Plc()
+        async with running(Cycle(Head(), setup), plc):
+            await until(lambda: len(plc.snapshots()) >= 8)
         assert [one.status for one in plc.snapshots()[:8]] == [Status.OK] * 4 + [Status.LOW_QUALITY] * 4
 
     asyncio.run(main())

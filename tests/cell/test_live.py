@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from helpers.scriptedhead import Head, make_setup
+from helpers.scriptedhead import Head, make_setup, running
 from helpers.waiting import WHOLE_S, until
 
 from edged.cell.cycle import Cycle
@@ -39,15 +39,10 @@ def play(test: Callable[[Scene], Awaitable[None]], monkeypatch: pytest.MonkeyPat
     async def main() -> None:
         head = Head()
         cycle = Cycle(head, make_setup())
-        task = asyncio.create_task(cycle.run())
-        try:
-            async with asyncio.timeout(WHOLE_S):
-                scene = Scene(cycle, head, await cycle.session.enter_setup("Anna"))
-                await test(scene)
-                await scene.live.close()
-        finally:
-            cycle.stop()
-            await task
+        async with running(cycle), asyncio.timeout(WHOLE_S):
+            scene = Scene(cycle, head, await cycle.session.enter_setup("Anna"))
+            await test(scene)
+            await scene.live.close()
 
     asyncio.run(main())
 

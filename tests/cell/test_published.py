@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.cells import flange, frame_pair, pictures, pose, scene
-from helpers.scriptedhead import Ear, Head
+from helpers.scriptedhead import Ear, Head, running
 from helpers.snapshots import make_snapshot, make_transform
-from helpers.waiting import LIMIT_S, until
+from helpers.waiting import until
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -100,14 +100,8 @@ def published(shown: list[str]) -> _Recalling:
     ear = _Recalling()
 
     async def main() -> None:
-        cycle = Cycle(_Pictures(shown), setup)
-        cycle.set_publishers([ear])
-        task = asyncio.create_task(cycle.run())
-        try:
+        async with running(Cycle(_Pictures(shown), setup), ear):
             await until(lambda: len(ear.snapshots()) >= len(shown))
-        finally:
-            cycle.stop()
-            await asyncio.wait_for(task, LIMIT_S)
 
     asyncio.run(main())
     return ear

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.scriptedhead import Ear, Head, make_setup
-from helpers.waiting import LIMIT_S, until
+from helpers.scriptedhead import Ear, Head, make_setup, running
+from helpers.waiting import until
 
 from edged.cell import registering
 from edged.cell.cycle import Cycle
@@ -92,14 +92,9 @@ def drive(script: Script, setup: Setup | None = None, registrar: Registrar | Non
 
     async def main() -> None:
         cycle = Cycle(head, setup or make_setup(), registrar=registrar)
-        cycle.set_publishers([ear])
-        task = asyncio.create_task(cycle.run())
-        try:
+        async with running(cycle, ear):
             await until(lambda: ear.state() is CellPhase.READY)
             await script(Program(cycle, ear), registrar, head)
-        finally:
-            cycle.stop()
-            await asyncio.wait_for(task, LIMIT_S)
 
     asyncio.run(main())
     return ear

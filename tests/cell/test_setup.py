@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers.scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup
-from helpers.waiting import LIMIT_S, until
+from helpers.scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup, running
+from helpers.waiting import until
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -31,13 +31,8 @@ def drive(setup: Setup, script, head: Head | None = None, note: SetupNote | None
 
     async def main() -> None:
         cycle = Cycle(head, setup, notebook=note)
-        cycle.set_publishers([ear])
-        task = asyncio.create_task(cycle.run())
-        try:
+        async with running(cycle, ear):
             await script(cycle, ear, head)
-        finally:
-            cycle.stop()
-            await asyncio.wait_for(task, LIMIT_S)
 
     asyncio.run(main())
     return ear

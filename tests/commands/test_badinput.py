@@ -62,9 +62,40 @@ CONTOUR = "teach --rig rig.json --contour part.csv --depth 205 --name new -o new
 TOUCH = "register touch --rig rig.json --points touched.csv -o new.json"
 BOARD = "calibrate boards --board {} -o new.json"
 JOB = "jobs/flange/job.toml"
+KINDS = """chessboard:COLSxROWS:SQUARE_MM (inner corners), e.g. chessboard:11x8:4.0
+dots:COLSxROWS:PITCH_MM[:DIAMETER_MM] (diameter half the pitch if not given), e.g. dots:7x7:5.0
+circles:COLSxROWS:PITCH_MM[:DIAMETER_MM] (asymmetric, in OpenCV's terms: circles in a row x rows, \
+pitch from row to row; diameter half the pitch if not given), e.g. circles:4x11:5.0
+charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY (squares), e.g. charuco:12x9:4:3:5X5_250"""
 HEAD = "0\nSECTION\n2\nHEADER\n9\n$INSUNITS\n70\n{}\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n"
 CIRCLE = "0\nCIRCLE\n8\n0\n10\n0\n20\n0\n30\n0\n40\n14\n"
 END = "0\nENDSEC\n0\nEOF\n"
+
+
+def cell(old: str, new: str, message: str) -> Bad:
+    """One wrong line of cell.toml."""
+    return Bad(CHECK, f"edged: cell.toml: 1 problem\n{message}", {"cell.toml": (old, new)})
+
+
+def board(spec: str, message: str) -> Bad:
+    """A board that cannot be."""
+    return Bad(BOARD.format(spec), f"edged: {message}", {"boards": folder})
+
+
+def region(spec: str, message: str) -> Bad:
+    """A region of the left picture."""
+    return Bad(f"{TEACH} --region {spec}", f"edged: {message}")
+
+
+def drawn(unit: int, message: str, command: str = DXF) -> Bad:
+    """A drawing of a circle, $INSUNITS as in DXF."""
+    return Bad(command, f"edged: {message}", {"part.dxf": HEAD.format(unit) + CIRCLE + END})
+
+
+def touched(points: str, message: str) -> Bad:
+    """A table of touched points."""
+    return Bad(TOUCH, f"edged: {message}", {"touched.csv": points})
+
 
 CASES: dict[str, Bad] = {
     # --- cell.toml ---
@@ -72,11 +103,8 @@ CASES: dict[str, Bad] = {
         "check none.toml", "edged: none.toml: 1 problem\ncannot be read: No such file or directory"
     ),
     "a folder as configuration": Bad("check jobs", "edged: jobs: 1 problem\ncannot be read: Is a directory"),
-    "not TOML": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\n"
-        "line 2: not TOML: Expected ']' at the end of a table declaration, got '[cell'",
-        {"cell.toml": ("[cell]", "[cell")},
+    "not TOML": cell(
+        "[cell]", "[cell", "line 2: not TOML: Expected ']' at the end of a table declaration, got '[cell'"
     ),
     "Latin-1": Bad(
         CHECK,
@@ -84,69 +112,43 @@ CASES: dict[str, Bad] = {
         {"cell.toml": "# Zelle für Flansche\n".encode("latin-1")},
     ),
     "empty": Bad(CHECK, "edged: cell.toml: 2 problems\ncell: missing\ncameras: missing", {"cell.toml": ""}),
-    "misspelt key": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\ncycle.periods: unknown key, did you mean period_s?",
-        {"cell.toml": ("period_s", "periods")},
+    "misspelt key": cell("period_s", "periods", "cycle.periods: unknown key, did you mean period_s?"),
+    "misspelt section": cell("[modbus]", "[modbuss]", "modbuss: unknown key, did you mean modbus?"),
+    "text for a number": cell(
+        "period_s = 0.25", 'period_s = "0.25"', "cycle.period_s: expected a number, got '0.25'"
     ),
-    "misspelt section": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\nmodbuss: unknown key, did you mean modbus?",
-        {"cell.toml": ("[modbus]", "[modbuss]")},
+    "decimal comma": cell(
+        "period_s = 0.25",
+        "period_s = 0,25",
+        "line 10: not TOML: Expected newline or end of document after a statement, got 'period_s = 0,25'",
     ),
-    "text for a number": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\ncycle.period_s: expected a number, got '0.25'",
-        {"cell.toml": ("period_s = 0.25", 'period_s = "0.25"')},
+    "negative": cell("period_s = 0.25", "period_s = -1", "cycle.period_s: expected at least 0, got -1"),
+    "port too large": cell("port = 1502", "port = 70000", "modbus.port: expected at most 65535, got 70000"),
+    "unknown mode": cell(
+        'mode = "free"',
+        'mode = "continuous"',
+        "cycle.mode: expected 'free', 'command' or 'external', got 'continuous'",
     ),
-    "decimal comma": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\n"
-        "line 10: not TOML: Expected newline or end of document after a statement, got 'period_s = "
-        "0,25'",
-        {"cell.toml": ("period_s = 0.25", "period_s = 0,25")},
+    "blanks in the name": cell(
+        'name = "demo"',
+        'name = "cell one"',
+        "cell.name: expected 1 to 64 letters, digits, '_', '.' and '-', a letter or digit first, got "
+        "'cell one'",
     ),
-    "negative": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\ncycle.period_s: expected at least 0, got -1",
-        {"cell.toml": ("period_s = 0.25", "period_s = -1")},
+    "one port twice": cell(
+        "port = 1502", "port = 7447", "(file): modbus.port and zenoh.listen are both 7447"
     ),
-    "port too large": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\nmodbus.port: expected at most 65535, got 70000",
-        {"cell.toml": ("port = 1502", "port = 70000")},
+    "endpoint without protocol": cell(
+        "tcp/127.0.0.1:7447",
+        "127.0.0.1:7447",
+        "zenoh.listen.0: expected PROTOCOL/ADDRESS, for example tcp/192.168.10.20:7447, got '127.0.0.1:7447'",
     ),
-    "unknown mode": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\ncycle.mode: expected 'free', 'command' or 'external', got 'continuous'",
-        {"cell.toml": ('mode = "free"', 'mode = "continuous"')},
-    ),
-    "blanks in the name": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\n"
-        "cell.name: expected 1 to 64 letters, digits, '_', '.' and '-', a letter or digit first, "
-        "got 'cell one'",
-        {"cell.toml": ('name = "demo"', 'name = "cell one"')},
-    ),
-    "one port twice": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\n(file): modbus.port and zenoh.listen are both 7447",
-        {"cell.toml": ("port = 1502", "port = 7447")},
-    ),
-    "endpoint without protocol": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\n"
-        "zenoh.listen.0: expected PROTOCOL/ADDRESS, for example tcp/192.168.10.20:7447, got "
-        "'127.0.0.1:7447'",
-        {"cell.toml": ("tcp/127.0.0.1:7447", "127.0.0.1:7447")},
-    ),
-    "open to the network": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\n"
+    "open to the network": cell(
+        "tcp/127.0.0.1:7447",
+        "tcp/0.0.0.0:7447",
         "zenoh: listen: over tcp/0.0.0.0:7447 other machines could trigger and change the job: set "
         "zenoh.config_file with mutual TLS or access control (config/zenoh-acl-example.json5), or "
         'zenoh.commands = "refused" for readers only, or "anyone" where everybody there may',
-        {"cell.toml": ("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7447")},
     ),
     "shared key that can be guessed": Bad(
         CHECK,
@@ -157,41 +159,32 @@ CASES: dict[str, Bad] = {
             "zenoh.key": b"secret\n",
         },
     ),
-    "page without password": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\n"
-        "web: host '0.0.0.0' can be reached from other machines: password_hash is missing (`edged "
-        "password`)",
-        {"cell.toml": ("[modbus]", '[web]\nhost = "0.0.0.0"\n[modbus]')},
+    "page without password": cell(
+        "[modbus]",
+        '[web]\nhost = "0.0.0.0"\n[modbus]',
+        "web: host '0.0.0.0' can be reached from other machines: password_hash is missing (`edged password`)",
     ),
-    "host with http": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\n"
-        'web.host: expected an address, for example "0.0.0.0" or "localhost", got '
-        "'http://127.0.0.1'",
-        {"cell.toml": ("[modbus]", '[web]\nhost = "http://127.0.0.1"\n[modbus]')},
+    "host with http": cell(
+        "[modbus]",
+        '[web]\nhost = "http://127.0.0.1"\n[modbus]',
+        'web.host: expected an address, for example "0.0.0.0" or "localhost", got \'http://127.0.0.1\'',
     ),
-    "cameras without address": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\n"
+    "cameras without address": cell(
+        '"virtual-inprocess"',
+        '"aravis"',
         'cameras: source "aravis" needs left.device and right.device (serial number or IP)',
-        {"cell.toml": ('"virtual-inprocess"', '"aravis"')},
     ),
-    "replay without folder": Bad(
-        CHECK,
-        'edged: cell.toml: 1 problem\ncameras: source "replay" needs `folder`',
-        {"cell.toml": ('"virtual-inprocess"', '"replay"')},
+    "replay without folder": cell(
+        '"virtual-inprocess"', '"replay"', 'cameras: source "replay" needs `folder`'
     ),
-    "job that is not there": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\ncell.job: no usable job 'flnge' in ~/jobs (there: flange)",
-        {"cell.toml": ('job = "flange"', 'job = "flnge"')},
+    "job that is not there": cell(
+        'job = "flange"', 'job = "flnge"', "cell.job: no usable job 'flnge' in ~/jobs (there: flange)"
     ),
-    "rig that is not there": Bad(
-        CHECK,
-        "edged: cell.toml: 1 problem\ncell.rig: ~/rigs.json: cannot read a rig: No such file or directory\n"
-        "nothing else is wrong: the daemon would start, in SETUP, and measure nothing",
-        {"cell.toml": ('"rig.json"', '"rigs.json"')},
+    "rig that is not there": cell(
+        '"rig.json"',
+        '"rigs.json"',
+        "cell.rig: ~/rigs.json: cannot read a rig: No such file or directory\nnothing else is wrong: the "
+        "daemon would start, in SETUP, and measure nothing",
     ),
     "jobs that are not there": Bad(
         CHECK,
@@ -286,55 +279,34 @@ CASES: dict[str, Bad] = {
         1,
     ),
     # --- boards ---
-    "board: no kind": Bad(
-        BOARD.format("11x8:4.0"),
-        "edged: board '11x8:4.0': '11x8' is not a kind of board; expected one of\n"
-        "chessboard:COLSxROWS:SQUARE_MM (inner corners), e.g. chessboard:11x8:4.0\n"
-        "dots:COLSxROWS:PITCH_MM[:DIAMETER_MM] (diameter half the pitch if not given), e.g. "
-        "dots:7x7:5.0\n"
-        "circles:COLSxROWS:PITCH_MM[:DIAMETER_MM] (asymmetric, in OpenCV's terms: circles in a row "
-        "x rows, pitch from row to row; diameter half the pitch if not given), e.g. "
-        "circles:4x11:5.0\n"
-        "charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY (squares), e.g. charuco:12x9:4:3:5X5_250",
-        {"boards": folder},
+    "board: no kind": board(
+        "11x8:4.0",
+        "board '11x8:4.0': '11x8' is not a kind of board; expected one of\n" + KINDS,
     ),
-    "board: unknown kind": Bad(
-        BOARD.format("checker:11x8:4.0"),
-        "edged: board 'checker:11x8:4.0': 'checker' is not a kind of board; expected one of\n"
-        "chessboard:COLSxROWS:SQUARE_MM (inner corners), e.g. chessboard:11x8:4.0\n"
-        "dots:COLSxROWS:PITCH_MM[:DIAMETER_MM] (diameter half the pitch if not given), e.g. "
-        "dots:7x7:5.0\n"
-        "circles:COLSxROWS:PITCH_MM[:DIAMETER_MM] (asymmetric, in OpenCV's terms: circles in a row "
-        "x rows, pitch from row to row; diameter half the pitch if not given), e.g. "
-        "circles:4x11:5.0\n"
-        "charuco:COLSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY (squares), e.g. charuco:12x9:4:3:5X5_250",
-        {"boards": folder},
+    "board: unknown kind": board(
+        "checker:11x8:4.0",
+        "board 'checker:11x8:4.0': 'checker' is not a kind of board; expected one of\n" + KINDS,
     ),
-    "board: no square": Bad(
-        BOARD.format("chessboard:11x8"),
-        "edged: board 'chessboard:11x8': 1 value after the kind, expected "
+    "board: no square": board(
+        "chessboard:11x8",
+        "board 'chessboard:11x8': 1 value after the kind, expected chessboard:COLSxROWS:SQUARE_MM (inner "
+        "corners), e.g. chessboard:11x8:4.0",
+    ),
+    "board: one row": board(
+        "chessboard:11x1:4", "board 'chessboard:11x1:4': 11x1: columns and rows must be 3 to 100"
+    ),
+    "board: unit": board(
+        "chessboard:11x8:4mm",
+        "board 'chessboard:11x8:4mm': square '4mm' is not a length in mm (0.001 to 10000); expected "
         "chessboard:COLSxROWS:SQUARE_MM (inner corners), e.g. chessboard:11x8:4.0",
-        {"boards": folder},
-    ),
-    "board: one row": Bad(
-        BOARD.format("chessboard:11x1:4"),
-        "edged: board 'chessboard:11x1:4': 11x1: columns and rows must be 3 to 100",
-        {"boards": folder},
-    ),
-    "board: unit": Bad(
-        BOARD.format("chessboard:11x8:4mm"),
-        "edged: board 'chessboard:11x8:4mm': square '4mm' is not a length in mm (0.001 to 10000); "
-        "expected chessboard:COLSxROWS:SQUARE_MM (inner corners), e.g. chessboard:11x8:4.0",
-        {"boards": folder},
     ),
     "board: no folder": Bad(
         BOARD.format("chessboard:11x8:4"),
         "edged: boards: not a folder; expected pairs NAME_left.png and NAME_right.png",
     ),
-    "board: no pictures": Bad(
-        BOARD.format("chessboard:11x8:4"),
-        "edged: boards: no pictures NAME_left.* and NAME_right.* (png, jpg, jpeg, bmp, tif, tiff)",
-        {"boards": folder},
+    "board: no pictures": board(
+        "chessboard:11x8:4",
+        "boards: no pictures NAME_left.* and NAME_right.* (png, jpg, jpeg, bmp, tif, tiff)",
     ),
     "board: half a pair": Bad(
         BOARD.format("chessboard:11x8:4"),
@@ -358,32 +330,30 @@ CASES: dict[str, Bad] = {
         },
     ),
     # --- regions ---
-    "region: three numbers": Bad(
-        f"{TEACH} --region 10,10,100",
-        "edged: --region '10,10,100': expected X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or "
+    "region: three numbers": region(
+        "10,10,100",
+        "--region '10,10,100': expected X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png, "
+        "in pixels of the left image",
+    ),
+    "region: outside": region(
+        "9000,10,100,100",
+        "region: outside the 640x480 image, or empty; expected at least 16 px of the left image",
+    ),
+    "region: no width": region(
+        "10,10,0,100",
+        "region (10.0, 10.0, 0.0, 100.0): expected X,Y,W,H with a width and height of at least 16 px",
+    ),
+    "region: unknown form": region(
+        "square:1,2,3",
+        "--region 'square:1,2,3': expected X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or "
         "mask:FILE.png, in pixels of the left image",
     ),
-    "region: outside": Bad(
-        f"{TEACH} --region 9000,10,100,100",
-        "edged: region: outside the 640x480 image, or empty; expected at least 16 px of the left image",
-    ),
-    "region: no width": Bad(
-        f"{TEACH} --region 10,10,0,100",
-        "edged: region (10.0, 10.0, 0.0, 100.0): expected X,Y,W,H with a width and height of at least 16 px",
-    ),
-    "region: unknown form": Bad(
-        f"{TEACH} --region square:1,2,3",
-        "edged: --region 'square:1,2,3': expected X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or "
-        "mask:FILE.png, in pixels of the left image",
-    ),
-    "region: polygon of two": Bad(
-        f"{TEACH} --region polygon:1,1;2,2", "edged: region polygon: expected 3 to 1000 corners X,Y"
-    ),
-    "region: no mask": Bad(f"{TEACH} --region mask:none.png", "edged: none.png: no such file"),
-    "region: nothing in it": Bad(
-        f"{TEACH} --region 1,1,40,40",
-        "edged: 1 circle(s) found in the left image, but none of them in the right one; is the part"
-        " seen by both cameras, and does the rig belong to these images?",
+    "region: polygon of two": region("polygon:1,1;2,2", "region polygon: expected 3 to 1000 corners X,Y"),
+    "region: no mask": region("mask:none.png", "none.png: no such file"),
+    "region: nothing in it": region(
+        "1,1,40,40",
+        "1 circle(s) found in the left image, but none of them in the right one; is the part seen by "
+        "both cameras, and does the rig belong to these images?",
     ),
     "region: contrast": Bad(
         f"{TEACH} --contrast 40,10", "edged: contrast_low 40: expected at most contrast_high, 10"
@@ -399,36 +369,25 @@ CASES: dict[str, Bad] = {
         "edged: part.dxf: not a DXF drawing that can be read: File 'part.dxf' is not a DXF file.",
         {"part.dxf": "a flange"},
     ),
-    "dxf: no unit": Bad(
-        DXF,
-        "edged: part.dxf: the drawing does not say its unit ($INSUNITS is 0); state it (mm, cm, m, in)",
-        {"part.dxf": HEAD.format(0) + CIRCLE + END},
+    "dxf: no unit": drawn(
+        0, "part.dxf: the drawing does not say its unit ($INSUNITS is 0); state it (mm, cm, m, in)"
     ),
-    "dxf: unknown unit": Bad(
-        f"{DXF} --unit ft",
-        "edged: part.dxf: unit 'ft': expected one of mm, cm, m, in",
-        {"part.dxf": HEAD.format(4) + CIRCLE + END},
-    ),
-    "dxf: no layer": Bad(
-        f"{DXF} --layer PART",
-        "edged: part.dxf: no layer 'PART', there are '0', 'Defpoints'",
-        {"part.dxf": HEAD.format(4) + CIRCLE + END},
-    ),
+    "dxf: unknown unit": drawn(4, "part.dxf: unit 'ft': expected one of mm, cm, m, in", f"{DXF} --unit ft"),
+    "dxf: no layer": drawn(4, "part.dxf: no layer 'PART', there are '0', 'Defpoints'", f"{DXF} --layer PART"),
     "dxf: nothing drawn": Bad(
         DXF,
         "edged: part.dxf: no closed outline in it; expected lines, arcs, circles or polylines",
         {"part.dxf": HEAD.format(4) + END},
     ),
-    "dxf: metres": Bad(
-        DXF,
-        "edged: the part does not fit the image at this distance: 21171841x135472511 px with its "
-        "margin, of 816x464; are unit and distance right?",
-        {"part.dxf": HEAD.format(6) + CIRCLE + END},
+    "dxf: metres": drawn(
+        6,
+        "the part does not fit the image at this distance: 21171841x135472511 px with its margin, of "
+        "816x464; are unit and distance right?",
     ),
-    "dxf: no depth": Bad(
+    "dxf: no depth": drawn(
+        4,
+        "teach: --depth missing: the nominal distance of the drawn face, in mm",
         DXF.replace(" --depth 205", ""),
-        "edged: teach: --depth missing: the nominal distance of the drawn face, in mm",
-        {"part.dxf": HEAD.format(4) + CIRCLE + END},
     ),
     "contour: words": Bad(
         CONTOUR,
@@ -437,41 +396,32 @@ CASES: dict[str, Bad] = {
     ),
     # --- registration ---
     "touched: none": Bad(TOUCH, "edged: touched.csv: cannot read a table: No such file or directory"),
-    "touched: empty": Bad(
-        TOUCH, "edged: touched.csv: empty: no line with numbers in it", {"touched.csv": ""}
+    "touched: empty": touched("", "touched.csv: empty: no line with numbers in it"),
+    "touched: two numbers": touched(
+        "a.json, 1, 2\n",
+        "touched.csv: line 1: expected rig x,y,z and robot x,y,z, or FILE.json and robot x,y,z, in mm; "
+        "got 3 values",
     ),
-    "touched: two numbers": Bad(
-        TOUCH,
-        "edged: touched.csv: line 1: expected rig x,y,z and robot x,y,z, or FILE.json and robot "
-        "x,y,z, in mm; got 3 values",
-        {"touched.csv": "a.json, 1, 2\n"},
+    "touched: no result": touched(
+        "a.json, 1, 2, 3\nb.json, 4, 5, 6\nc.json, 7, 8, 9\n",
+        "a.json: cannot read a result of edged locate --json: No such file or directory",
     ),
-    "touched: no result": Bad(
-        TOUCH,
-        "edged: a.json: cannot read a result of edged locate --json: No such file or directory",
-        {"touched.csv": "a.json, 1, 2, 3\nb.json, 4, 5, 6\nc.json, 7, 8, 9\n"},
+    "touched: two points": touched(
+        "0,0,200, 1,2,3\n10,0,200, 11,2,3\n",
+        "registration needs three or more points in both frames, got 2 and 2",
     ),
-    "touched: two points": Bad(
-        TOUCH,
-        "edged: registration needs three or more points in both frames, got 2 and 2",
-        {"touched.csv": "0,0,200, 1,2,3\n10,0,200, 11,2,3\n"},
+    "touched: on one line": touched(
+        "0,0,200, 1,2,3\n10,0,200, 11,2,3\n20,0,200, 21,2,3\n",
+        "the points lie on one line in the rig's frame: the rotation about it stays open; touch a point "
+        "beside it",
     ),
-    "touched: on one line": Bad(
-        TOUCH,
-        "edged: the points lie on one line in the rig's frame: the rotation about it stays open; "
-        "touch a point beside it",
-        {"touched.csv": "0,0,200, 1,2,3\n10,0,200, 11,2,3\n20,0,200, 21,2,3\n"},
+    "touched: metres": touched(
+        "0,0,200, 0,0,.2\n100,0,200, .1,0,.2\n0,100,200, 0,.1,.2\n90,90,200, .09,.09,.2\n",
+        "the robot's lengths are 0.001 times the rig's: they look like m, expected mm",
     ),
-    "touched: metres": Bad(
-        TOUCH,
-        "edged: the robot's lengths are 0.001 times the rig's: they look like m, expected mm",
-        {"touched.csv": "0,0,200, 0,0,.2\n100,0,200, .1,0,.2\n0,100,200, 0,.1,.2\n90,90,200, .09,.09,.2\n"},
-    ),
-    "touched: mirrored": Bad(
-        TOUCH,
-        "edged: the robot's points are a mirror image of the rig's: one axis has the wrong sign, or two "
-        "are swapped",
-        {"touched.csv": "0,0,0, 0,0,0\n100,0,0, -100,0,0\n0,100,0, 0,100,0\n0,0,100, 0,0,100\n"},
+    "touched: mirrored": touched(
+        "0,0,0, 0,0,0\n100,0,0, -100,0,0\n0,100,0, 0,100,0\n0,0,100, 0,0,100\n",
+        "the robot's points are a mirror image of the rig's: one axis has the wrong sign, or two are swapped",
     ),
     # --- recordings, backups ---
     "recording: none": Bad("replay none.zip", "edged: none.zip: no such file or folder"),

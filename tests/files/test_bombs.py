@@ -240,7 +240,7 @@ def test_a_bomb_is_refused_before_it_unpacks(name: str, expected: str, outcomes:
 def test_the_size_of_a_picture_is_known_without_it(
     suffix: str, shape: tuple[int, ...], kind: type[np.uint8 | np.uint16]
 ) -> None:
-    """Of all that OpenCV writes, and never fewer bytes than it then unpacks to."""
+    """Right for all that OpenCV writes, and never fewer bytes than it then unpacks to."""
     if suffix in (".pgm", ".ppm"):  # one is grey, the other has no transparency
         shape = (7, 11) if suffix == ".pgm" else (7, 11, 3)
     written, data = cv2.imencode(suffix, np.ones(shape, kind))

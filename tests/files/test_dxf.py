@@ -145,7 +145,7 @@ def polygon(corners: int, radius: float, x: float = 0.0) -> list[Line]:
 
 
 def polygon_area(corners: int, radius: float) -> float:
-    """Of a regular polygon."""
+    """The area of a regular polygon."""
     return 0.5 * corners * radius**2 * np.sin(2 * np.pi / corners)
 
 

@@ -90,7 +90,7 @@ def test_straight_edges_are_those_of_the_design(part: str, count: int) -> None:
 
 
 def test_the_outside_of_an_edge_is_known() -> None:
-    """Of a convex outline it points away from the middle."""
+    """The normal of a convex outline points away from the middle."""
     sides = [e for e in from_above(DATA / "D3.step").edges if abs(e.start_mm[0] + e.end_mm[0]) > 28.9]
     assert 2 == len(sides)
     for edge in sides:
@@ -112,7 +112,7 @@ def test_the_underside_shows_its_own_edges() -> None:
 
 @pytest.mark.slow
 def test_inches_are_read_as_millimetres(tmp_path: Path) -> None:
-    """The same numbers in inches are a part 25.4 times as large."""
+    """Numbers in inches are a part 25.4 times as large."""
     text = text_of("D3")
     assert MILLIMETRE in text
     inches = from_above(saved(tmp_path, text.replace(MILLIMETRE, INCH)))

@@ -5,16 +5,19 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 
 import numpy as np
 
+from edged.cell.cycle import Cycle
 from edged.cell.loaded import LoadedJob, Setup
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Command, CommandFailed, CommandKind, Event, JobChanged, Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Outcome, Status
 from edged.errors import FrameTimeout
+from edged.ports import Publisher
 from helpers.waiting import LIMIT_S
 
 
@@ -104,3 +107,15 @@ def held() -> tuple[threading.Event, Callable[[FramePair, Callable[[str], None]]
         return Outcome(Status.NO_TARGET)
 
     return release, slow
+
+
+@asynccontextmanager
+async def running(cycle: Cycle, *publishers: Publisher) -> AsyncIterator[None]:
+    """The cycle runs, and tells these, until the block ends."""
+    cycle.set_publishers(publishers)
+    task = asyncio.create_task(cycle.run())
+    try:
+        yield
+    finally:
+        cycle.stop()
+        await asyncio.wait_for(task, LIMIT_S)

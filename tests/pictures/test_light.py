@@ -84,7 +84,7 @@ def test_gain_that_is_only_noise_is_told(cell: VirtualCell) -> None:
 
 
 def test_shares_are_counted() -> None:
-    """Of all pixels; clipped is white, dark is what the sensor hardly tells from nothing."""
+    """Shares of all pixels; clipped is white, dark is what the sensor hardly tells from nothing."""
     image = np.full((100, 100), 90, np.uint8)
     image[:10] = 255
     image[10:40] = 5

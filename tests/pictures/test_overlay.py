@@ -66,7 +66,7 @@ def count(picture: Image, colour: tuple[int, ...]) -> int:
 
 
 def with_reject(inspection: PairInspection, reject: Reject) -> PairInspection:
-    """The same parts, refused for a reason."""
+    """These parts, refused for a reason."""
     measured = tuple(replace(one, target=replace(one.target, reject=reject)) for one in inspection.measured)
     return replace(inspection, measured=measured)
 
@@ -155,7 +155,7 @@ def test_residuals_are_edge_minus_projected_curve() -> None:
 
 
 def test_the_magnification_is_one_two_or_five_and_keeps_whiskers_short() -> None:
-    """Of residuals between 0.001 and 10 px, drawn at any scale, 19 of 20 stay within the longest whisker."""
+    """19 of 20 residuals between 0.001 and 10 px, drawn at any scale, stay within the longest whisker."""
     rng = np.random.default_rng(1)
     for sigma_px in np.geomspace(0.003, 3, 12):
         for scale in (0.5, 1.0, 3.0):

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.cells import small_rig
-from helpers.scriptedhead import Ear, Head
+from helpers.scriptedhead import Ear, Head, running
 from helpers.snapshots import make_target, make_transform
-from helpers.waiting import LIMIT_S, until
+from helpers.waiting import until
 
 from edged.adapters.modbus.cell import CellRegisters
 from edged.adapters.modbus.settings import ModbusSettings
@@ -95,20 +95,17 @@ def test_a_plc_that_says_where_the_flange_is_gets_robot_coordinates(convention: 
     async def main() -> None:
         cycle = Cycle(Head(), setup())
         plc = Plc(cycle, convention)
-        cycle.set_publishers([plc])
-        task = asyncio.create_task(cycle.run())
-        await until(lambda: plc.state() is CellPhase.READY)
-        for sequence, flange in enumerate(flanges, 1):
-            write_command(plc.cell, sequence, flange, convention)
-            await until(lambda n=sequence: plc.status()["DONE_SEQ"] == n)
-            shown = plc.result()
-            truth = flange @ FLANGE_FROM_RIG @ make_target().rig_from_part
-            # registers hold 0.001°, which is 0.009 mm at half a metre from the flange
-            assert [shown[axis] / 1000 for axis in "XYZ"] == pytest.approx(truth[:3, 3], abs=0.005)
-            assert int(shown["FLAGS"]) & reg.Flag.ROBOT_FRAME
-            assert int(shown["FLAGS"]) & reg.Flag.VALID
-        cycle.stop()
-        await asyncio.wait_for(task, LIMIT_S)
+        async with running(cycle, plc):
+            await until(lambda: plc.state() is CellPhase.READY)
+            for sequence, flange in enumerate(flanges, 1):
+                write_command(plc.cell, sequence, flange, convention)
+                await until(lambda n=sequence: plc.status()["DONE_SEQ"] == n)
+                shown = plc.result()
+                truth = flange @ FLANGE_FROM_RIG @ make_target().rig_from_part
+                # registers hold 0.001°, which is 0.009 mm at half a metre from the flange
+                assert [shown[axis] / 1000 for axis in "XYZ"] == pytest.approx(truth[:3, 3], abs=0.005)
+                assert int(shown["FLAGS"]) & reg.Flag.ROBOT_FRAME
+                assert int(shown["FLAGS"]) & reg.Flag.VALID
 
     asyncio.run(main())
 
@@ -119,21 +116,20 @@ def test_a_command_without_the_flange_is_refused_and_an_old_pose_is_not_used() -
     async def main() -> None:
         cycle = Cycle(Head(), setup())
         plc = Plc(cycle, Convention.KUKA_ABC)
-        cycle.set_publishers([plc])
-        task = asyncio.create_task(cycle.run())
-        await until(lambda: plc.state() is CellPhase.READY)
-        write_command(plc.cell, 1, make_transform((0.1, 2.0, 0.0), (500.0, 0.0, 700.0)), Convention.KUKA_ABC)
-        await until(lambda: plc.status()["DONE_SEQ"] == 1)
-        assert set(plc.cell.read(reg.ADDRESS["FLANGE_X"], 12)) == {0}
+        async with running(cycle, plc):
+            await until(lambda: plc.state() is CellPhase.READY)
+            write_command(
+                plc.cell, 1, make_transform((0.1, 2.0, 0.0), (500.0, 0.0, 700.0)), Convention.KUKA_ABC
+            )
+            await until(lambda: plc.status()["DONE_SEQ"] == 1)
+            assert set(plc.cell.read(reg.ADDRESS["FLANGE_X"], 12)) == {0}
 
-        plc.cell.write(1, reg.ADDRESS["CMD_SEQ"], [2])
-        status = plc.status()
-        assert (status["DONE_SEQ"], status["NACK_REASON"]) == (2, NackReason.REFUSED)
-        assert not int(status["STATUS_BITS"]) & reg.StatusBit.RESULT_VALID
-        with pytest.raises(CommandRefused, match="pose of the flange"):
-            cycle.submit(Command(CommandKind.LOCATE, "test", 1))
-        cycle.stop()
-        await asyncio.wait_for(task, LIMIT_S)
+            plc.cell.write(1, reg.ADDRESS["CMD_SEQ"], [2])
+            status = plc.status()
+            assert (status["DONE_SEQ"], status["NACK_REASON"]) == (2, NackReason.REFUSED)
+            assert not int(status["STATUS_BITS"]) & reg.StatusBit.RESULT_VALID
+            with pytest.raises(CommandRefused, match="pose of the flange"):
+                cycle.submit(Command(CommandKind.LOCATE, "test", 1))
         assert len(plc.snapshots()) == 1
 
     asyncio.run(main())

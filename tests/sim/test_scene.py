@@ -417,7 +417,7 @@ def test_a_restarted_camera_pairs_again(cell: VirtualCell) -> None:
 
 
 def test_a_repeated_request_sees_the_same(cell: VirtualCell) -> None:
-    """The same exposure asked for twice is the same picture, noise included."""
+    """An exposure asked for twice is the same picture, noise included."""
     first, again = (cell.exposure("left")(request(1, S)) for _ in range(2))
     np.testing.assert_array_equal(first, again)
 

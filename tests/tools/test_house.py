@@ -7,6 +7,7 @@ import pkgutil
 import re
 import socket
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
@@ -73,6 +74,17 @@ def test_every_kernel_is_compiled_by_warm() -> None:
 
     assert len(holding) > 20
     assert set() == holding - walked
+
+
+def test_every_topic_of_setting_up_is_held_to_the_order_of_topics() -> None:
+    """A folder with routes, a service, work or a model of its own is in import-linter's contract."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    (held,) = [contract["containers"] for contract in contracts if "(work)" in contract.get("layers", ())]
+    topics = {
+        path.parent.name for name in ("service", "work", "model") for path in HOUSE.glob(f"setup/*/{name}.py")
+    }
+
+    assert {f"edged.setup.{topic}" for topic in topics} == set(held)
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=_name)

@@ -19,7 +19,7 @@ from edged import errors
 from edged.adapters.zenoh.keys import KEYS, TRIGGER_PARAMETERS
 from edged.cli.main import app
 from edged.config.configuration import Config
-from edged.domain.cell import CalibrationHealth
+from edged.domain.cell import CalibrationHealth, CellPhase, SetupSource
 from edged.domain.events import CommandKind
 from edged.domain.measurement import Reject, Status
 from edged.files.jobs.schema import JobFile
@@ -178,6 +178,27 @@ def test_every_field_of_every_message_is_there() -> None:
         assert not key.message or f"### {key.message}_message\n" in text
     for parameter in TRIGGER_PARAMETERS:
         assert f"| `{parameter}` |" in text
+
+
+def test_a_message_may_hold_every_status_reason_and_phase_of_the_code() -> None:
+    """Wherever the schema lists one member of these, it lists all of them, and no other."""
+    schema = json.loads((ROOT / "config" / "edged.schema.json").read_text())
+    listed = [set(names) for names in listed_in(schema)]
+    for kind in (Reject, Status, CellPhase, CalibrationHealth, SetupSource):
+        members = {member.name for member in kind if member.name != "NONE"}
+        found = [names for names in listed if names & members and "NONE" not in names]
+
+        assert found, kind
+        assert [members] * len(found) == found
+
+
+def listed_in(part: object) -> Iterator[list[str]]:
+    """Every list of the values that a schema allows."""
+    if isinstance(part, dict):
+        yield from [part["enum"]] if "enum" in part else []
+        part = list(part.values())
+    for inner in part if isinstance(part, list) else []:
+        yield from listed_in(inner)
 
 
 def test_every_error_fault_and_reason_is_there() -> None:

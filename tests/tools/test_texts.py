@@ -137,6 +137,18 @@ def test_the_run_page_has_a_sentence_for_each_code() -> None:
     assert coded(one.name for one in REMEDIES) | {"look"} == spoken("run-try-")
 
 
+def test_the_page_of_cycles_has_a_text_for_each_reason() -> None:
+    """And asks for those by each that a result may have: all but the one that is reserved."""
+    reasons = {str(bit.name) for bit in Reject if bit} | {"NOT_FOUND", "CAPTURE"}
+    family = "cycles-reason-"
+
+    assert coded(reasons) == {
+        name.removeprefix(family) for name in ENGLISH["cycles"] if name.startswith(family)
+    }
+    (asked,) = re.findall(r"export const REASONS = \[(.*?)\]", SCRIPTS["recorded"], re.DOTALL)
+    assert reasons - {"LOW_SCORE"} == set(re.findall(r'"(\w+)"', asked))
+
+
 def test_the_run_page_has_a_text_for_each_fact() -> None:
     """For the name of each group and fact, and for each value that is a sentence; and for no other."""
     sources = [inspect.getsource(made) for made in (Running.facts, Running._drift_facts)]  # noqa: SLF001  (part of it)

@@ -54,3 +54,20 @@ def test_every_field_of_a_stage_has_its_source(source: Path) -> None:
 
     assert stages
     assert [] == [line for stage in stages for line in _undocumented(text, stage.body[1:])]
+
+
+def test_every_field_of_a_stage_is_read() -> None:
+    """A number that nothing reads earns nothing, and says the contrary."""
+    sources = [ast.parse(source.read_text()) for source in sorted(VISION.parent.rglob("*.py"))]
+    read = {node.attr for tree in sources for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    stages = [node for path in STAGES for node in ast.parse(path.read_text()).body]
+    names = {
+        line.target.id
+        for stage in stages
+        if isinstance(stage, ast.ClassDef)
+        for line in stage.body
+        if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
+    }
+
+    assert len(names) > 400
+    assert set() == names - read

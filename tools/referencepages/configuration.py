@@ -16,7 +16,7 @@ from referencepages.jsonschema import Schema, in_words
 from referencepages.markdown import code, first_line, table
 
 ALIKE = {"cameras.right": "cameras.left", "limits.keep_out": "limits.box"}
-"""The same table twice."""
+"""Sections that have one table."""
 HEAD = ("key", "value", "default", "meaning")
 
 

@@ -26,7 +26,7 @@ from edged.adapters.opcua.nodes import (
 )
 
 STATE_MACHINES = frozenset({1017, 1021, 1026})
-FINITE_STATE_VARIABLE_TYPE, HAS_MODELLING_RULE = 2760, 37
+FINITE_STATE_VARIABLE_TYPE = 2760
 SCALARS: dict[str, tuple[ua.VariantType, Callable[[str], Any]]] = {
     "0:1": (ua.VariantType.Boolean, lambda text: text == "true"),
     "0:7": (ua.VariantType.UInt32, int),

@@ -15,9 +15,8 @@ CELL, VISION = 3, 2
 VISION_URI = "http://opcfoundation.org/UA/MachineVision"
 CELL_URI = "urn:edged:cell"
 
-Reference = tuple[ua.NodeId, int, ua.NodeId]  # source, type of reference in OPC UA's namespace, target
-HAS_COMPONENT, HAS_PROPERTY, HAS_SUBTYPE = 47, 46, 45
-PROPERTY_TYPE, DATA_VARIABLE_TYPE, FOLDER_TYPE = 68, 63, 61
+HAS_COMPONENT, HAS_PROPERTY = 47, 46
+PROPERTY_TYPE, DATA_VARIABLE_TYPE = 68, 63
 
 
 def base(number: int) -> ua.NodeId:

@@ -37,7 +37,6 @@ SAME_SHARE = 0.05
 """Share of the diagonal: a view whose corners are off by no more repeats another one."""
 _WHITE, _CLIPPED_SHARE = 255, 0.01
 _DARK_GREY, _BRIGHT_SHARE = 40, 0.2
-_POINTS_PER_SIDE = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ class DetectionParams:
     min_corners: int = 6  # a homography and half as much again; fewer say nothing of the lens
     min_markers: int = 6  # connected markers that make a board: those read by chance are scattered
     marked: float = 0.2
-    """Of the contrast, to be a marker: a fifth of a square in the other colour spreads its greys by 0.4."""
+    """Least contrast of a marker: a fifth of a square in the other colour spreads its greys by 0.4."""
     marker_tolerance: float = 0.2
     """Share of a square that perspective and lens may shift one marker against the next."""
     max_window_px: float = 20.0  # beyond it the lens bends an edge by more than its greater length gains

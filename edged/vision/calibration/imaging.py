@@ -337,7 +337,6 @@ def _profile(edges: BoardEdges) -> _Profile:
     return replace(profile, blur_px=math.sqrt(2.0 * float(np.sum(_HALF * tails)) * IMAGING.bin_px))
 
 
-CENTRE_STEPS_PX = np.arange(-0.03, 0.031, 0.01)
 _HALF = np.arange(IMAGING.bin_px / 2, IMAGING.reach_px - 2.0, IMAGING.bin_px)
 
 

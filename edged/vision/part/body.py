@@ -14,7 +14,7 @@ from edged.domain.arrays import FloatArray
 I64 = npt.NDArray[np.int64]
 
 MAX_TRIANGLES = 40_000
-"""Of a part in a job; with more it is taught without its surface."""
+"""The most that a job keeps; with more a part is taught without its surface."""
 MAX_SIZE_MM = 1e4  # limit of a job file
 MAX_BREAK_MM = 10.0  # the same
 BREAKS = ("breaks_mm", "sigma_break_mm")

@@ -84,7 +84,7 @@ def _drawn(body: PartBody, eye: FloatArray, step_mm: float) -> FloatArray:
     start, end = body.points_mm[body.lines[:, 0]], body.points_mm[body.lines[:, 1]]
     to_eye = eye - 0.5 * (start + end)
     faces = body.normals[body.lines[:, 2:]]
-    start, end = (one[(np.einsum("lsi,li->ls", faces, to_eye) > 0).any(axis=1)] for one in (start, end))
+    start, end = (ends[(np.einsum("lsi,li->ls", faces, to_eye) > 0).any(axis=1)] for ends in (start, end))
     count = np.maximum(np.ceil(np.linalg.norm(end - start, axis=1) / step_mm), 1).astype(np.int64)
     line = np.repeat(np.arange(len(count)), count)
     place = np.arange(len(line)) - np.repeat(np.cumsum(count) - count, count)

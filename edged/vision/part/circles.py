@@ -65,7 +65,7 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart |
         fit.row_sigma_px,
         *_growth(images, job, fit),
     )
-    return MeasuredPart(target, evidence, tuple(one.fit for one in (main, *agreeing)))
+    return MeasuredPart(target, evidence, tuple(circle.fit for circle in (main, *agreeing)))
 
 
 def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[list[FoundCircle], Target]:
@@ -74,10 +74,10 @@ def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[li
     start (3, 3) : rig_from_part's rotation, but for its turn about the normal.  Raises ValueError for a fit
     without the reference circle.
     """
-    main, by_edges = (circle_in_rig(one, job.reference) for one in (fit, fit.by_edges()))
+    main, by_edges = (circle_in_rig(plane, job.reference) for plane in (fit, fit.by_edges()))
     if main is None or by_edges is None:
         raise ValueError("the reference circle was not measured")
-    beside = [one for one in circles_in_rig(fit) if one.circle.name != job.reference]
+    beside = [circle for circle in circles_in_rig(fit) if circle.circle.name != job.reference]
     turned = _rotation(job, fit, main, beside, start)
     agreeing = [beside[index] for index in turned.agreeing]
     target = Target(
@@ -96,8 +96,8 @@ def _growth(images: StereoImages, job: Job, fit: PlaneFit) -> tuple[float, float
     """Relative excess of the circles over the taught ones, and its sigma, the depth's included."""
     same_rig = job.calibration_id == images.rig.calibration_id
     found = circles_in_rig(fit.by_edges() if same_rig else fit)
-    growth, sigma = scale_deviation(job, tuple(one.circle for one in found))
-    main = next(one for one in found if one.circle.name == job.reference)
+    growth, sigma = scale_deviation(job, tuple(circle.circle for circle in found))
+    main = next(circle for circle in found if circle.circle.name == job.reference)
     known = distance_share(main.circle.centre_mm, main.pose_covariance[:3, :3])
     return growth, math.hypot(sigma, known)
 
@@ -204,12 +204,12 @@ def _others(
     limit = tolerance_mm(job)
     rise = float(face.from_rig(fit.face.origin)[2])
     found = []
-    for one in fit.fits:
-        if one.name == job.reference:
+    for other in fit.fits:
+        if other.name == job.reference:
             continue
-        x, y, grown = one.curve.parameters - wanted[one.name].parameters
+        x, y, grown = other.curve.parameters - wanted[other.name].parameters
         if math.hypot(x, y, rise) < limit and abs(grown) < limit:
-            found.append(one)
+            found.append(other)
     return found
 
 
@@ -238,14 +238,14 @@ def _together(
 ) -> PlaneFit | None:
     """Measure all circles in one common plane, now with free radii. others : in the axes of the rotation."""
     face, first = _face_curves(job, main, rotation)
-    curves = [first, *(one.curve for one in others)]
+    curves = [first, *(other.curve for other in others)]
     fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.together)
     if (fit is None or fit.fit_of(job.reference) is None) and others:  # one of the others may be at fault
         curves = [first]
         fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.together)
     other_end_mm = 0.0 if fit is None else _other_end_mm(images, job, fit)
     if fit is not None and other_end_mm:
-        fits = [replace(one.curve, break_mm=max(other_end_mm, BREAKS.usual_mm)) for one in fit.fits]
+        fits = [replace(edge.curve, break_mm=max(other_end_mm, BREAKS.usual_mm)) for edge in fit.fits]
         fit = fit_plane(images.rig, images.raw, fit.face, fits, MEASURING.together)
     return fit
 
@@ -258,21 +258,21 @@ def _other_end_mm(images: StereoImages, job: Job, fit: PlaneFit) -> float:
     this part's.
     """
     taught = {circle.name: circle.radius_mm for circle in job.circles}
-    found = [one.circle for one in circles_in_rig(fit.by_edges())]
-    apart = {one.name: one.radius_mm - taught[one.name] for one in found}
+    found = [circle.circle for circle in circles_in_rig(fit.by_edges())]
+    apart = {circle.name: circle.radius_mm - taught[circle.name] for circle in found}
     allowed_mm = job.limits.radius_tolerance_mm
     if allowed_mm is not None and abs(apart.get(job.reference, 0.0)) > allowed_mm:
         return 0.0
-    sizes = np.array([taught[one.name] for one in found])
-    weighted = sizes / np.array([one.sigma_radius_mm for one in found]) ** 2
-    growth = float(weighted @ np.array([apart[one.name] for one in found]) / (weighted @ sizes))
+    sizes = np.array([taught[circle.name] for circle in found])
+    weighted = sizes / np.array([circle.sigma_radius_mm for circle in found]) ** 2
+    growth = float(weighted @ np.array([apart[circle.name] for circle in found]) / (weighted @ sizes))
     pixel_mm = float(fit.face.origin[2]) / images.rectification.focal_px
-    for one in found:
+    for circle in found:
         chance_mm, beside_mm = (
-            MEASURING.other_end * one.sigma_radius_mm,
-            apart[one.name] - growth * taught[one.name],
+            MEASURING.other_end * circle.sigma_radius_mm,
+            apart[circle.name] - growth * taught[circle.name],
         )
-        if abs(apart[one.name]) > max(chance_mm, MEASURING.displaced_px * pixel_mm):
+        if abs(apart[circle.name]) > max(chance_mm, MEASURING.displaced_px * pixel_mm):
             return max(map(abs, apart.values()))
         if abs(beside_mm) > max(chance_mm, LIGHT_PX * pixel_mm):
             return max(map(abs, apart.values()))
@@ -363,7 +363,7 @@ def _rotation(
     taught = {circle.name: circle.centre_mm for circle in job.circles}
     reference = taught[job.reference]
     angles, by_fit, indices = [], [], []
-    for index, circle in enumerate(one.circle for one in others):
+    for index, circle in enumerate(other.circle for other in others):
         arm = (taught[circle.name] - reference)[:2]
         lever = float(np.linalg.norm(arm))
         if lever < 0.15 * job.reference_circle.radius_mm:
@@ -433,5 +433,5 @@ def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
 
 
 def _in_order(job: Job, found: list[FoundCircle]) -> tuple[Circle3D, ...]:
-    by_name = {one.circle.name: one.circle for one in found}
+    by_name = {circle.circle.name: circle.circle for circle in found}
     return tuple(by_name[circle.name] for circle in job.circles if circle.name in by_name)

@@ -43,11 +43,11 @@ def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, flo
     from the scatter, and from the stated sigmas as if all erred alike, as they do in one light.
     """
     by_name = {circle.name: circle for circle in circles}
-    seen = [(one, by_name[one.name]) for one in job.circles if one.name in by_name]
-    rows = [(one.radius_mm, found.radius_mm, found.sigma_radius_mm) for one, found in seen]
+    seen = [(circle, by_name[circle.name]) for circle in job.circles if circle.name in by_name]
+    rows = [(circle.radius_mm, found.radius_mm, found.sigma_radius_mm) for circle, found in seen]
     middle, hub = job.reference_circle, by_name.get(job.reference_circle.name)
-    for one, found in seen:
-        arm = float(np.linalg.norm(one.centre_mm - middle.centre_mm))
+    for circle, found in seen:
+        arm = float(np.linalg.norm(circle.centre_mm - middle.centre_mm))
         if hub is not None and arm > MEASURING.arm * middle.radius_mm:
             rows.append((arm, *_distance(hub, found)))
     if len(rows) < MEASURING.min_sizes:
@@ -63,12 +63,12 @@ def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, flo
     return growth, math.hypot(scatter * math.sqrt(math.pi / 2 / weights.sum()), alike)
 
 
-def _distance(one: Circle3D, two: Circle3D) -> tuple[float, float]:
+def _distance(first: Circle3D, second: Circle3D) -> tuple[float, float]:
     """Between two centres, and its sigma."""
-    gap = two.centre_mm - one.centre_mm
+    gap = second.centre_mm - first.centre_mm
     length = float(np.linalg.norm(gap))
     along = gap / length
-    spread = one.covariance[:3, :3] + two.covariance[:3, :3]
+    spread = first.covariance[:3, :3] + second.covariance[:3, :3]
     return length, math.sqrt(max(float(along @ spread @ along), 0.0))
 
 
@@ -129,50 +129,53 @@ def _widened(target: Target, square: float, baseline_mm: float) -> Target:
         target,
         covariance=covariance,
         by_doubt=by_doubt,
-        circles=tuple(_grown(one, square, aside, one.centre_mm, one.radius_mm) for one in target.circles),
+        circles=tuple(
+            _grown(circle, square, aside, circle.centre_mm, circle.radius_mm) for circle in target.circles
+        ),
         edges=tuple(
-            _grown(one, square, _aside_of(one, normal, aside), _across(one, normal), 0.0)
-            for one in target.edges
+            _grown(edge, square, _aside_of(edge, normal, aside), _across(edge, normal), 0.0)
+            for edge in target.edges
         ),
         slots=tuple(
-            _grown(one, square, aside, one.centre_mm, one.length_mm, one.width_mm) for one in target.slots
+            _grown(slot, square, aside, slot.centre_mm, slot.length_mm, slot.width_mm)
+            for slot in target.slots
         ),
-        corners=tuple(_grown(one, square, aside, one.position_mm) for one in target.corners),
-        measurements=tuple(_measurement(one, square) for one in target.measurements),
+        corners=tuple(_grown(corner, square, aside, corner.position_mm) for corner in target.corners),
+        measurements=tuple(_measurement(size, square) for size in target.measurements),
     )
 
 
-def _grown(one: Feature, square: float, aside: FloatArray, *lengths_mm: FloatArray | float) -> Feature:
+def _grown(feature: Feature, square: float, aside: FloatArray, *lengths_mm: FloatArray | float) -> Feature:
     """A feature whose covariance is of these lengths, all of which grow with the distance.
 
     aside (k, k) : variance of the first of them that does not come from the distance.
     """
     growth = np.hstack(lengths_mm)
-    covariance = one.covariance + square * np.outer(growth, growth)
+    covariance = feature.covariance + square * np.outer(growth, growth)
     covariance[: len(aside), : len(aside)] += aside
-    return replace(one, covariance=covariance)
+    return replace(feature, covariance=covariance)
 
 
-def _aside_of(one: Edge3D, normal: FloatArray, aside: FloatArray) -> FloatArray:
+def _aside_of(edge: Edge3D, normal: FloatArray, aside: FloatArray) -> FloatArray:
     """(1, 1) of a variance in space (3, 3): across an edge."""
-    across = _direction_across(one, normal)
+    across = _direction_across(edge, normal)
     return np.array([[across @ aside @ across]])
 
 
-def _direction_across(one: Edge3D, normal: FloatArray) -> FloatArray:
-    along = one.end_mm - one.start_mm
+def _direction_across(edge: Edge3D, normal: FloatArray) -> FloatArray:
+    along = edge.end_mm - edge.start_mm
     return np.asarray(np.cross(normal, along / np.linalg.norm(along)))
 
 
-def _across(one: Edge3D, normal: FloatArray) -> float:
+def _across(edge: Edge3D, normal: FloatArray) -> float:
     """How far the edge lies from the camera's foot on the face, across itself."""
-    return float(_direction_across(one, normal) @ (0.5 * (one.start_mm + one.end_mm)))
+    return float(_direction_across(edge, normal) @ (0.5 * (edge.start_mm + edge.end_mm)))
 
 
-def _measurement(one: Measurement, square: float) -> Measurement:
-    if one.unit != "mm":
-        return one
-    return replace(one, sigma=float(np.sqrt(one.sigma**2 + square * one.value**2)))
+def _measurement(size: Measurement, square: float) -> Measurement:
+    if size.unit != "mm":
+        return size
+    return replace(size, sigma=float(np.sqrt(size.sigma**2 + square * size.value**2)))
 
 
 def judged(job: Job, rectification: Rectification, target: Target, evidence: Evidence) -> Target:
@@ -198,9 +201,9 @@ def judged(job: Job, rectification: Rectification, target: Target, evidence: Evi
 def size_reasons(measurements: tuple[Measurement, ...]) -> Reject:
     """Reject reasons from the sizes: out of tolerance, or not visible."""
     reject = Reject.NONE
-    for one in measurements:
-        if one.ok is False:
-            reject |= Reject.TOLERANCE if math.isfinite(one.value) else Reject.FEW_EDGES
+    for size in measurements:
+        if size.ok is False:
+            reject |= Reject.TOLERANCE if math.isfinite(size.value) else Reject.FEW_EDGES
     return reject
 
 

@@ -91,7 +91,7 @@ def stands_off(
 
     main, others : what was found in one plane.  rotation (3, 3) : of the part.
     """
-    found = {one.circle.name for one in (main, *others)}
+    found = {circle.circle.name for circle in (main, *others)}
     missing = [circle for circle in job.circles if circle.name not in found]
     if len(missing) <= len(others):
         return False

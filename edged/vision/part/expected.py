@@ -38,7 +38,7 @@ Noises = Mapping[str, tuple[float, float]]
 
 def scatters_of(fits: Sequence[CurveFit]) -> Scatters:
     """How well the features of a measured part could be seen."""
-    return {one.name: one.scatter for one in fits}
+    return {fit.name: fit.scatter for fit in fits}
 
 
 def expected_target(
@@ -68,7 +68,7 @@ def expected_target(
         return None
     vaguest = vaguest_mm(job, target)
     target = published(job, target)
-    sigma_mm = max(vaguest, *(float(one.sigma_mm.max()) for one in (target, target.as_reported)))
+    sigma_mm = max(vaguest, *(float(pose.sigma_mm.max()) for pose in (target, target.as_reported)))
     vague = not sigma_mm <= job.limits.max_sigma_mm
     return replace(target, reject=Reject.SIGMA_LIMIT if vague else Reject.NONE)
 
@@ -125,7 +125,7 @@ class _Sight:
         return Face(apply(self.rig_from_own, origin_mm), self.rig_from_own[:3, :3].T)
 
     def _fit(self, face: Face, curves: Sequence[Curve], rigid_mm: float | None = None) -> PlaneFit | None:
-        known = sorted(self.scatters.values(), key=lambda one: float(one.information[0]))
+        known = sorted(self.scatters.values(), key=lambda scatter: float(scatter.information[0]))
         usual = known[len(known) // 2] if known else USUAL
         scatters = [self.scatters.get(curve.name, usual) for curve in curves]
         noises = None

@@ -33,7 +33,7 @@ def with_flatness(measured: MeasuredPart, images: StereoImages, job: Job) -> Mea
     local = heights_mm(face.points_mm, target.rig_from_part)
     near = np.abs(local[:, 2]) < MEASURING.flatness_reach_mm
     value, sigma = form_of(local[near], face.sigma_mm[near])
-    by_name = {one.name: one for one in target.measurements}
+    by_name = {size.name: size for size in target.measurements}
     sizes: list[Measurement] = [
         as_measurement(spec, value, sigma) if spec.kind == "flatness" else by_name[spec.name]
         for spec in job.measurements

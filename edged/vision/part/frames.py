@@ -32,11 +32,11 @@ class FoundCircle:
 
 def circle_in_rig(fit: PlaneFit, name: str) -> FoundCircle | None:
     """A circle of a fit in the rig frame; None when it was not measured."""
-    one, where = fit.fit_of(name), fit.place(name)
-    if one is None or where is None:
+    found, where = fit.fit_of(name), fit.place(name)
+    if found is None or where is None:
         return None
-    x, y, radius = one.curve.parameters
-    height, face = one.curve.height_mm, fit.face
+    x, y, radius = found.curve.parameters
+    height, face = found.curve.height_mm, fit.face
     u, v, n = face.axes
     # by height and slopes of the plane, x, y, radius: as the plane tilts, what stands on it moves sideways
     lift = np.zeros((7, 6))
@@ -55,18 +55,18 @@ def circle_in_rig(fit: PlaneFit, name: str) -> FoundCircle | None:
         float(radius),
         covariance[_PLACE_AND_RADIUS],
     )
-    return FoundCircle(circle, covariance[:6, :6], one)
+    return FoundCircle(circle, covariance[:6, :6], found)
 
 
 def circles_in_rig(fit: PlaneFit) -> list[FoundCircle]:
     """All circles of a fit, in its order."""
-    found = (circle_in_rig(fit, one.name) for one in fit.fits if one.curve.kind == "circle")
-    return [one for one in found if one is not None]
+    found = (circle_in_rig(fit, circle.name) for circle in fit.fits if circle.curve.kind == "circle")
+    return [circle for circle in found if circle is not None]
 
 
 def with_features(target: Target, job: Job, fit: PlaneFit) -> Target:
     """The target with the edges, slots and corners that were measured."""
-    by_name = {one.curve.name: one.curve for one in fit.fits}
+    by_name = {fitted.curve.name: fitted.curve for fitted in fit.fits}
     corners = [_corner_in_rig(job, fit, corner.name) for corner in job.corners]
     return replace(
         target,
@@ -84,7 +84,7 @@ def _corner_in_rig(job: Job, fit: PlaneFit, name: str) -> Corner3D | None:
     position, covariance = derived(
         fit, lambda parameters: lifted(fit.face, parameters, point(parameters)), edges
     )
-    height = next(one.curve.height_mm for one in fit.fits if one.name in edges)
+    height = next(edge.curve.height_mm for edge in fit.fits if edge.name in edges)
     return Corner3D(name, position + height * fit.face.normal, covariance)
 
 
@@ -159,10 +159,10 @@ def _size(job: Job, spec: MeasurementSpec, fit: PlaneFit) -> Size | None:
         column = {"radius": 2, "length": 3, "width": 4}[spec.kind]
         return None if where is None else lambda p: float(p[where][column])
     if spec.kind == "angle":
-        one, two = (fit.place(name) for name in spec.of)
-        if one is None or two is None:
+        line, other = (fit.place(name) for name in spec.of)
+        if line is None or other is None:
             return None
-        return lambda p: angle_of_lines(float(p[two][2] - p[one][2]), spec.nominal)
+        return lambda p: angle_of_lines(float(p[other][2] - p[line][2]), spec.nominal)
     first, second = (place(job, fit, name) for name in spec.of)
     if first is None or second is None:
         return None
@@ -178,16 +178,16 @@ def place(job: Job, fit: PlaneFit, name: str) -> Place | None:
     if corner is None:
         where = fit.place(name)
         return None if where is None else lambda p: np.asarray(p[where][:2])
-    one, two = (fit.place(edge) for edge in corner.edges)
-    if one is None or two is None:
+    first, second = (fit.place(edge) for edge in corner.edges)
+    if first is None or second is None:
         return None
-    return lambda p: _meet(p[one], p[two])
+    return lambda p: _meet(p[first], p[second])
 
 
-def _meet(one: FloatArray, two: FloatArray) -> FloatArray:
+def _meet(first: FloatArray, second: FloatArray) -> FloatArray:
     """(2,) where two edges (x, y, angle) meet."""
-    normals = np.array([[-math.sin(edge[2]), math.cos(edge[2])] for edge in (one, two)])
-    offsets = np.array([normals[0] @ one[:2], normals[1] @ two[:2]])
+    normals = np.array([[-math.sin(edge[2]), math.cos(edge[2])] for edge in (first, second)])
+    offsets = np.array([normals[0] @ first[:2], normals[1] @ second[:2]])
     return np.asarray(np.linalg.solve(normals, offsets))
 
 

@@ -25,7 +25,7 @@ from edged.vision.part.params import MEASURING
 
 def with_heights(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
     """A measured part with each height that the job asks for, NaN where a circle is not seen by itself."""
-    by_name = {one.name: one for one in measured.target.measurements}
+    by_name = {size.name: size for size in measured.target.measurements}
     fits = {fit.name: fit for fit in measured.fits}
     sizes = tuple(
         _height(measured, images, job, spec, fits) if spec.kind == "height" else by_name[spec.name]

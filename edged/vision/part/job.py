@@ -213,7 +213,7 @@ class Job:
         """(4, 4) of the frame whose pose is published: the model's, or its axes at a point; None: neither."""
         if self.report == "reference" or self.part_from_model is None:
             return None
-        places = {"model": np.zeros(3), **{one.name: one.position_mm for one in self.points}}
+        places = {"model": np.zeros(3), **{point.name: point.position_mm for point in self.points}}
         return np.asarray(self.part_from_model @ transform(np.eye(3), places[self.report]))
 
     @property
@@ -244,8 +244,8 @@ class Job:
         edges = {edge.name: edge for edge in self.edges}
         for corner in self.corners:
             if corner.name == name:
-                one, two = (edges[edge] for edge in corner.edges)
-                return crossing(one, two)
+                first, second = (edges[edge] for edge in corner.edges)
+                return crossing(first, second)
         return np.asarray(0.5 * (edges[name].start_mm + edges[name].end_mm))
 
 
@@ -282,14 +282,14 @@ def known_radius(
     return (), None
 
 
-def crossing(one: EdgeFeature, two: EdgeFeature) -> FloatArray:
+def crossing(first: EdgeFeature, second: EdgeFeature) -> FloatArray:
     """(3,) where the lines of two edges meet in the face; NaN for parallel ones."""
-    a, b = one.end_mm - one.start_mm, two.end_mm - two.start_mm
+    a, b = first.end_mm - first.start_mm, second.end_mm - second.start_mm
     area = a[0] * b[1] - a[1] * b[0]
     if abs(area) < 1e-6 * np.linalg.norm(a) * np.linalg.norm(b):
         return np.full(3, np.nan)
-    gap = two.start_mm - one.start_mm
-    return np.asarray(one.start_mm + (gap[0] * b[1] - gap[1] * b[0]) / area * a)
+    gap = second.start_mm - first.start_mm
+    return np.asarray(first.start_mm + (gap[0] * b[1] - gap[1] * b[0]) / area * a)
 
 
 def nominal_size(job: Job, kind: MeasurementKind, of: tuple[str, ...]) -> float:
@@ -309,12 +309,12 @@ def nominal_size(job: Job, kind: MeasurementKind, of: tuple[str, ...]) -> float:
     angles |= {edge.name: edge.angle_rad for edge in job.edges}
     if kind == "angle":
         return angle_of_lines(angles[of[1]] - angles[of[0]], None)
-    one, two = (job.place_of(name)[:2] for name in of)
+    first, second = (job.place_of(name)[:2] for name in of)
     lines = [name for name in of if job.kind_of(name) == "edge"]
     if not lines:
-        return float(np.linalg.norm(two - one))
+        return float(np.linalg.norm(second - first))
     angle = angles[lines[0]]
-    return float(abs((two - one) @ (-math.sin(angle), math.cos(angle))))
+    return float(abs((second - first) @ (-math.sin(angle), math.cos(angle))))
 
 
 def angle_of_lines(turn: float, nominal: float | None) -> float:

@@ -33,7 +33,9 @@ def leaning(
     tilt_rad : largest lean from the bisector of both cameras.
     """
     middle = np.append(np.mean([curve.parameters[:2] for curve in curves], axis=0), 0.0)
-    poses = [one for pose in starts for one in _about(images, pose, middle, tilt_rad + SOLID.lean_margin_rad)]
+    poses = [
+        leant for pose in starts for leant in _about(images, pose, middle, tilt_rad + SOLID.lean_margin_rad)
+    ]
     order = np.argsort(
         [-glance(images, curves, pose, SOLID.lean_reach_px, unknowns) for pose in poses], kind="stable"
     )

@@ -63,9 +63,9 @@ def _is_beyond_doubt(job: Job, whole: MeasuredPart) -> bool:
     Broken rims do that glint, most of which are seen with the other sign than taught: all may lie on other
     ends alike.
     """
-    taught = {one.name: one.polarity for one in curves_of(job)}
-    odd = sum(one.curve.polarity != taught[one.name] for one in whole.fits)
-    broken = any(one.scatter.break_mm > 0.0 for one in whole.fits)
+    taught = {curve.name: curve.polarity for curve in curves_of(job)}
+    odd = sum(found.curve.polarity != taught[found.name] for found in whole.fits)
+    broken = any(found.scatter.break_mm > 0.0 for found in whole.fits)
     if broken and odd > 0.5 * len(whole.fits):
         return False
     apart_px = abs(whole.evidence.row_shift_px)
@@ -111,7 +111,7 @@ def _with_teaching_uncertainty(job: Job, target: Target) -> Target:
 
     An edge break draws opposite edges towards each other, and may lower all of them alike.
     """
-    names = [one.name for one in job.circles] + [one.name for one in job.edges]
+    names = [feature.name for feature in job.circles] + [feature.name for feature in job.edges]
     size_mm = np.linalg.norm(np.ptp(np.array([job.place_of(name)[:2] for name in names]), axis=0))
     reach_mm = max([0.5 * float(size_mm), *(circle.radius_mm for circle in job.circles)])
     normal = target.rig_from_part[:3, 2]
@@ -170,10 +170,10 @@ def _completed(images: StereoImages, job: Job, measured: MeasuredPart) -> Measur
     """A part whose circles are measured, with its other features and its sizes."""
     fit = None
     if needs_all(job, measured.target):
-        polarity = {one.name: one.curve.polarity for one in measured.fits}
+        polarity = {found.name: found.curve.polarity for found in measured.fits}
         face, curves = all_curves(job, measured.target, polarity)
         fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.near)
-    beside = () if fit is None else tuple(one for one in fit.fits if one.curve.kind != "circle")
+    beside = () if fit is None else tuple(found for found in fit.fits if found.curve.kind != "circle")
     return replace(measured, target=completed(job, measured.target, fit), fits=measured.fits + beside)
 
 
@@ -346,14 +346,14 @@ def _from_start(
     target = target_from(images.rectification, job, match_in_raw(images.rectification, match), fit, motion)
     reject = Reject.AMBIGUOUS_ROTATION if match.ambiguous else Reject.NONE
     if len(fit.fits) < min(MEASURING.min_edges, len(curves)) and not any(
-        one.curve.kind == "slot" for one in fit.fits
+        found.curve.kind == "slot" for found in fit.fits
     ):
         reject |= Reject.FEW_EDGES
     if math.isnan(target.epipolar_rms_px) and _has_rows(images.rectification, job, fit.face, motion):
         reject |= Reject.LEFT_RIGHT_MISMATCH
     evidence = Evidence(
         _mean_support(curves, fit),
-        float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits]))),
+        float(np.sqrt(np.mean([found.rms_px**2 for found in fit.fits]))),
         fit.row_shift_px,
         fit.row_sigma_px,
         *_growth(images, job, fit, motion, target.match),
@@ -413,7 +413,7 @@ def target_from(
 def _mean_support(curves: list[Curve], fit: PlaneFit) -> float:
     """Share of all edges that the camera which sees less of them shows."""
     lengths = {curve.name: curve.perimeter_mm for curve in curves}
-    seen = sum(one.support * lengths[one.curve.name] for one in fit.fits)
+    seen = sum(found.support * lengths[found.curve.name] for found in fit.fits)
     return float(np.min(seen) / sum(lengths.values()))
 
 
@@ -423,13 +423,13 @@ def _row_mismatch_px(fit: PlaneFit, rectification: Rectification) -> float:
     The plane takes up what differs along the rows, not across them.
     """
     differences = []
-    for one in fit.fits:
-        if one.curve.kind != "edge":
+    for found in fit.fits:
+        if found.curve.kind != "edge":
             continue
-        known = np.isfinite(one.points[0]).all(axis=1)
-        level = _level(rectification, one.points[0][known][[0, -1]])
+        known = np.isfinite(found.points[0]).all(axis=1)
+        level = _level(rectification, found.points[0][known][[0, -1]])
         if level > MEASURING.min_level:
-            differences.append(one.mismatch_px / level)
+            differences.append(found.mismatch_px / level)
     return float(np.sqrt(np.mean(np.square(differences)))) if differences else math.nan
 
 

@@ -18,13 +18,13 @@ class StartParams:
     """
 
     max_slope: float = 0.25
-    """Of the disparity over the image, px per px: tilts up to about 25° at Z / baseline = 2."""
+    """Gradient of the disparity over the image, px per px: tilts up to about 25° at Z / baseline = 2."""
     min_along_row: float = 0.45  # cosine between row and normal; below it an edge's column is vague
     tolerance_px: float = 1.0  # between an edge and the plane that a trial proposes
     rivals: int = 12  # edges along a row that may be the left one's
     trials: int = 1500  # of RANSAC (Fischler and Bolles 1981, doi:10.1145/358669.358692)
     depth_margin: float = 0.06
-    """Of the distance that the match's size tells to about 1 %; a tilt and a bad scale are allowed for."""
+    """Share of the distance. The match's size tells it to 1 %; a tilt and a bad scale are allowed for."""
     samples: int = 240  # of an outline
     reach_px: float = 4.0  # along its normals
     border_share: float = 0.06  # of an edge at both ends, where the corner's other edge is as near
@@ -49,15 +49,14 @@ class MeasuringParams:
     """
 
     depth_margin: float = 0.05
-    """Of the distance that the match's size tells to about 1 %; a tilt and a bad scale are allowed for."""
+    """Share of the distance. The match's size tells it to 1 %; a tilt and a bad scale are allowed for."""
     outline_points: int = 240  # of the reference circle
     outline_reach_px: float = 4.0  # along its normals
     place_tolerance: float = 0.02  # of the part's size: a feature farther from its place is another edge
     place_margin_mm: float = 0.1  # added to it
     max_rivals: int = 12  # starts of the reference circle
     min_support: float = 0.15
-    """Of the reference circle in each camera, to be measured at all; the job asks for more."""
-    other_support: float = 0.4  # of any other circle
+    """Share of the reference circle that each camera must show at all; the job asks for more."""
     enough_support: float = 0.8  # in both cameras: no better start is looked for
     pnp_points: int = 16  # of a circle that gives a start
     other_end: float = 4.0  # sigmas of a radius by which it differs from the taught one not by chance
@@ -66,7 +65,7 @@ class MeasuringParams:
     lock: FitParams = FitParams(reach_px=(3.0, 2.5, 2.0, 2.0), repeats=0, min_support=0.0)
     """How the reference circle is laid."""
     wide_lock: FitParams = FitParams(reach_px=(6.0, 4.0, 2.5, 2.0), repeats=0, min_support=0.0)
-    """The same from far off."""
+    """How it is laid from far off."""
     other_lock: FitParams = FitParams(reach_px=(3.0, 2.0), repeats=0, min_support=0.4)
     """How other circles are laid."""
     together: FitParams = FitParams(reach_px=(2.0,), min_support=0.0)  # how all are measured
@@ -97,7 +96,7 @@ class MeasuringParams:
     rival_slope: float = 0.4  # of another edge over the circle's own
     min_slope: float = 2.0  # grey values per px
     rival_share: float = 0.6
-    """Of the circle, both images in the mean: looking along a chamfer both edges are one."""
+    """Share of the circle, in the mean of both images: looking along a chamfer both edges are one."""
     min_rival_share: float = 0.35  # in each: a wall or its shadow is seen on one side only
     flatness_reach_mm: float = 1.0
     """Points farther from the plane are another surface: a recess, the table through a hole."""
@@ -123,7 +122,7 @@ class MeasuringParams:
     cloud_min_weight: float = 0.3  # of a contour point
     cloud_sigma_px: float = 0.1  # of one edge point beside texture; for the sigma stated in the file
     taught_sigma_mm: float = 0.003
-    """Of a feature's taught place: the precision of one measurement of a machined edge."""
+    """Sigma of a feature's taught place: the precision of one measurement of a machined edge."""
     pose_rounds: int = 8  # of reweighting
     min_spare: int = 2  # observations beyond the unknowns, before growth is told from a displaced feature
     clear: float = 0.5  # lead in edges expected of one rotation alone, at which no other is tried
@@ -189,7 +188,7 @@ class SolidParams:
     min_share: float = 0.58  # of all curves that the cameras agree with in the mean: 0.5 at a wrong pose
     min_camera_share: float = 0.4  # that each agrees with
     leant_share: float = 0.68
-    """The same of a pose far from the match: right ones have 0.69 and more, wrong ones 0.66."""
+    """Share of the curves at a pose far from the match: right ones have 0.69 and more, wrong ones 0.66."""
     rival_share: float = 0.25
     """Lack at first sight up to which another turn is tried: a few px off it lacks some."""
     min_found: float = 0.5  # of all curves, and of the circles: with fewer it is another part or hidden
@@ -200,11 +199,11 @@ class SolidParams:
     poor_share: float = 0.35  # with less no other turn is tried
     fit: FitParams = FitParams(reach_px=(1.5,), min_support=0.15)  # how the laid part's curves are measured
     known_fit: FitParams = FitParams(reach_px=(1.5,), min_support=0.08)
-    """The same where a surface tells which stretches are good."""
+    """How they are measured where a surface tells which stretches are good."""
     alone_fit: FitParams = FitParams(reach_px=(2.0,), min_support=0.5)  # of each curve for its own size
     outline_points: int = 24  # of a curve
     rigid_px: float = 0.08
-    """Of a feature's taught place and size: another light and view moved its edges so far."""
+    """Sigma of a feature's taught place and size: another light and view moved its edges so far."""
     enough_clean: float = 0.2  # of all curves in each camera: then nothing else is used
     saturated: int = 254  # grey value from which a surface may be any brighter
     glare_px: int = 3  # around it an edge is displaced
@@ -215,9 +214,9 @@ class SolidParams:
     size_px: int = 384  # of the buffer: for a part that fills half an image, two of the camera's
     around_px: int = 1  # a point this near to what hides it counts as hidden
     behind_share: float = 0.015
-    """Of the body's size: what lies less deep behind a surface is on it; chords are as coarse."""
+    """Share of the body's size: what lies less deep behind a surface is on it; chords are as coarse."""
     behind_px: float = 3.5
-    """The same in pixels of the buffer: a face seen at 65 degrees is deeper by 2.1 in the next pixel."""
+    """That depth in pixels of the buffer: a face seen at 65 degrees is deeper by 2.1 in the next pixel."""
 
 
 SOLID = SolidParams()

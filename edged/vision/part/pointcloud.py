@@ -52,9 +52,9 @@ def point_cloud(images: StereoImages, job: Job, measured: Sequence[MeasuredPart]
     """The contours and faces of all measured parts."""
     rectification = images.rectification
     contours, faces = [np.zeros((0, 3))], []
-    for one in measured:
-        contours += [contour_points(rectification, *pair) for pair in edge_pairs(one)]
-        faces.append(face_points(images, one, job.limits.depth_mm))
+    for part in measured:
+        contours += [contour_points(rectification, *pair) for pair in edge_pairs(part)]
+        faces.append(face_points(images, part, job.limits.depth_mm))
     contour = np.concatenate(contours)
     points = np.concatenate([contour, *(face.points_mm for face in faces)])
     kinds = np.full(len(points), FACE, np.uint8)
@@ -70,10 +70,10 @@ def point_cloud(images: StereoImages, job: Job, measured: Sequence[MeasuredPart]
     return PointCloud(points, kinds, sigma, refused)
 
 
-def edge_pairs(one: MeasuredPart) -> list[tuple[FloatArray, FloatArray]]:
+def edge_pairs(part: MeasuredPart) -> list[tuple[FloatArray, FloatArray]]:
     """For each curve of a part the raw edge points (N, 2), left and right, that agree with it in both."""
     pairs = []
-    for fit in one.fits:
+    for fit in part.fits:
         left, right = fit.points[:, fit.weights.min(axis=0) > MEASURING.cloud_min_weight]
         pairs.append((left, right))
     return pairs
@@ -87,7 +87,7 @@ def contour_points(rectification: Rectification, left: FloatArray, right: FloatA
 
 def face_points(
     images: StereoImages,
-    one: MeasuredPart,
+    part: MeasuredPart,
     depth_mm: tuple[float, float],
     grid_px: int = MEASURING.cloud_grid_px,
     params: NccParams | None = None,
@@ -97,7 +97,7 @@ def face_points(
     depth_mm : (nearest, farthest) rig z to search.
     """
     rectification = images.rectification
-    grid = _grid(rectification, one, grid_px)
+    grid = _grid(rectification, part, grid_px)
     if not len(grid):
         return FacePoints(np.zeros((0, 3)), np.zeros(0), {})
     ranges = _ranges(images, grid, depth_mm)
@@ -116,9 +116,9 @@ def face_points(
     return FacePoints(points, np.sqrt(covariance[:, 2, 2]), refused)
 
 
-def _grid(rectification: Rectification, one: MeasuredPart, step_px: int) -> FloatArray:
+def _grid(rectification: Rectification, part: MeasuredPart, step_px: int) -> FloatArray:
     """(N, 2) rectified left pixels inside the hull of the part's edges, away from every edge."""
-    edges = [rectification.rectify_points("left", left) for left, _ in edge_pairs(one) if len(left)]
+    edges = [rectification.rectify_points("left", left) for left, _ in edge_pairs(part) if len(left)]
     if not edges:
         return np.zeros((0, 2))
     points = np.concatenate(edges)

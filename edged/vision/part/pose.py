@@ -102,7 +102,7 @@ def find_motion(job: Job, fit: PlaneFit) -> InPlaneMotion | None:
 def scale_of_features(job: Job, fit: PlaneFit) -> tuple[float, float]:
     """Relative growth of the features' distances since teaching, and its sigma; NaN if undetermined."""
     observations = _observations(job, fit)
-    if sum(len(one.gap) for one in observations) < 4 + MEASURING.min_spare:
+    if sum(len(observation.gap) for observation in observations) < 4 + MEASURING.min_spare:
         return math.nan, math.nan
     solved = _solved(observations, 4)
     if solved is None:
@@ -114,9 +114,10 @@ def form_mm(job: Job, fit: PlaneFit, motion: InPlaneMotion) -> float:
     """Farthest that an edge or slot lies from its taught outline, laid there by the motion; at its middle."""
     unknowns = np.append(motion.shift, motion.turn)
     far = [
-        float(np.linalg.norm((one.gap - one.rows[:, :3] @ unknowns)[:-1])) for one in _observations(job, fit)
+        float(np.linalg.norm((observation.gap - observation.rows[:, :3] @ unknowns)[:-1]))
+        for observation in _observations(job, fit)
     ]
-    seen = {one.curve.name: one.curve for one in fit.fits}
+    seen = {found.curve.name: found.curve for found in fit.fits}
     for slot in job.slots:
         if slot.name in seen:
             wrong = seen[slot.name].parameters[3:] - (slot.length_mm, slot.width_mm)
@@ -130,28 +131,31 @@ def _solved(observations: list[Observation], unknowns: int) -> _Solved | None:
     normal = np.zeros((unknowns, unknowns))
     for _ in range(MEASURING.pose_rounds):
         normal, right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
-        for one, weight in zip(observations, weights, strict=True):
-            design = one.rows[:, :unknowns]
-            normal += weight * design.T @ one.inverse @ design
-            right += weight * design.T @ one.inverse @ one.gap
+        for observation, weight in zip(observations, weights, strict=True):
+            design = observation.rows[:, :unknowns]
+            normal += weight * design.T @ observation.inverse @ design
+            right += weight * design.T @ observation.inverse @ observation.gap
         scale = np.sqrt(np.diag(normal))
         if not (scale > 0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > 1e10:
             return None
         motion = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
-        misfits = [one.gap - one.rows[:, :unknowns] @ motion for one in observations]
+        misfits = [observation.gap - observation.rows[:, :unknowns] @ motion for observation in observations]
         far = np.array(
-            [math.sqrt(r @ one.inverse @ r / len(r)) for r, one in zip(misfits, observations, strict=True)]
+            [
+                math.sqrt(r @ observation.inverse @ r / len(r))
+                for r, observation in zip(misfits, observations, strict=True)
+            ]
         )
         weights = tukey_weights(far, max(mad_sigma(far), 1.0))
-    sizes = [len(one.gap) for one in observations]
+    sizes = [len(observation.gap) for observation in observations]
     freedom = sum(sizes) - unknowns
     chi2 = float(np.sum(weights * far**2 * sizes)) / max(freedom, 1)
     inverse = np.linalg.inv(normal)
     by_fit, taught, excess = [], np.zeros((unknowns, unknowns)), max(chi2, 1.0)
-    for one, weight in zip(observations, weights, strict=True):
-        gain = weight * inverse @ one.rows[:, :unknowns].T @ one.inverse
-        by_fit.append(gain @ one.by_fit)
-        taught += gain @ one.taught @ gain.T
+    for observation, weight in zip(observations, weights, strict=True):
+        gain = weight * inverse @ observation.rows[:, :unknowns].T @ observation.inverse
+        by_fit.append(gain @ observation.by_fit)
+        taught += gain @ observation.taught @ gain.T
     return _Solved(motion, np.asarray(inverse * excess), np.sum(by_fit, axis=0), taught, excess)
 
 
@@ -161,8 +165,8 @@ def _observations(job: Job, fit: PlaneFit) -> list[Observation]:
     taught |= {slot.name: np.append(slot.centre_mm[:2], slot.angle_rad) for slot in job.slots}
     taught |= {edge.name: edge_curve(edge, True).parameters for edge in job.edges}
     observations: list[Observation] = []
-    for one in fit.fits:
-        curve = one.curve
+    for found in fit.fits:
+        curve = found.curve
         where = fit.place(curve.name)
         if where is None or curve.name not in taught:
             continue

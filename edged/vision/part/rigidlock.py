@@ -123,7 +123,7 @@ def lock(
         tight = moved
         if tight.moved_px < SOLID.still_px:
             break
-    return max(found, tight, key=lambda one: one.mean)
+    return max(found, tight, key=lambda candidate: candidate.mean)
 
 
 def glance(
@@ -159,10 +159,10 @@ def _spread(
     for curve in curves:
         count = max(int(curve.perimeter_mm * px_per_mm / spacing_px), FEWEST)
         outlines.append(curve.spread(count, 0.0 if curve.closed else SOLID.margin_px / px_per_mm))
-    points = np.concatenate([one.points for one in outlines])
-    normals = np.concatenate([one.normals for one in outlines])
+    points = np.concatenate([outline.points for outline in outlines])
+    normals = np.concatenate([outline.normals for outline in outlines])
     turning = points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]
-    starts = np.cumsum([0, *(len(one.points) for one in outlines)])
+    starts = np.cumsum([0, *(len(outline.points) for outline in outlines)])
     return CurveOutline(points, normals, np.column_stack([normals, turning])), starts
 
 

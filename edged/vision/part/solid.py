@@ -81,7 +81,7 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     reject = Reject.NONE
     if margin < SOLID.min_margin:
         reject |= Reject.AMBIGUOUS_ROTATION
-    fitted_ones = {one.name for one in fit.fits}
+    fitted_ones = {found.name for found in fit.fits}
     circles = sum(
         curve.kind == "circle" and curve.name in fitted_ones and share >= SOLID.plain_share
         for curve, share in zip(whole.curves, best.by_curve.mean(axis=0), strict=True)
@@ -92,7 +92,7 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     if len(fit.fits) < fewest or circles < SOLID.min_found * shown_circles:
         reject |= Reject.FEW_EDGES
     if alone is not None:
-        target = replace(target, circles=tuple(one.circle for one in circles_in_rig(alone)))
+        target = replace(target, circles=tuple(circle.circle for circle in circles_in_rig(alone)))
         target = with_features(target, job, alone)
     target = replace(target, reject=reject, measurements=measure_sizes(job, alone, target.circles))
     by_edges = fit.by_edges() if job.calibration_id == images.rig.calibration_id else fit
@@ -100,7 +100,7 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     place = target_of(job, in_raw, by_edges)
     evidence = Evidence(
         best.share,
-        float(np.sqrt(np.mean([one.rms_px**2 for one in fit.fits]))),
+        float(np.sqrt(np.mean([found.rms_px**2 for found in fit.fits]))),
         fit.row_shift_px,
         fit.row_sigma_px,
         rigid.growth,
@@ -132,20 +132,23 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
     found, motions, roundish = [best], _rival_motions(job), _is_roundish(job)
     if roundish and not _tells_turn(job, best):
         others = [lock(images, curves, pose) for pose in _turned(images, curves, job, [best.pose])]
-        found += [one for one in others if one is not None]
-        best = max(found, key=lambda one: one.mean)
+        found += [candidate for candidate in others if candidate is not None]
+        best = max(found, key=lambda candidate: candidate.mean)
     for motion in motions:
         turned = best.pose @ motion
         if glance(images, curves, turned) > best.mean - SOLID.rival_share:
-            one = lock(images, curves, turned, rival_of=best)
-            found += [] if one is None else [one]
-    found.sort(key=lambda one: -one.mean)
+            candidate = lock(images, curves, turned, rival_of=best)
+            found += [] if candidate is None else [candidate]
+    found.sort(key=lambda candidate: -candidate.mean)
     best = found[0]
     if best.share < SOLID.min_camera_share or best.mean < SOLID.min_share:
         return None
     if match.ambiguous and not roundish and not motions:
         return best, 0.0
-    other = next((one for one in found if turn_between(one.pose, best.pose) > SOLID.same_turn_rad), None)
+    other = next(
+        (candidate for candidate in found if turn_between(candidate.pose, best.pose) > SOLID.same_turn_rad),
+        None,
+    )
     if other is None:
         return best, 1.0
     # a single curve tells them apart, and on a face full of edges it may agree by chance: 0.85 was seen
@@ -162,8 +165,10 @@ def _leaning(images: StereoImages, job: Job, match: ShapeMatch, tilt_rad: float)
         axis = _about_axis(job)
         leant = leaning(images, axis, starts, tilt_rad, TURN_HELD)
         locks = [lock(images, axis, pose, unknowns=TURN_HELD) for pose in leant]
-        rims = sorted((one for one in locks if one is not None), key=lambda one: -one.mean)
-        poses = _turned(images, curves, job, [one.pose for one in rims[:1]])
+        rims = sorted(
+            (candidate for candidate in locks if candidate is not None), key=lambda candidate: -candidate.mean
+        )
+        poses = _turned(images, curves, job, [candidate.pose for candidate in rims[:1]])
     else:
         poses = leaning(images, curves, starts, tilt_rad)
     best = _best_of(images, curves, poses)
@@ -189,10 +194,10 @@ def _best_of(
 ) -> Lock | None:
     """The lock that most of the part agrees with, of several starts; the first good one settles it."""
     for pose in poses:
-        one = lock(images, curves, pose)
-        if one is not None and (best is None or one.mean > best.mean):
-            best = one
-        if one is not None and one.share >= SOLID.good_share:
+        candidate = lock(images, curves, pose)
+        if candidate is not None and (best is None or candidate.mean > best.mean):
+            best = candidate
+        if candidate is not None and candidate.share >= SOLID.good_share:
             break
     return best
 
@@ -237,15 +242,15 @@ def _rival_motions(job: Job) -> list[FloatArray]:
     if job.circles:
         centre = job.place_of(job.reference)
         motions = [_about(turn, centre, centre) for turn in rival_turns(job)]
-    for one, other in itertools.product(job.edges, job.edges):
-        if abs(one.length_mm - other.length_mm) > SOLID.like * one.length_mm:
+    for edge, other in itertools.product(job.edges, job.edges):
+        if abs(edge.length_mm - other.length_mm) > SOLID.like * edge.length_mm:
             continue
-        turn = other.angle_rad - one.angle_rad
-        middles = 0.5 * (one.start_mm + one.end_mm), 0.5 * (other.start_mm + other.end_mm)
+        turn = other.angle_rad - edge.angle_rad
+        middles = 0.5 * (edge.start_mm + edge.end_mm), 0.5 * (other.start_mm + other.end_mm)
         for half in (0.0, math.pi):
             if abs(wrapped(turn + half)) > SOLID.same_turn_rad:
                 motions.append(_about(turn + half, *middles))
-    near = [one for one in motions if float(np.linalg.norm(apply(one, middle) - middle)) <= aside_mm]
+    near = [motion for motion in motions if float(np.linalg.norm(apply(motion, middle) - middle)) <= aside_mm]
     return near[: SOLID.max_rivals]
 
 
@@ -313,7 +318,9 @@ class _Whole:
     def with_breaks(self, images: StereoImages) -> tuple[_Whole, PlaneFit | None]:
         """This fit and the separate curves, both with the widest edge break that either shows."""
         alone = self.alone(images)
-        widths = [{one.scatter.break_mm for one in fit.fits} for fit in (self.fit, alone) if fit is not None]
+        widths = [
+            {found.scatter.break_mm for found in fit.fits} for fit in (self.fit, alone) if fit is not None
+        ]
         if len(set.union(*widths)) == 1:
             return self, alone
         curves = tuple(replace(curve, break_mm=max(set.union(*widths))) for curve in self.curves)
@@ -349,9 +356,9 @@ def _with_signs(
     face = Face(pose[:3, 3], pose[:3, :3].T)
     counts = np.diff(starts)
     signs = [np.zeros((2, min(SOLID.stretches, count)), np.int64) for count in counts]
-    lone = [np.zeros(one.shape, bool) for one in signs]
-    clean = [np.ones(one.shape, bool) for one in signs]
-    seen_of = [np.ones(one.shape) for one in signs]
+    lone = [np.zeros(sign.shape, bool) for sign in signs]
+    clean = [np.ones(sign.shape, bool) for sign in signs]
+    seen_of = [np.ones(sign.shape) for sign in signs]
     for side, (name, image) in enumerate(zip(SIDES, images.raw, strict=True)):
         seen = project_outline(images.rig, name, face, outline)
         edges = candidates(
@@ -378,12 +385,12 @@ def _with_signs(
             if sight is not None:
                 seen_of[k][side] = 1.0 - np.bincount(stretch, sight.hidden[rows_of], wanted) / many
                 clean[k][side] = np.bincount(stretch, doubtful[rows_of], wanted) < 0.5 * many
-    good = [one & (two != 0) for one, two in zip(clean, signs, strict=True)]
-    known = np.average([one.mean(axis=1) for one in good], axis=0, weights=counts)
+    good = [unblurred & (sign != 0) for unblurred, sign in zip(clean, signs, strict=True)]
+    known = np.average([used.mean(axis=1) for used in good], axis=0, weights=counts)
     if body is not None and known.min() >= SOLID.enough_clean:
-        signs = [np.where(one, two, 0) for one, two in zip(good, signs, strict=True)]
-        lone = [one & two for one, two in zip(good, lone, strict=True)]
-        seen_of = [one * two for one, two in zip(clean, seen_of, strict=True)]
+        signs = [np.where(used, sign, 0) for used, sign in zip(good, signs, strict=True)]
+        lone = [used & single for used, single in zip(good, lone, strict=True)]
+        seen_of = [used * share for used, share in zip(clean, seen_of, strict=True)]
     found, clear, shown = [], set(), set()
     for k, curve in enumerate(curves):
         enough = lone[k].mean(axis=1) >= SOLID.enough

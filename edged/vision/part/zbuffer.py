@@ -43,7 +43,7 @@ def hidden_points(
     x = unit(np.cross(np.eye(3)[int(np.abs(z).argmin())], z))
     frame = np.stack([x, np.cross(z, x), z])
     scale = 0.5 * (size_px - 3) * np.sqrt(distance**2 - reach**2) / reach
-    body, seen = ((one - camera_mm) @ frame.T for one in (vertices_mm, points_mm))
+    body, seen = ((at_mm - camera_mm) @ frame.T for at_mm in (vertices_mm, points_mm))
     buffer = np.zeros((size_px, size_px))
     fill_nearness(_in_buffer(body, scale, size_px), np.ascontiguousarray(triangles, np.int64), buffer)
     result = np.zeros(len(points_mm), np.bool_)
@@ -80,13 +80,13 @@ def fill_nearness(vertices: F64, triangles: I64, buffer: F64) -> None:
         for row in range(top, bottom + 1):
             low, high = np.inf, -np.inf  # of the row within the triangle
             for k in range(3):
-                one, two = (a, b) if k == 0 else ((b, c) if k == 1 else (c, a))
-                if (one[1] < row and two[1] < row) or (one[1] > row and two[1] > row):
+                p, q = (a, b) if k == 0 else ((b, c) if k == 1 else (c, a))
+                if (p[1] < row and q[1] < row) or (p[1] > row and q[1] > row):
                     continue
-                if one[1] == two[1]:
-                    low, high = min(low, one[0], two[0]), max(high, one[0], two[0])
+                if p[1] == q[1]:
+                    low, high = min(low, p[0], q[0]), max(high, p[0], q[0])
                 else:
-                    at = one[0] + (row - one[1]) / (two[1] - one[1]) * (two[0] - one[0])
+                    at = p[0] + (row - p[1]) / (q[1] - p[1]) * (q[0] - p[0])
                     low, high = min(low, at), max(high, at)
             if not low <= high:
                 continue

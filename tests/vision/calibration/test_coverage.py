@@ -20,7 +20,7 @@ SIZE = (RIG.left.width, RIG.left.height)
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
-    """Of eight views."""
+    """Calibrated from eight views."""
     views = synthetic_views(RIG, BOARD, board_poses(RIG, BOARD, 8, 0), 0.02, 0)
     return calibrate_stereo(views, SIZE, SIZE, "division")
 

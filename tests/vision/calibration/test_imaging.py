@@ -37,7 +37,7 @@ def with_gamma(image: Image, gamma: float) -> Image:
 
 
 def edges(change: object = None, camera: CameraModel = CAMERA, blur_mm: float = 0.06) -> list[BoardEdges]:
-    """Of three views of the board, each changed."""
+    """Three views of the board, each changed."""
     found = []
     for number, pose in enumerate(POSES):
         image = draw_board(BOARD, camera, pose, noise=1.0, seed=number, blur_mm=blur_mm)
@@ -47,7 +47,7 @@ def edges(change: object = None, camera: CameraModel = CAMERA, blur_mm: float = 
 
 
 def the_edges(image: Image, number: int) -> BoardEdges:
-    """Of one picture; its corners are known exactly."""
+    """One picture; its corners are known exactly."""
     points = BOARD.points_mm @ POSES[number][:3, :3].T + POSES[number][:3, 3]
     ids = np.arange(len(points))
     seen = edges_of(

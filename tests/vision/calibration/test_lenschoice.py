@@ -42,7 +42,7 @@ def points_of(calibration: Calibration) -> FloatArray:
 
 
 def sigma_mm(calibration: Calibration) -> float:
-    """Of points where the marks were, rms."""
+    """Rms error of points where the marks were."""
     covariance = calibration_covariance(calibration.rig, points_of(calibration))
     return float(np.sqrt(np.mean(np.einsum("nii->n", covariance))))
 
@@ -70,7 +70,7 @@ def test_the_true_lens_is_chosen(rig: StereoRig, name: str, model: str) -> None:
 
 @pytest.mark.slow
 def test_a_simple_lens_is_known_better() -> None:
-    """Of division lenses the sigma is below Brown-Conrady's, and above that of who knew the model."""
+    """The sigma of division lenses is below Brown-Conrady's, and above that of who knew the model."""
     views = views_of(DIVISION)
     chosen, brown, division = (calibrate_stereo(views, SIZE, SIZE, m) for m in ("auto", "brown", "division"))
     assert "division" == chosen.lenses[0].name

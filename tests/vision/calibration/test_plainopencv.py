@@ -26,7 +26,7 @@ ROUND = np.linspace(0, 2 * np.pi, 90, endpoint=False)
 
 
 def plain(rig: StereoRig) -> PlainRig:
-    """The same cameras in OpenCV's terms."""
+    """These cameras in OpenCV's terms."""
 
     def camera(model: CameraModel) -> PlainCamera:
         return PlainCamera(model.matrix, np.array(model.distortion))

@@ -24,7 +24,7 @@ def sighting(noise_px: FloatArray, spacing_px: float) -> Sighting:
 @pytest.mark.parametrize("together", [1, 3])
 @pytest.mark.parametrize("spacing_px", [1.0, 2.0])
 def test_it_is_the_variance_of_a_pixel_of_arc(spacing_px: float, together: int) -> None:
-    """Of independent samples, and of those that are means of neighbours, which tell as much as fewer ones."""
+    """True of independent samples, and of means of neighbours, which tell as much as fewer ones."""
     rng = np.random.default_rng(3)
     kernel = np.ones(together) / together
     seen = []
@@ -39,7 +39,7 @@ def test_it_is_the_variance_of_a_pixel_of_arc(spacing_px: float, together: int) 
 
 
 def test_too_little_tells_nothing() -> None:
-    """Of two pictures, of curves sampled otherwise in each, of edges that hardly count."""
+    """Two pictures, curves sampled otherwise in each, of edges that hardly count."""
     still = np.zeros((2, COUNT))
     one = sighting(still, 1.0)
     assert edge_noise([one] * 2) is None

@@ -53,7 +53,7 @@ def picked(edges: ChosenEdges, seen: EdgeSamples) -> int:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_variance_equals_its_twin(seed: int) -> None:
-    """Of white and of correlated samples with gaps and outliers, from scratch and from shares of before."""
+    """White and correlated samples with gaps and outliers, from scratch and from shares of before."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(40, 300))
     waves = circle(count)[2]

@@ -41,7 +41,7 @@ PART = Scene(TABLE, (PlacedPart(demo_part(), at(8, 0, 205)),))
 )
 @pytest.mark.parametrize("scene", [BOARD, PART], ids=["board", "part"])
 def test_the_spread_is_that_of_lens_and_pixel(psf_px: float, off: float, scene: Scene) -> None:
-    """Of a board and of a textured part, bright or dark or noisy: to 4 %, to 5 % far beyond focus."""
+    """A board and a textured part, bright or dark or noisy: to 4 %, to 5 % far beyond focus."""
     view = RenderedView(demo_rig().left, np.eye(4), Sensor(psf_sigma_px=psf_px))
     expected = math.hypot(psf_px, PIXEL_PX)
     for exposure_us, gain_db, noise_grey in ((2000.0, 0.0, 0.9), (700.0, 0.0, 0.6), (700.0, 10.0, 1.8)):

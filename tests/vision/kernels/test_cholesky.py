@@ -25,7 +25,7 @@ def test_the_upper_left_of_a_matrix_is_factorised_and_solved(size: int) -> None:
 
 
 def test_the_smallest_pivot_does_not_depend_on_units() -> None:
-    """Of two unknowns correlated by 0.8, 1 - 0.8² is left over, whatever their units."""
+    """1 - 0.8² of the variance is left of two unknowns correlated by 0.8, whatever their units."""
     matrix = np.array([[1.0, 0.8], [0.8, 1.0]])
     for units in ([1.0, 1.0], [1e-6, 1e3], [1e8, 1.0]):
         assert factorise(matrix * np.outer(units, units), 2) == pytest.approx(0.36)
@@ -33,7 +33,7 @@ def test_the_smallest_pivot_does_not_depend_on_units() -> None:
 
 @pytest.mark.parametrize("size", [2, 7, 30])
 def test_the_inverse_is_numpys(size: int) -> None:
-    """Of a full matrix, whatever the units of its unknowns."""
+    """True of a full matrix, whatever the units of its unknowns."""
     rng = np.random.default_rng(size)
     root, units = rng.normal(size=(size, size)), 10.0 ** rng.uniform(-6, 6, size)
     square = root @ root.T + 0.1 * np.eye(size)

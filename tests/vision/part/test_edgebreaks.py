@@ -22,7 +22,7 @@ from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 
 AS_DARK = np.full((2, 2), DARK)
-"""Of breaks in the light that they are taught in: as dark as walls, so that the face ends where they do."""
+"""Breaks in the light that they are taught in: as dark as walls, so that the face ends where they do."""
 WHERE = pose(turn_deg=40.0, tilt_deg=5.0)
 BREAK_MM = 0.22
 
@@ -62,7 +62,7 @@ def worst_sigmas(job: Job, target: Target, where: FloatArray) -> float:
     ],
 )
 def test_each_camera_sees_its_own_ends(lights: list[list[float]], side_rad: float) -> None:
-    """Of breaks that are bright on one side, and not alike for both cameras, no result is beyond four of the
+    """No result of breaks that are bright on one side, and not alike for both cameras, is beyond four of the
     sigmas that it states, and what is good says that it is vague."""
     images = pair_of(rig().rig, WHERE, BREAK_MM, np.array(lights), side_rad)
     target = only(locate(frame_pair(*images), broken(), rig()))

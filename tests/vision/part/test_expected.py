@@ -96,7 +96,7 @@ def test_elsewhere_errors_are_as_large_as_was_expected() -> None:
 
 
 def test_farther_away_the_depth_is_worse() -> None:
-    """Of edges that show equally well: as the square of the distance, but for the shorter arcs."""
+    """Edges that show equally well are as vague as the square of the distance, but for the shorter arcs."""
     flat = cell("disc")
     scatters = scatters_of(measured(flat.job, flat.see(cells.pose())).fits)
     near, far = (

@@ -233,7 +233,7 @@ def test_each_limit_has_its_reason(change: Callable[[Job], Job], expected: Rejec
     ],
 )
 def test_each_limit_has_its_reason_without_circles(limits: dict[str, object], expected: Reject) -> None:
-    """The same for a part of straight edges."""
+    """A part of straight edges has its reasons, too."""
     here = cell("plate")
     outcome = found(here, limited(**limits)(here.job), pose(turn_deg=2.0))
     assert outcome.status is Status.LOW_QUALITY

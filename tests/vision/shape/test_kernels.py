@@ -175,7 +175,7 @@ def test_response_sum_is_the_similarity() -> None:
 
 
 def test_one_candidate_per_place_and_rotation() -> None:
-    """Of near poses the first stays; another angle, place or sign is kept."""
+    """The first of near poses stays; another angle, place or sign is kept."""
     rows = np.array(
         [
             [10.0, 10, 0, 1, 1, 1],

@@ -147,7 +147,7 @@ def test_points_that_share_pixels_are_counted_once() -> None:
 @settings(max_examples=60)
 @given(data=st.data())
 def test_any_picture_is_a_model_or_an_error(data: st.DataObject) -> None:
-    """Of any size, content and region: a model whose points are finite, or a TeachError; nothing else."""
+    """Any size, content and region gives a model whose points are finite, or a TeachError; nothing else."""
     height, width = data.draw(st.integers(1, 90)), data.draw(st.integers(1, 90))
     rng = np.random.default_rng(data.draw(st.integers(0, 10**6)))
     kind = data.draw(st.sampled_from(["black", "white", "noise", "clipped", "checks", "step", "disc"]))

@@ -232,7 +232,7 @@ def only(matches: NccMatches) -> PairingReason:
 
 
 def noisy(view: FloatArray) -> tuple[Image, Image]:
-    """The same view twice, each with its own noise."""
+    """One view twice, each with its own noise."""
     return exposed(view, np.random.default_rng(1)), exposed(view, np.random.default_rng(2))
 
 
@@ -322,7 +322,7 @@ def test_swapped_images_are_refused() -> None:
 
 
 def test_identical_images_have_no_disparity() -> None:
-    """The same image twice: exactly zero, where the range allows it."""
+    """An image against itself: exactly zero, where the range allows it."""
     view = exposed(slanted_pair(random_texture(0), np.zeros(3))[0], np.random.default_rng(1))
     matches = match_ncc(view, view, POINTS, (-20, 20))
     np.testing.assert_allclose(matches.disparity_px, 0.0, atol=1e-6)
