@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
@@ -77,7 +78,7 @@ def teach(
 
 
 def _taught(view: TeachingView, name: str, number: int, params: ModelParams | None) -> Job:
-    ellipses = find_ellipses(view.images.rectified_left, view.mask)
+    ellipses = without_pattern(view, find_ellipses(view.images.rectified_left, view.mask))
     try:
         face, largest = _reference(view.images, ellipses)
         levels = find_levels(
@@ -101,6 +102,48 @@ def _taught(view: TeachingView, name: str, number: int, params: ModelParams | No
     found, _ = find_features(view, rig_from_part, curves)
     sigma_mm = reference.sigma_radius_mm
     return _job(view, params, name, number, rig_from_part, features[0].name, found, features, sigma_mm)
+
+
+def without_pattern(view: TeachingView, ellipses: list[ImageEllipse]) -> list[ImageEllipse]:
+    """The ellipses of a region without the holes of a perforated table.
+
+    Its holes are many, of one size, fill the picture, and lie below what else has circles: a table's plane
+    is under the part.
+    """
+    rows = _size_rows(ellipses)
+    alike = np.abs(rows[:, None, 3] - rows[:, 3]) < TEACHING.pattern_alike
+    if not len(ellipses) or alike.sum(axis=1).max() < TEACHING.pattern_inside:
+        return ellipses
+    images = view.images
+    everywhere = find_ellipses(images.rectified_left, images.rectification.valid_left)
+    drawn = _size_rows(everywhere)
+    law = np.array([0.0, 0.0, rows[alike.sum(axis=1).argmax(), 3]])  # log of the size over x, y, 1
+    of_pattern = np.zeros(0, bool)
+    for _ in range(TEACHING.pattern_rounds):
+        of_pattern = np.abs(drawn[:, :3] @ law - drawn[:, 3]) < TEACHING.pattern_alike
+        if of_pattern.sum() < TEACHING.pattern_least:
+            return ellipses
+        law = np.linalg.lstsq(drawn[of_pattern, :3], drawn[of_pattern, 3], rcond=None)[0]
+    holes = [everywhere[k] for k in np.flatnonzero(of_pattern)]
+    rest = [
+        ellipses[k] for k in np.flatnonzero(np.abs(rows[:, :3] @ law - rows[:, 3]) > TEACHING.pattern_alike)
+    ]
+    filled = cv2.contourArea(cv2.convexHull(np.float32([(hole.x, hole.y) for hole in holes])))
+    if filled < TEACHING.pattern_filled * view.mask.size or not rest:
+        return ellipses
+    try:
+        table, _ = _reference(images, holes[: TEACHING.pattern_least])
+        _, above = _reference(images, rest)
+    except TeachError:
+        return ellipses
+    below = table.offset - float(table.normal @ above.circle.centre_mm)
+    return rest if below * np.sign(table.normal[2]) > TEACHING.break_mm else ellipses
+
+
+def _size_rows(ellipses: Sequence[ImageEllipse]) -> FloatArray:
+    """(N, 4) of ellipses: x, y, 1, log of the size."""
+    rows = [(ellipse.x, ellipse.y, 1.0, np.log(ellipse.a * ellipse.b)) for ellipse in ellipses]
+    return np.array(rows, np.float64).reshape(-1, 4)
 
 
 def _circle_features(

@@ -87,6 +87,11 @@ class TeachingParams:
     slot_coverage: float = 0.75  # of the outline with points
     slot_steps: int = 12  # of Gauss-Newton
     slot_bins: int = 40  # of the outline, for its coverage
+    pattern_alike: float = 0.15  # of the size (log of the area) of two holes of a perforated table
+    pattern_rounds: int = 4  # of finding which are of it, and how their size changes over the picture
+    pattern_inside: int = 3  # holes of one size in the region: else no picture is searched for more
+    pattern_least: int = 12  # holes of a table
+    pattern_filled: float = 0.4  # of the picture, by what they surround
 
 
 TEACHING = TeachingParams()
