@@ -63,7 +63,7 @@ def save_rig(path: str | Path, calibrated: Calibrated | StereoRig) -> None:
 
 
 def save_job(folder: str | Path, job: Job) -> None:
-    """Write a job's folder; a job that was there is kept as FOLDER.old.
+    """Write a job's folder; a job that was there is kept as FOLDER.old, later ones as FOLDER.2.old, ...
 
     Raises `FileFormatError` where something else is there, or it cannot be written.
     """

@@ -211,7 +211,7 @@ def teach(
     prepared = prepare(load_rig(rig))
     with console.status("learning the part"):
         proposal = _proposal(source, prepared.rectification, wanted)
-    commit(output, proposal)
+    kept = commit(output, proposal)
     job, inspection = proposal.job, proposal.inspection
     if report is not None:
         write_file(report, teaching_report(job, proposal.taught, inspection).encode())
@@ -238,8 +238,8 @@ def teach(
     console.print(
         f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
     )
-    if former is not None:
-        console.print(f"  the job that was there is {output}.old", markup=False)
+    if kept is not None:
+        console.print(f"  the job that was there is {kept}", markup=False)
     for line in (*proposal.taught.settled, *proposal.carried):
         console.print(f"  {line}", markup=False)
     if job.tilt_rad is not None:
