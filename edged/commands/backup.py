@@ -22,6 +22,8 @@ MAX_LINES = 50
 
 def backup(config: Path, output: Path, console: Console, *, force: bool = False) -> int:
     """Write the archive, proven by restoring it once. Raises `UserError`; then no archive is left."""
+    if not output.name.lower().endswith((".tar.gz", ".tgz")):
+        raise UserError(f"{output}: an archive is a tar: expected a name that ends in .tar.gz")
     if output.exists() and not force:
         raise UserError(f"{output}: exists; choose another name, or --force to replace it")
     check_outputs({"--output": output}, {"CONFIG": config})
