@@ -53,7 +53,7 @@ SHOWN_PX = 1280
 HERE_ONLY = ("PYTHONPATH", "NUMBA_CACHE_DIR")
 ALONE = ("unshare", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
 """A program with a network of its own: the ports of the page are free in it."""
-SETTING_UP = ("==> ", "edged: compiling ")
+SETTING_UP = ("==> ", "edged: compiling ", "compiling ")
 """What is said only where something had to be installed."""
 FINDING = re.compile(r"(?:ok|warn|bad|skip) +(?P<check>[^:]+):.*|\d+ checks, .*| +(?:then|help):.*")
 """Of `edged doctor`, whose answers are the PC's: what was looked at is the same on each."""
