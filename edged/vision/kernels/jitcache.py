@@ -21,7 +21,6 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
-
 log = logging.getLogger(__name__)
 _said = itertools.count()
 
