@@ -36,7 +36,7 @@ PREPARED_RIGS = 4
 
 
 def load_rig(path: str | Path) -> StereoRig:
-    """Read a rig that `edged calibrate`, `edged rig import` or `save_rig` wrote.
+    """Read a rig that `edged calibrate`, `edged rig convert` or `save_rig` wrote.
 
     Raises `FileFormatError` that names the file, the field and what was expected.
     """

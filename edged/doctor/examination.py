@@ -12,7 +12,7 @@ from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
 from edged.doctor.ourdaemon import our_daemon
 from edged.doctor.pictures import take_pictures
 from edged.errors import ConfigError
-from edged.setup.cellfiles import exposed_secrets, read_cell
+from edged.setup.cellfiles import doubts, exposed_secrets, read_cell
 from edged.vision.geometry.camera import StereoRig
 
 
@@ -38,6 +38,14 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
         rig, fingerprint = cell.rig, cell.fingerprint
         jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
         yield Check("configuration", CheckResult.OK, jobs)
+        for doubt in doubts(cell):
+            yield Check(
+                "calibration",
+                CheckResult.WARN,
+                doubt,
+                "lengths may be wrong",
+                "edged calibrate; then edged verify",
+            )
     for secret in exposed_secrets(path, config):
         yield Check(
             "secrets",

@@ -8,6 +8,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from helpers.cells import flange, frame_pair, small_rig
 
 from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.doctor.examination import examine
 from edged.domain.arrays import Image
 from edged.domain.measurement import Status
 from edged.files.jobs import load_job
@@ -395,6 +397,65 @@ def test_check_says_good(edged: Edged, pristine: Path) -> None:
     document = json.loads(out)
     assert (code, err, document["ok"], document["problems"]) == (0, "", True, [])
     assert document["jobs"] == [{"number": 1, "name": "flange"}]
+
+
+def rig_of_another_scale(rig: dict[str, Any]) -> None:
+    """Calibrated with a board that is a tenth of what was stated."""
+    for row in rig["right_from_left"][:3]:
+        row[3] *= 10.0
+
+
+def rig_to_repeat(rig: dict[str, Any]) -> None:
+    """Calibrated from three views."""
+    rig["quality"] = {"verdict": {"grade": "repeat", "why": ["3 views\x1b", "2"], "add": ""}}
+
+
+def rig_of_something_else(rig: dict[str, Any]) -> None:
+    """Whatever another program keeps there."""
+    rig["quality"] = {"verdict": ["repeat"]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (rig_of_another_scale, "rig.json: its cameras stand 1100 mm apart: measure it"),
+        (
+            rig_to_repeat,
+            "rig.json: the calibration's verdict was repeat: 3 views\N{REPLACEMENT CHARACTER}; 2",
+        ),
+        (rig_of_something_else, None),
+    ],
+)
+def test_check_says_what_to_look_at(
+    edged: Edged, folder: Path, spoil: Callable[[dict[str, Any]], None], told: str | None
+) -> None:
+    """It would run, and is not called good; in JSON it is a warning; the doctor says it, too."""
+    path = folder / "rig.json"
+    rig = json.loads(path.read_text())
+    spoil(rig)
+    path.write_text(json.dumps(rig))
+    code, out, _ = edged("check", folder / "cell.toml")
+    document = json.loads(edged("check", folder / "cell.toml", "--json")[1])
+
+    assert 0 == code
+    assert (told is None) == (": good\n" in out)
+    assert (told or "good") in out
+    assert bool(told) == any(warning.startswith(told or "") for warning in document["warnings"])
+    found = [check for check in examine(folder / "cell.toml", trigger=False) if check.name == "calibration"]
+    assert bool(told) == any(told in check.finding for check in found if told)
+
+
+@pytest.mark.slow
+def test_two_jobs_of_one_name_are_a_mistake(edged: Edged, folder: Path) -> None:
+    """Nobody could tell which of them cell.job means."""
+    shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "other")
+    text = (folder / "jobs" / "other" / "job.toml").read_text()
+    (folder / "jobs" / "other" / "job.toml").write_text(text.replace("number = 1", "number = 2"))
+    code, _, err = edged("check", folder / "cell.toml")
+
+    assert 2 == code
+    assert "other and flange both have the name 'flange': change `name`" in err
 
 
 @pytest.mark.slow
