@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
+from edged.commands.exchanged import SWAPPED
+from edged.domain.arrays import Image
 from edged.domain.numerals import decimal
 from edged.errors import TeachError, UserError
 from edged.files.atomic import write_file
@@ -272,13 +275,28 @@ def _proposal(
     region = None if source.region is None else parse_region(source.region)
     exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
+    taken = partial(
+        propose_from_pair, rectification=rectification, wanted=wanted, region=region, exclude=exclude
+    )
     if source.step is None:
-        return propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude)
+        with _swap_named(taken, left, right):
+            return taken(left, right)
     model, shown = read_model(source.step, source.up or "", source.unit)
-    with _unit_named(model, source.step, source.unit):
-        return propose_from_pair(
-            left, right, rectification, wanted, region=region, exclude=exclude, model=shown
-        )
+    with _unit_named(model, source.step, source.unit), _swap_named(partial(taken, model=shown), left, right):
+        return taken(left, right, model=shown)
+
+
+@contextlib.contextmanager
+def _swap_named(taken: Callable[[Image, Image], Proposal], left: Image, right: Image) -> Iterator[None]:
+    """A pair that teaches nothing is tried the other way round: then the message says what is wrong."""
+    try:
+        yield
+    except TeachError as error:
+        try:
+            taken(right, left)
+        except UserError:
+            raise error from None
+        raise TeachError(SWAPPED) from error
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from helpers.cells import flange, frame_pair, small_rig
 
 from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.commands.exchanged import SWAPPED
 from edged.doctor.examination import examine
 from edged.domain.arrays import Image
 from edged.domain.measurement import Status
@@ -256,6 +257,41 @@ def teach_arguments(folder: Path, **changed: object) -> list[object]:
         "output": folder / "jobs" / "flange",
     } | changed
     return ["teach", *(item for key, value in values.items() for item in (f"--{key}", value))]
+
+
+@pytest.mark.slow
+def test_swapped_pictures_are_told_as_such(edged: Edged, folder: Path) -> None:
+    """By each command that takes a pair; an empty pair is not swapped."""
+    rig, job = ("--rig", folder / "rig.json"), ("--job", folder / "jobs" / "flange")
+    exchanged = folder / "right.png", folder / "left.png"
+    blank = folder / "blank.png", folder / "blank.png"
+    assert (1, True) == told_swapped(edged("locate", *rig, *job, *exchanged))
+    _, out, err = edged("locate", *rig, *job, "--json", *exchanged)
+    assert ("NO_TARGET", True) == (json.loads(out)["status"], SWAPPED in err)
+    assert (1, False) == told_swapped(edged("locate", *rig, *job, *blank))
+    assert (1, True) == told_swapped(edged("verify", *rig, *job, "--length", "c0=28", *exchanged))
+    sides = {
+        "left": exchanged[0],
+        "right": exchanged[1],
+        "output": folder / "jobs" / "other",
+        "name": "other",
+    }
+    arguments = teach_arguments(folder, **sides)
+    region = arguments.index("--roi")
+    assert (2, True) == told_swapped(edged(*arguments[:region], *arguments[region + 2 :]))
+    rig_file = folder / "rig.json"
+    rig_file.write_text(rig_file.read_text().replace('"robot_from_rig": null', f'"robot_from_rig": {UNIT}'))
+    touched = ("--pose", "1,2,3,0,0,0", "--brand", "kuka", "--name", "jaw")
+    assert (1, True) == told_swapped(edged("grasp", "touch", *rig, *job, *touched, *exchanged))
+
+
+UNIT = np.eye(4).tolist()
+
+
+def told_swapped(answer: tuple[int, str, str]) -> tuple[int, bool]:
+    """Exit code, and whether it was said."""
+    code, out, err = answer
+    return code, SWAPPED in f"{out}{err}"
 
 
 @pytest.mark.slow

@@ -39,8 +39,8 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 
 FIRST_LOOKED_AT = 3
-"""Pairs, the first, the last and between: where none shows the board, it is asked which other one it is before
-the rest is searched in vain, which takes longest."""
+"""Pairs, the first, the last and between: where none shows the board, it is asked which one it is, before the
+rest is searched in vain, which takes longest."""
 THUMBNAIL_PX = 240
 """Width of the pictures in the report: a few kB each."""
 
