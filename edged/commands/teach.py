@@ -217,7 +217,8 @@ def teach(
     kept = commit(output, proposal)
     job, inspection = proposal.job, proposal.inspection
     if report is not None:
-        write_file(report, teaching_report(job, proposal.taught, inspection).encode())
+        about = {"rig": f"{rig.name}, {prepared.rig.calibration_id}", **_taught_from(source)}
+        write_file(report, teaching_report(job, proposal.taught, inspection, about).encode())
     if as_json:
         print(json.dumps(inspection_to_json(job, inspection)))
     x, y, z = job.rig_from_part[:3, 3]
@@ -251,6 +252,15 @@ def teach(
     for warning in inspection.warnings:
         console.print(f"Warning: {warning}", markup=False)
     return 0
+
+
+def _taught_from(source: PairSource | DrawingSource) -> dict[str, str]:
+    """For the head of the report: the files by name, as another PC may have them elsewhere."""
+    files = {name.removeprefix("--"): path.name for name, path in _inputs(source).items() if path is not None}
+    if isinstance(source, DrawingSource):
+        return {**files, "distance of the face": f"{source.depth_mm:g} mm, as stated"}
+    pictures = [files.pop(side) for side in ("left", "right") if side in files]
+    return {"pictures": ", ".join(pictures), **files}
 
 
 def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from helpers.cells import flange, frame_pair, small_rig
 
+from edged import __version__
 from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.exchanged import SWAPPED
@@ -343,6 +344,9 @@ def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) ->
     assert "Warning: The region cuts c0, a disc of radius 14.0" in " ".join(err.split())
     assert json.loads(out)["warnings"][0].startswith("The region cuts c0")
     page = report.read_text()
+    assert str(folder) not in page
+    for told in ("rig.json, demo", "left.png, right.png", f"edged {__version__}", " UTC, "):
+        assert told in page
     assert "The region cuts c0" in page
     assert "what is cut red" in page
 
