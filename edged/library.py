@@ -36,7 +36,7 @@ PREPARED_RIGS = 4
 
 
 def load_rig(path: str | Path) -> StereoRig:
-    """Read a rig that `edged calibrate`, `edged rig import` or `save_rig` wrote.
+    """Read a rig that `edged calibrate`, `edged rig convert` or `save_rig` wrote.
 
     Raises `FileFormatError` that names the file, the field and what was expected.
     """
@@ -63,7 +63,7 @@ def save_rig(path: str | Path, calibrated: Calibrated | StereoRig) -> None:
 
 
 def save_job(folder: str | Path, job: Job) -> None:
-    """Write a job's folder; a job that was there is kept as FOLDER.old.
+    """Write a job's folder; a job that was there is kept as FOLDER.old, later ones as FOLDER.2.old, ...
 
     Raises `FileFormatError` where something else is there, or it cannot be written.
     """

@@ -16,6 +16,13 @@ checkout, as it is committed, in ~/edged. When a command fails, the page stays a
 With --check the checkout and the Python that this program runs with stand in ~/edged, as they are; nothing is
 installed, and no port of this machine is used. What differs from one run or PC to the next is no difference:
 measured numbers, times, identifiers, the width of tables, and what `edged doctor` says of the PC.
+
+What the page's own sentences say of measured numbers is held against them by remarks that no reader sees:
+
+    <!-- held: /stereo rms ([\\d.]+) px/ in 0.001 to 0.01 -->        what a command above has said last
+    <!-- held: /x ([\\d.]+)/ - /true ([\\d.]+)/ in 0 to 0.01 -->     the difference of two of them
+
+A paragraph with a measured number and without such a remark is a mistake, as one that does not hold.
 """
 
 from __future__ import annotations
@@ -53,7 +60,7 @@ SHOWN_PX = 1280
 HERE_ONLY = ("PYTHONPATH", "NUMBA_CACHE_DIR")
 ALONE = ("unshare", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
 """A program with a network of its own: the ports of the page are free in it."""
-SETTING_UP = ("==> ", "edged: compiling ")
+SETTING_UP = ("==> ", "edged: compiling ", "compiling ")
 """What is said only where something had to be installed."""
 FINDING = re.compile(r"(?:ok|warn|bad|skip) +(?P<check>[^:]+):.*|\d+ checks, .*| +(?:then|help):.*")
 """Lines of `edged doctor`, whose answers are the PC's: what was looked at is the same on each."""
@@ -64,6 +71,13 @@ MASKS = (
     (re.compile(r"(?<![\d.])[-+]?\d+\.\d+(?!\.?\d)(?: [nµm]?m\b)?|±?\d+ (?:ms|µs|µm)\b"), "MEASURED"),
     (re.compile(r"[─━]+|[^\w\s]*[┌┬┐├┼┤└┴┘│┏┳┓┡╇┩┃][┌┬┐├┼┤└┴┘┏┳┓┡╇┩]*"), " "),
 )
+
+HELD = re.compile(
+    r"<!-- held: /(?P<first>.+?)/(?: - /(?P<second>.+?)/)? in (?P<low>[\d.]+) to (?P<high>[\d.]+) -->"
+)
+"""A remark on the sentences of its paragraph: where in what was said their numbers are, and the range."""
+FIGURE = re.compile(r"\d\.\d{3}|\d (?:ms|µs|µm|px|mm)\b")
+"""In a sentence: what was measured, or could have been."""
 
 
 class CommandFailed(Exception):
@@ -188,6 +202,38 @@ def differences(page: Sequence[str], now: Sequence[str]) -> list[str]:
     ]
 
 
+def untrue(page: Sequence[str]) -> list[str]:
+    """What the sentences of a page say otherwise than its commands, or without a remark that holds it."""
+    found, said, paragraph, fence = list[str](), "", "", ""
+    for line in [*page, ""]:
+        if line.startswith(FENCE):
+            fence = "" if fence else line
+        elif fence:
+            said += f"{line}\n" if fence == CONSOLE else ""
+        elif line:
+            paragraph += f"{line}\n"
+            if (remark := HELD.fullmatch(line)) and (wrong := _broken(remark, said)):
+                found.append(wrong)
+        if paragraph and (fence or not line):
+            sentences = re.sub(r"`[^`]*`|<!--.*?-->|\]\([^)]*\)|<http[^>]*>", "", paragraph)
+            if FIGURE.search(sentences) and not HELD.search(paragraph):
+                found.append(f"measured numbers without a remark that holds them:\n{paragraph}")
+            paragraph = ""
+    return found
+
+
+def _broken(remark: re.Match[str], said: str) -> str:
+    """Why a remark does not hold; "" where it does."""
+    numbers = list[float]()
+    for pattern in filter(None, (remark["first"], remark["second"])):
+        seen = re.findall(pattern, said)
+        if not seen:
+            return f"{remark[0]}\nno command above says /{pattern}/"
+        numbers.append(float(seen[-1]))
+    value = numbers[0] if len(numbers) == 1 else abs(numbers[0] - numbers[1])
+    return "" if float(remark["low"]) <= value <= float(remark["high"]) else f"{remark[0]}\nit is {value:g}"
+
+
 def _answers(page: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
     fence, command, answer = "", "", list[str]()
     for line in page:
@@ -240,15 +286,17 @@ def main() -> int:
             return 1
         finally:
             machine.close()
+    wrong = untrue(text)
     if options.check:
-        changed = differences(old, text)
+        changed = [*differences(old, text), *wrong]
         print("\n\n".join(changed))
         return 1 if changed else 0
     page.write_text("\n".join(text) + "\n")
     for name, picture in pictures.items():
         if picture is not None:
             cv2.imwrite(str(page.parent / name), picture)
-    return 0
+    print("\n\n".join(wrong), file=sys.stderr)
+    return 1 if wrong else 0
 
 
 if __name__ == "__main__":

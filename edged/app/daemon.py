@@ -29,7 +29,7 @@ from edged.files.statefolder import SetupNote, setup_note, state_folder
 from edged.link.summary import PageTask
 from edged.logs import fields
 from edged.ports import Publisher
-from edged.setup.cellfiles import exposed_secrets
+from edged.setup.cellfiles import CellFiles, doubts, exposed_secrets
 from edged.setup.registration.registrar import CellRegistrar
 from edged.setup.releases.jobuse import JobUse
 from edged.vision.geometry.camera import StereoRig
@@ -112,7 +112,7 @@ class Daemon:
             async with self._reloading:  # one that is asked for meanwhile comes after the start
                 if not await self._start_servers():
                     return
-                self._warn_of_exposed_secrets()
+                self._warn()
                 for observer in self._observers:
                     started.append(observer)
                     try:
@@ -183,7 +183,7 @@ class Daemon:
                 fingerprint_,
                 extra=fields(fingerprint=fingerprint_),
             )
-            self._warn_of_exposed_secrets()
+            self._warn()
             return ""
 
     @property
@@ -206,9 +206,12 @@ class Daemon:
             log.info("registered, fingerprint %s", self._running.fingerprint())
             return self._running.loaded.setup
 
-    def _warn_of_exposed_secrets(self) -> None:
-        for secret in exposed_secrets(self._path, self._running.loaded.cell.config):
+    def _warn(self) -> None:
+        cell = self._running.loaded.cell
+        for secret in exposed_secrets(self._path, cell.config):
             log.warning("%s", secret)
+        for doubt in doubts(cell) if isinstance(cell, CellFiles) else ():
+            log.warning("%s", doubt)
 
     async def _run_cycle(self) -> None:
         task = asyncio.create_task(self._cycle.run(), name="cycle")

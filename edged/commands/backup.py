@@ -10,7 +10,7 @@ from rich.console import Console
 from edged.commands.saying import say
 from edged.errors import ConfigError, UserError
 from edged.files.atomic import write_file
-from edged.files.outputs import check_outputs
+from edged.files.outputs import check_folder, check_outputs
 from edged.setup.cellfiles import read_cell
 from edged.setup.releases.archive import REGISTERS, Backup, fits_map, make, read
 from edged.setup.releases.archive import restore as put_back
@@ -22,6 +22,8 @@ MAX_LINES = 50
 
 def backup(config: Path, output: Path, console: Console, *, force: bool = False) -> int:
     """Write the archive, proven by restoring it once. Raises `UserError`; then no archive is left."""
+    if not output.name.lower().endswith((".tar.gz", ".tgz")):
+        raise UserError(f"{output}: an archive is a tar: expected a name that ends in .tar.gz")
     if output.exists() and not force:
         raise UserError(f"{output}: exists; choose another name, or --force to replace it")
     check_outputs({"--output": output}, {"CONFIG": config})
@@ -47,6 +49,8 @@ def restore(archive: Path, output: Path | None, console: Console, *, force: bool
     nothing has changed.
     """
     taken = read(archive)
+    if output is not None:
+        check_folder(output)
     say(
         f"{archive}: cell {taken.cell}, fingerprint {taken.fingerprint}, written by edged {taken.version} at "
         f"{taken.created:%Y-%m-%d %H:%M} UTC; {len(taken.files)} files, every checksum is right",

@@ -10,6 +10,7 @@ from rich.markup import escape
 
 from edged.errors import UserError
 from edged.files.atomic import write_file
+from edged.files.outputs import check_outputs
 from edged.files.pdf import Shapes, Text, one_page
 from edged.vision.boards.artwork import Artwork, artwork
 from edged.vision.boards.board import NominalBoard, parse_board
@@ -34,6 +35,7 @@ def board(spec: str, paper: str | None, output: Path, console: Console) -> int:
     """Write the page. Raises `UserError` for a board that fits on no paper."""
     if output.suffix.lower() != ".pdf":
         raise UserError(f"{output}: expected a name that ends in .pdf")
+    check_outputs({"--output": output})
     wanted = parse_board(spec)
     drawn = artwork(wanted)
     name, size = _paper(drawn, paper, wanted)

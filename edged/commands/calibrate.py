@@ -57,7 +57,7 @@ def calibrate(
         views.add(pairs, progress)
         solved = solve(views, lens, plate_shape=plate_shape, progress=progress)
         about = {
-            "pictures": str(directory.resolve()),
+            "pictures": f"{len(pairs)} pairs in the folder {directory.resolve().name}",
             "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, edged {__version__}",
         }
         page = report_of(solved, about) if report else None

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from edged.errors import ConfigError
-from edged.setup.cellfiles import UnfinishedCell, exposed_secrets, read_any_cell
+from edged.setup.cellfiles import UnfinishedCell, doubts, exposed_secrets, read_any_cell
 
 
 def check(path: Path, *, as_json: bool) -> int:
@@ -22,7 +22,7 @@ def check(path: Path, *, as_json: bool) -> int:
     if isinstance(cell, UnfinishedCell):
         return _refused(path, ConfigError(str(path), [*cell.missing]), as_json=as_json, starts_in_setup=True)
     config, rig = cell.config, cell.rig
-    warnings = [str(secret) for secret in exposed_secrets(path, config)]
+    warnings = [*doubts(cell), *(str(secret) for secret in exposed_secrets(path, config))]
     jobs = [{"number": job.number, "name": job.name} for job in cell.jobs]
     if as_json:
         print(
@@ -41,7 +41,7 @@ def check(path: Path, *, as_json: bool) -> int:
             )
         )
         return 0
-    print(f"{path}: good")
+    print(f"{path}: good" if not warnings else f"{path}: it would run; {len(warnings)} to look at")
     print(f"  cell         {config.cell.name}, fingerprint {cell.fingerprint}")
     frame = "robot" if rig.robot_from_rig is not None else "rig (not registered to a robot)"
     if rig.flange_from_rig is not None:

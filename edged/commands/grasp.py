@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from edged.commands.exchanged import SWAPPED, found_exchanged
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Target
@@ -49,11 +50,14 @@ def touch(rig: Path, job: Path, left: Path, right: Path, asked: Touch, console: 
         raise UserError(f"--rig {rig}: not registered to a robot beside it (edged register)")
     robot_from_tcp = _pose(asked)
     pair = FramePair.of_images(load_image(left), load_image(right))
-    outcome = locate(pair, taught, prepare(loaded))
+    prepared = prepare(loaded)
+    outcome = locate(pair, taught, prepared)
     good = [target for target in outcome.targets if target.reject is Reject.NONE]
     if len(good) != 1:
         why_not = sorted({words for target in outcome.targets for words in reasons(target.reject)})
         why = f"{len(good)} good parts, expected one" if good else ", ".join(why_not) or str(outcome.status)
+        if not good and found_exchanged(pair.left.image, pair.right.image, taught, prepared):
+            why = SWAPPED
         console.print(f"{job}: nothing was written: {why}", markup=False)
         return 1
     part_from_tcp = invert(loaded.robot_from_rig @ good[0].rig_from_part) @ robot_from_tcp

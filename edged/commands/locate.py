@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from edged.commands.exchanged import SWAPPED, found_exchanged
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status, Target
@@ -78,8 +80,9 @@ def locate(
     inspection = replace(inspection, measured=tuple(parts))
     outcome = picked(judge(inspection), taught.picking, frame)
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
+    images = pair.left.image, pair.right.image
+    swapped = outcome.status is not Status.OK and found_exchanged(*images, taught, prepared)
     if overlay is not None:
-        images = pair.left.image, pair.right.image
         seen = inspection.measured, inspection.dismissed
         picture = draw_pair(*images, prepared.rig, taught, *seen, outcome.status, nearest=nearest)
         _write_picture(overlay, picture)
@@ -104,6 +107,11 @@ def locate(
                 )
             )
         )
+        if swapped:
+            sys.stderr.write(f"edged: {SWAPPED}\n")
+    elif swapped:
+        console.print(f"status {outcome.status}")
+        console.print(SWAPPED, soft_wrap=True)
     else:
         _print(outcome, prepared.rig, known[convention], console)
     return 0 if outcome.status is Status.OK else 1

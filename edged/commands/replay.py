@@ -51,9 +51,10 @@ def replay(
     overlays : folder for a picture (PNG) of each measured pair with the evidence.
     """
     files = _files(path)
-    if overlays is not None:
-        check_folder(overlays)
-        make_folder(overlays)
+    for folder in (export, overlays):
+        if folder is not None:  # before the work, which may take an hour
+            check_folder(folder)
+            make_folder(folder)
     report = Report(recording.versions())
     for file in track(files, "replaying", console=Console(stderr=True), transient=True):
         try:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
+from edged.commands.exchanged import SWAPPED
+from edged.domain.arrays import Image
 from edged.domain.numerals import decimal
 from edged.errors import TeachError, UserError
 from edged.files.atomic import write_file
@@ -211,10 +214,11 @@ def teach(
     prepared = prepare(load_rig(rig))
     with console.status("learning the part"):
         proposal = _proposal(source, prepared.rectification, wanted)
-    commit(output, proposal)
+    kept = commit(output, proposal)
     job, inspection = proposal.job, proposal.inspection
     if report is not None:
-        write_file(report, teaching_report(job, proposal.taught, inspection).encode())
+        about = {"rig": f"{rig.name}, {prepared.rig.calibration_id}", **_taught_from(source)}
+        write_file(report, teaching_report(job, proposal.taught, inspection, about).encode())
     if as_json:
         print(json.dumps(inspection_to_json(job, inspection)))
     x, y, z = job.rig_from_part[:3, 3]
@@ -238,8 +242,8 @@ def teach(
     console.print(
         f"  shape model: {len(job.shape.levels[0].points)} points on {len(job.shape.levels)} levels"
     )
-    if former is not None:
-        console.print(f"  the job that was there is {output}.old", markup=False)
+    if kept is not None:
+        console.print(f"  the job that was there is {kept}", markup=False)
     for line in (*proposal.taught.settled, *proposal.carried):
         console.print(f"  {line}", markup=False)
     if job.tilt_rad is not None:
@@ -248,6 +252,15 @@ def teach(
     for warning in inspection.warnings:
         console.print(f"Warning: {warning}", markup=False)
     return 0
+
+
+def _taught_from(source: PairSource | DrawingSource) -> dict[str, str]:
+    """For the head of the report: the files by name, as another PC may have them elsewhere."""
+    files = {name.removeprefix("--"): path.name for name, path in _inputs(source).items() if path is not None}
+    if isinstance(source, DrawingSource):
+        return {**files, "distance of the face": f"{source.depth_mm:g} mm, as stated"}
+    pictures = [files.pop(side) for side in ("left", "right") if side in files]
+    return {"pictures": ", ".join(pictures), **files}
 
 
 def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:
@@ -272,13 +285,28 @@ def _proposal(
     region = None if source.region is None else parse_region(source.region)
     exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
+    taken = partial(
+        propose_from_pair, rectification=rectification, wanted=wanted, region=region, exclude=exclude
+    )
     if source.step is None:
-        return propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude)
+        with _swap_named(taken, left, right):
+            return taken(left, right)
     model, shown = read_model(source.step, source.up or "", source.unit)
-    with _unit_named(model, source.step, source.unit):
-        return propose_from_pair(
-            left, right, rectification, wanted, region=region, exclude=exclude, model=shown
-        )
+    with _unit_named(model, source.step, source.unit), _swap_named(partial(taken, model=shown), left, right):
+        return taken(left, right, model=shown)
+
+
+@contextlib.contextmanager
+def _swap_named(taken: Callable[[Image, Image], Proposal], left: Image, right: Image) -> Iterator[None]:
+    """A pair that teaches nothing is tried the other way round: then the message says what is wrong."""
+    try:
+        yield
+    except TeachError as error:
+        try:
+            taken(right, left)
+        except UserError:
+            raise error from None
+        raise TeachError(SWAPPED) from error
 
 
 @contextlib.contextmanager

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,6 +16,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from edged.commands.boardoption import naming_board_option
+from edged.commands.exchanged import SWAPPED
+from edged.domain.arrays import Image
 from edged.domain.numerals import decimal, known
 from edged.errors import UserError
 from edged.files.images import load_image
@@ -56,18 +60,28 @@ def verify(
             boards, remark = boards_in(stated_boards(board), shown)
         if remark and not as_json:
             console.print(remark, markup=False, highlight=False, soft_wrap=True)
-        finding = by_board(rig, images, boards, limits)
+        measure = partial(by_board, rig, boards=boards, limits=limits)
     elif job is not None and board is None:
         if not lengths:
             raise UserError(f"--job needs --length NAME=MM. {_WARNING}")
-        finding = by_part(rig, images, load_job(job), dict(map(parse_length, lengths)), limits)
+        stated = dict(map(parse_length, lengths))
+        measure = partial(by_part, rig, job=load_job(job), known=stated, limits=limits)
     else:
         raise UserError("state either --board SPEC or --job DIR, whichever the images show")
+    finding = measure(images)
+    if finding.verdict != "OK" and _holds_exchanged(measure, images):
+        finding = Finding("UNDECIDED", math.nan, (), SWAPPED)
     if as_json:
         print(json.dumps(_to_json(finding, rig, limits)))
     else:
         _print(finding, rig, limits, console)
     return 0 if finding.verdict == "OK" else 1
+
+
+def _holds_exchanged(measure: Callable[[tuple[Image, Image]], Finding], images: tuple[Image, Image]) -> bool:
+    with suppress(UserError):
+        return measure((images[1], images[0])).verdict == "OK"
+    return False
 
 
 # --- lengths of parts ---------------------------------------------------------------------------

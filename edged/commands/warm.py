@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import pkgutil
 import sys
@@ -26,6 +27,7 @@ def warm(*, only_if_needed: bool) -> int:
     if only_if_needed and stamp is not None and stamp.is_file() and stamp.read_text() == key:
         return 0
     sys.stderr.write("edged: compiling numerical kernels (once, up to a minute)\n")
+    logging.getLogger("edged.vision.kernels").setLevel(logging.ERROR)  # it is said by now
     import edged.sim
     import edged.vision
     from edged.vision.kernels.jit import load_all

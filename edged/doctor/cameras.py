@@ -13,11 +13,17 @@ from edged.doctor.findings import Check, CheckResult
 from edged.doctor.firewall import look_at_firewall
 from edged.doctor.host import Interface, interfaces
 from edged.doctor.network import CameraPort, home, look_at_network
+from edged.doctor.ourdaemon import OurDaemon
 from edged.vision.geometry.camera import StereoRig
 
 
-def look_at_cameras(config: Config, rig: StereoRig | None) -> Iterator[Check]:
-    """Cameras of the configuration and their network; rig : tells how large the images are."""
+def look_at_cameras(
+    config: Config, rig: StereoRig | None, daemon: OurDaemon | None = None
+) -> Iterator[Check]:
+    """Cameras of the configuration and their network.
+
+    rig : tells how large the images are.  daemon : of this cell, which has the cameras where it runs.
+    """
     if missing := aravis_missing():
         yield Check(
             "Aravis",
@@ -36,13 +42,13 @@ def look_at_cameras(config: Config, rig: StereoRig | None) -> Iterator[Check]:
     for side, section in (("left", config.cameras.left), ("right", config.cameras.right)):
         info = _configured(section.device, discovered)
         if info is None or info.protocol != "GigEVision" or not ports:
-            yield camera(side, section, info, discovered, ports or ())
+            yield camera(side, section, info, discovered, ports or (), daemon)
             continue
         where, interface = home(side, info, ports)
         if interface is None or where.verdict is CheckResult.BAD:
             yield where  # which is why it does not answer
             continue
-        yield camera(side, section, info, discovered, ports)
+        yield camera(side, section, info, discovered, ports, daemon)
         yield where
         places.append(CameraPort(side, info, interface))
     if rig is None:
@@ -101,18 +107,21 @@ def camera(
     info: CameraInfo | None,
     found: Sequence[CameraInfo],
     ports: Sequence[Interface] = (),
+    daemon: OurDaemon | None = None,
 ) -> Check:
-    """Whether a configured camera is there and can be taken."""
+    """Whether a configured camera is there and can be taken, or this cell's own daemon has it."""
     name = f"{side} camera"
     if info is None:
         return _absent(name, section.device, found, ports)
     text = f"{info.vendor} {info.model} {info.serial} at {info.address}"
+    if info.control == "controlled" and daemon is not None and daemon.ready is not False:
+        return Check(name, CheckResult.OK, f"{text}: this cell's own daemon has it")
     if info.control == "controlled":
         return Check(
             name,
             CheckResult.WARN,
             f"{text}: controlled by another program",
-            "edged cannot take it (if the daemon is running now, it is that one)",
+            "edged cannot take it",
             "close the viewer, or the other daemon: systemctl status 'edged*'",
         )
     if info.control not in ("", "free"):

@@ -12,6 +12,7 @@ from cryptography import x509
 
 from edged.config.configuration import Config
 from edged.doctor.findings import Check, CheckResult
+from edged.doctor.host import at_home
 
 ANSWER_S = 2.0
 SOON = timedelta(days=30)
@@ -24,7 +25,7 @@ def look_at_opcua(host: str, port: int) -> Check | None:
     Source: OPC 10000-6, 7.1.2: a server answers Hello with Acknowledge, or with Error.
     """
     name, place = "OPC UA server", f"{host}:{port}"
-    here = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+    here = at_home(host)
     url = f"opc.tcp://{here}:{port}".encode()
     hello = struct.pack("<5Ii", 0, 65535, 65535, 0, 0, len(url)) + url
     try:

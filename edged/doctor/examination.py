@@ -9,9 +9,10 @@ from edged.config.reading import load
 from edged.doctor.cameras import look_at_cameras
 from edged.doctor.findings import Check, CheckResult
 from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
+from edged.doctor.ourdaemon import our_daemon
 from edged.doctor.pictures import take_pictures
 from edged.errors import ConfigError
-from edged.setup.cellfiles import exposed_secrets, read_cell
+from edged.setup.cellfiles import doubts, exposed_secrets, read_cell
 from edged.vision.geometry.camera import StereoRig
 
 
@@ -19,6 +20,7 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
     """All checks for a configuration, as they are done. trigger : take test pictures too.
 
     A cell without a rig or jobs is examined as far as that goes: its network comes before its calibration.
+    Where its daemon runs, that is asked, and no picture is taken beside it.
     """
     clock = ClockWatch()
     try:
@@ -27,14 +29,23 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
         yield from _mistakes(path, error)
         return
     rig: StereoRig | None = None
+    fingerprint = ""
     try:
         cell = read_cell(path)
     except ConfigError as error:
         yield from _mistakes(path, error)
     else:
-        rig = cell.rig
+        rig, fingerprint = cell.rig, cell.fingerprint
         jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
         yield Check("configuration", CheckResult.OK, jobs)
+        for doubt in doubts(cell):
+            yield Check(
+                "calibration",
+                CheckResult.WARN,
+                doubt,
+                "lengths may be wrong",
+                "edged calibrate; then edged verify",
+            )
     for secret in exposed_secrets(path, config):
         yield Check(
             "secrets",
@@ -44,10 +55,17 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
             secret.remedy,
         )
     yield from look_at_machine(config)
-    yield from look_at_ports(config)
+    daemon = our_daemon(path, config)
+    if daemon is not None:
+        yield daemon.look(fingerprint)
+    yield from look_at_ports(config, daemon)
     if config.cameras.source == "aravis":
-        yield from look_at_cameras(config, rig)
-    if trigger and rig is not None:
+        yield from look_at_cameras(config, rig, daemon)
+    if trigger and daemon is not None:
+        yield Check(
+            "test pictures", CheckResult.SKIP, "the daemon has the cameras: its page shows what they see"
+        )
+    elif trigger and rig is not None:
         yield from take_pictures(config, rig)
     yield from clock.look()
 

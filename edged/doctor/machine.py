@@ -19,6 +19,7 @@ from edged.config.configuration import Config
 from edged.doctor.encrypted import look_at_certificates, look_at_opcua
 from edged.doctor.findings import Check, CheckResult
 from edged.doctor.host import CAP_NET_BIND_SERVICE, has_capability, read, run
+from edged.doctor.ourdaemon import OurDaemon
 from edged.domain.numerals import is_whole
 
 TIMEX_LONGS, TIMEX_MAXERROR_US, TIME_ERROR = 26, 3, 5
@@ -171,24 +172,24 @@ def _serial(device: Path) -> Check:
 # --- ports ---------------------------------------------------------------------------------------
 
 
-def look_at_ports(config: Config) -> Iterator[Check]:
-    """The ports that the daemon will listen on."""
+def look_at_ports(config: Config, daemon: OurDaemon | None = None) -> Iterator[Check]:
+    """The ports that the daemon will listen on, or listens on now."""
     if config.modbus.enabled:
-        yield _port("Modbus port", config.modbus.host, config.modbus.port)
+        yield _port("Modbus port", config.modbus.host, config.modbus.port, daemon)
         if config.modbus.socket is not None:
-            yield _port("socket port", config.modbus.host, config.modbus.socket.port)
+            yield _port("socket port", config.modbus.host, config.modbus.socket.port, daemon)
         yield _writers(config)
     if config.web is not None:
-        yield _port("status page port", config.web.host, config.web.port)
+        yield _port("status page port", config.web.host, config.web.port, daemon)
     if (opcua := config.opcua) is not None:
         answered = look_at_opcua(opcua.host, opcua.port)
-        yield answered or _port("OPC UA port", opcua.host, opcua.port)
+        yield answered or _port("OPC UA port", opcua.host, opcua.port, daemon)
     yield from look_at_certificates(config)
     for endpoint in config.zenoh.listen if config.zenoh.enabled else ():
         protocol, _, place = endpoint.partition("/")
         host, _, port = place.rpartition(":")
         if protocol in ("tcp", "tls") and is_whole(port):
-            yield _port("Zenoh port", host.strip("[]"), int(port))
+            yield _port("Zenoh port", host.strip("[]"), int(port), daemon)
 
 
 def _writers(config: Config) -> Check:
@@ -217,8 +218,10 @@ def _writers(config: Config) -> Check:
     )
 
 
-def _port(name: str, host: str, port: int) -> Check:
+def _port(name: str, host: str, port: int, daemon: OurDaemon | None) -> Check:
     place = f"{host}:{port}"
+    if daemon is not None and daemon.has(port):
+        return Check(name, CheckResult.OK, f"{place}: this cell's own daemon listens")
     if port < 1024 and not has_capability(CAP_NET_BIND_SERVICE):
         return Check(
             name,
@@ -237,7 +240,7 @@ def _port(name: str, host: str, port: int) -> Check:
             name,
             CheckResult.BAD,
             f"{place}: {_why_not(error, host, port)}",
-            "the daemon does not start (if it is running now, this is it)",
+            "the daemon does not start",
             f"ss -ltnp 'sport = :{port}'",
         )
     return Check(name, CheckResult.OK, f"{place} is free")

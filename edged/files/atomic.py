@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -87,13 +88,34 @@ def write_file(path: Path, data: bytes, *, mode: int = 0o644) -> None:
         raise FileFormatError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None = None) -> bool:
+def generations(first: Path) -> dict[int, Path]:
+    """What is there of x.old, x.2.old, x.3.old, ... by its number; first : x.old. Raises `OSError`."""
+    later = re.compile(rf"{re.escape(first.stem)}\.([1-9][0-9]{{0,5}}){re.escape(first.suffix)}")
+    found = {1: first} if os.path.lexists(first) else {}
+    for place in first.parent.iterdir():
+        if numbered := later.fullmatch(place.name):
+            found[int(numbered[1])] = place
+    return found
+
+
+def next_generation(first: Path) -> Path:
+    """Where what is replaced next is kept: later than each that is there. Raises `OSError`."""
+    number = max(generations(first), default=0) + 1
+    return first if number == 1 else first.with_name(f"{first.stem}.{number}{first.suffix}")
+
+
+def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None = None) -> Path | None:
     """Let a folder hold these files, by name, and no others; after a crash it is the former or the new one.
 
-    keep : beside it, where a former folder that was not empty remains; what was there before is removed.
-    Returns whether there was one. Raises `OSError`; then nothing has changed.
+    keep : beside it, where the first former folder that was not empty remains; the next ones are later
+    generations. Returns where the former one is now; None where none is kept, or none had to be replaced.
+    Raises `OSError`; then nothing has changed.
     """
     make_folders(folder.parent)
+    if _holds(folder, files):
+        return None
+    if keep is not None:
+        keep = next_generation(keep)
     draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         for name, data in files.items():
@@ -104,8 +126,6 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
         sync_folders(draft)
         in_use = folder.exists() and any(folder.iterdir())
         if in_use:
-            if keep is not None and keep.exists():
-                shutil.rmtree(keep)
             exchange(draft, folder)
         else:
             draft.replace(folder)
@@ -116,9 +136,26 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
     if in_use and keep is not None:
         draft.rename(keep)
         sync(folder.parent)
-    elif in_use:
+        return keep
+    if in_use:
         shutil.rmtree(draft, ignore_errors=True)
-    return in_use
+    return None
+
+
+def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
+    """Whether a folder holds just these files already; False where that cannot be told."""
+    try:
+        there = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if not path.is_dir()}
+        return (
+            bool(files)
+            and there.keys() == files.keys()
+            and all(
+                path.is_file() and path.stat().st_size == len(files[name]) for name, path in there.items()
+            )
+            and all(path.read_bytes() == files[name] for name, path in there.items())
+        )
+    except OSError:
+        return False
 
 
 def exchange(first: Path, second: Path) -> None:

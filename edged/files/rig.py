@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,13 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
-from edged.files.atomic import MAX_DOCUMENT_BYTES, read_bytes, write_file
+from edged.files.atomic import (
+    MAX_DOCUMENT_BYTES,
+    generations,
+    next_generation,
+    read_bytes,
+    write_file,
+)
 from edged.files.imagesizes import MAX_PIXELS
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRig
 
@@ -56,7 +63,8 @@ def rig_text(rig: StereoRig, quality: Mapping[str, Any] | None = None) -> bytes:
 def keep_old_rig(path: Path) -> Path | None:
     """Copy a rig that is about to be replaced beside it, under its own calibration id.
 
-    That id is in every result the rig ever gave. Returns the copy, or None where there is no rig.
+    That id is in every result the rig ever gave. A rig that was registered anew keeps it: each is a later
+    generation. Returns the copy, or None where there is no rig.
     """
     if not path.exists():
         return None
@@ -66,7 +74,12 @@ def keep_old_rig(path: Path) -> Path | None:
     except (ValueError, TypeError, KeyError, RecursionError):
         identity = "old"
     safe = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "-" for c in identity)[:60]
-    kept = path.with_name(f"{path.stem}.{safe}{path.suffix}")
+    first = path.with_name(f"{path.stem}.{safe}{path.suffix}")
+    for place in generations(first).values():
+        with suppress(FileFormatError):
+            if read_rig(place) == data:
+                return place
+    kept = next_generation(first)
     write_file(kept, data)
     return kept
 

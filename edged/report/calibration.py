@@ -19,7 +19,7 @@ from edged.vision.calibration.crossvalidation import HeldOutView
 from edged.vision.calibration.imaging import ImagingFinding
 from edged.vision.calibration.lenschoice import choice_in_words
 from edged.vision.calibration.nextbestview import best_next_view, depths_mm, volume_points
-from edged.vision.calibration.params import IMAGING
+from edged.vision.calibration.params import GUIDANCE, IMAGING
 from edged.vision.calibration.plainopencv import PlainCalibration
 from edged.vision.geometry.camera import DISTORTION_NAMES, StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
@@ -80,6 +80,8 @@ def calibration_report(
         comparison=None if also.plain is None else _comparison(calibration, also.plain),
         view_bars=view_bars(calibration, held),
         views=_views(calibration, held, views),
+        orange=any(coverage_of(calibration, side).share < 1.0 for side in SIDES),
+        enough=GUIDANCE.good_coverage,
         pictures=_pictures(calibration, views, also.thumbnails),
     )
 

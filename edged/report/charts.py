@@ -11,7 +11,8 @@ from markupsafe import Markup
 
 from edged.domain.arrays import FloatArray
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 14.0, 12.0, 40.0  # room for axes, px
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 14.0, 12.0, 40.0  # room for axes, px; at the left at least so much
+_TITLE, _LETTER = 24.0, 6.6  # of the upright title, and of a digit of the size of report.css, px
 _HALF = 480.0  # two of these stand side by side, on screen and on A4
 _MAX_NAMES, _MAX_LETTERS = 12, 10  # along an axis
 # from light to dark, even steps of lightness: reads in grey, too (after ColorBrewer's "Blues")
@@ -36,15 +37,19 @@ class Chart:
     equal: bool = False
     names: Sequence[str] = ()
     _marks: list[Markup] = field(default_factory=list)
+    _left: float = field(init=False, default=_LEFT)
 
     def __post_init__(self) -> None:
+        longest = max(len(label(value)) for value in ticks(*self.y))
+        self._left = max(_LEFT, _TITLE + longest * _LETTER + 7.0)
         if self.equal:
-            inner = self.width - _LEFT - _RIGHT
+            inner = self.width - self._left - _RIGHT
             self.height = inner * abs(self.y[1] - self.y[0]) / abs(self.x[1] - self.x[0]) + _TOP + _BOTTOM
 
     def to_x(self, value: float) -> float:
         """Place on the paper."""
-        return _LEFT + (value - self.x[0]) / (self.x[1] - self.x[0]) * (self.width - _LEFT - _RIGHT)
+        inner = self.width - self._left - _RIGHT
+        return self._left + (value - self.x[0]) / (self.x[1] - self.x[0]) * inner
 
     def to_y(self, value: float) -> float:
         """Place on the paper."""
@@ -97,13 +102,13 @@ class Chart:
         return page.format(kind=kind, width=self.width, height=self.height, marks=marks, caption=caption)
 
     def _axes(self) -> list[Markup]:
-        left, right, bottom = _LEFT, self.width - _RIGHT, self.height - _BOTTOM
+        left, right, bottom = self._left, self.width - _RIGHT, self.height - _BOTTOM
         middle_x, middle_y = 0.5 * (left + right), 0.5 * (_TOP + bottom)
         frame = Markup('<rect x="{}" y="{}" width="{:.1f}" height="{:.1f}" fill="#fff" stroke="#8c959f"/>')
         upright = Markup('<g transform="translate(13 {:.1f}) rotate(-90)">{}</g>')
         tick = Markup('<path d="M{:.1f} {:.1f}{}" stroke="#8c959f"/>')
         parts = [
-            frame.format(left, _TOP, right - left, bottom - _TOP),
+            frame.format(f"{left:.1f}", _TOP, right - left, bottom - _TOP),
             _words(middle_x, self.height - 6, self.x_label),
             upright.format(middle_y, _words(0, 0, self.y_label)),
         ]

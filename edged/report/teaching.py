@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -51,8 +52,10 @@ class Taught:
     settled: tuple[str, ...] = ()
 
 
-def teaching_report(job: Job, taught: Taught, inspection: ModelInspection) -> str:
-    """The page."""
+def teaching_report(
+    job: Job, taught: Taught, inspection: ModelInspection, about: Mapping[str, str] | None = None
+) -> str:
+    """The page. about : lines for its head: by which rig, from which pictures."""
     title = f"Job {job.number}: {job.name}"
     return render(
         "teaching.html",
@@ -70,7 +73,12 @@ def teaching_report(job: Job, taught: Taught, inspection: ModelInspection) -> st
         drawing=_drawing(job),
         reference=job.reference,
         features=_features(job),
-        made=f"edged {__version__}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        about=HtmlTable(
+            [
+                *(about or {}).items(),
+                ("made", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, edged {__version__}"),
+            ]
+        ),
     )
 
 
@@ -161,7 +169,10 @@ def _facts(job: Job, inspection: ModelInspection) -> HtmlTable:
     rows = [
         ("size", f"radius {job.shape.radius_px:.0f} px"),
         ("contrast of the edges", f"{job.shape.contrast:.1f} grey values per px"),
-        ("may fall by", f"a factor of {inspection.reserve:.1f} before edges count as none"),
+        (
+            "least contrast that is still seen",
+            f"{job.shape.contrast / inspection.reserve:.1f} grey values per px",
+        ),
         ("position, 1 σ expected", f"{inspection.sigma_x_px:.4f}, {inspection.sigma_y_px:.4f} px"),
         ("angle, scale, 1 σ expected", f"{angle}, {100 * inspection.sigma_scale:.4f} %"),
         ("sizes looked for", f"{job.search.scale_min:.3f} to {job.search.scale_max:.3f} of the taught one"),

@@ -18,7 +18,8 @@ from edged.config.configuration import Config
 from edged.config.reading import config_and_choice, read
 from edged.config.tomltext import toml_of
 from edged.domain.cell import SetupSource
-from edged.errors import ConfigError, FileFormatError, UserError
+from edged.domain.numerals import json_of
+from edged.errors import ConfigError, FileFormatError, UserError, printable
 from edged.files.jobs import job_folders, job_of, read_job
 from edged.files.private import closing, is_exposed, read_shared_key
 from edged.files.rig import read_rig, rig_of
@@ -27,6 +28,10 @@ from edged.link.summary import FilesInUse
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.part.job import Job
+
+USUAL_BASELINE_MM = (10.0, 800.0)
+"""Between two cameras on one mount: outside of it a board was mostly stated ten times too large or small. The
+rig cannot tell; a ruler can."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +169,24 @@ class ExposedSecret:
         return f"{self.place}: every user of this machine may read {self.file}: {self.remedy}"
 
 
+def doubts(cell: CellFiles) -> list[str]:
+    """What a person should look at before results are trusted; none of it keeps a cell from measuring."""
+    rig, said = cell.rig, []
+    try:
+        verdict = json_of(cell.contents["rig.json"])["quality"]["verdict"]
+        grade, why = verdict["grade"], "; ".join(map(str, verdict["why"]))
+    except (KeyError, TypeError, ValueError, RecursionError):  # another program's rig, or an older one
+        grade, why = "", ""
+    if grade == "repeat":
+        said.append(f"the calibration's verdict was repeat: {why}: calibrate again")
+    if not USUAL_BASELINE_MM[0] <= rig.baseline_mm <= USUAL_BASELINE_MM[1]:
+        said.append(
+            f"its cameras stand {rig.baseline_mm:.4g} mm apart: measure it; where that is wrong, the size of "
+            "the board was stated wrongly, and each length is wrong by as much"
+        )
+    return [f"{cell.config.cell.rig.name}: {printable(line)}" for line in said]
+
+
 def exposed_secrets(path: Path, config: Config) -> list[ExposedSecret]:
     """What others may read of the password's hash and the private keys; path : of the configuration."""
     secrets = [*config.secret_files().items()]
@@ -256,6 +279,14 @@ def _load_jobs(folder: Path, active: str | None, files: dict[str, bytes], proble
         if twin is not None:
             problems.append(
                 f"cell.jobs: {entry} and {twin.name} both have the number {job.number}: change `number` in "
+                "the job.toml of one of them"
+            )
+        namesake = next(
+            (other for other, known in zip(places, jobs, strict=True) if known.name == job.name), None
+        )
+        if namesake is not None:
+            problems.append(
+                f"cell.jobs: {entry} and {namesake.name} both have the name {job.name!r}: change `name` in "
                 "the job.toml of one of them"
             )
         jobs.append(job)

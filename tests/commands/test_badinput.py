@@ -445,6 +445,10 @@ CASES: dict[str, Bad] = {
         "edged: a.tar.gz: not a backup, or damaged: Not a gzipped file (b'te')",
         {"a.tar.gz": "text"},
     ),
+    "backup: another kind of archive": Bad(
+        "backup cell.toml -o cell.zip",
+        "edged: cell.zip: an archive is a tar: expected a name that ends in .tar.gz",
+    ),
     "backup: exists": Bad(
         "backup cell.toml -o a.tar.gz",
         "edged: a.tar.gz: exists; choose another name, or --force to replace it",

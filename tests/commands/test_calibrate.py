@@ -79,6 +79,9 @@ def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
     assert quality["views"] == 6
     assert "stereo rms" in said
     page = report.read_text()
+    assert str(pictures) not in page  # it is read on other PCs
+    assert "pairs in the folder pictures" in page
+    assert "it may be good beside orange fields" in page
     assert rig.calibration_id in page
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
 

@@ -8,14 +8,18 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from helpers.cells import flange, frame_pair, small_rig
 
+from edged import __version__
 from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.commands.exchanged import SWAPPED
+from edged.doctor.examination import examine
 from edged.domain.arrays import Image
 from edged.domain.measurement import Status
 from edged.files.jobs import load_job
@@ -257,6 +261,41 @@ def teach_arguments(folder: Path, **changed: object) -> list[object]:
 
 
 @pytest.mark.slow
+def test_swapped_pictures_are_told_as_such(edged: Edged, folder: Path) -> None:
+    """By each command that takes a pair; an empty pair is not swapped."""
+    rig, job = ("--rig", folder / "rig.json"), ("--job", folder / "jobs" / "flange")
+    exchanged = folder / "right.png", folder / "left.png"
+    blank = folder / "blank.png", folder / "blank.png"
+    assert (1, True) == told_swapped(edged("locate", *rig, *job, *exchanged))
+    _, out, err = edged("locate", *rig, *job, "--json", *exchanged)
+    assert ("NO_TARGET", True) == (json.loads(out)["status"], SWAPPED in err)
+    assert (1, False) == told_swapped(edged("locate", *rig, *job, *blank))
+    assert (1, True) == told_swapped(edged("verify", *rig, *job, "--length", "c0=28", *exchanged))
+    sides = {
+        "left": exchanged[0],
+        "right": exchanged[1],
+        "output": folder / "jobs" / "other",
+        "name": "other",
+    }
+    arguments = teach_arguments(folder, **sides)
+    region = arguments.index("--roi")
+    assert (2, True) == told_swapped(edged(*arguments[:region], *arguments[region + 2 :]))
+    rig_file = folder / "rig.json"
+    rig_file.write_text(rig_file.read_text().replace('"robot_from_rig": null', f'"robot_from_rig": {UNIT}'))
+    touched = ("--pose", "1,2,3,0,0,0", "--brand", "kuka", "--name", "jaw")
+    assert (1, True) == told_swapped(edged("grasp", "touch", *rig, *job, *touched, *exchanged))
+
+
+UNIT = np.eye(4).tolist()
+
+
+def told_swapped(answer: tuple[int, str, str]) -> tuple[int, bool]:
+    """Exit code, and whether it was said."""
+    code, out, err = answer
+    return code, SWAPPED in f"{out}{err}"
+
+
+@pytest.mark.slow
 def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) -> None:
     """Exit code 0, every circle listed, the job loads; the older one is kept."""
     before = (folder / "jobs" / "flange" / "job.toml").read_bytes()
@@ -305,6 +344,9 @@ def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) ->
     assert "Warning: The region cuts c0, a disc of radius 14.0" in " ".join(err.split())
     assert json.loads(out)["warnings"][0].startswith("The region cuts c0")
     page = report.read_text()
+    assert str(folder) not in page
+    for told in ("rig.json, demo", "left.png, right.png", f"edged {__version__}", " UTC, "):
+        assert told in page
     assert "The region cuts c0" in page
     assert "what is cut red" in page
 
@@ -395,6 +437,65 @@ def test_check_says_good(edged: Edged, pristine: Path) -> None:
     document = json.loads(out)
     assert (code, err, document["ok"], document["problems"]) == (0, "", True, [])
     assert document["jobs"] == [{"number": 1, "name": "flange"}]
+
+
+def rig_of_another_scale(rig: dict[str, Any]) -> None:
+    """Calibrated with a board that is a tenth of what was stated."""
+    for row in rig["right_from_left"][:3]:
+        row[3] *= 10.0
+
+
+def rig_to_repeat(rig: dict[str, Any]) -> None:
+    """Calibrated from three views."""
+    rig["quality"] = {"verdict": {"grade": "repeat", "why": ["3 views\x1b", "2"], "add": ""}}
+
+
+def rig_of_something_else(rig: dict[str, Any]) -> None:
+    """Whatever another program keeps there."""
+    rig["quality"] = {"verdict": ["repeat"]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (rig_of_another_scale, "rig.json: its cameras stand 1100 mm apart: measure it"),
+        (
+            rig_to_repeat,
+            "rig.json: the calibration's verdict was repeat: 3 views\N{REPLACEMENT CHARACTER}; 2",
+        ),
+        (rig_of_something_else, None),
+    ],
+)
+def test_check_says_what_to_look_at(
+    edged: Edged, folder: Path, spoil: Callable[[dict[str, Any]], None], told: str | None
+) -> None:
+    """It would run, and is not called good; in JSON it is a warning; the doctor says it, too."""
+    path = folder / "rig.json"
+    rig = json.loads(path.read_text())
+    spoil(rig)
+    path.write_text(json.dumps(rig))
+    code, out, _ = edged("check", folder / "cell.toml")
+    document = json.loads(edged("check", folder / "cell.toml", "--json")[1])
+
+    assert 0 == code
+    assert (told is None) == (": good\n" in out)
+    assert (told or "good") in out
+    assert bool(told) == any(warning.startswith(told or "") for warning in document["warnings"])
+    found = [check for check in examine(folder / "cell.toml", trigger=False) if check.name == "calibration"]
+    assert bool(told) == any(told in check.finding for check in found if told)
+
+
+@pytest.mark.slow
+def test_two_jobs_of_one_name_are_a_mistake(edged: Edged, folder: Path) -> None:
+    """Nobody could tell which of them cell.job means."""
+    shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "other")
+    text = (folder / "jobs" / "other" / "job.toml").read_text()
+    (folder / "jobs" / "other" / "job.toml").write_text(text.replace("number = 1", "number = 2"))
+    code, _, err = edged("check", folder / "cell.toml")
+
+    assert 2 == code
+    assert "other and flange both have the name 'flange': change `name`" in err
 
 
 @pytest.mark.slow

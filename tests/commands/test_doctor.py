@@ -20,7 +20,8 @@ import pytest
 from helpers.cells import patient
 from helpers.certificates import make_certificates
 from helpers.ports import free_port
-from helpers.waiting import WHOLE_S
+from helpers.smallcell import DaemonProcess, SmallCell
+from helpers.waiting import WHOLE_S, wait_until
 from rich.console import Console
 
 from edged.adapters.aravis import CameraInfo, aravis_missing
@@ -34,6 +35,7 @@ from edged.doctor.examination import examine
 from edged.doctor.findings import Check, CheckResult
 from edged.doctor.firewall import Rules
 from edged.doctor.host import Interface
+from edged.doctor.ourdaemon import OurDaemon, our_daemon
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 
@@ -69,7 +71,9 @@ def edit(folder: Path, old: str, new: str) -> Path:
 @pytest.mark.slow
 def test_a_healthy_cell_is_well(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing is bad, pictures are taken, and the exit code says so; JSON carries the same."""
-    assert command(folder / "cell.toml", True, Console(), trigger=True) == 0
+    path = folder / "cell.toml"
+    path.write_text(patient(path.read_text()))
+    assert command(path, True, Console(), trigger=True) == 0
     report = json.loads(capsys.readouterr().out)
     pictures = next(check for check in report["checks"] if check["name"] == "test pictures")
 
@@ -131,6 +135,51 @@ def test_a_port_in_use_is_named(folder: Path) -> None:
     assert check.verdict is CheckResult.BAD
     assert f"127.0.0.1:{port}: in use by " in check.finding
     assert check.remedy == f"ss -ltnp 'sport = :{port}'"
+
+
+def by_its_daemon(check: Check, port: int) -> bool:
+    """Whether a port is well because the cell's daemon has it."""
+    said = f"127.0.0.1:{port}: this cell's own daemon listens"
+    return (check.verdict, check.finding) == (CheckResult.OK, said)
+
+
+@pytest.mark.slow
+def test_a_cell_whose_daemon_runs_is_well(tmp_path: Path) -> None:
+    """Its ports are its own, also those of its page's process; it says so itself, and what it runs by.
+
+    After a change it is said that a reload is due; a port that somebody else has stays bad.
+    """
+    cell = SmallCell(tmp_path)
+    before = our_daemon(cell.config, load(cell.config))
+    daemon = DaemonProcess(cell.config)
+    try:
+        daemon.wait_ready()
+        wait_until(lambda: "ready" in checks(cell.config)["daemon"].finding)
+        found = checks(cell.config, trigger=True)
+        (tmp_path / "other.toml").write_text(cell.config.read_text())
+        other = checks(tmp_path / "other.toml")
+        cell.config.write_text(cell.config.read_text().replace("period_s = 0.05", "period_s = 0.5"))
+        changed = checks(cell.config)["daemon"]
+        cell.config.write_text(cell.config.read_text().replace(str(cell.zenoh_port), str(free_port())))
+        place = load(cell.config).zenoh.listen[0].rpartition(":")[2]
+        with socket.create_server(("127.0.0.1", int(place))):
+            taken = checks(cell.config)["Zenoh port"]
+    finally:
+        daemon.stop()
+
+    text = f"this cell's own runs, process {daemon.process.pid}"
+    assert before is None
+    assert (CheckResult.OK, f"{text}, ready") == (found["daemon"].verdict, found["daemon"].finding)
+    assert by_its_daemon(found["Modbus port"], cell.modbus_port)
+    assert by_its_daemon(found["status page port"], cell.web_port)
+    assert by_its_daemon(found["Zenoh port"], cell.zenoh_port)
+    assert CheckResult.SKIP is found["test pictures"].verdict
+    assert [] == [check for check in found.values() if check.verdict is CheckResult.BAD]
+    assert CheckResult.WARN is changed.verdict
+    assert "the files are" in changed.finding
+    assert CheckResult.BAD is taken.verdict
+    assert "daemon" not in other
+    assert CheckResult.BAD is other["Modbus port"].verdict
 
 
 @pytest.mark.slow
@@ -195,6 +244,14 @@ def test_a_camera_that_answers_at_two_addresses_is_found() -> None:
     found = [info("1", "10.0.0.5"), info("1", "10.0.1.5"), info("", "10.0.0.6"), info("", "10.0.0.7")]
     (check,) = cameras.twins(found)
     assert (CheckResult.WARN, "1 answers at 10.0.0.5, 10.0.1.5") == (check.verdict, check.finding)
+
+
+@pytest.mark.parametrize(("ready", "verdict"), [(True, "ok"), (None, "ok"), (False, "warn")])
+def test_a_camera_that_the_cells_own_daemon_has_is_well(ready: bool | None, verdict: str) -> None:
+    """As far as the daemon is: of one that is not ready it cannot be told who has it."""
+    daemon = OurDaemon(1, "", ready, "")
+    place = info("1", "10.0.0.5", "controlled")
+    assert verdict == cameras.camera("left", load_section("1"), place, [place], daemon=daemon).verdict
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from edged.errors import FileFormatError
 from edged.files import atomic
-from edged.files.atomic import read_folder, replace_folder
+from edged.files.atomic import next_generation, read_folder, replace_folder
 
 KILLED = """
 import ctypes, errno, os, sys
@@ -95,27 +96,40 @@ def test_where_names_cannot_be_exchanged_one_death_leaves_none(tmp_path: Path) -
 
 
 def test_the_former_folder_is_kept_where_it_was_asked_for(tmp_path: Path) -> None:
-    """The last one only; an empty folder is none, and without a place to keep it nothing is left of it."""
-    cell, kept = tmp_path / "cell", tmp_path / "kept"
+    """Each of them; an empty folder is none, and without a place to keep it nothing is left of it."""
+    cell, first = tmp_path / "cell", tmp_path / "cell.old"
     cell.mkdir()
-    assert [False, True, True] == [replace_folder(cell, {"a/b": bytes([n])}, kept) for n in range(3)]
-    assert (b"\2", b"\1") == ((cell / "a/b").read_bytes(), (kept / "a/b").read_bytes())
+    kept = [replace_folder(cell, {"a/b": bytes([n])}, first) for n in range(4)]
+    assert [None, first, tmp_path / "cell.2.old", tmp_path / "cell.3.old"] == kept
+    assert b"\3" == (cell / "a/b").read_bytes()
+    assert [b"\0", b"\1", b"\2"] == [(place / "a/b").read_bytes() for place in kept if place]
 
-    assert replace_folder(cell, {"c": b""})
-    assert {"cell/c", "kept/a/b"} == _names(tmp_path)
+    assert None is replace_folder(cell, {"c": b""})
+    names = {"cell/c", "cell.old/a/b", "cell.2.old/a/b", "cell.3.old/a/b"}
+    assert names == _names(tmp_path)
+    assert None is replace_folder(cell, {"c": b""}, first)  # as it is already
+    assert names == _names(tmp_path)
+
+
+def test_the_next_generation_is_later_than_each_that_is_there(tmp_path: Path) -> None:
+    """Whatever was removed between them; other names, and numbers that no generation has, do not count."""
+    first = tmp_path / "rig.cal-1.json"
+    assert first == next_generation(first)
+    for name in ("rig.cal-1.3.json", "rig.cal-2.7.json", "rig.cal-1.x.json", f"rig.cal-1.{'9' * 30}.json"):
+        (tmp_path / name).touch()
+    assert tmp_path / "rig.cal-1.4.json" == next_generation(first)
 
 
 def test_a_replacement_that_fails_changes_nothing(tmp_path: Path) -> None:
-    """Where a file cannot be written, or the place of the former folder is taken by a file."""
-    cell, kept = tmp_path / "cell", tmp_path / "kept"
+    """Where a file cannot be written, or there is no folder for the former one."""
+    cell, kept = tmp_path / "cell", tmp_path / "none" / "kept"
     replace_folder(cell, {"a": b"1"})
-    kept.write_bytes(b"a file")
-    with pytest.raises(OSError, match="kept"):
+    with pytest.raises(OSError, match="none"):
         replace_folder(cell, {"a": b"2"}, kept)
     with pytest.raises(OSError, match="a"):
         replace_folder(cell, {"a": b"2", "a/b": b"3"})
     assert b"1" == (cell / "a").read_bytes()
-    assert {"cell/a", "kept"} == _names(tmp_path)
+    assert {"cell/a"} == _names(tmp_path)
 
 
 @pytest.mark.parametrize(("replacements", "seen"), [(0, b"0"), (1, b"0"), (2, b"2")])
@@ -131,6 +145,7 @@ def test_a_folder_is_read_as_one_value(
     def replacing(path: Path, what: str, opened: int | None) -> bytes:
         data = read(path, what, opened)
         for number in numbers:
+            shutil.rmtree(kept, ignore_errors=True)
             replace_folder(folder, dict.fromkeys("ab", b"%d" % number), kept)
         return data
 

@@ -463,14 +463,45 @@ def test_a_damaged_job_file_is_an_error_or_a_job(
         assert "job.toml" in str(error)
 
 
-def test_an_older_job_is_kept(tmp_path: Path) -> None:
-    """Saving over a job leaves the last one beside it, and nothing else."""
-    for number in (1, 2, 3):
-        save_job(tmp_path / "flange", make_job(number=number))
-    assert load_job(tmp_path / "flange").number == 3
-    assert load_job(tmp_path / "flange.old").number == 2
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["flange", "flange.old"]
+def test_every_older_job_is_kept(tmp_path: Path) -> None:
+    """Saving over a job leaves each one before beside it, the latest with the highest number."""
+    kept = [save_job(tmp_path / "flange", make_job(number=number)) for number in (1, 2, 3, 4)]
+    names = ["flange.old", "flange.2.old", "flange.3.old"]
+    assert [None, *(tmp_path / name for name in names)] == kept
+    assert [1, 2, 3] == [load_job(tmp_path / name).number for name in names]
+    assert load_job(tmp_path / "flange").number == 4
     assert job_folders(tmp_path) == [tmp_path / "flange"]
+
+
+def test_a_job_that_is_saved_again_as_it_is_makes_no_generation(tmp_path: Path) -> None:
+    """A demo that is started again and again leaves one job."""
+    for _ in range(3):
+        assert save_job(tmp_path / "flange", make_job()) is None
+    assert [path.name for path in tmp_path.iterdir()] == ["flange"]
+
+
+def test_no_job_is_saved_under_a_name_that_is_not_read(tmp_path: Path) -> None:
+    """What ends in .old was replaced, and a cell passes over it."""
+    with pytest.raises(FileFormatError, match=r"flange\.old: what ends in \.old is a job that was replaced"):
+        save_job(tmp_path / "flange.old", make_job())
+    assert [] == [*tmp_path.iterdir()]
+
+
+def test_a_former_job_is_put_back_as_the_manual_says(tmp_path: Path) -> None:
+    """Its two commands: the job of now becomes the latest generation, the former one is the job again."""
+    for number in (1, 2, 3):
+        save_job(tmp_path / "jobs" / "flange", make_job(number=number))
+    manual = (Path(__file__).parents[2] / "docs/how-to/recover.md").read_text()
+    moves = re.findall(
+        r"^sudo mv /etc/edged/(jobs/flange\S*) /etc/edged/(jobs/flange\S*)", manual, re.MULTILINE
+    )
+    assert 2 == len(moves)
+    for source, target in moves:
+        (tmp_path / source).rename(tmp_path / target)
+
+    assert load_job(tmp_path / "jobs" / "flange").number == 2
+    assert {"flange", "flange.old", "flange.3.old"} == {path.name for path in (tmp_path / "jobs").iterdir()}
+    assert load_job(tmp_path / "jobs" / "flange.3.old").number == 3
 
 
 def test_what_is_no_job_is_not_overwritten(tmp_path: Path) -> None:

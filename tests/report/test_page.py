@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ MODEL = {
     "drawing": "",
     "reference": "c0",
     "features": HtmlTable([("c0", "hole")], ("name", "kind")),
-    "made": "edged",
+    "about": HtmlTable([("made", "edged")]),
 }
 
 FORM = {"t": lambda name, **_values: name, "problem": ""}
@@ -51,6 +52,16 @@ def test_a_text_comes_out_as_it_is(text: str) -> None:
 
     assert [] == page.open
     assert page.text.count(text) >= 6
+
+
+@pytest.mark.parametrize("high", [1.0, 5e-4, 123456.0])
+def test_the_numbers_of_an_axis_leave_its_title_free(high: float) -> None:
+    """However long they are: a digit is 6.6 px wide, the upright title's line ends at 18 px."""
+    figure = str(Chart((0.0, 1.0), (-high, high), "x", "outward, px").figure(""))
+    numbers = re.findall(r'<text x="([\d.]+)" [^>]*text-anchor="end"[^>]*>([^<]+)<', figure)
+
+    assert len(numbers) >= 3
+    assert all(float(end) - 6.6 * len(number) > 18.0 for end, number in numbers)
 
 
 def test_markup_in_a_name_is_not_run() -> None:

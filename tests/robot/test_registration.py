@@ -480,6 +480,25 @@ def test_touch_saves_only_what_is_good(tmp_path: Path, capsys: pytest.CaptureFix
     assert len(list(tmp_path.glob("rig.*.json"))) == 1
 
 
+def test_each_registration_before_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A rig keeps its calibration's id when it is registered again: its copies have numbers then."""
+    rig_file, table = tmp_path / "rig.json", tmp_path / "points.csv"
+    save_rig(rig_file, cells.small_rig())
+    former = []
+    for seed in (11, 12, 12, 13):
+        former.append(rig_file.read_bytes())
+        rig, robot = points(np.random.default_rng(seed), 6, 0.02)
+        rows = [",".join(f"{value:.6f}" for value in (*a, *b)) for a, b in zip(rig, robot, strict=True)]
+        table.write_text("\n".join(rows))
+        assert touch(rig_file, table, rig_file, 0.5, False, Console(width=200)) == 0
+
+    name = f"rig.{cells.small_rig().calibration_id}"
+    kept = [tmp_path / f"{name}{number}.json" for number in ("", ".2", ".3")]
+    assert [*dict.fromkeys(former)] == [path.read_bytes() for path in kept]
+    assert 3 == len([*tmp_path.glob("rig.*.json")])
+    assert str(kept[2]) in capsys.readouterr().out.replace("\n", "")
+
+
 def test_three_touched_points_register(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As the help says; their distances must agree, and that a wrong one would not be seen is said."""
     rig_file, table = tmp_path / "rig.json", tmp_path / "points.csv"

@@ -27,9 +27,8 @@ from edged.vision.part.job import Job
 def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a virtual cell, taught twice."""
     folder = tmp_path_factory.mktemp("cell")
-    cell = VirtualCell(small_rig(), demo_part())
-    for _ in range(2):
-        prepare_cell(folder, cell, DemoOptions(), gige=False)
+    for seed in (1, 2):
+        prepare_cell(folder, VirtualCell(small_rig(), demo_part(), seed=seed), DemoOptions(), gige=False)
     return folder
 
 

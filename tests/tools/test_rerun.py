@@ -114,6 +114,38 @@ def test_everything_else_is_one(tool: ModuleType, then: str, now: str, differenc
     assert [difference] == tool.differences(*pages)
 
 
+SAID = """\
+```console
+$ a
+c0: disc of radius 13.999 mm, z 202.240
+z 202.246
+```
+
+The disc has a radius of 14 mm.
+"""
+
+
+@pytest.mark.parametrize(
+    ("remark", "wrong"),
+    [
+        ("<!-- held: /radius ([\\d.]+) mm/ in 13.99 to 14.01 -->", None),
+        ("<!-- held: /radius ([\\d.]+) mm/ in 14.0 to 14.01 -->", "it is 13.999"),
+        ("<!-- held: /z ([\\d.]+)/ - /, z ([\\d.]+)/ in 0.005 to 0.007 -->", None),
+        ("<!-- held: /z ([\\d.]+)/ - /, z ([\\d.]+)/ in 0.007 to 0.01 -->", "it is 0.006"),
+        ("<!-- held: /diameter ([\\d.]+)/ in 1 to 2 -->", "no command above says /diameter"),
+        ("", "without a remark that holds them:\nThe disc has a radius of 14 mm"),
+    ],
+)
+def test_a_sentence_that_its_commands_contradict_is_named(
+    tool: ModuleType, remark: str, wrong: str | None
+) -> None:
+    """By the remark in its paragraph; a sentence with a measured number has one."""
+    found = tool.untrue([*SAID.splitlines(), remark])
+
+    assert (wrong is None) == (found == [])
+    assert wrong is None or wrong in found[0]
+
+
 @pytest.mark.slow
 def test_the_first_hour_is_as_its_page_says() -> None:
     """From the demo to the pick: every command of the tutorial, in its order, says what stands there."""

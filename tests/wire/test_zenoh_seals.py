@@ -28,6 +28,7 @@ from rich.console import Console
 from edged.adapters.zenoh import open_session, session_config
 from edged.adapters.zenoh.listener import listening
 from edged.commands.watch import WatchOptions, watch
+from edged.domain.measurement import Status
 from edged.errors import UserError
 
 SCHEMA = load_schema()
@@ -310,6 +311,25 @@ class Program:
         self._process.wait(LIMIT_S)
         self._reader.join()
         self._process.stdout.close()
+
+
+@pytest.mark.slow
+def test_the_manuals_subscriber_prints_what_comes(tmp_path: Path):
+    """The first lines of the manual, as they stand there."""
+    block = re.findall(r"```python\n(.*?)```", HOW_TO.read_text("utf-8"), re.DOTALL)[0]
+
+    async def main() -> list[str]:
+        async with Cell(mode="router") as cell:
+            with Program(block.replace("7447", str(cell.port)), tmp_path) as running:
+                while not running.lines:  # it is connected
+                    cell.publisher.announce(make_snapshot(1))
+                    await asyncio.sleep(0.1)
+                cell.publisher.announce(make_snapshot(2, Status.NO_TARGET))
+                await until(lambda: "NO_TARGET\n" in running.lines)
+                return running.lines
+
+    lines = asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+    assert {"OK\n"} == set(lines[:-1])
 
 
 @pytest.mark.slow

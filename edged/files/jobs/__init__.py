@@ -36,6 +36,8 @@ TEXT, SHAPE = "job.toml", "shape.npz"
 """The files of a job; one says nothing without the other."""
 BODY = "body_"
 """Before the names of the arrays of the part's surface, beside those of its shape."""
+REPLACED = ".old"
+"""Ends the name of each folder with a job that was replaced: a cell passes over it."""
 
 
 def load_job(folder: Path) -> Job:
@@ -91,12 +93,16 @@ def job_folders(folder: Path) -> list[Path]:
     return sorted(
         entry
         for entry in Path(folder).iterdir()
-        if (entry / TEXT).is_file() and not entry.name.startswith(".") and entry.suffix != ".old"
+        if (entry / TEXT).is_file() and not entry.name.startswith(".") and entry.suffix != REPLACED
     )
 
 
 def check_job_folder(folder: Path) -> None:
     """Refuse a place where something else is, or where nothing can be written. Raises `UserError`."""
+    if by_name(folder).suffix == REPLACED:
+        raise FileFormatError(
+            f"{folder}: what ends in {REPLACED} is a job that was replaced; choose another name"
+        )
     if folder.exists() and not (folder / "job.toml").is_file():
         raise FileFormatError(f"{folder}: exists and is not a job folder; nothing was written")
     check_folder(folder.resolve().parent if folder.exists() else folder)
@@ -118,16 +124,18 @@ def check_text(job: Job) -> None:
         raise FileFormatError("; ".join(problem_of(detail, JobFile) for detail in error.errors())) from error
 
 
-def save_job(folder: Path, job: Job) -> None:
-    """Write a job folder as a whole; an older job of that name is kept beside it as FOLDER.old.
+def save_job(folder: Path, job: Job) -> Path | None:
+    """Write a job folder as a whole; an older job of that name is kept beside it, each under its own name.
 
-    Raises `FileFormatError` where something else is in the way, or the disc refuses.
+    Returns where it is kept: FOLDER.old, later ones FOLDER.2.old, FOLDER.3.old, ...; None where there was
+    none, or the same. Raises `FileFormatError` where something else is in the way, or the disc refuses.
     """
     folder = by_name(Path(folder))
     check_job_folder(folder)
     try:
         with as_owner(folder.parent) as above:
             place = unlinked(above / folder.name)
-            replace_folder(place, job_files(job), place.with_name(f"{place.name}.old"))
+            kept = replace_folder(place, job_files(job), place.with_name(f"{place.name}{REPLACED}"))
     except OSError as error:
         raise FileFormatError(f"{folder}: cannot write a job: {error.strerror or error}") from error
+    return None if kept is None else unlinked(folder).with_name(kept.name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +18,7 @@ LOOKED_AT = 6
 """Pictures in which a board is searched that was not stated: enough to outvote one that is cut."""
 _LENGTH = re.compile(r"([0-9]{1,9}(?:[.,][0-9]{1,9})?)\s*(?:mm)?", re.IGNORECASE)
 
+T = TypeVar("T")
 Stated = tuple[NominalBoard, ...] | float | None
 """Boards in full; the length alone of the board that the pictures show, mm; nothing."""
 
@@ -38,7 +40,7 @@ def boards_in(
     """
     if isinstance(stated, tuple):
         return stated, ""
-    some = _spread(pictures)
+    some = spread(pictures)
     seen = work_on([partial(_recognise, picture) for picture in some], "looking for the board", progress)
     board = _agreed(some, seen)
     where = f"{sum(found is not None for found in seen)} of {len(some)} pictures looked at"
@@ -54,7 +56,7 @@ def boards_in(
 
 def check_board_shown(pictures: Sequence[Picture], board: NominalBoard, progress: Progress = silent) -> None:
     """Raises `CalibrationError` if most pictures in which a board was not found agree on another one."""
-    some = _spread(pictures)
+    some = spread(pictures)
     looked = work_on(
         [partial(_recognise, picture) for picture in some], "looking for another board", progress
     )
@@ -93,9 +95,9 @@ def may_be(board: NominalBoard, seen: NominalBoard) -> bool:
     return type(board) is type(seen) and {board.columns, board.rows} == {seen.columns, seen.rows}
 
 
-def _spread(pictures: Sequence[Picture]) -> list[Picture]:
+def spread(pictures: Sequence[T], most: int = LOOKED_AT) -> list[T]:
     """Some of the pictures, from the first to the last."""
-    chosen = np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), LOOKED_AT)).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), most)).round().astype(int))
     return [pictures[index] for index in chosen]
 
 

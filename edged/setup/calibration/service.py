@@ -270,7 +270,7 @@ class Calibrations:
         draft, state = opened.draft, opened.draft.state
         looks = await self._known(opened, progress=progress)
         made = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, edged {__version__}"
-        about = {"pictures": str(draft.pictures), "made": made}
+        about = {"pictures": f"{len(looks)} pairs, taken on the page", "made": made}
         order = (draft.pictures, state.board_models, looks, state.lens, self._cell.rig(), about)
         solution: Solution = await self._worker.run("solve", *order, progress=progress)
         async with self.drafts.changing(opened):

@@ -15,7 +15,7 @@ import numpy as np
 from edged.domain.arrays import SIDES, Image, Side
 from edged.errors import CalibrationError
 from edged.report.calibration import ReportExtras, calibration_report
-from edged.setup.calibration.boards import check_board_shown
+from edged.setup.calibration.boards import check_board_shown, spread
 from edged.setup.pairs import Pair, Picture, Progress, silent, work_on
 from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView
 from edged.vision.boards.deformation import nominal
@@ -38,6 +38,9 @@ from edged.vision.calibration.verdict import CalibrationVerdict, judge_calibrati
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 
+FIRST_LOOKED_AT = 3
+"""Pairs, the first, the last and between: where none shows the board, it is asked which one it is, before the
+rest is searched in vain, which takes longest."""
 THUMBNAIL_PX = 240
 """Width of the pictures in the report: a few kB each."""
 
@@ -97,13 +100,19 @@ class Views:
         return [pair for pair, _, _ in self._pairs.values()]
 
     def add(self, pairs: Sequence[Pair], progress: Progress = silent) -> None:
-        """Find one of the boards in each picture. Raises `ImageError`; then none of these pairs was added.
+        """Find one of the boards in each picture.
 
-        A pair of a name that is there already takes its place.
+        A pair of a name that is there already takes its place. Raises `ImageError`, and `CalibrationError`
+        where a few of many pairs show another board; then none of these pairs was added.
         """
-        looked = look_at(pairs, self.boards, progress)
-        for pair, (left, right) in zip(pairs, looked, strict=True):
-            self.put(pair, left, right)
+        some = {pair.name: pair for pair in spread(pairs, FIRST_LOOKED_AT)}
+        looked = dict(zip(some, look_at([*some.values()], self.boards, progress), strict=True))
+        if len(pairs) > len(some) and len(self.boards) == 1 and not any(map(_shows_any, looked.values())):
+            check_board_shown([pair.left for pair in some.values()], self.boards[0], progress)
+        if others := {pair.name: pair for pair in pairs if pair.name not in some}:
+            looked |= zip(others, look_at([*others.values()], self.boards, progress), strict=True)
+        for pair in pairs:
+            self.put(pair, *looked[pair.name])
 
     def put(self, pair: Pair, left: Looked, right: Looked) -> None:
         """Add a pair of which it is known what its pictures show of these boards."""
@@ -283,6 +292,11 @@ def look_at(
     tasks = [partial(_look, picture, boards) for pair in pairs for picture in (pair.left, pair.right)]
     looked = work_on(tasks, "finding the board", progress)
     return list(zip(looked[::2], looked[1::2], strict=True))
+
+
+def _shows_any(looked: tuple[Looked, Looked]) -> bool:
+    """Whether one of the boards was found in either picture of a pair."""
+    return any(isinstance(result, Detection) for picture in looked for result in picture.results)
 
 
 def _look(picture: Picture, boards: Sequence[NominalBoard]) -> Looked:

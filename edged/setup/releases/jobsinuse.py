@@ -10,12 +10,9 @@ from pathlib import Path
 
 from edged.config.tomltext import toml_of
 from edged.errors import TeachError
-from edged.files.jobs import TEXT
+from edged.files.jobs import REPLACED, TEXT
 from edged.setup.releases.jobsfolder import Jobs, with_job
 from edged.setup.teaching.model import Content
-
-REPLACED = ".old"
-"""What `edged teach` keeps a job that it replaced under."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,9 +120,9 @@ def propose_from_model(
     return _proposal(job, Taught(picture, None, (), said), wanted)
 
 
-def commit(folder: Path, proposal: Proposal) -> None:
-    """Write the job's folder; one that was there is kept as FOLDER.old. Raises `UserError`."""
-    save_job(folder, proposal.job)
+def commit(folder: Path, proposal: Proposal) -> Path | None:
+    """Write the job's folder; returns where the one that was there is kept. Raises `UserError`."""
+    return save_job(folder, proposal.job)
 
 
 def former_job(folder: Path) -> Job | None:

@@ -22,7 +22,7 @@ from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.sigutils import normalize_signature
 
-from edged.vision.kernels.jitcache import QuickCache, load_quickly
+from edged.vision.kernels.jitcache import QuickCache, load_quickly, say_compiling
 
 F = TypeVar("F", bound=Callable[..., Any])
 WRAPPED = ("__wrapped__", "__func__", "fget", "func")
@@ -96,6 +96,8 @@ class _Deferred:
         """Get the machine code, once."""
         with self._lock:
             if not self._dispatcher.signatures:
+                if not isinstance(self._dispatcher._cache, QuickCache):
+                    say_compiling()  # there is no place to store it
                 for signature in self._signatures:
                     self._dispatcher.compile(_parsed(signature, self._tuples))
                 self._dispatcher.disable_compile(True)

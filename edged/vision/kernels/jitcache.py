@@ -8,6 +8,8 @@ compile. Here both wait until something is compiled. What is stored, and what ru
 
 from __future__ import annotations
 
+import itertools
+import logging
 from types import FunctionType
 from typing import Any
 
@@ -18,6 +20,15 @@ from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
+
+log = logging.getLogger(__name__)
+_said = itertools.count()
+
+
+def say_compiling() -> None:
+    """Once in a process, before the first kernel that is compiled: whoever waits knows for what."""
+    if next(_said) == 0:  # one step: both cameras' threads may come here
+        log.warning("compiling numerical kernels (once, up to a minute)")
 
 
 class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types
@@ -31,7 +42,10 @@ class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled kernel of a signature, or None where it has not been stored."""
         rtsys.initialize(target_context)  # a kernel asks it for the memory of new arrays
-        return self._load_overload(sig, target_context)
+        stored = self._load_overload(sig, target_context)
+        if stored is None:
+            say_compiling()
+        return stored
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         """numba's key, and the numbers frozen into the code, which may come from another file."""

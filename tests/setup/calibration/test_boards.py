@@ -10,7 +10,8 @@ from helpers.rigs import make_rig
 from edged.domain.arrays import Image
 from edged.errors import CalibrationError
 from edged.setup.calibration.boards import boards_in, check_board_shown, stated_boards
-from edged.setup.pairs import Picture
+from edged.setup.calibration.views import FIRST_LOOKED_AT, Views
+from edged.setup.pairs import Pair, Picture
 from edged.vision.boards.board import NominalBoard, parse_board
 
 SMALL = make_rig(focal_px=1600.0, size=(640, 480))
@@ -39,6 +40,35 @@ def test_another_board_must_be_in_most_pictures(others: int, blanks: int, refuse
             check_board_shown(pictures, STATED)
     else:
         check_board_shown(pictures, STATED)
+
+
+@pytest.mark.slow
+def test_another_board_is_told_after_a_few_pictures() -> None:
+    """A board that was counted wrongly costs some looks, not one at each of many pictures."""
+    looked: list[str] = []
+
+    def counted(shown: Picture) -> Picture:
+        def read() -> Image:
+            looked.append(shown.label)
+            return shown.read()
+
+        return Picture(shown.label, read)
+
+    pictures = [counted(shown) for shown in drawn(OTHER, 20)]
+    pairs = [Pair(shown.label, shown, shown) for shown in pictures]
+    with pytest.raises(CalibrationError, match=r"7x5 inner corners, not 8x6"):
+        Views([STATED]).add(pairs)
+    assert len(looked) <= 3 * FIRST_LOOKED_AT
+
+
+@pytest.mark.slow
+def test_a_few_pictures_of_another_board_do_not_stop_many_of_the_stated_one() -> None:
+    """Also where they are those that are looked at first; and each picture is looked at once."""
+    pictures = drawn(STATED, 4) + drawn(OTHER, 1)
+    for order in (pictures, pictures[::-1]):
+        views = Views([STATED])
+        views.add([Pair(shown.label, shown, shown) for shown in order])
+        assert [shown.label for shown in order] == [pair.name for pair in views.pairs]
 
 
 @pytest.mark.slow

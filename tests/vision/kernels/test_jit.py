@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import pickle
 import subprocess
@@ -16,11 +17,13 @@ import numba
 import numpy as np
 import pytest
 
+from edged.vision.kernels import jit, jitcache
 from edged.vision.kernels.jit import kernel, load_all, load_called
 from edged.vision.kernels.jitcache import StoredIndex, frozen_numbers
 
 STORED = """
 import numpy as np
+from edged.vision.kernels import jit, jitcache
 from edged.vision.kernels.jit import kernel
 
 @kernel("f8[::1](f8[::1], f8)")
@@ -71,7 +74,29 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
         subprocess.run([sys.executable, folder / "run.py"], capture_output=True, text=True, check=True)
         for _ in range(2)
     ]
-    return [json.loads(output.stdout) for output in outputs]
+    return [{**json.loads(output.stdout), "told": output.stderr} for output in outputs]
+
+
+@pytest.mark.slow
+def test_whoever_waits_for_the_compiler_is_told_so_once(runs: list[dict[str, Any]]) -> None:
+    """In any program, on standard error, before it begins; a kernel that is stored says nothing."""
+    assert ["compiling numerical kernels (once, up to a minute)\n", ""] == [found["told"] for found in runs]
+
+
+@pytest.mark.slow
+def test_without_a_place_to_store_kernels_it_is_said_too(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """There each start compiles."""
+    monkeypatch.setattr(jit, "_cache_is_usable", lambda: False)
+    monkeypatch.setattr(jitcache, "_said", itertools.count())
+
+    @kernel("f8(f8)")
+    def doubled(value: float) -> float:
+        return 2.0 * value
+
+    assert 3.0 == doubled(1.5)
+    assert ["compiling numerical kernels (once, up to a minute)"] == caplog.messages
 
 
 @pytest.mark.slow
@@ -182,6 +207,7 @@ def test_only_what_python_calls_is_loaded_ahead() -> None:
     module = ModuleType("rooms.one")
     program = """
 from functools import cache
+from edged.vision.kernels import jit, jitcache
 from edged.vision.kernels.jit import kernel
 
 @kernel("f8(f8)")

@@ -1,0 +1,149 @@
+"""Whether this cell's own daemon runs, and what it says: then it has the ports and the cameras, rightly."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import socket
+import ssl
+import struct
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from edged.config.configuration import Config
+from edged.doctor.findings import Check, CheckResult
+from edged.doctor.host import at_home, run
+from edged.plc.registers import CONSTANTS, MAGIC, decode
+
+ANSWER_S = 2.0
+MAX_BYTES = 64 * 1024
+READ_HOLDING = 3
+
+
+@dataclass(frozen=True, slots=True)
+class OurDaemon:
+    """The process that runs this cell's configuration.
+
+    loaded : fingerprint of the files that it runs by; "" where it was not told.  ready : whether it would
+    measure; None where nobody says.  why : of one that would not.
+    """
+
+    process: int
+    loaded: str
+    ready: bool | None
+    why: str
+
+    def has(self, port: int) -> bool:
+        """Whether it, or a process that it started, listens there; True where it cannot be seen who does."""
+        listeners = run("ss", "-Hltnp", f"sport = :{port}") or ""
+        processes = re.findall(r"pid=([0-9]+)", listeners)
+        if not processes:
+            return bool(listeners.strip())
+        return any(self.process in _with_parents(int(process)) for process in processes)
+
+    def look(self, fingerprint: str) -> Check:
+        """How it is. fingerprint : of the files as they are now; "": they cannot be read."""
+        name, text = "daemon", f"this cell's own runs, process {self.process}"
+        if self.loaded and fingerprint and self.loaded != fingerprint:
+            return Check(
+                name,
+                CheckResult.WARN,
+                f"{text}, by configuration {self.loaded}; the files are {fingerprint} now",
+                "what was changed does not count yet",
+                f"sudo systemctl reload edged   (in a terminal: kill -HUP {self.process})",
+            )
+        if self.ready is False:
+            return Check(
+                name,
+                CheckResult.WARN,
+                f"{text}, and is not ready: {self.why or 'it does not say why'}",
+                "a trigger is refused",
+                "edged status; journalctl -u edged -e",
+            )
+        return Check(name, CheckResult.OK, text + (", ready" if self.ready else ""))
+
+
+def our_daemon(path: Path, config: Config) -> OurDaemon | None:
+    """The daemon that runs this configuration file on this machine; None where none does."""
+    process = next(_running(path), None)
+    if process is None:
+        return None
+    ready, why = _readiness(config)
+    return OurDaemon(process, _loaded(config), ready, why)
+
+
+def _running(path: Path) -> Iterator[int]:
+    """Processes that were started as `edged run` with this file."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "cmdline").read_bytes().split(b"\0")[:-1]
+            if int(folder.name) == os.getpid() or b"run" not in words[1:-1]:
+                continue
+            if not any(b"edged" in Path(os.fsdecode(word)).name.encode() for word in words[:-1]):
+                continue
+            named = Path(os.fsdecode(words[-1]))
+            if not named.is_absolute():
+                named = (folder / "cwd").readlink() / named
+            if named.samefile(path):
+                yield int(folder.name)
+        except OSError:  # it has just ended, or belongs to somebody else
+            continue
+
+
+def _with_parents(process: int) -> Iterator[int]:
+    """It, who started it, and so on."""
+    while process > 1:
+        yield process
+        try:
+            process = int(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[1])
+        except (OSError, ValueError, IndexError):
+            return
+
+
+def _readiness(config: Config) -> tuple[bool | None, str]:
+    """What the page says, which needs no password for it."""
+    if config.web is None:
+        return None, ""
+    secure = config.web.certificate is not None
+    host = at_home(config.web.host)
+    place = f"[{host}]" if ":" in host else host
+    url = f"{'https' if secure else 'http'}://{place}:{config.web.port}/ready"
+    context = ssl.create_default_context()
+    context.check_hostname = False  # nothing secret is sent, and the certificate need not be for this name
+    context.verify_mode = ssl.CERT_NONE
+    try:
+        with urllib.request.urlopen(url, timeout=ANSWER_S, context=context) as answer:
+            said = answer.read(MAX_BYTES)
+    except urllib.error.HTTPError as error:
+        said = error.read(MAX_BYTES)
+    except (OSError, ValueError):
+        return None, ""
+    try:
+        document = json.loads(said)
+        return bool(document["ready"]), str(document["error"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None, ""
+
+
+def _loaded(config: Config) -> str:
+    """The fingerprint that the registers tell."""
+    modbus = config.modbus
+    if not modbus.enabled or modbus.tls is not None:
+        return ""
+    request = (modbus.base_address + CONSTANTS.address, CONSTANTS.words)
+    length = 9 + 2 * CONSTANTS.words
+    try:
+        with socket.create_connection((at_home(modbus.host), modbus.port), ANSWER_S) as line:
+            line.settimeout(ANSWER_S)
+            line.sendall(struct.pack(">HHHBBHH", 1, 0, 6, modbus.unit_id, READ_HOLDING, *request))
+            answer = line.recv(length, socket.MSG_WAITALL)
+    except OSError:
+        return ""
+    if len(answer) != length or answer[7] != READ_HOLDING:
+        return ""
+    values = decode(CONSTANTS, struct.unpack(f">{CONSTANTS.words}H", answer[9:]), modbus.word_order)
+    return f"{int(values['CONFIG_CRC']):08x}" if values["MAGIC"] == MAGIC else ""

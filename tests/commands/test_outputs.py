@@ -1,0 +1,181 @@
+"""Whatever a command writes, and wherever that cannot be: one clear line, and exit code 2."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import cv2
+import pytest
+import typer
+from helpers.boardpairs import SPEC, pairs
+from helpers.cells import flange, small_rig
+from helpers.recordedcell import record
+
+from edged.__main__ import main
+from edged.cli.main import app
+from edged.commands.demo import DemoOptions, prepare_cell
+from edged.domain.frames import FramePair
+from edged.setup.cellfiles import read_cell
+from edged.sim.cell import VirtualCell, demo_part
+
+TEACH = "teach --rig rig.json --left left.png --right right.png --name new"
+LOCATE = "locate --rig rig.json --job jobs/flange left.png right.png"
+OUTPUTS = {
+    ("backup", "output"): "backup cell.toml -o {}/cell.tar.gz",
+    ("board", "output"): "board chessboard:11x8:15 -o {}/board.pdf",
+    ("calibrate", "output"): f"calibrate pictures --board {SPEC} -o {{}}/rig.json",
+    ("calibrate", "report"): f"calibrate pictures --board {SPEC} -o new.json --report {{}}/rig.html",
+    ("demo", "folder"): "demo --in-process --cycles 1 --folder {}/cell",
+    ("grab", "output"): "grab cell.toml -o {}/pictures",
+    ("locate", "cloud"): f"{LOCATE} --cloud {{}}/cloud.png",
+    ("locate", "overlay"): f"{LOCATE} --overlay {{}}/seen.png",
+    ("locate", "ply"): f"{LOCATE} --ply {{}}/cloud.ply",
+    ("register hand-eye", "output"): "register hand-eye pictures --rig rig.json --poses poses.csv "
+    f"--board {SPEC} --brand kuka -o {{}}/rig.json",
+    ("register touch", "output"): "register touch --rig rig.json --points touched.csv -o {}/rig.json",
+    ("registers", "output"): "registers --format twincat -o {}/client",
+    ("replay", "export"): "replay recordings --export {}/copies",
+    ("replay", "overlays"): "replay recordings --overlays {}/pictures",
+    ("restore", "output"): "restore cell.tar.gz -o {}/cell",
+    ("rig convert", "target"): "rig convert rig.json {}/rig.yaml --to opencv",
+    ("teach", "output"): f"{TEACH} -o {{}}/new",
+    ("teach", "report"): f"{TEACH} -o new --report {{}}/new.html",
+}
+"""A command for each option by which one writes, its place left open."""
+INPUTS = {
+    *(("sim", name) for name in ("config", "images")),
+    *(("watch", name) for name in ("authority", "certificate", "key", "shared_key")),
+    *((name, "config") for name in ("audit", "backup", "check", "doctor", "grab", "run", "web invite")),
+    *(("teach", name) for name in ("rig", "left", "right", "step", "dxf", "contour")),
+    *((name, "rig") for name in ("grasp touch", "locate", "verify")),
+    *((name, "job") for name in ("grasp touch", "locate", "verify")),
+    *((name, side) for name in ("grasp touch", "locate", "verify") for side in ("left", "right")),
+    *((f"register {name}", "rig") for name in ("hand-eye", "self-test", "touch")),
+    *((f"register {name}", part) for name in ("hand-eye", "self-test") for part in ("directory", "poses")),
+    ("calibrate", "directory"),
+    ("register touch", "points"),
+    ("replay", "path"),
+    ("restore", "archive"),
+    ("rig convert", "source"),
+}
+"""Every other path that a command takes: it is only read."""
+
+
+def paths_of(group: typer.Typer, above: str = "") -> Iterator[tuple[str, str]]:
+    """Each command, and each of its parameters that is a path."""
+    for command in group.registered_commands:
+        assert command.callback is not None
+        name = f"{above} {command.name or command.callback.__name__}".strip()
+        for parameter, kind in get_type_hints(command.callback).items():
+            if Path in (kind, *get_args(kind)):
+                yield name, parameter
+    for inner in group.registered_groups:
+        assert inner.typer_instance is not None
+        names = (inner.name, inner.typer_instance.info.name)
+        yield from paths_of(
+            inner.typer_instance, next((name for name in names if isinstance(name, str)), above)
+        )
+
+
+def test_every_option_that_writes_is_tried() -> None:
+    """What the command line takes as a path is either read, or in the table above."""
+    assert set() == INPUTS & OUTPUTS.keys()
+    assert INPUTS | OUTPUTS.keys() == {*paths_of(app)}
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cell's folder with all that the commands above read."""
+    path = tmp_path_factory.mktemp("cell")
+    prepare_cell(path, VirtualCell(small_rig(), demo_part(), seed=11), DemoOptions(), gige=False)
+    part = flange()
+    for side, image in (("left", part.left), ("right", part.right)):
+        cv2.imwrite(str(path / f"{side}.png"), image)
+    (path / "pictures").mkdir()
+    (path / "recordings").mkdir()
+    record(path / "recordings", read_cell(path / "cell.toml"), [FramePair.of_images(part.left, part.right)])
+    for number, pair in enumerate(pairs()):
+        for side, image in zip(("left", "right"), pair, strict=True):
+            cv2.imwrite(str(path / "pictures" / f"{number}_{side}.png"), image)
+    places = ("1,0,200,1,0,0", "9,0,200,9,0,0", "1,9,200,1,9,0")
+    (path / "touched.csv").write_text("\n".join(places))
+    (path / "poses.csv").write_text("".join(f"{number},{number},0,0,0,0,{number}\n" for number in range(6)))
+    return path
+
+
+def without_rights(folder: Path) -> Path:
+    """A folder in which nobody, root included, may make anything; elsewhere than here for root."""
+    if os.geteuid() == 0:
+        return Path("/sys/kernel")
+    folder.mkdir(mode=0o555)
+    return folder
+
+
+def a_file(folder: Path) -> Path:
+    """A file where a folder is meant."""
+    folder.write_text("")
+    return folder
+
+
+def run(command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Exit code, and what was said."""
+    monkeypatch.setattr("sys.argv", ["edged", *command.split()])
+    monkeypatch.setenv("COLUMNS", "400")
+    with pytest.raises(SystemExit) as exit_:
+        main()
+    said = capsys.readouterr()
+    return int(exit_.value.code or 0), said.err + said.out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["no rights", "a file"])
+@pytest.mark.parametrize("output", OUTPUTS, ids=" ".join)
+def test_where_nothing_can_be_written_one_line_says_so(
+    output: tuple[str, str],
+    where: str,
+    cell: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It names the place as it was typed, and why not; nothing is half written."""
+    monkeypatch.chdir(cell)
+    if not (cell / "cell.tar.gz").exists():
+        run("backup cell.toml -o cell.tar.gz", monkeypatch, capsys)
+    place = (without_rights if where == "no rights" else a_file)(tmp_path / "place")
+    before = {path for path in cell.rglob("*") if "__pycache__" not in path.parts}
+    code, said = run(OUTPUTS[output].format(place), monkeypatch, capsys)
+
+    lines = [line for line in said.splitlines() if line.strip()]
+    assert 2 == code, said
+    assert 1 == len(lines), said
+    assert lines[0].startswith(f"edged: {place}/"), said
+    assert before == {path for path in cell.rglob("*") if "__pycache__" not in path.parts}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("output", OUTPUTS, ids=" ".join)
+def test_a_folder_that_is_not_there_is_made_or_named(
+    output: tuple[str, str],
+    cell: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A folder to write is made; for a file its folder must be there, and the line says which one is not."""
+    monkeypatch.chdir(cell)
+    if not (cell / "cell.tar.gz").exists():
+        run("backup cell.toml -o cell.tar.gz", monkeypatch, capsys)
+    place = tmp_path / "missing"
+    code, said = run(OUTPUTS[output].format(place), monkeypatch, capsys)
+
+    if place.exists():
+        assert "Traceback" not in said
+        return
+    lines = [line for line in said.splitlines() if line.strip()]
+    assert (2, 1) == (code, len(lines)), said
+    assert lines[0].startswith(f"edged: {place}/"), said
+    assert f"there is no folder {place}" in lines[0]
