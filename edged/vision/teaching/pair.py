@@ -128,7 +128,7 @@ def without_pattern(view: TeachingView, ellipses: list[ImageEllipse]) -> list[Im
     rest = [
         ellipses[k] for k in np.flatnonzero(np.abs(rows[:, :3] @ law - rows[:, 3]) > TEACHING.pattern_alike)
     ]
-    filled = cv2.contourArea(cv2.convexHull(np.float32([(hole.x, hole.y) for hole in holes])))
+    filled = cv2.contourArea(cv2.convexHull(drawn[of_pattern, :2].astype(np.float32)))
     if filled < TEACHING.pattern_filled * view.mask.size or not rest:
         return ellipses
     try:

@@ -6,15 +6,17 @@ import math
 
 import numpy as np
 import pytest
-from helpers.cells import Flange, flange, pictures, pose, region_around, scene
+from helpers.cells import Flange, flange, pictures, pose, region_around, scene, small_rig
+from helpers.tilted import lying
 
 from edged.errors import ImageError, TeachError
+from edged.pipeline import prepare
 from edged.sim.render.scene import Disc, Hole, Part, RoundedBox, Slot, Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
-from edged.vision.teaching.region import Region
+from edged.vision.teaching.region import CircleRegion, Region
 
 
 @pytest.fixture(scope="module")
@@ -206,3 +208,27 @@ def test_images_that_do_not_fit_the_rig_are_refused(flat: Flange, rectification:
         teach(flat.left[:, :320], flat.right, rectification, flat.region, "x")
     with pytest.raises(ImageError, match="right image"):
         teach(flat.left, flat.right[:100], rectification, flat.region, "x")
+
+
+def test_holes_of_a_perforated_table_are_none_of_the_part() -> None:
+    """Neither where a region around the part shows some of them, nor in the whole picture."""
+    rig = prepare(small_rig())
+    where = lying(rig.rig, 0.0, 0.0, 0.0)
+    lower, upper = where.copy(), where.copy()
+    lower[:3, 3] += 6.0 * where[:3, 2]
+    spots = [(x, y) for x in range(-48, 49, 5) for y in range(-40, 41, 5)]
+    sheet = Part(
+        "sheet", RoundedBox(0, 0, 200, 200), Surface(albedo=0.7),
+        tuple(Hole(f"hole{k}", Disc(x, y, 1.4), 0.05) for k, (x, y) in enumerate(spots)),
+    )  # fmt: skip
+    disc = Part(
+        "disc", Disc(0, 0, 13.0), Surface(albedo=0.35),
+        (Hole("bore", Disc(-4, 3, 3.0), 0.05), Hole("pin", Disc(6, 4, 2.2), 0.05)),
+    )  # fmt: skip
+    left, right = pictures(rig.rig, scene((sheet, lower), (disc, upper)))
+    x, y = rig.rig.left.project(where[None, :3, 3])[0]
+    around = CircleRegion(float(x), float(y), 1.25 * 13.0 * rig.rig.left.fx / float(where[2, 3]))
+    for region in (None, around):
+        job = teach(left, right, rig.rectification, region, "disc")
+        radii = {round(circle.radius_mm, 1) for circle in job.circles}
+        assert {2.2, 3.0} <= radii <= {2.2, 3.0, 13.0}, radii
