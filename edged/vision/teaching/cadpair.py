@@ -33,7 +33,7 @@ from edged.vision.teaching.pair import taught_mask, teach
 from edged.vision.teaching.params import CAD
 from edged.vision.teaching.region import Area
 
-OPEN = ("no_feature", "one_sided", "open_turn", "not_shown", "no_fit")
+OPEN = ("no_feature", "one_sided", "open_turn", "not_shown", "no_fit", "patterned_table")
 """Codes of what a pair alone may fail in, and still show the model."""
 
 

@@ -78,7 +78,8 @@ def teach(
 
 
 def _taught(view: TeachingView, name: str, number: int, params: ModelParams | None) -> Job:
-    ellipses = without_pattern(view, find_ellipses(view.images.rectified_left, view.mask))
+    shown = find_ellipses(view.images.rectified_left, view.mask)
+    ellipses = without_pattern(view, shown)
     try:
         face, largest = _reference(view.images, ellipses)
         levels = find_levels(
@@ -100,8 +101,20 @@ def _taught(view: TeachingView, name: str, number: int, params: ModelParams | No
     features = _circle_features(view, circles, rig_from_part)
     curves = [circle_curve(circle, free_polarity=False) for circle in features]
     found, _ = find_features(view, rig_from_part, curves)
+    if len(ellipses) < len(shown) and not (found.edges or found.slots) and _is_concentric(features):
+        raise TeachError(
+            "around the part are the holes of a perforated table, and but for them it shows circles about "
+            "one axis, which tell no turn: expected the part on a plain table, or its STEP file besides",
+            "patterned_table",
+        )
     sigma_mm = reference.sigma_radius_mm
     return _job(view, params, name, number, rig_from_part, features[0].name, found, features, sigma_mm)
+
+
+def _is_concentric(circles: Sequence[CircleFeature]) -> bool:
+    """Whether all circles of a part lie about one axis along its z."""
+    away = [np.hypot(*(circle.centre_mm - circles[0].centre_mm)[:2]) for circle in circles]
+    return max(away) < TEACHING.face_tolerance_mm
 
 
 def without_pattern(view: TeachingView, ellipses: list[ImageEllipse]) -> list[ImageEllipse]:

@@ -153,6 +153,7 @@ teach-activated = { $name } ist in Gebrauch, als Freigabe { $number }.
 ## Was nichts lehrt
 problem-teach-no-feature = Es ist kein Kreis, kein Langloch und keine gerade Kante zu sehen, die beide Kameras zeigen. Legen Sie das Teil vor beide, beleuchten Sie es, und tippen Sie es an.
 problem-teach-one-sided = Was das linke Bild zeigt, ist im rechten nicht zu finden. Liegt das Teil vor beiden Kameras, und nichts dazwischen? Sonst gehört die Kalibrierung zu anderen Kameras: prüfen Sie sie.
+problem-teach-patterned-table = Um das Teil liegen die Löcher eines Lochblechs, und das Teil selbst zeigt nur Kreise um eine Achse, die keine Drehung erkennen lassen. Legen Sie es zum Einlernen auf einen glatten Tisch, oder fügen Sie seine STEP-Datei hinzu.
 problem-teach-small-region = Das Gewählte ist leer oder winzig: tippen Sie das Teil an, oder umfahren Sie es.
 problem-teach-crossing = Die Linien um das Teil kreuzen sich: setzen Sie die Ecken der Reihe nach um das Teil.
 problem-teach-few-edges = Das Gewählte zeigt zu wenige Kanten. Ist das Teil darin, beleuchtet und scharf?

@@ -153,6 +153,7 @@ teach-activated = { $name } is in use, as release { $number }.
 ## What teaches nothing
 problem-teach-no-feature = There is no circle, no slot and no straight edge that both cameras see. Lay the part before both, light it, and tap it.
 problem-teach-one-sided = What the left picture shows is not found in the right one. Is the part before both cameras, with nothing in between? Otherwise the calibration is of other cameras: check it.
+problem-teach-patterned-table = Around the part are the holes of a perforated table, and the part itself shows only circles about one axis, which tell no turn. Lay it on a plain table to teach it, or add its STEP file.
 problem-teach-small-region = The selection is empty or tiny: tap the part, or draw around it.
 problem-teach-crossing = The lines around the part cross each other: set the corners one after the other around it.
 problem-teach-few-edges = The selection shows too few edges. Is the part inside, lit and in focus?
