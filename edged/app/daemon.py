@@ -14,6 +14,7 @@ from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import Size, head_of
 from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_registration
 from edged.app.cellservice import CellService
+from edged.app.installer import Installer
 from edged.app.pageserver import PageServer, PageWitness
 from edged.app.running import Running
 from edged.app.servers import START_S, Servers, close_within, start_within
@@ -236,8 +237,9 @@ class Daemon:
             addresses=None if self._world is None else self._world.addresses,
             is_staged=stage is not None,
         )
+        installer = Installer(self._path, self._read_again)
         service = CellService(
-            self._running, task, self._job_use, self._metrics.render, self._head_with, stage
+            self._running, task, self._job_use, installer, self._metrics.render, self._head_with, stage
         )
         page = PageServer(section.host, section.port, service)
         self._registrar.witness = PageWitness(page.tell_step, asyncio.get_running_loop())

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import os
 import signal
 import socket
 import subprocess
@@ -19,6 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from edged.app.lesserprocess import LESSER, environment
 from edged.cell.tasks import cancel_and_await
 from edged.connections import listening_on
 from edged.domain.arrays import FloatArray
@@ -33,7 +33,6 @@ log = logging.getLogger(__name__)
 PAUSE_S, MOST_PAUSE_S = 0.2, 5.0
 """Before the page is started again: doubled each time, unless it ran for a while."""
 GOOD_S = 30.0
-LESSER = (sys.executable, "-m", "edged.app.lesserprocess")
 END_S = 1.0
 """For the process to end by itself once the link is closed."""
 
@@ -171,14 +170,6 @@ class PageServer:
 
     def _started(self, link: socket.socket) -> subprocess.Popen[bytes]:
         inherited = [link.fileno(), *(opened.fileno() for opened in self._listening)]
-        # one BLAS thread, as the cell itself
-        environment = {
-            "OPENBLAS_NUM_THREADS": "1",
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        }
-        for ours in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"):  # systemd hears the cell alone
-            environment.pop(ours, None)
         return subprocess.Popen(
             [
                 *LESSER,
@@ -190,7 +181,7 @@ class PageServer:
             ],
             stdin=subprocess.DEVNULL,
             pass_fds=inherited,
-            env=environment,
+            env=environment(),
             start_new_session=True,  # a ctrl-C is the cell's, which ends the page
         )
 

@@ -12,6 +12,7 @@ from edged.app.cell import load_any_cell, warm_up
 from edged.app.daemon import Daemon
 from edged.app.process import log_as, serve, set_up_process
 from edged.app.servers import import_servers
+from edged.setup.releases.installing import finish_installation
 
 log = logging.getLogger(__name__)
 
@@ -20,6 +21,7 @@ def run(path: Path) -> int:
     """Run the daemon of a configuration file until SIGTERM or SIGINT."""
     set_up_process()
     faulthandler.enable()  # the watchdog's SIGABRT, as any crash, leaves every thread's stack in the log
+    finish_installation(path)
     loaded = load_any_cell(path)
     log_as(loaded.cell.config.cell.name)
     with ThreadPoolExecutor(1) as other:

@@ -16,7 +16,7 @@ from edged.errors import LinkError
 from edged.link import values
 from edged.link.pictures import Placed, SharedPictures
 from edged.link.requests import GREETING, Asked, Envelope, encoded, error_of, greeting_of
-from edged.link.stream import Frames, framed
+from edged.link.stream import Frames, framed, send_within
 
 MOST_BYTES = 256 * 1024 * 1024
 """Of a message of the cell: the largest are the files of many jobs."""
@@ -52,14 +52,14 @@ class PageEnd:
         await self._write(encoded(GREETING))
         greeting_of(await self._message()).check("the cell")
 
-    async def ask(self, request: Asked) -> Any:
-        """Ask the cell. Raises the `EdgedError` or `OSError` that the cell raises, and `LinkError`."""
+    async def ask(self, request: Asked, memory: int | None = None) -> Any:
+        """Ask the cell. memory : that goes with it. Raises what the cell raises, and `LinkError`."""
         if self._is_over:
             raise LinkError("the cell is not reached")
         number = next(self._numbers)
         answer = self._asked[number] = asyncio.get_running_loop().create_future()
         try:
-            await self._write(encoded(Envelope(number=number, request=request)))
+            await self._write(encoded(Envelope(number=number, request=request)), memory)
             async with asyncio.timeout(ANSWER_S):
                 return await answer
         except TimeoutError as error:
@@ -107,22 +107,31 @@ class PageEnd:
             if not answer.done():
                 answer.set_exception(LinkError("the cell has stopped"))
 
-    async def _write(self, data: bytes) -> None:
+    async def _write(self, data: bytes, memory: int | None = None) -> None:
         """Send a whole message, also where who asked is cancelled meanwhile."""
-        await asyncio.shield(asyncio.ensure_future(self._written(data)))
+        own = None if memory is None else os.dup(memory)
+        await asyncio.shield(asyncio.ensure_future(self._written(data, own)))
 
-    async def _written(self, data: bytes) -> None:
+    async def _written(self, data: bytes, memory: int | None) -> None:
         async with self._writing:
             try:
-                await asyncio.get_running_loop().sock_sendall(self._connection, framed(data))
+                if memory is None:
+                    await asyncio.get_running_loop().sock_sendall(self._connection, framed(data))
+                else:
+                    await asyncio.to_thread(send_within, self._connection, data, [memory], ANSWER_S)
             except OSError as error:
                 raise LinkError(f"the cell is not reached: {error.strerror or error}") from error
+            finally:
+                if memory is not None:
+                    os.close(memory)
 
     async def _message(self) -> bytes:
         """The next message. Raises `LinkError` when the link has ended."""
         while not self._frames.has_next():
             try:
-                data, memories, _flags, _ = socket.recv_fds(self._connection, READ_BYTES, MOST_DESCRIPTORS)
+                data, memories, _flags, _ = socket.recv_fds(
+                    self._connection, READ_BYTES, MOST_DESCRIPTORS, socket.MSG_CMSG_CLOEXEC
+                )
             except (BlockingIOError, InterruptedError):
                 await self._readable()
                 continue

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import os
 import signal
 import subprocess
 import sys
@@ -30,6 +29,7 @@ from edged.setup.jobs.workerprocess import (
     TaskRefused,
     TaskResult,
     limits_here,
+    python_environment,
 )
 from edged.setup.pairs import Progress, silent
 
@@ -162,19 +162,13 @@ class Worker:
 
     def _start(self) -> Connection:
         ours, theirs = Pipe()
-        # one BLAS thread, as the daemon itself: on small matrices more of them only spin
-        environment = {
-            "OPENBLAS_NUM_THREADS": "1",
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        }
         command = [sys.executable, "-m", "edged.setup.jobs.workerprocess", str(theirs.fileno())]
         with theirs:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                env=environment,
+                env=python_environment(),
                 start_new_session=True,
             )
         self._connection = ours
