@@ -13,7 +13,7 @@ from edged.app.daemon import Daemon
 from edged.app.process import serve
 from edged.files.outputs import make_folder
 from edged.files.private import write_private
-from edged.files.statefolder import state_folder
+from edged.files.statefolder import page_folder
 from edged.identity.passwords import hash_password
 from edged.identity.users import User, UserFile
 from edged.owners import as_owner
@@ -100,5 +100,5 @@ password_hash = "{hashed}"
     engineer = User(name=USER, role="engineer", password_hash=hashed)
     with as_owner(folder) as place:
         write_private(place / path.name, text.encode())
-        UserFile(state_folder(path) / "users.json").put(engineer)
+        UserFile(page_folder(path) / "users.json").put(engineer)
     return path

@@ -13,6 +13,7 @@ import logging
 import os
 import socket
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Protocol
@@ -90,13 +91,17 @@ class ServedCell(Protocol):
 class CellEnd:
     """One page's link.
 
-    connection : a Unix stream socket, owned from now on.
+    connection : a Unix stream socket, owned from now on. listening : the sockets that the page serves.
     """
 
-    def __init__(self, connection: socket.socket, view: ServedCell) -> None:
+    def __init__(
+        self, connection: socket.socket, view: ServedCell, listening: Sequence[socket.socket] = ()
+    ) -> None:
         connection.setblocking(False)
         self._connection = connection
         self._view = view
+        self._listening = listening
+        self._has_task = False
         self._frames = Frames(MAX_BYTES)
         self._rate = Rate(REQUESTS_PER_S, burst=REQUESTS_AT_ONCE)
         self._rest: asyncio.TimerHandle | None = None
@@ -175,8 +180,7 @@ class CellEnd:
         """Send what is new, until the link fails."""
         loop = asyncio.get_running_loop()
         try:
-            await loop.run_in_executor(self._sender, self._send, encoded(GREETING), None)
-            await self._post("task", self._view.task)
+            await loop.run_in_executor(self._sender, self._send, encoded(GREETING), [])
             while True:
                 await self._wake.wait()
                 self._wake.clear()
@@ -187,6 +191,9 @@ class CellEnd:
 
     async def _tell_all(self) -> None:
         """Files before the summary, and both before the answers: who asked finds what has become of it."""
+        if not self._has_task:
+            self._has_task = True
+            await self._post("task", self._view.task, sockets=len(self._listening))
         version = self._view.version()
         if version is not self._sent_version:
             files = await asyncio.get_running_loop().run_in_executor(self._sender, self._view.files, version)
@@ -216,18 +223,21 @@ class CellEnd:
         images: list[Image] = []
         data = values.dumps(body, images)
         message: dict[str, object] = {"kind": kind, "body": data, **more}
+        if kind == "task":
+            self._send(cbor2.dumps(message), [opened.fileno() for opened in self._listening])
+            return
         memory = None
         if images:
             placed, memory = self._ring.place(images)
             message |= {"pictures": list(placed), "memory": memory is not None}
-        self._send(cbor2.dumps(message), memory)
-
-    def _send(self, data: bytes, memory: int | None) -> None:
         try:
-            send_within(self._connection, data, [] if memory is None else [memory], WRITE_S)
+            self._send(cbor2.dumps(message), [] if memory is None else [memory])
         finally:
             if memory is not None:
                 os.close(memory)
+
+    def _send(self, data: bytes, handles: list[int]) -> None:
+        send_within(self._connection, data, handles, WRITE_S)
 
     # --- what the page asks ------------------------------------------------------------------------
 

@@ -21,7 +21,7 @@ from edged.link.stream import Frames, framed, send_within
 MOST_BYTES = 256 * 1024 * 1024
 """Of a message of the cell: the largest are the files of many jobs."""
 READ_BYTES = 1024 * 1024
-MOST_DESCRIPTORS = 4
+MOST_DESCRIPTORS = 16
 ANSWER_S = 120.0
 """Longer than any request takes that the cell carries out."""
 
@@ -34,7 +34,10 @@ class LinkNews(NamedTuple):
 
 
 class PageEnd:
-    """The link to the cell. connection : a Unix stream socket, owned from now on."""
+    """The link to the cell. connection : a Unix stream socket, owned from now on.
+
+    listening : the sockets that the page serves, which come with its task; whoever takes them closes them.
+    """
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
@@ -46,6 +49,7 @@ class PageEnd:
         self._asked: dict[int, asyncio.Future[Any]] = {}
         self._writing = asyncio.Lock()
         self._is_over = False
+        self.listening: list[socket.socket] = []
 
     async def greet(self) -> None:
         """Say which version this is, and hear the cell's. Raises `LinkError` where it is another."""
@@ -72,6 +76,7 @@ class PageEnd:
         try:
             while True:
                 message = cbor2.loads(await self._message())
+                self._take_sockets(message.get("sockets", 0))
                 images: list[Any] = []
                 if message.get("memory"):
                     self._pictures.map(self._memories.pop(0))
@@ -93,9 +98,18 @@ class PageEnd:
         finally:
             self._end()
 
+    def _take_sockets(self, count: int) -> None:
+        for _ in range(count):
+            opened = socket.socket(fileno=self._memories.pop(0))
+            opened.setblocking(False)
+            self.listening.append(opened)
+
     def close(self) -> None:
         """Close the link."""
         self._end()
+        for opened in self.listening:
+            opened.close()
+        self.listening.clear()
         for memory in self._memories:
             os.close(memory)
         self._memories.clear()

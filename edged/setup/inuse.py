@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from edged.errors import SetupRefused
 from edged.files.rig import rig_of
-from edged.files.statefolder import state_folder
+from edged.files.statefolder import page_folder
 from edged.ports import Commissioner
 from edged.robot.orientations import Brand, Convention
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
@@ -136,7 +136,7 @@ class CellInUse:
     @property
     def folder(self) -> Path:
         """The folder for what services keep on disc."""
-        return state_folder(self.path)
+        return page_folder(self.path)
 
     @property
     def files(self) -> CellFiles | UnfinishedCell:

@@ -183,6 +183,26 @@ def test_a_process_that_is_killed_leaves_one_of_both(
     assert not (place.state / INSTALLING).exists()
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="to be tricked takes root")
+def test_root_installs_through_no_link_of_another_user(place: Place) -> None:
+    """Whose state folder it is may put links in it: what root has stays, and is not read for them."""
+    secret, before = place.folder.parent / "secret", place.files()
+    secret.write_bytes(pack(place.wider()))
+    secret.chmod(0o600)
+    about, other = secret.stat(), 65534
+    place.state.mkdir()
+    for name in (INSTALLING, BEFORE):
+        (place.state / name).symlink_to(secret)
+        os.chown(place.state / name, other, other, follow_symlinks=False)
+    os.chown(place.state, other, other)
+    finish_installation(place.config)
+    assert before == place.files()
+    place.install(pack(place.wider()))
+    assert (about.st_ino, about.st_mtime_ns) == (secret.stat().st_ino, secret.stat().st_mtime_ns)
+    assert not (place.state / BEFORE).is_symlink()
+    assert read(place.state / BEFORE).fingerprint != read_cell(place.config).fingerprint
+
+
 def test_one_at_a_time(place: Place) -> None:
     """A page that hands over many has one installed; the others are refused at once."""
 

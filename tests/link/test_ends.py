@@ -58,7 +58,7 @@ NEVER_READ: list[socket.socket] = []
 class View:
     """A cell as a page is told of it; its lease and its pictures are a real cycle's."""
 
-    task = PageTask(Path("/etc/edged/cell.toml"), "cell1", Path("/var/lib/edged"))
+    task = PageTask(Path("/etc/edged/cell.toml"), "cell1")
 
     def __init__(self, cycle: Cycle) -> None:
         self.cycle = cycle

@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from edged.errors import TaskFailed, TaskTooLarge, UserError
-from edged.setup.jobs.answers import decode_answer
+from edged.setup.jobs.messages import decode_message, encode_message
 from edged.setup.jobs.workerprocess import (
     OutOfMemory,
     TaskAnswer,
@@ -137,7 +137,11 @@ class Worker:
     def _exchange(
         self, order: TaskOrder, tell: Callable[[TaskProgress], None], cancelled: threading.Event
     ) -> TaskResult | TaskRefused | TaskBug | OutOfMemory | _OutOfTime:
-        """Send an order, and wait for what comes of it. Raises `TaskFailed` when the process ends."""
+        """Send an order, and wait for what comes of it. Raises `TaskFailed` when the process ends.
+
+        Raises `TypeError` for an argument that is no message.
+        """
+        message = encode_message(order)
         connection = self._connection
         if connection is None or self._process is None or self._process.poll() is not None:
             self._clear()
@@ -145,7 +149,7 @@ class Worker:
         try:
             if cancelled.is_set():  # before there was a process to kill
                 raise EOFError
-            connection.send(order)
+            connection.send_bytes(message)
             while isinstance(answer := _received(connection), TaskProgress):
                 tell(answer)
         except (EOFError, OSError) as error:
@@ -211,7 +215,7 @@ def _too_large(name: str, most: str) -> TaskTooLarge:
 
 def _received(connection: Connection) -> TaskAnswer:
     """The next answer. Raises `EOFError`, `OSError` for one too long, `ValueError` for what is none."""
-    answer = decode_answer(connection.recv_bytes(MOST_ANSWER_BYTES))
+    answer = decode_message(connection.recv_bytes(MOST_ANSWER_BYTES))
     if isinstance(answer, TaskProgress):
         whole = (answer.done, answer.total)
         if type(answer.stage) is str and all(type(number) is int for number in whole):
