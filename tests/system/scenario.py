@@ -17,6 +17,7 @@ import struct
 import subprocess
 import sys
 import time
+import urllib.parse
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,8 @@ WATCHDOG_S = 3.0
 PATIENCE_S = 120.0
 """A very busy test machine starts the daemon in this time; a quiet one in three seconds."""
 CELL = Path("/etc/edged/cell.toml")
+ORIGIN = "http://127.0.0.1:8080"
+PASSWORD = "correct horse"
 
 
 def command(*words: str) -> str:
@@ -211,6 +214,49 @@ def page_is_back() -> str:
     return f"page {before}, then {main_pid(PAGE)} after {took_s:.1f} s, cell {pid}"
 
 
+def release_is_handed_over() -> str:
+    """An engineer copies a job on the page: the cell writes it, as its own user, and keeps what was there.
+
+    Root's invitation, the page's user who reads the cell's files, the link, and the process that installs.
+    """
+    state, cell, before = Path("/var/lib/edged"), Path(f"/proc/{main_pid()}").stat(), CELL.read_text()
+    for name in ("rig.json", "jobs"):
+        command("cp", "-r", f"/etc/edged/{name}", str(state / name))
+        command("chown", "-R", f"{cell.st_uid}:{cell.st_gid}", str(state / name))
+    text = before.replace('rig = "rig.json"', f'rig = "{state}/rig.json"').replace(
+        'jobs = "jobs"', f'jobs = "{state}/jobs"'
+    )
+    CELL.write_text(text.replace("[web]", "[web]\ncommissioning = true"))
+    command("systemctl", "reload", "edged")
+    until(lambda: page("/invite") == 200, "the page of invitations")
+    program = ("/opt/edged/current/bin/edged", "web", "invite", str(CELL), "Anna")
+    code = command(*program).split()[0]
+    form = {"code": code, "name": "Anna", "password": PASSWORD, "again": PASSWORD}
+    browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    browser.addheaders = [("Origin", ORIGIN)]
+    browser.open(f"{ORIGIN}/invite", urllib.parse.urlencode(form).encode(), timeout=30)
+    copy = json.dumps({"new_name": "copy", "number": 7, "note": "a copy", "signed": "of this test"})
+    asked = urllib.request.Request(
+        f"{ORIGIN}/api/v1/jobs/flange/duplicate", copy.encode(), {"Content-Type": "application/json"}
+    )
+    with browser.open(asked, timeout=60) as answer:
+        assert answer.status == 201
+    job = state / "jobs" / "copy" / "job.toml"
+    assert job.stat().st_uid == cell.st_uid
+    assert (state / "before.tar.gz").stat().st_mode & 0o777 == 0o600
+    assert not (state / "installing.tar.gz").exists()
+    owner = Path(f"/proc/{main_pid(PAGE)}").stat().st_uid
+    kept = {path.name: path.stat() for path in Path("/var/lib/edged_page").rglob("*") if path.is_file()}
+    assert {"users.json", "audit.jsonl", "0001.tar.gz", "0002.json"} <= kept.keys(), kept.keys()
+    assert {(owner, 0)} == {(about.st_uid, about.st_mode & 0o077) for about in kept.values()}, kept
+    assert "Anna has let the cell run by other files: a copy" in messages()
+    command("/opt/edged/current/bin/edged", "audit", str(CELL), "--against", "journal")
+    CELL.write_text(before)
+    command("systemctl", "reload", "edged")
+    until(has_result, "a result by the former files")
+    return f"job copy of user {cell.st_uid}; users, audit and releases of user {owner}"
+
+
 def reloads() -> str:
     """`systemctl reload`: another configuration in the same process; one with a mistake changes nothing."""
     pid, before = main_pid(), registers(0, 16)
@@ -317,6 +363,7 @@ STEPS: tuple[Callable[[], str], ...] = (
     page_writes_its_own_alone,
     strangers_are_no_page,
     page_is_back,
+    release_is_handed_over,
     reloads,
     hung_cycle_is_killed,
     hung_loop_is_killed,
