@@ -112,6 +112,8 @@ class PageServer:
             await cancel_and_await(self._running)
             self._running = None
         for opened in self._listening:
+            with contextlib.suppress(OSError):
+                opened.shutdown(socket.SHUT_RDWR)  # also where a page that has not ended has it, too
             opened.close()
         self._listening.clear()
 

@@ -7,6 +7,7 @@ import contextlib
 import logging
 import os
 import pwd
+import select
 import signal
 import socket
 import stat
@@ -23,6 +24,8 @@ log = logging.getLogger(__name__)
 
 END_S = 1.0
 """For the process to end by itself once the link is closed."""
+LEFT_S = 2.0
+"""For a page of another service, which cannot be killed from here."""
 WAITING = 1
 """Pages that may wait for the one before them to end."""
 REFUSED_S = 1.0
@@ -92,6 +95,7 @@ class AwaitedPage:
         self._place = place
         self._listening: socket.socket | None = None
         self._pid: int | None = None
+        self._process: int | None = None
 
     @property
     def pid(self) -> int | None:
@@ -130,6 +134,8 @@ class AwaitedPage:
             expected = await asyncio.to_thread(_number_of, self._user)
             if user == expected:
                 self._pid = pid
+                with contextlib.suppress(OSError):  # it has just ended
+                    self._process = os.pidfd_open(pid)
                 return came
             came.close()
             who = "a name that is not known here" if expected is None else str(expected)
@@ -137,8 +143,13 @@ class AwaitedPage:
             await asyncio.sleep(REFUSED_S)
 
     async def ended(self, *, is_good: bool) -> str:
-        """Its service manager looks after it."""
-        self._pid = None
+        """Wait for it to end by itself, as it holds the port; its service manager looks after it."""
+        process, self._pid, self._process = self._process, None, None
+        if process is not None:
+            try:
+                await asyncio.shield(asyncio.to_thread(_has_ended, process))
+            finally:
+                os.close(process)
         return "" if is_good else "its service starts it again"
 
     def close(self) -> None:
@@ -172,6 +183,13 @@ def _number_of(user: str) -> int | None:
         return pwd.getpwnam(user).pw_uid
     except KeyError:
         return None
+
+
+def _has_ended(process: int) -> bool:
+    """Whether a process has ended within its time."""
+    poll = select.poll()
+    poll.register(process, select.POLLIN)
+    return bool(poll.poll(1e3 * LEFT_S))
 
 
 def _started(link: socket.socket) -> subprocess.Popen[bytes]:

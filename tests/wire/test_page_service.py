@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -166,6 +167,22 @@ def test_another_version_is_refused_by_name(service: Service) -> None:
     wait_until(lambda: any("the page is edged 9.9 (schema 0)" in line for line in service.daemon.log))
     service.start_page()
     assert service.asked("/ready")["ready"]
+
+
+def test_a_page_that_does_not_end_keeps_no_port(service: Service) -> None:
+    """A reload exchanges the page on its port: one that hangs is in nobody's way, and need not be killed."""
+    service.asked("/ready")
+    old = service.pages[0]
+    old.send_signal(signal.SIGSTOP)
+    text = service.cell.config.read_text()
+    service.cell.config.write_text(text.replace("[web]", '[web]\nnames = ["cell.example"]'))
+    service.daemon.process.send_signal(signal.SIGHUP)
+    wait_until(lambda: any("reloaded" in line for line in service.daemon.log))
+    assert not any("refused" in line for line in service.daemon.log)
+    service.start_page()
+    assert service.asked("/ready")["ready"]
+    old.send_signal(signal.SIGCONT)
+    old.wait(LIMIT_S)
 
 
 def test_the_page_of_a_killed_cell_ends(service: Service) -> None:
