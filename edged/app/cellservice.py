@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from edged.adapters.modbus import ModbusPublisher
 from edged.app.cell import LoadedCell
+from edged.app.installer import Installer
 from edged.app.running import Running
 from edged.config.chosencameras import ChosenCamera
 from edged.connections import Rate
@@ -25,8 +27,10 @@ from edged.setup.releases.jobuse import JobUse
 if TYPE_CHECKING:  # a cell without a stage does not load what its routes need
     from edged.setup.stage.forwarding import StageService
 
-RELOAD_S, RELOADS_AT_ONCE = 2.0, 5.0
-"""A page may ask for so many reloads at once, and then for one in so long."""
+INSTALL_S, INSTALLS_AT_ONCE = 2.0, 5.0
+"""A page may ask for so many releases at once, and then for one in so long."""
+log = logging.getLogger(__name__)
+
 PAGE = "page"
 """Source of the page's commands."""
 
@@ -34,8 +38,8 @@ PAGE = "page"
 class CellService:
     """Serves one page (`edged.link.cellend.ServedCell`); used on the event loop.
 
-    metrics : Prometheus' text. head_with : a head of other cameras, not yet open. stage : what stands before
-    virtual cameras; None without.
+    installer : of releases. metrics : Prometheus' text. head_with : a head of other cameras, not yet open.
+    stage : what stands before virtual cameras; None without.
     """
 
     def __init__(
@@ -43,6 +47,7 @@ class CellService:
         running: Running,
         task: PageTask,
         use: JobUse,
+        installer: Installer,
         metrics: Callable[[], bytes],
         head_with: Callable[[Mapping[Side, ChosenCamera]], Head],
         stage: StageService | None = None,
@@ -50,12 +55,12 @@ class CellService:
         self._running = running
         self._task = task
         self._use = use
+        self._installer = installer
         self._metrics = metrics
         self._head_with = head_with
         self._stage = stage
         self._commands = 0
-        self._reloading = asyncio.Lock()
-        self._reloads = Rate(1 / RELOAD_S, burst=RELOADS_AT_ONCE)
+        self._installs = Rate(1 / INSTALL_S, burst=INSTALLS_AT_ONCE)
 
     @property
     def task(self) -> PageTask:
@@ -88,8 +93,8 @@ class CellService:
             raise TypeError(f"no version of a cell: {version!r}")
         return files_in_use(version.cell)
 
-    async def answer(self, request: ask.Asked) -> object:
-        """Do what a page asks. Raises `EdgedError`, `OSError`."""
+    async def answer(self, request: ask.Asked, memory: int | None = None) -> object:
+        """Do what a page asks. memory : sealed, that came with it. Raises `EdgedError`, `OSError`."""
         session = self._running.session
         match request:
             case ask.EnterSetup():
@@ -110,21 +115,31 @@ class CellService:
             case ask.TryCameras():
                 head = self._head_with(request.changes)
                 await session.try_head(request.token, head, request.changes)
-            case ask.AskReload():
-                return await self._reloaded()
+            case ask.InstallRelease() if memory is not None:
+                await self._install(request, memory)
             case ask.TakeJob():
                 self._take_job(request.number)
             case _:
                 return await self._looked_up(request)
         return None
 
-    async def _reloaded(self) -> str:
-        """Reload; in a while, where the page has asked too often: it cannot keep the cell busy."""
-        async with self._reloading:
-            if not self._reloads.take():
-                await asyncio.sleep(RELOAD_S)
-                self._reloads.take()
-            return await self._running.reload()
+    async def _install(self, request: ask.InstallRelease, memory: int) -> None:
+        """Run by other files, where nobody else has the cell.
+
+        In a while, where the page has asked too often: it cannot keep the cell busy.
+        """
+        if not self._installs.take():
+            await asyncio.sleep(INSTALL_S)
+            self._installs.take()
+        session = self._running.session
+        if request.token is not None:
+            await session.renew_setup(request.token)
+        elif session.holder:
+            raise SetupRefused(f"{session.holder} has the cell")
+        if session.is_locked:
+            raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
+        await self._installer.install(memory)
+        log.info("%s has let the cell run by other files: %s", request.author, request.note)
 
     async def _looked_up(self, request: ask.Asked) -> object:
         """What changes nothing, but on a stage."""

@@ -14,7 +14,9 @@ from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import Size, head_of
 from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_registration
 from edged.app.cellservice import CellService
+from edged.app.installer import Installer
 from edged.app.pageserver import PageServer, PageWitness
+from edged.app.pagesource import AwaitedPage, StartedPage
 from edged.app.running import Running
 from edged.app.servers import START_S, Servers, close_within, start_within
 from edged.cell.cycle import Cycle
@@ -25,7 +27,7 @@ from edged.config.chosencameras import ChosenCamera
 from edged.config.servers import WebSection
 from edged.domain.arrays import Side
 from edged.errors import EdgedError, TookTooLong, UserError
-from edged.files.statefolder import SetupNote, setup_note, state_folder
+from edged.files.statefolder import SetupNote, setup_note
 from edged.link.summary import PageTask
 from edged.logs import fields
 from edged.ports import Publisher
@@ -71,8 +73,8 @@ class Daemon:
 
     observers : more publishers, for example the demo's view; they outlive a reload.
     world : the virtual cell that a configuration with virtual cameras needs; its owner starts and stops it.
-    routes : of the stage before virtual cameras, which its page forwards. on_started : called before the
-    first cycle.
+    routes : of the stage before virtual cameras, which its page forwards. awaited : the page, where it is a
+    service of its own. on_started : called before the first cycle.
     """
 
     def __init__(
@@ -83,10 +85,12 @@ class Daemon:
         observers: Sequence[Publisher] = (),
         world: VirtualWorld | None = None,
         routes: Sequence[object] = (),
+        awaited: AwaitedPage | None = None,
     ) -> None:
         self.on_started: Callable[[], None] = lambda: None
         self._path = path
         self._stage_routes = tuple(routes)
+        self._awaited = awaited
         self._world = world
         head = head_for(loaded, world)
         self._registrar = CellRegistrar(self)
@@ -124,6 +128,8 @@ class Daemon:
             await self._run_cycle()
         finally:
             await self._servers.close()
+            if self._awaited is not None:
+                self._awaited.close()
             for observer in started:
                 await close_within(observer, type(observer).__name__)
 
@@ -235,14 +241,15 @@ class Daemon:
         task = PageTask(
             path=self._running.path,
             cell=cell,
-            state=state_folder(self._path),
             addresses=None if self._world is None else self._world.addresses,
             is_staged=stage is not None,
         )
+        installer = Installer(self._path, self._read_again)
         service = CellService(
-            self._running, task, self._job_use, self._metrics.render, self._head_with, stage
+            self._running, task, self._job_use, installer, self._metrics.render, self._head_with, stage
         )
-        page = PageServer(section.host, section.port, service)
+        source = StartedPage() if self._awaited is None else self._awaited
+        page = PageServer(section.host, section.port, service, source)
         self._registrar.witness = PageWitness(page.tell_step, asyncio.get_running_loop())
         return page
 

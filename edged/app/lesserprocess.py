@@ -12,8 +12,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from edged.setup.jobs.workerprocess import gain_no_more_rights
+from edged.setup.jobs.workerprocess import gain_no_more_rights, python_environment
 
+LESSER = (sys.executable, "-m", "edged.app.lesserprocess")
+"""Before a program that is to be less."""
 NICER = 10
 OOM_SCORE = 500
 """/proc/self/oom_score_adj: where memory is short, the page goes before the cell."""
@@ -30,6 +32,12 @@ def become(program: Sequence[str]) -> None:
         Path("/proc/self/oom_score_adj").write_text(str(OOM_SCORE))
     gain_no_more_rights()
     os.execv(program[0], list(program))
+
+
+def environment() -> dict[str, str]:
+    """That of a Python beside a cell; systemd hears the cell alone."""
+    ours = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
+    return {name: text for name, text in python_environment().items() if name not in ours}
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The page's process: HTTP, people, set-up, drafts, audit, manual and the worker, for the cell at the link.
 
-`python -m edged.app.page LEVEL LINK LISTENING...` with the level of the log and the numbers of inherited
-sockets; the cell starts it.
+`python -m edged.app.page LEVEL LINK` with the level of the log, and the number of an inherited socket where
+the cell starts it, or the path of the cell's socket where it is a service (`edged.app.pagesource`).
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from edged.cell.lease.notices import Notices
 from edged.domain.cell import CellPhase, SetupSource
 from edged.domain.events import Event
 from edged.errors import EdgedError, LinkError
+from edged.files.statefolder import page_folder
 from edged.link.pageend import LinkNews, PageEnd
 from edged.link.summary import PageTask, ProgramStep
 from edged.setup.registration.program import RobotProgram
@@ -41,6 +42,8 @@ log = logging.getLogger(__name__)
 CLOSE_S = 5.0
 SILENT_S = 5.0
 """A cell that says nothing for so long hangs: it says something every second (`link.cellend.BEAT_S`)."""
+REACH_S, AGAIN_S = 10.0, 0.2
+"""A service without a cell tries for so long, so often, before it ends and is started again."""
 GONE_S = 1.0
 """A page that has not ended by itself so long after its cell is cut off."""
 
@@ -67,7 +70,7 @@ class Page:
             raise LinkError("the cell runs without a page")
         notices = self.notices
         self._live = live = LivePictures(self.cell.session, notices)
-        settings = web_settings(section, self._task.state)
+        settings = web_settings(section, page_folder(self._task.path))
         routes: list[object] = []
         if section.commissioning:
             self.setup = SetupServices(self.cell, notices, live, self._task.addresses)
@@ -164,7 +167,6 @@ def tell_of(step: ProgramStep, program: RobotProgram) -> None:
 
 async def serve(
     connection: socket.socket,
-    listening: Sequence[socket.socket],
     named: Callable[[str], None] = lambda _cell: None,
     served: Callable[[], None] = lambda: None,
 ) -> int:
@@ -185,6 +187,8 @@ async def serve(
                 await page.hear(LinkNews(kind, await _first(arriving, kind)))
             # services ask as they start
             hearing = asyncio.create_task(_hear(arriving, page), name="link")
+            listening = [*link.listening]
+            link.listening.clear()
             await page.start(listening)
             served()
             watching = asyncio.create_task(page.watch(), name="watch")
@@ -235,16 +239,37 @@ def _end_with(link: socket.socket) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the process. arguments : level of the cell's log, descriptors of the link and of what listens."""
-    level, *descriptors = map(int, arguments)
-    start_log = partial(set_up_logging, level=level)
+    level, place = arguments
+    start_log = partial(set_up_logging, level=int(level))
     start_log()
     faulthandler.enable()
-    link, *listening = (socket.socket(fileno=number) for number in descriptors)
-    for opened in (link, *listening):
-        opened.set_inheritable(False)
-        opened.setblocking(False)
+    try:
+        link = _reached(place)
+    except OSError as error:
+        log.error("no cell at %s: %s", place, error.strerror or error)  # noqa: TRY400  (it says all)
+        return 1
+    link.set_inheritable(False)
+    link.setblocking(False)
     threading.Thread(target=_end_with, args=(link.dup(),), name="link", daemon=True).start()
-    return asyncio.run(serve(link, listening, start_log, keep_what_is_loaded))
+    return asyncio.run(serve(link, start_log, keep_what_is_loaded))
+
+
+def _reached(place: str) -> socket.socket:
+    """The link by an inherited socket's number, or by the path of the cell's socket. Raises `OSError`."""
+    if place.isdecimal():
+        return socket.socket(fileno=int(place))
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    deadline_s = time.monotonic() + REACH_S
+    while True:
+        try:
+            link.connect(place)
+        except OSError:  # the cell is just being started, or another page of it is just ending
+            if time.monotonic() > deadline_s:
+                link.close()
+                raise
+            time.sleep(AGAIN_S)
+        else:
+            return link
 
 
 if __name__ == "__main__":

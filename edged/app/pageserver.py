@@ -1,4 +1,4 @@
-"""The page as the cell has it: a process of its own, that is started again whenever it ends.
+"""The page as the cell has it: a process of its own; another takes its place whenever it ends.
 
 The cell opens the port and hands it on: a browser that comes while the process starts waits a moment, and
 nobody else gets the port meanwhile.
@@ -9,16 +9,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import os
-import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 
 import numpy as np
 
+from edged.app.pagesource import PageSource
 from edged.cell.tasks import cancel_and_await
 from edged.connections import listening_on
 from edged.domain.arrays import FloatArray
@@ -31,11 +28,8 @@ from edged.link.summary import ProgramStep
 log = logging.getLogger(__name__)
 
 PAUSE_S, MOST_PAUSE_S = 0.2, 5.0
-"""Before the page is started again: doubled each time, unless it ran for a while."""
+"""Before there is another page: doubled each time, unless it ran for a while."""
 GOOD_S = 30.0
-LESSER = (sys.executable, "-m", "edged.app.lesserprocess")
-END_S = 1.0
-"""For the process to end by itself once the link is closed."""
 
 
 class PageWitness:
@@ -73,12 +67,12 @@ class PageWitness:
 class PageServer:
     """The publisher of the page (`edged.ports.Publisher`). host, port : where it is served."""
 
-    def __init__(self, host: str, port: int, view: ServedCell) -> None:
+    def __init__(self, host: str, port: int, view: ServedCell, source: PageSource) -> None:
         self._host, self._port = host, port
         self._view = view
+        self._source = source
         self._listening: list[socket.socket] = []
         self._end: CellEnd | None = None
-        self._process: subprocess.Popen[bytes] | None = None
         self._running: asyncio.Task[None] | None = None
         self._state: CellState | None = None
         self._exposed: ExposureDone | None = None
@@ -87,10 +81,10 @@ class PageServer:
     @property
     def pid(self) -> int | None:
         """Id of the process; None while there is none."""
-        return None if self._process is None else self._process.pid
+        return self._source.pid
 
     async def start(self) -> None:
-        """Open the port, and start the process. Raises `ListenError`."""
+        """Open the port, and have the process. Raises `ListenError`."""
         self._listening = await listening_on("status page", self._host, self._port)
         self._running = asyncio.create_task(self._run(), name="page")
         self._running.add_done_callback(_show_bug)
@@ -118,6 +112,8 @@ class PageServer:
             await cancel_and_await(self._running)
             self._running = None
         for opened in self._listening:
+            with contextlib.suppress(OSError):
+                opened.shutdown(socket.SHUT_RDWR)  # also where a page that has not ended has it, too
             opened.close()
         self._listening.clear()
 
@@ -127,21 +123,16 @@ class PageServer:
             started_s = time.monotonic()
             why = await self._serve_once()
             pause_s = PAUSE_S if time.monotonic() - started_s > GOOD_S else min(2 * pause_s, MOST_PAUSE_S)
-            log.error("the page has ended%s; it is started again in %.1f s", why and f": {why}", pause_s)
+            log.error("the page has ended%s; another is had in %.1f s", why and f": {why}", pause_s)
             await asyncio.sleep(pause_s)
 
     async def _serve_once(self) -> str:
-        """Start the process and serve it until it ends, or the link does; returns why, in words."""
-        ours, theirs = socket.socketpair()
+        """Have a page and serve it until it ends, or the link does; returns why, in words."""
         try:
-            self._process = process = await self._start_process(theirs)
+            ours = await self._source.connection()
         except OSError as error:
-            ours.close()
-            return f"it cannot be started: {error.strerror or error}"
-        except asyncio.CancelledError:
-            ours.close()
-            raise
-        end = CellEnd(ours, self._view)
+            return f"it cannot be had: {error.strerror or error}"
+        end = CellEnd(ours, self._view, self._listening)
         exposed, last = self._exposed, self._snapshot
         if exposed is not None and (last is None or exposed.cycle != last.cycle):
             exposed = None
@@ -154,62 +145,8 @@ class PageServer:
             why = await end.serve()
         finally:
             self._end = None
-            # what misbehaves is not asked to end
-            code = await _ended(process, 0.0 if why else END_S)
-            self._process = None
-        return why or (f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"code {code}")
-
-    async def _start_process(self, link: socket.socket) -> subprocess.Popen[bytes]:
-        """Start it on a thread; one that comes too late is ended. Raises `OSError`."""
-        with link:
-            starting = asyncio.ensure_future(asyncio.to_thread(self._started, link))
-            try:
-                return await asyncio.shield(starting)
-            except asyncio.CancelledError:
-                await _ended(await starting, 0.0)
-                raise
-
-    def _started(self, link: socket.socket) -> subprocess.Popen[bytes]:
-        inherited = [link.fileno(), *(opened.fileno() for opened in self._listening)]
-        # one BLAS thread, as the cell itself
-        environment = {
-            "OPENBLAS_NUM_THREADS": "1",
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        }
-        for ours in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"):  # systemd hears the cell alone
-            environment.pop(ours, None)
-        return subprocess.Popen(
-            [
-                *LESSER,
-                sys.executable,
-                "-m",
-                "edged.app.page",
-                str(logging.getLogger().level),
-                *map(str, inherited),
-            ],
-            stdin=subprocess.DEVNULL,
-            pass_fds=inherited,
-            env=environment,
-            start_new_session=True,  # a ctrl-C is the cell's, which ends the page
-        )
-
-
-async def _ended(process: subprocess.Popen[bytes], grace_s: float) -> int:
-    """Wait for the process to end, kill it if it does not; returns its exit code."""
-
-    def wait() -> int:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            return process.wait(grace_s)
-        process.kill()
-        return process.wait()
-
-    waiting = asyncio.ensure_future(asyncio.to_thread(wait))
-    try:
-        return await asyncio.shield(waiting)
-    except asyncio.CancelledError:
-        await waiting
-        raise
+            how = await self._source.ended(is_good=not why)
+        return why or how
 
 
 def _show_bug(running: asyncio.Task[None]) -> None:

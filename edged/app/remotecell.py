@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -19,6 +20,7 @@ from edged.domain.measurement import Nearest
 from edged.domain.overview import Overview
 from edged.errors import FrameTimeout
 from edged.link import requests as ask
+from edged.link.memory import sealed
 from edged.link.pageend import PageEnd
 from edged.link.summary import CellSummary, FilesInUse
 from edged.pipeline import PreparedRig, nearest_miss
@@ -159,10 +161,13 @@ class RemoteCell:
         """Whether the cell is in SETUP."""
         return self.state is not None and self.state.state is CellPhase.SETUP
 
-    async def reload(self) -> str:
-        """Let it read the configuration again; returns why it was refused, or ""."""
-        why: str = await self._link.ask(ask.AskReload())
-        return why
+    async def install(self, archive: bytes, token: str | None, author: str, note: str) -> None:
+        """Let it run by the files of an archive. Raises `EdgedError`, `OSError`."""
+        memory = await asyncio.to_thread(sealed, archive)
+        try:
+            await self._link.ask(ask.InstallRelease(token=token, author=author, note=note), memory)
+        finally:
+            os.close(memory)
 
     async def take_job(self, number: int) -> None:
         """Measure by a job. Raises `SetupRefused`, `CommandRefused`."""

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections import ChainMap
 from collections.abc import Sequence
 
 from edged.app.remotecell import RemoteCell
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
-from edged.cell.tasks import cancel_and_await
 from edged.domain.frames import FramePair
 from edged.setup.calibration import service as calibrations
 from edged.setup.calibration.checks import Checks
@@ -68,8 +66,7 @@ class SetupServices:
         )
         self._trials = Trials(cell, self._teachings.job)
         self._jobs = Jobs(cell, releases, self._activation)
-        self._cameras = CameraService(cell, live, addresses)
-        self._finishing = asyncio.create_task(self._activation.finish(), name="finish activation")
+        self._cameras = CameraService(cell, live, addresses, self._activation)
         self._stop = live.listen(self._offer)
 
     def routes(self) -> Sequence[object]:
@@ -106,7 +103,6 @@ class SetupServices:
         """End the worker process; drafts are on disc."""
         self._stop()
         await self._cameras.close()
-        await cancel_and_await(self._finishing)
         await self._calibrations.close()
         await self._trials.close()
         await self.program.close()

@@ -41,12 +41,18 @@ def doctor(
 @app.command()
 def run(
     config: Annotated[Path, typer.Argument(help="configuration file, see config/cell.toml")],
+    page_user: Annotated[
+        str | None,
+        typer.Option(
+            metavar="USER", help="the page is a service of its own and runs as this user (edged-page.service)"
+        ),
+    ] = None,
 ) -> None:
     """Run the daemon until SIGTERM; SIGHUP reloads the configuration."""
     gc.disable()  # imports leave no garbage, and looking for it is a tenth of the start; `serve` enables it
     from edged.commands.run import run as command
 
-    raise typer.Exit(command(config))
+    raise typer.Exit(command(config, page_user))
 
 
 @app.command()

@@ -16,7 +16,7 @@ from rich.console import Console
 from edged.commands.saying import say
 from edged.config.reading import load
 from edged.errors import FileFormatError, UserError
-from edged.files.statefolder import state_folder
+from edged.files.statefolder import page_folder
 from edged.identity.audit import LINES, AuditFile, AuditVerdict
 from edged.identity.auditjournal import FIELDS, MAX_LINE_BYTES, JournalVerdict, JournalWriter, compare
 from edged.owners import as_owner, file_to_read
@@ -34,7 +34,7 @@ def audit(config: Path, console: Console, *, as_json: bool, last: int, against: 
     against : "journal": that of this machine; else a file of `journalctl --output=json`; None: nothing.
     Raises `UserError` when one of them cannot be read.
     """
-    folder = state_folder(config)
+    folder = page_folder(config)
     try:
         with as_owner(folder) as place:
             verdict = AuditFile(place, called=folder).verify(last=last)

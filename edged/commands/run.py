@@ -10,16 +10,23 @@ from pathlib import Path
 
 from edged.app.cell import load_any_cell, warm_up
 from edged.app.daemon import Daemon
+from edged.app.pagesource import awaited_page
 from edged.app.process import log_as, serve, set_up_process
 from edged.app.servers import import_servers
+from edged.setup.releases.installing import finish_installation
 
 log = logging.getLogger(__name__)
 
 
-def run(path: Path) -> int:
-    """Run the daemon of a configuration file until SIGTERM or SIGINT."""
+def run(path: Path, page_user: str | None = None) -> int:
+    """Run the daemon of a configuration file until SIGTERM or SIGINT.
+
+    page_user : of the page, where it is a service of its own; None: the daemon starts it. Raises `UserError`.
+    """
     set_up_process()
+    awaited = None if page_user is None else awaited_page(page_user)
     faulthandler.enable()  # the watchdog's SIGABRT, as any crash, leaves every thread's stack in the log
+    finish_installation(path)
     loaded = load_any_cell(path)
     log_as(loaded.cell.config.cell.name)
     with ThreadPoolExecutor(1) as other:
@@ -37,7 +44,7 @@ def run(path: Path) -> int:
         from edged.sim.world import VirtualWorld  # a cell with real cameras starts without it
 
         with VirtualWorld(gige=source == "virtual") as world:
-            asyncio.run(serve(lambda: Daemon(path, loaded, world=world)))
+            asyncio.run(serve(lambda: Daemon(path, loaded, world=world, awaited=awaited)))
     else:
-        asyncio.run(serve(lambda: Daemon(path, loaded)))
+        asyncio.run(serve(lambda: Daemon(path, loaded, awaited=awaited)))
     return 0

@@ -13,10 +13,11 @@ from edged.app.daemon import Daemon
 from edged.app.process import serve
 from edged.files.outputs import make_folder
 from edged.files.private import write_private
-from edged.files.statefolder import state_folder
+from edged.files.statefolder import page_folder
 from edged.identity.passwords import hash_password
 from edged.identity.users import User, UserFile
 from edged.owners import as_owner
+from edged.setup.releases.installing import finish_installation
 from edged.setup.stage.routes import StageRoutes
 from edged.sim.world import VirtualWorld
 
@@ -41,6 +42,7 @@ def run_stage(
         raise ValueError("the world has no stage")
     password = secrets.token_urlsafe(9)
     path = write_cell(folder, password, ports=ports, period_s=period_s, gige=world.addresses is not None)
+    finish_installation(path)
     loaded = load_any_cell(path)
     warm_up(loaded)
     routes = StageRoutes(world.stage)
@@ -98,5 +100,5 @@ password_hash = "{hashed}"
     engineer = User(name=USER, role="engineer", password_hash=hashed)
     with as_owner(folder) as place:
         write_private(place / path.name, text.encode())
-        UserFile(state_folder(path) / "users.json").put(engineer)
+        UserFile(page_folder(path) / "users.json").put(engineer)
     return path

@@ -10,7 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from edged.config.reading import load
 from edged.errors import UserError
-from edged.files.statefolder import state_folder
+from edged.files.statefolder import page_folder
 from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import VALID_S, Invite
 from edged.identity.users import UserName
@@ -26,7 +26,7 @@ def invite(config: Path, name: str) -> int:
         TypeAdapter(UserName).validate_python(name)
     except ValidationError as error:
         raise UserError(f"{name!r} cannot be a name: expected 1 to 64 printable characters") from error
-    folder, who = state_folder(config), getpass.getuser()
+    folder, who = page_folder(config), getpass.getuser()
     try:
         with as_owner(folder) as place:
             code = Invite(place).make(name)

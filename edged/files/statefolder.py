@@ -1,4 +1,8 @@
-"""The folder for what a cell writes itself: users, the audit, drafts and releases."""
+"""The folders for what a cell and its page write themselves.
+
+The cell's has the release before, what is being installed, recordings and the note of SETUP; the page's has
+users, the audit, drafts and releases. Under systemd they are two, of two users; else they are the same.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +27,17 @@ def state_folder(config: Path) -> Path:
     if config.parent == INSTALLED:
         return STATE / ("edged" if config.stem == "cell" else f"edged-{config.stem}")
     return config.parent / f".{config.stem}.state"
+
+
+def page_folder(config: Path) -> Path:
+    """The state directory of the page's service; where the cell starts its page itself, that of the cell.
+
+    Of a configuration that is installed it is known to who runs a command in a shell, too. It may be missing.
+    """
+    installed = config.resolve()
+    if _given() is None and installed.parent == INSTALLED:
+        return STATE / ("edged_page" if installed.stem == "cell" else f"edged_page-{installed.stem}")
+    return state_folder(config)
 
 
 def setup_note(config: Path) -> Path:

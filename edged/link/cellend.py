@@ -1,8 +1,8 @@
 """The cell's end of the link: it never waits, keeps the newest, and believes nothing that arrives.
 
 What is to be sent is encoded and written by a thread of its own; the loop only puts it where the thread finds
-it, in queues of a bounded length. What arrives is read at a bounded rate: a page that floods waits in its own
-socket's buffer. A page that sends what is no message, or does not read, loses the link.
+it, in queues of a bounded length. What arrives is read by another thread, at a bounded rate: a page that
+floods waits in its own socket's buffer. A page that sends what is no message, or reads none, loses the link.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import logging
 import os
 import socket
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Protocol
@@ -26,6 +27,7 @@ from edged.domain.frames import FramePair
 from edged.errors import EdgedError, LinkError, SetupRefused
 from edged.link import values
 from edged.link.pictures import PictureRing
+from edged.link.receiver import Receiver
 from edged.link.requests import (
     GREETING,
     MAX_BYTES,
@@ -34,6 +36,7 @@ from edged.link.requests import (
     AskMetrics,
     AskRegisters,
     Envelope,
+    InstallRelease,
     TakePair,
     encoded,
     envelope_of,
@@ -54,7 +57,6 @@ COSTLY, DEAR = (AskExchanges, AskMetrics, AskRegisters), 20
 """Requests that take milliseconds of the loop, and as how many others each counts."""
 REST_S = 0.05
 """A page that has asked too much is read again after this."""
-READ_BYTES = 16 * 1024
 WRITE_S = 15.0
 """A page that does not read for so long loses the link; one that starts on a busy PC imports meanwhile."""
 BEAT_S = 1.0
@@ -79,25 +81,33 @@ class ServedCell(Protocol):
     def files(self, version: object) -> FilesInUse:
         """The files of a version; called on any thread."""
 
-    async def answer(self, request: Asked) -> object:
-        """Do what a page asks. Raises `EdgedError`, `OSError`."""
+    async def answer(self, request: Asked, memory: int | None = None) -> object:
+        """Do what a page asks. memory : that came with it, sealed, open until then.
+
+        Raises `EdgedError`, `OSError`.
+        """
 
 
 class CellEnd:
     """One page's link.
 
-    connection : a Unix stream socket, owned from now on.
+    connection : a Unix stream socket, owned from now on. listening : the sockets that the page serves.
     """
 
-    def __init__(self, connection: socket.socket, view: ServedCell) -> None:
+    def __init__(
+        self, connection: socket.socket, view: ServedCell, listening: Sequence[socket.socket] = ()
+    ) -> None:
         connection.setblocking(False)
         self._connection = connection
         self._view = view
+        self._listening = listening
+        self._has_task = False
         self._frames = Frames(MAX_BYTES)
         self._rate = Rate(REQUESTS_PER_S, burst=REQUESTS_AT_ONCE)
         self._rest: asyncio.TimerHandle | None = None
         self._beats: asyncio.TimerHandle
-        self._is_reading = False
+        self._receiver: Receiver | None = None
+        self._memory: int | None = None
         self.is_greeted = False
         self._sender = ThreadPoolExecutor(1, thread_name_prefix="page-link")
         self._ring = PictureRing()
@@ -117,7 +127,8 @@ class CellEnd:
         telling = loop.create_task(self._tell(), name="page link")
         greeting = loop.call_later(GREET_S, self._miss_greeting)
         self._beat()
-        self._read_on()
+        receiver = self._receiver = Receiver(self._connection, self._arrived)
+        receiver.allow()
         try:
             ends: set[asyncio.Future[Any]] = {telling, self._failed}
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
@@ -128,14 +139,15 @@ class CellEnd:
         finally:
             greeting.cancel()
             self._beats.cancel()
-            self._read_no_more()
             if self._rest is not None:
                 self._rest.cancel()
             telling.cancel()  # but what was asked is carried out: half a reload would be worse
             await asyncio.gather(telling, return_exceptions=True)
             with contextlib.suppress(OSError):
                 self._connection.shutdown(socket.SHUT_RDWR)  # a write under way ends, too
-            await loop.run_in_executor(self._sender, self._ring.close)
+            await loop.run_in_executor(self._sender, receiver.end)
+            self._keep(None)
+            self._ring.close()
             self._sender.shutdown()
             self._connection.close()
 
@@ -168,8 +180,7 @@ class CellEnd:
         """Send what is new, until the link fails."""
         loop = asyncio.get_running_loop()
         try:
-            await loop.run_in_executor(self._sender, self._send, encoded(GREETING), None)
-            await self._post("task", self._view.task)
+            await loop.run_in_executor(self._sender, self._send, encoded(GREETING), [])
             while True:
                 await self._wake.wait()
                 self._wake.clear()
@@ -180,6 +191,9 @@ class CellEnd:
 
     async def _tell_all(self) -> None:
         """Files before the summary, and both before the answers: who asked finds what has become of it."""
+        if not self._has_task:
+            self._has_task = True
+            await self._post("task", self._view.task, sockets=len(self._listening))
         version = self._view.version()
         if version is not self._sent_version:
             files = await asyncio.get_running_loop().run_in_executor(self._sender, self._view.files, version)
@@ -209,41 +223,45 @@ class CellEnd:
         images: list[Image] = []
         data = values.dumps(body, images)
         message: dict[str, object] = {"kind": kind, "body": data, **more}
+        if kind == "task":
+            self._send(cbor2.dumps(message), [opened.fileno() for opened in self._listening])
+            return
         memory = None
         if images:
             placed, memory = self._ring.place(images)
             message |= {"pictures": list(placed), "memory": memory is not None}
-        self._send(cbor2.dumps(message), memory)
-
-    def _send(self, data: bytes, memory: int | None) -> None:
         try:
-            send_within(self._connection, data, [] if memory is None else [memory], WRITE_S)
+            self._send(cbor2.dumps(message), [] if memory is None else [memory])
         finally:
             if memory is not None:
                 os.close(memory)
 
+    def _send(self, data: bytes, handles: list[int]) -> None:
+        send_within(self._connection, data, handles, WRITE_S)
+
     # --- what the page asks ------------------------------------------------------------------------
 
-    def _read(self) -> None:
-        """Read what has arrived, as much as is allowed."""
-        try:
-            data = self._connection.recv(READ_BYTES)  # descriptors that come with it are closed unread
-        except (BlockingIOError, InterruptedError):
-            return
-        except OSError:
-            data = b""
+    def _arrived(self, data: bytes, memory: int | None) -> None:
+        if memory is not None:
+            self._keep(memory)
         if not data:
             self._fail("")
             return
         self._frames.feed(data)
-        self._hear()
+        if self._rest is None:
+            self._hear()
+
+    def _keep(self, memory: int | None) -> None:
+        """Have the memory that came last, and no other."""
+        if self._memory is not None:
+            os.close(self._memory)
+        self._memory = memory
 
     def _hear(self) -> None:
         """Carry out the messages that are whole, as fast as a page may ask."""
         try:
             while not self._is_full and self._frames.has_next():
                 if not self._rate.take():
-                    self._read_no_more()
                     self._rest = asyncio.get_running_loop().call_later(REST_S, self._go_on)
                     return
                 message = self._frames.next()
@@ -256,10 +274,8 @@ class CellEnd:
         except LinkError as error:
             self._fail(str(error))
             return
-        if self._is_full:
-            self._read_no_more()
-        else:
-            self._read_on()
+        if not self._is_full and not self._failed.done() and self._receiver is not None:
+            self._receiver.allow()
 
     @property
     def _is_full(self) -> bool:
@@ -286,7 +302,8 @@ class CellEnd:
         self._wake.set()
 
     def _carry_out(self, envelope: Envelope) -> None:
-        task = asyncio.get_running_loop().create_task(self._answer(envelope), name="page's request")
+        memory, self._memory = self._memory, None
+        task = asyncio.get_running_loop().create_task(self._answer(envelope, memory), name="page's request")
         self._underway.add(task)
         task.add_done_callback(self._carried_out)
 
@@ -296,18 +313,23 @@ class CellEnd:
             log.error("a request of the page ended in a bug", exc_info=bug)
             self._fail("a bug, see the log")
 
-    async def _answer(self, envelope: Envelope) -> None:
+    async def _answer(self, envelope: Envelope, memory: int | None) -> None:
         try:
-            answer: dict[str, Any] = {"body": await self._done(envelope.request), "error": None}
+            answer: dict[str, Any] = {"body": await self._done(envelope.request, memory), "error": None}
         except (EdgedError, OSError) as error:
             answer = {"body": None, "error": plain_error(error)}
+        finally:
+            if memory is not None:
+                os.close(memory)
         self._answers.append({"number": envelope.number, **answer})
         self._is_summary_due = True
         self._wake.set()
 
-    async def _done(self, request: Asked) -> object:
+    async def _done(self, request: Asked, memory: int | None) -> object:
+        if isinstance(request, InstallRelease) and memory is None:
+            raise LinkError("a release without its archive")
         if not isinstance(request, TakePair):
-            return await self._view.answer(request)
+            return await self._view.answer(request, memory)
         waiting = sum(isinstance(answer["body"], FramePair) for answer in self._answers)
         if self._captures + waiting >= CAPTURES:
             raise SetupRefused("too many pictures were asked for at once")
@@ -317,18 +339,7 @@ class CellEnd:
         finally:
             self._captures -= 1
 
-    def _read_on(self) -> None:
-        if not self._is_reading and not self._failed.done():
-            self._is_reading = True
-            asyncio.get_running_loop().add_reader(self._connection, self._read)
-
-    def _read_no_more(self) -> None:
-        if self._is_reading:
-            self._is_reading = False
-            asyncio.get_running_loop().remove_reader(self._connection)
-
     def _fail(self, why: str) -> None:
         """The link has failed; "" where the other end has closed it."""
         if not self._failed.done():
-            self._read_no_more()
             self._failed.set_result(why)

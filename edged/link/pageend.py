@@ -16,12 +16,12 @@ from edged.errors import LinkError
 from edged.link import values
 from edged.link.pictures import Placed, SharedPictures
 from edged.link.requests import GREETING, Asked, Envelope, encoded, error_of, greeting_of
-from edged.link.stream import Frames, framed
+from edged.link.stream import Frames, framed, send_within
 
 MOST_BYTES = 256 * 1024 * 1024
 """Of a message of the cell: the largest are the files of many jobs."""
 READ_BYTES = 1024 * 1024
-MOST_DESCRIPTORS = 4
+MOST_DESCRIPTORS = 16
 ANSWER_S = 120.0
 """Longer than any request takes that the cell carries out."""
 
@@ -34,7 +34,10 @@ class LinkNews(NamedTuple):
 
 
 class PageEnd:
-    """The link to the cell. connection : a Unix stream socket, owned from now on."""
+    """The link to the cell. connection : a Unix stream socket, owned from now on.
+
+    listening : the sockets that the page serves, which come with its task; whoever takes them closes them.
+    """
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
@@ -46,20 +49,21 @@ class PageEnd:
         self._asked: dict[int, asyncio.Future[Any]] = {}
         self._writing = asyncio.Lock()
         self._is_over = False
+        self.listening: list[socket.socket] = []
 
     async def greet(self) -> None:
         """Say which version this is, and hear the cell's. Raises `LinkError` where it is another."""
         await self._write(encoded(GREETING))
         greeting_of(await self._message()).check("the cell")
 
-    async def ask(self, request: Asked) -> Any:
-        """Ask the cell. Raises the `EdgedError` or `OSError` that the cell raises, and `LinkError`."""
+    async def ask(self, request: Asked, memory: int | None = None) -> Any:
+        """Ask the cell. memory : that goes with it. Raises what the cell raises, and `LinkError`."""
         if self._is_over:
             raise LinkError("the cell is not reached")
         number = next(self._numbers)
         answer = self._asked[number] = asyncio.get_running_loop().create_future()
         try:
-            await self._write(encoded(Envelope(number=number, request=request)))
+            await self._write(encoded(Envelope(number=number, request=request)), memory)
             async with asyncio.timeout(ANSWER_S):
                 return await answer
         except TimeoutError as error:
@@ -72,6 +76,7 @@ class PageEnd:
         try:
             while True:
                 message = cbor2.loads(await self._message())
+                self._take_sockets(message.get("sockets", 0))
                 images: list[Any] = []
                 if message.get("memory"):
                     self._pictures.map(self._memories.pop(0))
@@ -93,9 +98,18 @@ class PageEnd:
         finally:
             self._end()
 
+    def _take_sockets(self, count: int) -> None:
+        for _ in range(count):
+            opened = socket.socket(fileno=self._memories.pop(0))
+            opened.setblocking(False)
+            self.listening.append(opened)
+
     def close(self) -> None:
         """Close the link."""
         self._end()
+        for opened in self.listening:
+            opened.close()
+        self.listening.clear()
         for memory in self._memories:
             os.close(memory)
         self._memories.clear()
@@ -107,22 +121,31 @@ class PageEnd:
             if not answer.done():
                 answer.set_exception(LinkError("the cell has stopped"))
 
-    async def _write(self, data: bytes) -> None:
+    async def _write(self, data: bytes, memory: int | None = None) -> None:
         """Send a whole message, also where who asked is cancelled meanwhile."""
-        await asyncio.shield(asyncio.ensure_future(self._written(data)))
+        own = None if memory is None else os.dup(memory)
+        await asyncio.shield(asyncio.ensure_future(self._written(data, own)))
 
-    async def _written(self, data: bytes) -> None:
+    async def _written(self, data: bytes, memory: int | None) -> None:
         async with self._writing:
             try:
-                await asyncio.get_running_loop().sock_sendall(self._connection, framed(data))
+                if memory is None:
+                    await asyncio.get_running_loop().sock_sendall(self._connection, framed(data))
+                else:
+                    await asyncio.to_thread(send_within, self._connection, data, [memory], ANSWER_S)
             except OSError as error:
                 raise LinkError(f"the cell is not reached: {error.strerror or error}") from error
+            finally:
+                if memory is not None:
+                    os.close(memory)
 
     async def _message(self) -> bytes:
         """The next message. Raises `LinkError` when the link has ended."""
         while not self._frames.has_next():
             try:
-                data, memories, _flags, _ = socket.recv_fds(self._connection, READ_BYTES, MOST_DESCRIPTORS)
+                data, memories, _flags, _ = socket.recv_fds(
+                    self._connection, READ_BYTES, MOST_DESCRIPTORS, socket.MSG_CMSG_CLOEXEC
+                )
             except (BlockingIOError, InterruptedError):
                 await self._readable()
                 continue

@@ -91,10 +91,16 @@ class TryCameras(Request):
     changes: dict[Side, ChosenCamera]
 
 
-class AskReload(Request):
-    """Read the configuration again; answered by why it was refused, or ""."""
+class InstallRelease(Request):
+    """Run by other files: those of the archive that comes with it as sealed memory (`edged.link.memory`).
 
-    ask: Literal["reload"] = "reload"
+    token : of the lease, where somebody has the cell. author, note : whose it is, and why.
+    """
+
+    ask: Literal["install"] = "install"
+    token: Token | None = None
+    author: Name
+    note: Annotated[str, StringConstraints(max_length=2500)]
 
 
 class TakeJob(Request):
@@ -142,7 +148,7 @@ Asked = (
     | AdjustCamera
     | ReadLimits
     | TryCameras
-    | AskReload
+    | InstallRelease
     | TakeJob
     | AskRegisters
     | AskExchanges

@@ -66,14 +66,13 @@ class FilesInUse:
 
 @dataclass(frozen=True, slots=True)
 class PageTask:
-    """What a page process serves, and where. state : folder of people, audit and drafts.
+    """What a page process serves. path : of the configuration.
 
     addresses : of virtual cameras, left and right; None without. is_staged : the stage is set up, too.
     """
 
     path: Path
     cell: str
-    state: Path
     addresses: tuple[str, str] | None = None
     is_staged: bool = False
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from edged.errors import SetupRefused
 from edged.files.rig import rig_of
-from edged.files.statefolder import state_folder
+from edged.files.statefolder import page_folder
 from edged.ports import Commissioner
 from edged.robot.orientations import Brand, Convention
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
@@ -108,8 +108,12 @@ class RunningCell(Protocol):
     def summary(self) -> CellSummary:
         """What no event tells of it."""
 
-    async def reload(self) -> str:
-        """Read the configuration again; returns why it was refused, or ""."""
+    async def install(self, archive: bytes, token: str | None, author: str, note: str) -> None:
+        """Run by the files of an archive (`edged.setup.releases.archive`). token : of the lease, if any.
+
+        Raises `EdgedError`, `OSError`; then it runs by the former ones. After a `LinkError` its fingerprint
+        tells by which.
+        """
 
     async def take_job(self, number: int) -> None:
         """Measure by a job. Raises `SetupRefused` where a PLC owns the right to write, `CommandRefused`."""
@@ -132,7 +136,7 @@ class CellInUse:
     @property
     def folder(self) -> Path:
         """The folder for what services keep on disc."""
-        return state_folder(self.path)
+        return page_folder(self.path)
 
     @property
     def files(self) -> CellFiles | UnfinishedCell:
@@ -190,7 +194,3 @@ class CellInUse:
         """The folder in which cycles are recorded; None where they are not."""
         recorder = self.files.config.recorder
         return None if recorder is None else recorder.folder
-
-    async def reload(self) -> str:
-        """Read the configuration again; returns why it was refused, or ""."""
-        return await self.running.reload()

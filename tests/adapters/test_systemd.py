@@ -212,38 +212,64 @@ needs_analyze = pytest.mark.skipif(
 )
 
 
-@pytest.fixture(params=["edged.service", "edged@.service"])
+CELLS = ["edged.service", "edged@.service"]
+PAGES = ["edged-page.service", "edged-page@.service"]
+
+
+@pytest.fixture(params=CELLS)
 def unit_file(request):
-    """Each of the units: the one of a single cell, and the template for several."""
+    """Each of the cell's units: the one of a single cell, and the template for several."""
+    return UNIT.with_name(request.param)
+
+
+@pytest.fixture(params=[*CELLS, *PAGES])
+def any_unit(request):
+    """Likewise, and those of the pages."""
     return UNIT.with_name(request.param)
 
 
 def analyze(unit_file: Path, tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run systemd-analyze on a unit, with a program in its place that exists."""
+    # all of them are there, as each names another
+    units = [
+        place.joinpath(name.replace("@", at))
+        for place, at in ((tmp_path, "@cell1"), (tmp_path, "@"))
+        for name in (*CELLS, *PAGES)
+    ]
+    for unit in units:
+        text = UNIT.with_name(unit.name.replace("@cell1", "@")).read_text()
+        text = text.replace("/opt/edged/current/bin/edged", "/bin/true")
+        unit.write_text(text.replace("/opt/edged/current/bin/python", "/bin/true"))
     unit = tmp_path / unit_file.name.replace("@", "@cell1")
-    unit.write_text(unit_file.read_text().replace("/opt/edged/current/bin/edged", "/bin/true"))
     command = ["systemd-analyze", *arguments, str(unit)]
     return subprocess.run(command, capture_output=True, text=True, timeout=WHOLE_S, check=False)
 
 
 @needs_analyze
-def test_the_unit_is_understood_completely(unit_file, tmp_path):
+def test_the_unit_is_understood_completely(any_unit, tmp_path):
     """`systemd-analyze verify` says nothing: it returns 0 for unknown keys too."""
-    result = analyze(unit_file, tmp_path, "verify", "--man=no")
+    result = analyze(any_unit, tmp_path, "verify", "--man=no")
     assert (0, "", "") == (result.returncode, result.stdout, result.stderr)
 
 
 @needs_analyze
 def test_the_unit_is_hardened(unit_file, tmp_path):
-    """The exposure that systemd computes is at most 2.5 of 10."""
+    """The exposure that systemd computes is at most 2.5 of 10, and 1.9 for the page."""
     result = analyze(unit_file, tmp_path, "security", "--offline=true", "--threshold=25", "--no-pager")
+    assert 0 == result.returncode, result.stdout[-300:]
+    page = UNIT.with_name(unit_file.name.replace("edged", "edged-page"))
+    result = analyze(page, tmp_path, "security", "--offline=true", "--threshold=19", "--no-pager")
     assert 0 == result.returncode, result.stdout[-300:]
 
 
-def test_the_template_is_the_unit_with_names() -> None:
+@pytest.mark.parametrize("names", [CELLS, PAGES], ids=["cell", "page"])
+def test_the_template_is_the_unit_with_names(names: list[str]) -> None:
     """What one of them may do or says, the other does: they differ in the cell's name only."""
-    single, template = (UNIT.with_name(name).read_text() for name in ("edged.service", "edged@.service"))
+    single, template = (UNIT.with_name(name).read_text() for name in names)
     for named, plain in (
+        ("edged_page-%i", "edged_page"),
+        ("edged-page@%i", "edged-page"),
+        ("page of the cell %i", "page of the cell"),
         ("edged-%i", "edged"),
         ("edged@%i", "edged"),
         ("/%i.toml", "/cell.toml"),
@@ -251,6 +277,25 @@ def test_the_template_is_the_unit_with_names() -> None:
     ):
         template = template.replace(named, plain)
     assert single[single.index("[Unit]") :] == template[template.index("[Unit]") :]
+
+
+def test_the_page_gives_way_and_has_no_rights() -> None:
+    """No capability, a user and a folder of its own, less memory and weight than its cell."""
+    cell, page = (
+        dict(line.split("=", 1) for line in UNIT.with_name(name).read_text().splitlines() if "=" in line)
+        for name in ("edged.service", "edged-page.service")
+    )
+    assert "" == page["CapabilityBoundingSet"]
+    assert "AmbientCapabilities" not in page
+    assert cell["User"] != page["User"]
+    assert cell["StateDirectory"] != page["StateDirectory"]
+    assert "--page-user " + page["User"] in cell["ExecStart"]
+    assert "/var/lib/private/" + cell["StateDirectory"] == page["BindReadOnlyPaths"]
+    assert page["ExecStart"].endswith(f"/run/{cell['RuntimeDirectory']}/page")
+    for what in ("CPUWeight", "IOWeight"):
+        assert int(page[what]) < int(cell[what])
+    assert int(page["MemoryMax"].rstrip("%")) < int(cell["MemoryMax"].rstrip("%"))
+    assert int(page["OOMScoreAdjust"]) > int(cell["OOMScoreAdjust"])
 
 
 def test_strangers_cannot_take_every_descriptor(unit_file):

@@ -23,6 +23,7 @@ from helpers.waiting import LIMIT_S, WHOLE_S
 from helpers.zenohcell import ask
 
 from edged.app.pageserver import PageServer
+from edged.app.pagesource import StartedPage
 from edged.app.running import Running
 from edged.app.servers import Servers
 from edged.app.wantedservers import wanted_servers
@@ -63,7 +64,7 @@ class PagePort(PageServer):
     """A page whose port is opened, and whose process is not started."""
 
     def __init__(self, _cell: str, section: WebSection) -> None:
-        super().__init__(section.host, section.port, cast(Any, None))
+        super().__init__(section.host, section.port, cast(Any, None), StartedPage())
 
     async def _run(self) -> None:
         await asyncio.Event().wait()

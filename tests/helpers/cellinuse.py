@@ -11,10 +11,12 @@ from edged.cell.lease.notices import Notices
 from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Side
 from edged.domain.frames import FramePair
-from edged.errors import SetupRefused
+from edged.errors import SetupRefused, UserError
+from edged.files.statefolder import state_folder
 from edged.setup.cellfiles import CellFiles, UnfinishedCell, read_any_cell
 from edged.setup.inuse import CellInUse
 from edged.setup.jobs.tasks import Tasks
+from edged.setup.releases.installing import Installation, note_installed
 
 
 @dataclass
@@ -39,19 +41,27 @@ class StillSession:
 
 
 class StillCell:
-    """A cell that runs by its files; it is read again on reload, unless `refuses` says why not."""
+    """A cell that runs by its files; what is installed is read again, unless `refuses` says why not."""
 
     def __init__(self, config: Path) -> None:
-        self.path = config
+        self.path, self.state = config, state_folder(config)
         self.files: CellFiles | UnfinishedCell = read_any_cell(config)
         self.session = StillSession()
         self.refuses = ""
 
-    async def reload(self) -> str:
-        """Read it again; returns why not, or ""."""
-        if not self.refuses:
-            self.files = read_any_cell(self.path)
-        return self.refuses
+    async def install(self, archive: bytes, token: str | None, author: str, note: str) -> None:
+        """As the cell's own process does, in this one. Raises `EdgedError`, `OSError`."""
+        assert author
+        assert note
+        if token is not None:
+            await self.session.renew_setup(token)
+        installation = Installation(self.path, self.state)
+        installation.begin(archive)
+        if self.refuses:
+            installation.undo()
+            raise UserError(f"the cell cannot run with it, and goes on as before: {self.refuses}")
+        self.files = read_any_cell(self.path)
+        note_installed(self.state)
 
     def in_use(self, worker: Any = None) -> CellInUse:
         """What services use of it. worker : None for those that ask none."""

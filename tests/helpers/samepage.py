@@ -24,14 +24,11 @@ class SamePage(PageServer):
 
     async def _run(self) -> None:
         ours, theirs = socket.socketpair()
-        end = self._end = CellEnd(ours, self._view)
+        end = self._end = CellEnd(ours, self._view, self._listening)
         for event in (self._state, self._exposed, self._snapshot):
             if event is not None:
                 end.announce(event)
-        listening = [opened.dup() for opened in self._listening]
-        for opened in listening:
-            opened.setblocking(False)
-        serving = asyncio.create_task(page_process.serve(theirs, listening))
+        serving = asyncio.create_task(page_process.serve(theirs))
         try:
             await end.serve()
         finally:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -132,16 +133,18 @@ class SmallWorld(VirtualWorld):
 class DaemonProcess:
     """`edged run` as a process, with its log and what it tells systemd.
 
-    environment : added to our own.
+    environment : added to our own. options : more of the command.
     """
 
-    def __init__(self, config: Path, environment: dict[str, str] | None = None) -> None:
+    def __init__(
+        self, config: Path, environment: dict[str, str] | None = None, options: Sequence[str] = ()
+    ) -> None:
         self._notify = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
         self._notify.bind(f"\0edged-test-{os.getpid()}-{id(self)}")
         address = "@" + self._notify.getsockname()[1:].decode()
         self.started_s = time.monotonic()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "edged", "run", str(config)],
+            [sys.executable, "-m", "edged", "run", str(config), *options],
             stderr=subprocess.PIPE,
             text=True,
             env={**os.environ, "NOTIFY_SOCKET": address, **(environment or {})},

@@ -12,7 +12,7 @@ from helpers.webcell import HASH
 
 from edged.config.reading import load
 from edged.errors import ConfigError, FileFormatError
-from edged.files.statefolder import state_folder
+from edged.files.statefolder import page_folder, state_folder
 from edged.identity.invite import VALID_S, Invite
 from edged.identity.users import MAX_USERS, LastEngineer, NameTaken, User, UserFile
 
@@ -183,11 +183,19 @@ def test_a_damaged_invitation_lets_nobody_in(text: str, tmp_path: Path) -> None:
 
 
 def test_the_state_of_a_cell_has_one_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The service's; the same for who asks in a shell; beside a configuration that is not installed."""
+    """The service's; the same for who asks in a shell; beside a configuration that is not installed.
+
+    The page's is another one where it is a service of its own, and no cell can be called so that it is its.
+    """
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     assert tmp_path / ".cell.state" == state_folder(tmp_path / "cell.toml")
+    assert tmp_path / ".cell.state" == page_folder(tmp_path / "cell.toml")
     monkeypatch.setattr("edged.files.statefolder.INSTALLED", tmp_path)
     assert Path("/var/lib/edged") == state_folder(tmp_path / "cell.toml")
     assert Path("/var/lib/edged-line3") == state_folder(tmp_path / "line3.toml")
+    assert Path("/var/lib/edged_page") == page_folder(tmp_path / "cell.toml")
+    assert Path("/var/lib/edged_page-line3") == page_folder(tmp_path / "line3.toml")
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/other:/var/lib/more")
-    assert Path("/var/lib/other") == state_folder(tmp_path / "cell.toml")
+    assert (
+        Path("/var/lib/other") == state_folder(tmp_path / "cell.toml") == page_folder(tmp_path / "cell.toml")
+    )

@@ -6,6 +6,7 @@ import asyncio
 import os
 import random
 import socket
+import struct
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -25,6 +26,7 @@ from edged.errors import CaptureError, LinkError, SetupRefused
 from edged.link import cellend
 from edged.link import requests as ask
 from edged.link.cellend import CellEnd
+from edged.link.memory import sealed, sealed_bytes
 from edged.link.pageend import PageEnd
 from edged.link.requests import Envelope, Greeting, encoded, envelope_of
 from edged.link.stream import framed
@@ -40,7 +42,7 @@ EXAMPLES: tuple[ask.Asked, ...] = (
     ask.AdjustCamera(token="t", side="left", exposure_us=500.0),
     ask.ReadLimits(token="t", side="right"),
     ask.TryCameras(token="t", changes={}),
-    ask.AskReload(),
+    ask.InstallRelease(author="Anna", note="another rig"),
     ask.TakeJob(number=1),
     ask.AskRegisters(),
     ask.AskExchanges(),
@@ -49,15 +51,19 @@ EXAMPLES: tuple[ask.Asked, ...] = (
 )
 
 
+NEVER_READ: list[socket.socket] = []
+"""Ends of connections that stay open, and full."""
+
+
 class View:
     """A cell as a page is told of it; its lease and its pictures are a real cycle's."""
 
-    task = PageTask(Path("/etc/edged/cell.toml"), "cell1", Path("/var/lib/edged"))
+    task = PageTask(Path("/etc/edged/cell.toml"), "cell1")
 
     def __init__(self, cycle: Cycle) -> None:
         self.cycle = cycle
         self.asked = 0
-        self.may_reload, self.reloaded = asyncio.Event(), False
+        self.may_install, self.installed = asyncio.Event(), b""
 
     def summary(self) -> CellSummary:
         return CellSummary(holder=self.cycle.session.holder)
@@ -68,7 +74,7 @@ class View:
     def files(self, _version: object) -> FilesInUse:
         return FILES
 
-    async def answer(self, request: ask.Asked) -> object:
+    async def answer(self, request: ask.Asked, memory: int | None = None) -> object:
         self.asked += 1
         session = self.cycle.session
         match request:
@@ -80,9 +86,10 @@ class View:
                 await session.renew_setup(request.token)
             case ask.TakePair():
                 return await session.capture(request.token)
-            case ask.AskReload():
-                await self.may_reload.wait()
-                self.reloaded = True
+            case ask.InstallRelease():
+                await self.may_install.wait()
+                assert memory is not None
+                self.installed = sealed_bytes(memory, 100)
             case ask.AdjustCamera():
                 return await session.adjust(request.token, request.side, CameraValues(request.exposure_us))
         return None
@@ -352,18 +359,57 @@ def test_an_answer_finds_what_has_become_of_the_cell() -> None:
 
 
 def test_what_was_asked_is_carried_out_without_the_page() -> None:
-    """It is killed during a reload: half of one would be worse than either."""
+    """It is killed while its release is installed: half of one would be worse than either."""
 
     async def test(scene: Scene) -> None:
         async with scene.linked() as (page, serving):
             page.sendall(framed(encoded(ask.GREETING)))
-            page.sendall(framed(encoded(Envelope(number=1, request=ask.AskReload()))))
+            asked: Any = framed(encoded(Envelope(number=1, request=EXAMPLES[8])))
+            memory = sealed(b"release")
+            socket.send_fds(page, [asked], [memory])
+            os.close(memory)
             await until(lambda: scene.view.asked)
             page.close()
             await serving
-        assert not scene.view.reloaded
-        scene.view.may_reload.set()
-        await until(lambda: scene.view.reloaded)
+        assert not scene.view.installed
+        scene.view.may_install.set()
+        await until(lambda: scene.view.installed == b"release")
+
+    play(test)
+
+
+def lingering() -> socket.socket:
+    """A socket that takes seconds to close: it has bytes which nobody takes, and waits for them."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ours = socket.create_connection(server.getsockname())
+        theirs, _ = server.accept()
+    ours.setblocking(False)
+    with suppress(BlockingIOError):
+        while True:
+            ours.send(bytes(1 << 16))
+    ours.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 3))
+    NEVER_READ.append(theirs)
+    return ours
+
+
+def test_closing_what_a_page_passes_holds_nobody_up() -> None:
+    """One descriptor or several, that are slow to close: the loop has its turns, and the page is read."""
+
+    async def test(scene: Scene) -> None:
+        async with scene.linked() as (page, _):
+            data: Any = framed(encoded(ask.GREETING))
+            for piece in (data[:3], data[3:]):
+                with lingering() as first, lingering() as second:
+                    socket.send_fds(page, [piece], [first.fileno(), second.fileno()])
+            loop = asyncio.get_running_loop()
+            longest_s, before_s = 0.0, loop.time()
+            while not scene.ends[0].is_greeted:
+                await asyncio.sleep(0.001)
+                longest_s, before_s = max(longest_s, loop.time() - before_s), loop.time()
+            assert longest_s < 1.5
+        for theirs in NEVER_READ:
+            theirs.close()
+        NEVER_READ.clear()
 
     play(test)
 

@@ -24,11 +24,12 @@ from edged.sim.cell import VirtualCell, demo_part, demo_rig
 ROOT = Path(__file__).parent.parent.parent
 CANNOT = 77
 
+WATCHDOG = f"""WatchdogSec={WATCHDOG_S:g}
+TimeoutAbortSec=2
+"""
 DROP_IN = f"""# The sandbox hides /tmp and /home, where a checkout may be.
 [Service]
-WatchdogSec={WATCHDOG_S:g}
-TimeoutAbortSec=2
-ProtectHome=tmpfs
+{WATCHDOG}ProtectHome=tmpfs
 BindReadOnlyPaths={ROOT} {sys.prefix}
 Environment=PYTHONPATH={ROOT}
 """
@@ -36,24 +37,28 @@ Environment=PYTHONPATH={ROOT}
 PROGRAM = f"""#!/bin/sh
 exec {sys.prefix}/bin/python {ROOT}/tests/system/hangable.py "$@"
 """
+PYTHON = f"""#!/bin/sh
+exec {sys.prefix}/bin/python "$@"
+"""
 
 
 def tree(folder: Path) -> None:
     """What an installed machine has and this one has not: units, program, configuration, compiled kernels."""
     units = folder / "etc/systemd/system"
     units.mkdir(parents=True)
-    for name in ("edged.service", "edged@.service"):
+    for name in ("edged.service", "edged@.service", "edged-page.service", "edged-page@.service"):
         shutil.copy(ROOT / "systemd" / name, units)
         drop_in = units / f"{name}.d" / "test.conf"
         drop_in.parent.mkdir()
-        drop_in.write_text(DROP_IN)
+        drop_in.write_text(DROP_IN if "page" not in name else DROP_IN.replace(WATCHDOG, ""))
     groups = folder / "etc/sysusers.d"
     groups.mkdir()
     shutil.copy(ROOT / "systemd/edged-sysusers.conf", groups / "edged.conf")
     program = folder / "opt/edged/current/bin/edged"
     program.parent.mkdir(parents=True)
-    program.write_text(PROGRAM)
-    program.chmod(0o755)
+    for place, text in ((program, PROGRAM), (program.with_name("python"), PYTHON)):
+        place.write_text(text)
+        place.chmod(0o755)
     etc = folder / "etc/edged"
     options = DemoOptions(period_s=0.5, modbus_port=1502, zenoh_port=7447, web_port=8080)
     path = prepare_cell(etc, VirtualCell(demo_rig(), demo_part()), options, gige=not aravis_missing())

@@ -14,6 +14,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
+UNITS = ("edged.service", "edged@.service", "edged-page.service", "edged-page@.service")
 LOCKS = sorted((ROOT / "requirements").glob("*.txt"))
 PIN = re.compile(r"^([A-Za-z0-9._-]+)==(\S+)(?: ; ([^\\\n]+?))? \\$", re.MULTILINE)
 
@@ -114,9 +115,10 @@ def image(tmp_path: Path) -> Path:
     """What an installation with three enabled cells consists of, below a folder; and what is others'."""
     units = tmp_path / "etc/systemd/system"
     wants = units / "multi-user.target.wants"
-    for folder in (wants, tmp_path / "etc/edged", tmp_path / "opt/edged", tmp_path / "var/lib/edged-left"):
+    state = (tmp_path / "var/lib" / name for name in ("edged-left", "edged_page", "edged_page-left"))
+    for folder in (wants, tmp_path / "etc/edged", tmp_path / "opt/edged", *state):
         folder.mkdir(parents=True)
-    for name in ("edged.service", "edged@.service", "other.service"):
+    for name in (*UNITS, "other.service"):
         (units / name).write_text("[Unit]\n")
     for link, unit in (
         ("edged.service", "edged.service"),
@@ -168,14 +170,24 @@ def test_systemd_is_told_of_every_cell(image: Path, tmp_path: Path) -> None:
     assert ["disable", "--now", *cells] == disabled.split()
 
 
-@pytest.mark.parametrize("unit", ["edged.service", "edged@.service"])
+def test_a_purge_leaves_nothing(image: Path) -> None:
+    """Nor of the pages, which have folders of their own."""
+    install(image, "--purge")
+    assert [] == [path.name for path in image.rglob("*edged*")]
+
+
+@pytest.mark.parametrize("unit", UNITS)
 def test_a_daemon_may_read_what_the_installation_writes(unit: str) -> None:
-    """The unit is in the group that the configuration is given."""
-    (made,) = (
+    """The unit is in the group that the configuration is given, and its files are for cell and page."""
+    made = [
         line.split()[1]
         for line in (ROOT / "systemd/edged-sysusers.conf").read_text().splitlines()
         if line.startswith("g ")
-    )
-    (groups,) = re.findall(r"(?m)^SupplementaryGroups=(.*)$", (ROOT / "systemd" / unit).read_text())
+    ]
+    text = (ROOT / "systemd" / unit).read_text()
+    (groups,) = re.findall(r"(?m)^SupplementaryGroups=(.*)$", text)
+    (group,) = re.findall(r"(?m)^Group=(.*)$", text)
 
-    assert made in groups.split()
+    assert ["edged-config", "edged-link"] == made
+    assert "edged-config" in groups.split()
+    assert "edged-link" == group

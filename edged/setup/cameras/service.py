@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
-from edged.config.chosencameras import ChosenCamera, chosen_file, read_chosen, with_changes
+from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import UserError
-from edged.files.atomic import write_file
 from edged.pictures.change import changed_most, changed_share
 from edged.setup.inuse import CellInUse
+from edged.setup.releases.service import Activation, Mandate
 
 WAVE_S = 8.0
 """Time to walk to the camera, wave, and come back."""
@@ -38,8 +37,10 @@ class CameraService:
         cell: CellInUse,
         live: LivePictures,
         addresses: tuple[str, str] | None,
+        activation: Activation,
     ) -> None:
         self._cell = cell
+        self._activation = activation
         self._addresses = addresses
         self._values: dict[Side, CameraValues] = {}
         self.judge = PictureJudge(cell.notices, self._gains)
@@ -127,18 +128,13 @@ class CameraService:
         """
         await self._cell.session.renew_setup(token)
         changes = self._cell.session.camera_changes
-        stated = {side: change.stated() for side, change in changes.items()}
-        if self._cell.files.rig is not None and any("device" in change for change in stated.values()):
+        if self._cell.files.rig is not None and any(
+            "device" in change.stated() for change in changes.values()
+        ):
             raise UserError(
                 "the rig was calibrated with the cameras as they are: calibrate, and activate both"
             )
-        rig = self._cell.files.config.cell.rig
-        file = chosen_file(rig)
-        before = await asyncio.to_thread(read_chosen, rig)
-        await asyncio.to_thread(write_file, file, with_changes(before, file, stated))
-        if await self._cell.reload():
-            await asyncio.to_thread(_put_back, file, before)
-            raise UserError("the cell cannot be loaded with them, and stays as it was: its log says why")
+        await self._activation.keep_cameras(Mandate(self._cell.session.holder, "cameras", token=token))
 
     async def wave(self, token: str, side: Side) -> tuple[Side | None, bool]:
         """Wait until a hand moves before one camera, and make it this side's.
@@ -203,13 +199,6 @@ class CameraService:
             values = CameraValues(change.exposure_us, change.gain_db)
             if values != CameraValues():
                 await self.adjust(token, side, values)
-
-
-def _put_back(file: Path, content: bytes | None) -> None:
-    if content is None:
-        file.unlink(missing_ok=True)
-    else:
-        write_file(file, content)
 
 
 def _is_at(info: CameraInfo, device: str) -> bool:

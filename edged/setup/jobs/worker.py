@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import os
 import signal
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from edged.errors import TaskFailed, TaskTooLarge, UserError
-from edged.setup.jobs.answers import decode_answer
+from edged.setup.jobs.messages import decode_message, encode_message
 from edged.setup.jobs.workerprocess import (
     OutOfMemory,
     TaskAnswer,
@@ -30,6 +29,7 @@ from edged.setup.jobs.workerprocess import (
     TaskRefused,
     TaskResult,
     limits_here,
+    python_environment,
 )
 from edged.setup.pairs import Progress, silent
 
@@ -137,7 +137,11 @@ class Worker:
     def _exchange(
         self, order: TaskOrder, tell: Callable[[TaskProgress], None], cancelled: threading.Event
     ) -> TaskResult | TaskRefused | TaskBug | OutOfMemory | _OutOfTime:
-        """Send an order, and wait for what comes of it. Raises `TaskFailed` when the process ends."""
+        """Send an order, and wait for what comes of it. Raises `TaskFailed` when the process ends.
+
+        Raises `TypeError` for an argument that is no message.
+        """
+        message = encode_message(order)
         connection = self._connection
         if connection is None or self._process is None or self._process.poll() is not None:
             self._clear()
@@ -145,7 +149,7 @@ class Worker:
         try:
             if cancelled.is_set():  # before there was a process to kill
                 raise EOFError
-            connection.send(order)
+            connection.send_bytes(message)
             while isinstance(answer := _received(connection), TaskProgress):
                 tell(answer)
         except (EOFError, OSError) as error:
@@ -162,19 +166,13 @@ class Worker:
 
     def _start(self) -> Connection:
         ours, theirs = Pipe()
-        # one BLAS thread, as the daemon itself: on small matrices more of them only spin
-        environment = {
-            "OPENBLAS_NUM_THREADS": "1",
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        }
         command = [sys.executable, "-m", "edged.setup.jobs.workerprocess", str(theirs.fileno())]
         with theirs:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                env=environment,
+                env=python_environment(),
                 start_new_session=True,
             )
         self._connection = ours
@@ -217,7 +215,7 @@ def _too_large(name: str, most: str) -> TaskTooLarge:
 
 def _received(connection: Connection) -> TaskAnswer:
     """The next answer. Raises `EOFError`, `OSError` for one too long, `ValueError` for what is none."""
-    answer = decode_answer(connection.recv_bytes(MOST_ANSWER_BYTES))
+    answer = decode_message(connection.recv_bytes(MOST_ANSWER_BYTES))
     if isinstance(answer, TaskProgress):
         whole = (answer.done, answer.total)
         if type(answer.stage) is str and all(type(number) is int for number in whole):

@@ -122,11 +122,16 @@ def serve(connection: Connection) -> None:
     all_cpus = sorted(os.sched_getaffinity(0))
 
     def receive() -> None:
+        from edged.setup.jobs.messages import decode_message
+
         while True:
             try:
-                orders.put(connection.recv())
-            except (EOFError, OSError):
+                order = decode_message(connection.recv_bytes())
+            except (EOFError, OSError, ValueError):
                 os._exit(0)  # also in the middle of a task: nobody waits for it any more
+            if not isinstance(order, TaskOrder):
+                os._exit(0)
+            orders.put(order)
 
     threading.Thread(target=receive, name="orders", daemon=True).start()
     while True:
@@ -144,18 +149,18 @@ def _carry_out(order: TaskOrder, connection: Connection) -> bytes:
         nonlocal sent_s, sent_stage
         if stage != sent_stage or done == total or time.monotonic() - sent_s >= TELL_S:
             sent_s, sent_stage = time.monotonic(), stage
-            connection.send_bytes(encode_answer(TaskProgress(stage, done, total)))
+            connection.send_bytes(encode_message(TaskProgress(stage, done, total)))
 
-    from edged.setup.jobs.answers import encode_answer
+    from edged.setup.jobs.messages import encode_message
 
     module, _, name = order.function.partition(":")
     try:
-        return encode_answer(TaskResult(getattr(import_module(module), name)(progress, *order.arguments)))
+        return encode_message(TaskResult(getattr(import_module(module), name)(progress, *order.arguments)))
     except UserError as error:
-        return encode_answer(TaskRefused(error))
+        return encode_message(TaskRefused(error))
     except Exception as error:  # noqa: BLE001  (a bug is told to who asked, who logs it: the next task may be well)
         trace = traceback.format_exc()
-        return encode_answer(OutOfMemory(trace) if _is_of_memory(error) else TaskBug(trace))
+        return encode_message(OutOfMemory(trace) if _is_of_memory(error) else TaskBug(trace))
 
 
 def _is_of_memory(error: BaseException | None) -> bool:
@@ -200,6 +205,15 @@ def gain_no_more_rights() -> None:
     libc.prctl(PR_CAP_AMBIENT, PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
 
 
+def python_environment() -> dict[str, str]:
+    """For another process of this Python: it finds the same modules, and has one BLAS thread as the daemon.
+
+    On small matrices more of them only spin.
+    """
+    path = os.pathsep.join(path for path in sys.path if path)
+    return {"OPENBLAS_NUM_THREADS": "1", **os.environ, "PYTHONPATH": path}
+
+
 def _withdraw() -> None:
     """Give up what a task never needs: more rights by running programs, capabilities, and the network.
 
@@ -219,5 +233,5 @@ def _withdraw() -> None:
 if __name__ == "__main__":
     _stand_back()
     _withdraw()
-    # under its own name: orders are pickled by it, and answers name it
+    # under its own name, by which orders and answers name it
     import_module("edged.setup.jobs.workerprocess").serve(Connection(int(sys.argv[1])))

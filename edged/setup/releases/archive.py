@@ -33,13 +33,14 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from edged import __version__
-from edged.config.chosencameras import chosen_file
+from edged.config.chosencameras import chosen_file, read_chosen
 from edged.config.configuration import Config
 from edged.config.tomltext import toml_of
 from edged.domain.numerals import json_of
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder
 from edged.files.replacing import replace_files
+from edged.files.rig import read_rig
 from edged.owners import as_owner, by_name, unlinked
 from edged.robots.formats import render
 from edged.setup.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
@@ -92,30 +93,61 @@ class RigFiles:
     cameras: bytes | None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Parts:
+    """What people exchange of a cell: content of its files; None: there is none."""
+
+    rig: bytes | None
+    cameras: bytes | None
+    jobs: Jobs
+
+
 def make(config: Path, rig: RigFiles | None = None, jobs: Jobs | None = None) -> Made:
     """The cell of a configuration as an archive, proven by restoring it once. Raises `UserError`.
 
     rig, jobs : instead of the configuration's; with another rig there need not be jobs yet.
     """
     cell = read_cell(config, elsewhere=True) if rig is None else read_any_cell(config, elsewhere=True)
-    files, left_out = _collect(config, cell.config, rig, jobs)
-    if sum(map(len, files.values())) > MAX_BYTES // 2:
-        files, left_out = _without_pairs(files, left_out)
-    taken = Backup(
-        datetime.now(UTC).replace(microsecond=0),
-        __version__,
-        cell.config.cell.name,
-        config.name,
-        cell.fingerprint,
-        files,
-        left_out,
+    section = cell.config.cell
+    parts = Parts(
+        read_rig(section.rig) if rig is None else rig.rig,
+        read_chosen(section.rig) if rig is None else rig.cameras,
+        jobs_in(section.jobs) if jobs is None else jobs,
     )
+    taken = _taken(config, cell, parts)
     if rig is not None:
         taken = replace(taken, fingerprint=restored(taken).fingerprint)
     data = pack(taken)
     if restored(unpack(data, config.name)).fingerprint != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
     return Made(taken, data, bool(cell.config.password_hashes()))
+
+
+def parts_at(rig: Path, jobs: Path) -> Parts:
+    """The parts that are there now. Raises `FileFormatError`, `ConfigError`."""
+    return Parts(read_rig(rig) if rig.exists() else None, read_chosen(rig), jobs_in(jobs))
+
+
+def with_parts(config: Path, parts: Parts) -> Backup:
+    """The cell of a configuration with these parts, read once where it is restored. Raises `UserError`."""
+    taken = _taken(config, read_any_cell(config, elsewhere=True), parts)
+    return replace(taken, fingerprint=restored(taken).fingerprint)
+
+
+def parts_of(taken: Backup) -> Parts:
+    """The parts in a backup."""
+    name = _named(taken.files[taken.config], taken.config).get("cell.rig", "")
+    return Parts(taken.files.get(name), taken.files.get(_chosen_member(name)), jobs_of(taken))
+
+
+def _taken(config: Path, cell: CellFiles | UnfinishedCell, parts: Parts) -> Backup:
+    """The backup of a cell with these parts, as if it had its fingerprint. Raises `UserError`."""
+    files, left_out = _collect(config, cell.config, parts)
+    if sum(map(len, files.values())) > MAX_BYTES // 2:
+        files, left_out = _without_pairs(files, left_out)
+    now = datetime.now(UTC).replace(microsecond=0)
+    name = cell.config.cell.name
+    return Backup(now, __version__, name, config.name, cell.fingerprint, files, left_out)
 
 
 def _without_pairs(
@@ -164,20 +196,18 @@ def fits_map(taken: Backup) -> bool:
 # --- what belongs to a cell -------------------------------------------------------------------
 
 
-def _collect(
-    path: Path, config: Config, rig: RigFiles | None = None, of_jobs: Jobs | None = None
-) -> tuple[dict[str, bytes], dict[str, str]]:
+def _collect(path: Path, config: Config, parts: Parts) -> tuple[dict[str, bytes], dict[str, str]]:
     """Members by name, and what is left out."""
     path = path.resolve()
     text = read_bytes(path, "a configuration").decode()
     files = {REGISTERS: render("csv").encode()}
     member, text = _placed(path, text, "rig", config.cell.rig)
-    chosen = chosen_file(config.cell.rig)
-    _add(files, member, config.cell.rig, None if rig is None else rig.rig)
-    if os.path.lexists(chosen) if rig is None else rig.cameras is not None:
-        _add(files, _chosen_member(member), chosen, None if rig is None else rig.cameras)
+    if parts.rig is not None:
+        _add(files, member, config.cell.rig, parts.rig)
+    if parts.cameras is not None:
+        _add(files, _chosen_member(member), chosen_file(config.cell.rig), parts.cameras)
     jobs, text = _placed(path, text, "jobs", config.cell.jobs)
-    for place, data in (jobs_in(config.cell.jobs) if of_jobs is None else of_jobs).items():
+    for place, data in parts.jobs.items():
         _add(files, f"{jobs}/{place}", config.cell.jobs / place, data)
     if config.zenoh.config_file is not None:
         member, text = _placed(path, text, "config_file", config.zenoh.config_file)

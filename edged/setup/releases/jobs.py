@@ -22,7 +22,7 @@ from edged.setup.releases.jobsfolder import Jobs as Files
 from edged.setup.releases.jobsfolder import of_job, renamed, with_job, without_job
 from edged.setup.releases.jobsinuse import JobLine, JobsInUse
 from edged.setup.releases.releasefolder import Release, ReleaseFolder
-from edged.setup.releases.service import Activation
+from edged.setup.releases.service import Activation, Mandate
 from edged.setup.teaching.drafts import keeps_pair
 from edged.setup.teaching.model import JobName, Number
 
@@ -104,9 +104,7 @@ class Jobs:
         """
         await self._cell.running.take_job(self._cell.job_lines().line(job).number)
 
-    async def change(
-        self, job: str, author: str, note: str, signed: str | None, *, name: str | None, number: int | None
-    ) -> Release:
+    async def change(self, job: str, by: Mandate, *, name: str | None, number: int | None) -> Release:
         """Rename it, or give it another number. Raises `KeyError`, `UserError`; then nothing has changed."""
         jobs = self._cell.job_lines()
         line, folder = jobs.line(job), jobs.line(job).folder
@@ -120,11 +118,9 @@ class Jobs:
             files = renamed(of_job(there, folder), name=wanted_name, number=wanted_number)
             return with_job(there, place, files, folder)
 
-        return await self._activation.activate_jobs(changed, author, note, signed)
+        return await self._activation.activate_jobs(changed, by)
 
-    async def copy(
-        self, job: str, author: str, note: str, signed: str | None, *, name: str, number: int | None
-    ) -> Release:
+    async def copy(self, job: str, by: Mandate, *, name: str, number: int | None) -> Release:
         """Copy a job under another name and number. Raises as `change`."""
         folder = self._cell.job_lines().line(job).folder
         wanted = number or self._cell.job_lines().free_number
@@ -133,7 +129,7 @@ class Jobs:
         def copied(there: Files) -> Files:
             return with_job(there, name, renamed(of_job(there, folder), name=name, number=wanted), None)
 
-        return await self._activation.activate_jobs(copied, author, note, signed)
+        return await self._activation.activate_jobs(copied, by)
 
     async def versions(self, job: str) -> VersionList:
         """Versions of a job in use, in releases that were active."""
@@ -149,7 +145,7 @@ class Jobs:
             before = digest
         return VersionList(versions=found[::-1])
 
-    async def retire(self, job: str, author: str, note: str, signed: str | None) -> Release:
+    async def retire(self, job: str, by: Mandate) -> Release:
         """Take it out of use; its release keeps it. Raises `KeyError`, `UserError` for the last one."""
         jobs = self._cell.job_lines()
         line, folder = jobs.line(job), jobs.line(job).folder
@@ -160,18 +156,14 @@ class Jobs:
             name=line.name,
             number=line.number,
             features=line.features,
-            by=author,
+            by=by.author,
             at=datetime.now(UTC).isoformat(timespec="seconds"),
         )
         # first: what is in use counts as in use, whatever is noted of it
         await asyncio.to_thread(self._note, folder, kept)
-        return await self._activation.activate_jobs(
-            lambda there: without_job(there, folder), author, note, signed
-        )
+        return await self._activation.activate_jobs(lambda there: without_job(there, folder), by)
 
-    async def bring_back(
-        self, job: str, author: str, note: str, signed: str | None, *, number: int | None
-    ) -> Release:
+    async def bring_back(self, job: str, by: Mandate, *, number: int | None) -> Release:
         """Bring back a job as it was retired; number : another than it had. Raises as `change`."""
         retired = await asyncio.to_thread(self._kept)
         folder = job if job in retired else {former.name: name for name, former in retired.items()}[job]
@@ -181,9 +173,7 @@ class Jobs:
         files = await asyncio.to_thread(self._files, folder)
         if number is not None:
             files = renamed(files, name=None, number=number)
-        release = await self._activation.activate_jobs(
-            lambda there: with_job(there, folder, files, None), author, note, signed
-        )
+        release = await self._activation.activate_jobs(lambda there: with_job(there, folder, files, None), by)
         await asyncio.to_thread(self._note, folder, None)
         return release
 

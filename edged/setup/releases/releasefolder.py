@@ -29,8 +29,6 @@ KEPT = 50
 pairs of jobs, a few MB each, are kept once.
 """
 PICTURES = "pictures"
-UNDERWAY = "activating"
-"""Holds the number of a release while several files are exchanged for it."""
 _FILE = re.compile(r"([0-9]{4,6})\.(json|tar\.gz)")
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Number = Annotated[int, Field(ge=1, le=999_999)]
@@ -119,23 +117,6 @@ class ReleaseFolder:
         release = release.model_copy(update=noted)
         self._write(release)
         return release
-
-    @property
-    def underway(self) -> int | None:
-        """The release that was being activated when the daemon ended."""
-        try:
-            text = (self._folder / UNDERWAY).read_text(encoding="ascii")
-        except (OSError, ValueError):
-            return None
-        return int(text) if re.fullmatch("[0-9]{1,6}", text.strip()) else None
-
-    def note_underway(self, number: int | None) -> None:
-        """One is being activated; None: none any more."""
-        if number is not None:
-            write_atomically(self._folder / UNDERWAY, f"{number}\n".encode())
-        elif (self._folder / UNDERWAY).exists():
-            (self._folder / UNDERWAY).unlink()
-            sync(self._folder)
 
     def restore(self, release: Release) -> None:
         """Let be known of it what was known before."""

@@ -15,7 +15,7 @@ from edged.setup.jobs.worker import Worker
 from edged.setup.releases.differences import ReleaseDifference
 from edged.setup.releases.jobs import JobList, Jobs, VersionList
 from edged.setup.releases.releasefolder import Release, Tested
-from edged.setup.releases.service import Activation
+from edged.setup.releases.service import Activation, Mandate
 from edged.setup.teaching.model import JobName, Number
 
 
@@ -77,7 +77,7 @@ class ReleaseRoutes:
         await self._activation.check(call.body.token)
         number, body = int(call.part("number")), call.body
         call.trail.before = self._activation.fingerprint
-        release = await known(self._activation.activate_again(number, call.visitor.name, body.reason))
+        release = await known(self._activation.activate_again(number, mandate(call, body.reason)))
         call.trail.after = release.fingerprint
         return document_of_release(release, is_active=True)
 
@@ -129,7 +129,7 @@ async def activated(
     await activation.check(call.body.token)
     rig = await solution(call.part("id"))
     call.trail.before = activation.fingerprint
-    release = await activation.activate(rig, call.visitor.name, call.body.note, signature(call))
+    release = await activation.activate(rig, signed_mandate(call))
     call.trail.after = release.fingerprint
     await drafts.tell_again(call.part("id"))
     return document_of_release(release, is_active=True)
@@ -142,12 +142,17 @@ def document_of_release(release: Release, *, is_active: bool) -> ReleaseDocument
     return ReleaseDocument(**{**fields, "jobs": list(release.jobs)}, active=is_active, was_active=was_active)
 
 
-def signature(call: Call[Activating]) -> str | None:
-    """Why recorded cycles may get worse, if somebody signs for it; the audit has it beside the note."""
+def mandate(call: Call[Any], note: str, signed: str | None = None) -> Mandate:
+    """That of whoever calls, by their lease if they have one. note : why."""
+    return Mandate(call.visitor.name, note, signed, call.body.token)
+
+
+def signed_mandate(call: Call[Activating]) -> Mandate:
+    """With why recorded cycles may get worse, if somebody signs for it; the audit has it beside the note."""
     body = call.body
     if body.signed is not None:
         call.trail.reason = f"{body.note}; signed: {body.signed}"
-    return body.signed
+    return mandate(call, body.note, body.signed)
 
 
 JOB = "/jobs/{name:[A-Za-z0-9_][A-Za-z0-9_. +@=-]{0,127}}"
@@ -206,7 +211,7 @@ class JobRoutes:
     )
     async def _change(self, call: Call[Changing]) -> JobList:
         await self._activation.check(call.body.token)
-        folder, body, author = call.part("name"), call.body, call.visitor.name
+        folder, body = call.part("name"), call.body
         call.trail.object, call.trail.before = folder, self._activation.fingerprint
         if body.signed is not None:
             call.trail.reason = f"{body.note or ''}; signed: {body.signed}".removeprefix("; ")
@@ -214,14 +219,14 @@ class JobRoutes:
             wanted = [f"name {body.new_name}"] if body.new_name else []
             wanted += [f"number {body.number}"] if body.number else []
             note = body.note or f"{folder}: {', '.join(wanted)}"
-            asked = self._jobs.change(
-                folder, author, note, body.signed, name=body.new_name, number=body.number
-            )
+            by = mandate(call, note, body.signed)
+            asked = self._jobs.change(folder, by, name=body.new_name, number=body.number)
         elif body.retired:
-            asked = self._jobs.retire(folder, author, body.note or f"{folder} is retired", body.signed)
+            by = mandate(call, body.note or f"{folder} is retired", body.signed)
+            asked = self._jobs.retire(folder, by)
         else:
-            note = body.note or f"{folder} is in use again"
-            asked = self._jobs.bring_back(folder, author, note, body.signed, number=body.number)
+            by = mandate(call, body.note or f"{folder} is in use again", body.signed)
+            asked = self._jobs.bring_back(folder, by, number=body.number)
         call.trail.after = (await known(asked)).fingerprint
         return await self._jobs.listed()
 
@@ -238,9 +243,8 @@ class JobRoutes:
         job, body = call.part("name"), call.body
         call.trail.object, call.trail.before = body.new_name, self._activation.fingerprint
         note = body.note or f"{body.new_name}, as {job}"
-        asked = self._jobs.copy(
-            job, call.visitor.name, note, body.signed, name=body.new_name, number=body.number
-        )
+        by = mandate(call, note, body.signed)
+        asked = self._jobs.copy(job, by, name=body.new_name, number=body.number)
         call.trail.after = (await known(asked)).fingerprint
         return await self._jobs.listed()
 

@@ -16,7 +16,7 @@ from edged.setup.releases.routes import (
     ReleaseDocument,
     add_activation,
     document_of_release,
-    signature,
+    signed_mandate,
 )
 from edged.setup.releases.service import Activation
 from edged.setup.teaching.documents import TeachingDocument, TeachingList
@@ -175,9 +175,7 @@ class TeachingRoutes:
         # first: a kill after the exchange must not leave a draft that does not know its job
         await self._teachings.note_activated(draft, candidate)
         try:
-            release = await self._activation.activate_jobs(
-                candidate.put, call.visitor.name, call.body.note, signature(call)
-            )
+            release = await self._activation.activate_jobs(candidate.put, signed_mandate(call))
         except (EdgedError, OSError):
             await self._teachings.note_activated(draft, None)
             raise

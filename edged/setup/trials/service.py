@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import pickle
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -23,6 +22,7 @@ from edged.errors import EdgedError, SetupRefused, UserError
 from edged.setup.documents import LastDocument
 from edged.setup.drafts import trouble_in
 from edged.setup.inuse import CellInUse
+from edged.setup.jobs.messages import encode_message
 from edged.setup.pairs import Progress
 from edged.setup.trials.documents import (
     MapDocument,
@@ -59,7 +59,7 @@ class What:
 
 @dataclass(eq=False, slots=True)
 class _Trial:
-    """What is known of a job with a rig. content : the job, pickled."""
+    """What is known of a job with a rig. content : the job, as the worker is sent it."""
 
     what: What
     job: Job
@@ -226,8 +226,8 @@ class Trials:
         job, rig = await self._job(what), self._cell.needed_rig()
         trial = self._known.pop(what, None)
         if trial is None or trial.calibration != rig.calibration_id:
-            trial = _Trial(what, job, _packed(job), rig.calibration_id)
-        elif trial.job is not job and trial.content != (content := _packed(job)):
+            trial = _Trial(what, job, encode_message(job), rig.calibration_id)
+        elif trial.job is not job and trial.content != (content := encode_message(job)):
             before, trial = trial, _Trial(what, job, content, rig.calibration_id)
             trial.scatters = before.scatters  # the light is the same
         self._known[what] = trial
@@ -277,7 +277,3 @@ class Trials:
         found = still_document(judged, trial.job.name, trial.calibration, now, author)
         await asyncio.to_thread(self._kept.write, found)
         self._cell.notices.publish("still", {"id": "last", **found.model_dump(mode="json")})
-
-
-def _packed(job: Job) -> bytes:
-    return pickle.dumps(job, protocol=pickle.HIGHEST_PROTOCOL)

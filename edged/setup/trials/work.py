@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,6 +13,7 @@ from edged.domain.picking import Bounds
 from edged.files.rig import rig_of
 from edged.pipeline import PreparedRig, inspect, prepare
 from edged.robot.orientations import Convention
+from edged.setup.jobs.messages import decode_message
 from edged.setup.pairs import Progress
 from edged.setup.trials import tried as trying
 from edged.setup.trials.sigmamap import SigmaMap, sigma_map
@@ -26,7 +26,7 @@ from edged.vision.part.measured import MeasuredPart
 
 @dataclass(frozen=True, slots=True)
 class TrialSetup:
-    """By what pictures are measured. rig, path : its file; job : pickled, so that it is known again.
+    """By what pictures are measured. rig, path : its file; job : as bytes, so that it is known again.
 
     bounds : where the cell's robot may go.  convention : of A, B, C.
     """
@@ -45,7 +45,7 @@ def _prepared(rig: bytes, path: Path) -> PreparedRig:
 
 @lru_cache(maxsize=1)
 def _job(content: bytes) -> Job:
-    job: Job = pickle.loads(content)  # as the daemon that started this process has sent it
+    job: Job = decode_message(content)
     return job
 
 

@@ -23,7 +23,7 @@ from helpers.waiting import WHOLE_S, until
 from edged.domain.measurement import Status
 from edged.errors import CalibrationError, TaskFailed, TaskTooLarge
 from edged.setup.jobs import worker as workers
-from edged.setup.jobs.answers import decode_answer, encode_answer
+from edged.setup.jobs.messages import decode_message, encode_message
 from edged.setup.jobs.worker import Worker
 from edged.setup.jobs.workerprocess import MIB, NICENESS, OOM_SCORE, TaskLimits, limits_here
 from edged.sim.cell import demo_rig
@@ -258,7 +258,7 @@ def test_what_is_no_value_is_no_answer(kind: str) -> None:
     """A bug of the task, and the process stays."""
 
     async def test(worker: Worker) -> None:
-        with pytest.raises(TaskFailed, match="is no answer"):
+        with pytest.raises(TaskFailed, match="is no message"):
             await worker.run("answer", kind)
         assert [0, 1] == await worker.run("count", 2)
 
@@ -339,7 +339,7 @@ def test_an_answer_comes_back_as_it_was() -> None:
         (1, "a"): [Status.OK, np.float32(0.1), math.inf, -0.0, 2**60, b"\x00", Path("/a"), frozenset({1})],
         "arrays": (np.arange(6.0).reshape(2, 3).T, np.zeros((0, 3), np.uint8), np.array(True), np.array("a")),
     }
-    again = decode_answer(encode_answer(found))
+    again = decode_message(encode_message(found))
     assert found.keys() == again.keys()
     assert found[1, "a"] == again[1, "a"]
     assert [type(one) for one in found[1, "a"]] == [type(one) for one in again[1, "a"]]

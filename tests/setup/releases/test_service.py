@@ -19,16 +19,17 @@ from helpers.smallcell import SmallCell
 
 from edged.config.chosencameras import ChosenCamera
 from edged.errors import FileFormatError, SetupRefused, UserError
-from edged.files.atomic import replace_folder
+from edged.files.atomic import replace_folder, write_atomically
 from edged.files.rig import load_rig, rig_text
+from edged.files.statefolder import state_folder
 from edged.setup.cellfiles import read_any_cell, read_cell
 from edged.setup.recordings.candidates import CandidateContents
-from edged.setup.releases import releasefolder
-from edged.setup.releases import service as activating
+from edged.setup.releases import installing, releasefolder
+from edged.setup.releases.installing import finish_installation
 from edged.setup.releases.jobsfolder import jobs_in, of_job, renamed, with_job
 from edged.setup.releases.jobsinuse import Candidate
 from edged.setup.releases.releasefolder import Release, ReleaseFolder
-from edged.setup.releases.service import Activation
+from edged.setup.releases.service import Activation, Mandate
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +55,9 @@ class RunningCell:
         self.activation = Activation(self.releases, self.now)
 
     def files(self) -> dict[str, bytes]:
-        """All of it, the releases apart."""
+        """All of it, apart from releases and what the cell keeps of the last."""
         found = files_in(self.config.parent).items()
-        return {name: data for name, data in found if not name.startswith("state/")}
+        return {name: data for name, data in found if not name.startswith(("state/", ".cell.state/"))}
 
     def wider(self, factor: float) -> bytes:
         """The rig with another baseline."""
@@ -77,7 +78,7 @@ def activate(cell: RunningCell, rig: bytes) -> Release:
     """As Anna."""
 
     async def asked() -> Release:
-        return await cell.activation.activate(rig, "Anna", "new board")
+        return await cell.activation.activate(rig, Mandate("Anna", "new board"))
 
     return asyncio.run(asked())
 
@@ -86,7 +87,7 @@ def activate_again(cell: RunningCell, number: int) -> Release:
     """As Ben."""
 
     async def asked() -> Release:
-        return await cell.activation.activate_again(number, "Ben", "that was better")
+        return await cell.activation.activate_again(number, Mandate("Ben", "that was better"))
 
     return asyncio.run(asked())
 
@@ -150,7 +151,7 @@ def activate_job(cell: RunningCell, name: str, number: int, replaced: str | None
 
     async def asked() -> Release:
         return await cell.activation.activate_jobs(
-            lambda jobs: with_job(jobs, name, files, replaced), "Anna", f"job {name}"
+            lambda jobs: with_job(jobs, name, files, replaced), Mandate("Anna", f"job {name}")
         )
 
     return asyncio.run(asked())
@@ -207,7 +208,7 @@ def test_a_jobs_folder_that_cannot_be_written_is_named_with_its_remedy(
     def read_only(*_: object, **__: object) -> None:
         raise OSError(errno.EROFS, "Read-only file system")
 
-    monkeypatch.setattr(activating, "write_jobs", read_only)
+    monkeypatch.setattr(installing, "write_jobs", read_only)
     with pytest.raises(FileFormatError, match=r"jobs: .*Read-only.*let cell\.jobs of .*state/jobs"):
         activate_job(cell, "ring", 2)
     assert files == cell.files()
@@ -230,7 +231,9 @@ def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> N
         activate_job(cell, "ring", 2)
     assert (files, []) == (cell.files(), cell.releases.all())
     wanted = with_job(jobs_in(cell.jobs), "ring", job_files(cell, "ring", 2), None)
-    release = asyncio.run(cell.activation.activate_jobs(lambda _: wanted, "Anna", "ring", "seen all three"))
+    release = asyncio.run(
+        cell.activation.activate_jobs(lambda _: wanted, Mandate("Anna", "ring", "seen all three"))
+    )
     assert (3, "seen all three") == (release.tested.good_to_bad, asked[1][1])
     assert read_cell(cell.config).contents == asked[1][0]
     activate_again(cell, 1)
@@ -256,7 +259,7 @@ def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCe
     cell.activation._gate = gate  # noqa: SLF001  (as the daemon gives it)
     candidates = CandidateContents(cell.now, cell.releases, rig, draft)
     tried = asyncio.run(candidates.of_teaching("20260101-000000-abcd"))
-    asyncio.run(cell.activation.activate_jobs(candidate.put, "Anna", "cover"))
+    asyncio.run(cell.activation.activate_jobs(candidate.put, Mandate("Anna", "cover")))
     assert [tried] == told
     assert {"jobs/cover/job.toml", "jobs/cover/shape.npz"} == {name for name in tried if "jobs/" in name}
 
@@ -302,10 +305,12 @@ def test_a_place_that_cannot_be_written_is_named_with_its_remedy(
     """As under systemd, where /etc is read-only for the daemon; nothing has changed."""
     files = cell.files()
 
-    def read_only(path: Path, data: bytes) -> None:
-        raise OSError(errno.EROFS, "Read-only file system", str(path))
+    def read_only(path: Path, data: bytes, mode: int = 0o644) -> None:
+        if path == cell.rig:
+            raise OSError(errno.EROFS, "Read-only file system", str(path))
+        write_atomically(path, data, mode=mode)
 
-    monkeypatch.setattr(activating, "write_atomically", read_only)
+    monkeypatch.setattr(installing, "write_atomically", read_only)
     with pytest.raises(FileFormatError, match=r"rig\.json: .*Read-only.*let cell\.rig of .*state/rig\.json"):
         activate(cell, cell.wider(1.001))
 
@@ -384,12 +389,12 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     for number in range(40):
         disk = tmp_path / f"cut{number}"
         cut(record.calls[: dice.randint(start, len(record.calls))], dice).write(disk)
-        asyncio.run(RunningCell(disk / "cell").activation.finish())
+        finish_installation(disk / "cell" / "cell.toml")
         fingerprint = read_cell(disk / "cell" / "cell.toml").fingerprint
         releases = ReleaseFolder(disk / "cell" / "state" / "releases")
         active = {one.fingerprint for one in releases.all() if one.activated}
         assert fingerprint == before or (fingerprint == after and {before, after} <= active)
-        assert releases.underway is None
+        assert not (state_folder(disk / "cell" / "cell.toml") / installing.INSTALLING).exists()
         assert all(one.fingerprint == releases.open(one.number).fingerprint for one in releases.all())
         found.add(fingerprint)
         shutil.rmtree(disk)
@@ -419,7 +424,7 @@ def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
         cut(record.calls[: dice.randint(start, len(record.calls))], dice).write(disk)
         config = disk / "cell" / "cell.toml"
         read_cell(config)  # also before it is finished
-        asyncio.run(RunningCell(disk / "cell").activation.finish())
+        finish_installation(disk / "cell" / "cell.toml")
         fingerprint = read_cell(config).fingerprint
         releases = ReleaseFolder(disk / "cell" / "state" / "releases")
         active = {one.fingerprint for one in releases.all() if one.activated}

@@ -1,4 +1,4 @@
-"""Answers of the worker process as CBOR: values of edged's own kinds, and nothing that the reader would run.
+"""Orders to the worker process and its answers as CBOR: values of edged's own kinds, and nothing that is run.
 
 The worker reads strangers' files with libraries in C++. Whoever takes it over may answer what they like; what
 is read here is bounded by the length of the data, and is made of numbers, texts, arrays, and of dataclasses,
@@ -46,17 +46,17 @@ _DAMAGE = (
 """What reading anything else raises, but for ValueError."""
 
 
-def encode_answer(value: object) -> bytes:
-    """A value as CBOR. Raises `TypeError` for what is no value of those kinds."""
+def encode_message(value: object) -> bytes:
+    """A value as CBOR. Raises `TypeError` for one of another kind."""
     return cbor2.dumps(_plain(value))
 
 
-def decode_answer(data: bytes) -> Any:
-    """The value. Raises `ValueError` for anything that `encode_answer` does not write."""
+def decode_message(data: bytes) -> Any:
+    """The value. Raises `ValueError` for anything that `encode_message` does not write."""
     try:
         return _value(decode_item(data, MAX_DEPTH))
     except _DAMAGE as error:
-        raise ValueError(f"no answer of a worker: {error!r}") from error
+        raise ValueError(f"no message of a worker: {error!r}") from error
 
 
 def _plain(value: Any) -> Any:
@@ -65,7 +65,7 @@ def _plain(value: Any) -> Any:
         return ["member", *_name(type(value)), _plain(value.value)]
     if isinstance(value, np.ndarray | np.generic):
         if value.dtype.kind not in _ARRAY_KINDS:
-            raise TypeError(f"an array of {value.dtype} is no answer")
+            raise TypeError(f"an array of {value.dtype} is no message")
         if isinstance(value, np.generic):
             return ["scalar", value.dtype.str, value.tobytes()]
         return ["array", value.dtype.str, list(value.shape), value.tobytes()]
@@ -73,28 +73,28 @@ def _plain(value: Any) -> Any:
         return value
     if isinstance(value, PurePath):
         return ["path", str(value)]
-    if isinstance(value, BaseModel) or (dataclasses.is_dataclass(value) and not isinstance(value, type)):
-        return [
-            "fields",
-            *_name(type(value)),
-            *(_plain(getattr(value, name)) for name in _fields(type(value))),
-        ]
+    if isinstance(value, BaseModel):
+        stated = {name: _plain(getattr(value, name)) for name in value.model_fields_set}
+        return ["model", *_name(type(value)), stated]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = (field.name for field in dataclasses.fields(value))
+        return ["fields", *_name(type(value)), *(_plain(getattr(value, name)) for name in fields)]
     if isinstance(value, Mapping):
         return ["dict", *([_plain(key), _plain(item)] for key, item in value.items())]
     if isinstance(value, UserError):
         return ["error", type(value).__name__, str(value), value.code, _plain(dict(value.params))]
     kind = _SEQUENCES.get(type(value))
     if kind is None:
-        raise TypeError(f"{type(value).__module__}.{type(value).__qualname__} is no answer")
+        raise TypeError(f"{type(value).__module__}.{type(value).__qualname__} is no message")
     return [kind, *map(_plain, value)]
 
 
 def _value(plain: Any) -> Any:
-    """Raises as `decode_answer`, or another error of those that it catches."""
+    """Raises as `decode_message`, or another error of those that it catches."""
     if plain is None or type(plain) in (bool, int, float, str, bytes):
         return plain
     if not isinstance(plain, list):
-        raise TypeError(f"{type(plain).__name__} is no answer")
+        raise TypeError(f"{type(plain).__name__} is no message")
     kind, *rest = plain
     match kind:
         case "list":
@@ -118,10 +118,15 @@ def _value(plain: Any) -> Any:
         case "member":
             module, name, value = rest
             return _class(module, name, enum.Enum)(_value(value))
+        case "model":
+            module, name, stated = rest
+            return _modelled(
+                _class(module, name, BaseModel), {key: _value(item) for key, item in stated.items()}
+            )
         case "fields":
             module, name, *values = rest
             return _filled(_class(module, name, object), [*map(_value, values)])
-    raise ValueError(f"{str(kind)[:20]!r} begins no answer")
+    raise ValueError(f"{str(kind)[:20]!r} begins no message")
 
 
 def user_error(kind: str, message: str, code: str, params: dict[str, Any]) -> UserError:
@@ -150,31 +155,28 @@ def _class(module: str, name: str, base: type) -> Any:
         raise ValueError(f"{module[:60]!r} is no module of edged")
     found = getattr(import_module(module), name)
     if not isinstance(found, type) or found.__module__ != module or not issubclass(found, base):
-        raise ValueError(f"{module}.{name[:60]} is no answer")
+        raise ValueError(f"{module}.{name[:60]} is no message")
     return found
 
 
-def _fields(kind: type) -> list[str]:
-    """Names of the fields of a model or dataclass. Raises `TypeError` for another class."""
-    if issubclass(kind, BaseModel):
-        return [*kind.model_fields]
-    if not dataclasses.is_dataclass(kind):
-        raise TypeError(f"{kind.__qualname__} is no answer")
-    return [field.name for field in dataclasses.fields(kind)]
+def _modelled(kind: type[BaseModel], stated: dict[str, Any]) -> BaseModel:
+    """A model with these values, and defaults in its other fields. Raises `TypeError` for other fields."""
+    if not stated.keys() <= kind.model_fields.keys():
+        raise TypeError(f"{kind.__qualname__} has other fields")
+    return kind.model_construct(set(stated), **stated)
 
 
 def _filled(kind: type, values: list[Any]) -> Any:
-    """An object with these values in its fields."""
-    named = dict(zip(_fields(kind), values, strict=True))
-    if issubclass(kind, BaseModel):
-        return kind.model_construct(**named)
+    """An object of a dataclass with these values in its fields. Raises `TypeError` for another class."""
+    if not dataclasses.is_dataclass(kind):
+        raise TypeError(f"{kind.__qualname__} is no message")
     made = object.__new__(kind)
-    for name, value in named.items():
-        object.__setattr__(made, name, value)
+    for field, value in zip(dataclasses.fields(kind), values, strict=True):
+        object.__setattr__(made, field.name, value)
     return made
 
 
 def _array(kind: str, shape: list[int], data: bytes) -> Any:
     if not re.fullmatch(rf"[<>|][{_ARRAY_KINDS}][0-9]{{1,4}}", kind):
-        raise TypeError(f"an array of {kind[:20]} is no answer")
+        raise TypeError(f"an array of {kind[:20]} is no message")
     return np.frombuffer(data, np.dtype(kind)).reshape(shape).copy()

@@ -1,0 +1,220 @@
+"""Where a page's process comes from: the cell starts it, or it is a service and comes to a socket."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import pwd
+import select
+import signal
+import socket
+import stat
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import Protocol
+
+from edged.app.lesserprocess import LESSER, environment
+from edged.errors import UserError
+
+log = logging.getLogger(__name__)
+
+END_S = 1.0
+"""For the process to end by itself once the link is closed."""
+LEFT_S = 2.0
+"""For a page of another service, which cannot be killed from here."""
+WAITING = 1
+"""Pages that may wait for the one before them to end."""
+REFUSED_S = 1.0
+"""Nobody is let in for so long after somebody who may not."""
+SOCKET = "page"
+"""In the runtime directory of the cell's service."""
+
+
+class PageSource(Protocol):
+    """Gives the cell one page after another."""
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process that has the link; None while there is none."""
+
+    async def connection(self) -> socket.socket:
+        """The cell's end of a link to a page, as soon as there is one. Raises `OSError`."""
+
+    async def ended(self, *, is_good: bool) -> str:
+        """The link has ended; how the process did, in words. is_good : it has not misbehaved."""
+
+
+class StartedPage:
+    """A process that the cell starts, of the same user."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process; None while there is none."""
+        return None if self._process is None else self._process.pid
+
+    async def connection(self) -> socket.socket:
+        """Start it on a thread; one that comes too late is ended. Raises `OSError`."""
+        ours, theirs = socket.socketpair()
+        with theirs:
+            starting = asyncio.ensure_future(asyncio.to_thread(_started, theirs))
+            try:
+                self._process = await asyncio.shield(starting)
+            except asyncio.CancelledError:
+                ours.close()
+                await _ended(await starting, 0.0)
+                raise
+            except OSError:
+                ours.close()
+                raise
+        return ours
+
+    async def ended(self, *, is_good: bool) -> str:
+        """Wait for it to end; what misbehaves is not asked to."""
+        process, self._process = self._process, None
+        if process is None:
+            return ""
+        code = await _ended(process, END_S if is_good else 0.0)
+        return f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"code {code}"
+
+
+class AwaitedPage:
+    """A service of its own, which comes to a socket in the cell's runtime directory. user : that it runs as.
+
+    The socket is for the cell's group, and the kernel says who comes (SO_PEERCRED, unix(7)).
+    """
+
+    def __init__(self, user: str, place: Path) -> None:
+        self._user = user
+        self._place = place
+        self._listening: socket.socket | None = None
+        self._pid: int | None = None
+        self._process: int | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process that has the link."""
+        return self._pid
+
+    def open(self) -> None:
+        """Listen. Raises `OSError`."""
+        if self._listening is not None:
+            return
+        with contextlib.suppress(FileNotFoundError):
+            if stat.S_ISSOCK(self._place.lstat().st_mode):  # of a cell that was killed
+                self._place.unlink()
+        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            listening.setblocking(False)
+            former = os.umask(0o117)
+            try:
+                listening.bind(str(self._place))
+            finally:
+                os.umask(former)
+            listening.listen(WAITING)
+        except OSError:
+            listening.close()
+            raise
+        self._listening = listening
+
+    async def connection(self) -> socket.socket:
+        """Wait for the page. Raises `OSError`."""
+        self.open()
+        if self._listening is None:
+            raise OSError("closed")
+        while True:
+            came, _ = await asyncio.get_running_loop().sock_accept(self._listening)
+            pid, user = peer_of(came)
+            expected = await asyncio.to_thread(_number_of, self._user)
+            if user == expected:
+                self._pid = pid
+                with contextlib.suppress(OSError):  # it has just ended
+                    self._process = os.pidfd_open(pid)
+                return came
+            came.close()
+            who = "a name that is not known here" if expected is None else str(expected)
+            log.error("user %d came as the page, expected %s, %s: refused", user, self._user, who)
+            await asyncio.sleep(REFUSED_S)
+
+    async def ended(self, *, is_good: bool) -> str:
+        """Wait for it to end by itself, as it holds the port; its service manager looks after it."""
+        process, self._pid, self._process = self._process, None, None
+        if process is not None:
+            try:
+                await asyncio.shield(asyncio.to_thread(_has_ended, process))
+            finally:
+                os.close(process)
+        return "" if is_good else "its service starts it again"
+
+    def close(self) -> None:
+        """Listen no more."""
+        if self._listening is not None:
+            self._listening.close()
+            self._listening = None
+            with contextlib.suppress(OSError):
+                self._place.unlink()
+
+
+def awaited_page(user: str) -> AwaitedPage:
+    """The page of a service whose page is another one. Raises `UserError` outside of a service."""
+    folder = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    if not folder:
+        raise UserError(
+            "--page-user: the page comes to a socket in the service's runtime directory, and there is none: "
+            "RUNTIME_DIRECTORY is not set (systemd.exec(5), RuntimeDirectory=)"
+        )
+    return AwaitedPage(user, Path(folder) / SOCKET)
+
+
+def peer_of(connection: socket.socket) -> tuple[int, int]:
+    """Process and user at the other end of a Unix socket, as the kernel knows them."""
+    pid, user, _group = struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+    return pid, user
+
+
+def _number_of(user: str) -> int | None:
+    try:
+        return pwd.getpwnam(user).pw_uid
+    except KeyError:
+        return None
+
+
+def _has_ended(process: int) -> bool:
+    """Whether a process has ended within its time."""
+    poll = select.poll()
+    poll.register(process, select.POLLIN)
+    return bool(poll.poll(1e3 * LEFT_S))
+
+
+def _started(link: socket.socket) -> subprocess.Popen[bytes]:
+    level = logging.getLogger().level
+    return subprocess.Popen(
+        [*LESSER, sys.executable, "-m", "edged.app.page", str(level), str(link.fileno())],
+        stdin=subprocess.DEVNULL,
+        pass_fds=[link.fileno()],
+        env=environment(),
+        start_new_session=True,  # a ctrl-C is the cell's, which ends the page
+    )
+
+
+async def _ended(process: subprocess.Popen[bytes], grace_s: float) -> int:
+    """Wait for the process to end, kill it if it does not; returns its exit code."""
+
+    def wait() -> int:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return process.wait(grace_s)
+        process.kill()
+        return process.wait()
+
+    waiting = asyncio.ensure_future(asyncio.to_thread(wait))
+    try:
+        return await asyncio.shield(waiting)
+    except asyncio.CancelledError:
+        await waiting
+        raise
