@@ -34,6 +34,7 @@ CONTROL_PRIVILEGE_REGISTER = 0x0A00
 CONTROLLED = 0b11
 """Bits of it: exclusive access, control access. Neither: the camera is not controlled."""
 
+DEVICE_ERROR_DOMAIN = "arv-device-error-quark"
 DEVICE_ERRORS: dict[str, type[CaptureError]] = {
     "WRONG_FEATURE": CameraSetupError,
     "FEATURE_NOT_FOUND": CameraSetupError,
@@ -117,7 +118,7 @@ def translate(camera: str, doing: str, error: Any) -> CaptureError:
     """
     aravis = library(camera).aravis
     message = f"{doing}: {error.message}"
-    if error.domain == "arv-device-error-quark":
+    if error.domain == DEVICE_ERROR_DOMAIN:
         names = {int(getattr(aravis.DeviceError, name)): name for name in DEVICE_ERRORS}
         return DEVICE_ERRORS.get(names.get(error.code, ""), CameraUnreachable)(camera, message)
     if error.domain == "arv-gc-error-quark":
