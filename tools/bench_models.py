@@ -271,7 +271,7 @@ def adjusts(pairs: Twins, lacks: list[str]) -> str:
 
 
 def by_trigger(pairs: Twins, trigger: dict[str, Any], pulse: bool = False, **cameras: Any) -> str:
-    """A pair by this trigger; "no" where the camera refuses by name."""
+    """A pair by this trigger."""
     before, pairs.trigger = pairs.trigger, trigger
 
     async def script(head: StereoHead) -> str:
@@ -295,7 +295,7 @@ def by_trigger(pairs: Twins, trigger: dict[str, Any], pulse: bool = False, **cam
     except TimeoutError:
         return "WRONG: no answer"
     except EdgedError as error:
-        return "no" if error.code == 103 else f"WRONG: {error}"
+        return f"WRONG: {error}"
     finally:
         pairs.trigger = before
 
@@ -340,7 +340,8 @@ def truth(model: Model) -> set[str]:
     has = {
         "software-trigger": "Software" in sources,
         "line-trigger": any(name.startswith("Line") for name in sources),
-        "action-trigger": any(name.startswith("Action") for name in sources),
+        "action-trigger": any(name.startswith("Action") for name in sources)
+        and bool(model.has("ActionDeviceKey")),
         "exposure-output": bool({"ExposureActive", "Exposing"} & set(shown)),
         "chunk-exposure": "ExposureTime" in choices.get("ChunkSelector", ()),
         "gain-db": bool(model.has("Gain", "GainAbs")) or (bool(model.has("GainRaw")) and known),

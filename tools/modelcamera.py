@@ -82,7 +82,7 @@ ENUMERATIONS = {
     "PtpStatus": g.PTP_STATUS, "GevIEEE1588Status": g.PTP_STATUS,
 }  # fmt: skip
 FIXED = {
-    "TriggerSource": {"Software": g.SOFTWARE, "Action1": g.ACTION1, "Action0": g.ACTION1},
+    "TriggerSource": {"Software": g.SOFTWARE},
     "TriggerMode": {"Off": 0, "On": 1},
     "TriggerActivation": {"RisingEdge": g.RISING, "FallingEdge": g.FALLING, "AnyEdge": g.ANY},
     "LineMode": {"Input": 0, "Output": 1},
@@ -199,7 +199,10 @@ def _numbers(feature: Feature, own: Mapping[str, Feature]) -> dict[str, int]:
     known = dict(FIXED.get(name, {}))
     if name == "TriggerSource" and lines:
         known[lines[0]] = g.LINE1
-    others = itertools.count(max(known.values(), default=-1) + 1)
+    actions = [choice for choice in choices if choice.startswith("Action")]
+    if name == "TriggerSource" and actions:
+        known[actions[0]] = g.ACTION1
+    others = itertools.count(10 if name == "TriggerSource" else max(known.values(), default=-1) + 1)
     return {choice: known[choice] if choice in known else next(others) for choice in choices}
 
 

@@ -44,24 +44,36 @@ def lacks(features: Features, *, clock: bool) -> tuple[CameraLack, ...]:
     output = features.first(*OUTPUT_SOURCES)
     shown = features.choices(output) if output else []
     chunks = features.choices(CHUNK_SELECTOR)
-    raw = features.exists(RAW_GAIN)
     offered = _offers(features, TRIGGER_SOURCE, sources)
+    by_action = any(source.startswith("Action") for source in sources)
+    raw = f"{features.title(RAW_GAIN)} in steps of its own" if features.exists(RAW_GAIN) else ""
     found = (
         ("software-trigger", "trigger by software", offered, "Software" in sources),
-        ("line-trigger", "trigger by a line", offered, any(source.startswith("Line") for source in sources)),
-        ("action-trigger", "trigger by action command", offered,
-        any(source.startswith("Action") for source in sources)),
-        ("exposure-output", "output that shows the exposure", _offers(features, output, shown),
-        bool({*shown} & {*EXPOSURE_ACTIVE})),
-        ("chunk-exposure", "exposure time with each image", _offers(features, CHUNK_SELECTOR, chunks),
-        "ExposureTime" in chunks),
-        ("gain-db", "gain in dB", f"{features.title(RAW_GAIN)} in steps of its own" if raw else "",
-        gain_scale(features) is not None),
+        ("line-trigger", "trigger by a line", offered, any(name.startswith("Line") for name in sources)),
+        (
+            "action-trigger",
+            "trigger by action command",
+            "its description has no ActionDeviceKey" if by_action else offered,
+            by_action and features.exists("ActionDeviceKey"),
+        ),
+        (
+            "exposure-output",
+            "output that shows the exposure",
+            _offers(features, output, shown),
+            any(word in shown for word in EXPOSURE_ACTIVE),
+        ),
+        (
+            "chunk-exposure",
+            "exposure time with each image",
+            _offers(features, CHUNK_SELECTOR, chunks),
+            "ExposureTime" in chunks,
+        ),
+        ("gain-db", "gain in dB", raw, gain_scale(features) is not None),
         ("frame-rate", "frame rate", "", bool(features.first(*FRAME_RATE))),
         ("ptp", "PTP", "", bool(features.first(*PTP, PTP_MODE))),
         ("clock", "clock that can be read", "", clock),
         ("temperature", "temperature", "", bool(features.first(*TEMPERATURE))),
-    )  # fmt: skip
+    )
     return tuple(CameraLack(code, text, menu) for code, text, menu, has in found if not has)
 
 
