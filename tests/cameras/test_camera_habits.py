@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+import io
+import json
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.gigecell import Cell, left_camera, run, running, shoot
+from helpers.gigecell import LEFT, RIGHT, Cell, left_camera, run, running, settles, shoot
+from helpers.waiting import LIMIT_S
+from rich.console import Console
 
-from edged.adapters.aravis import AravisCamera, FreeRun, Output, Software, aravis_missing, link
+from edged.adapters.aravis import AravisCamera, FreeRun, Output, Software, aravis_missing, library, link
+from edged.commands.cameras import report
 from edged.domain.exposure import CameraValues
 from edged.domain.frames import Frame
-from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout
+from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout, UserError
 from edged.sim.gige import genicam as g
 from edged.sim.gige.camera import GigeCamera, Make
 from edged.sim.gige.faults import BLOCKS_TO_RESTART, Quirk
@@ -112,11 +120,12 @@ def test_pictures_come_whatever_their_block_ids_are(quirk: Quirk) -> None:
 
     async def script(camera: AravisCamera) -> None:
         await camera.open()
-        frames = [await shoot(camera)]
+        frames = [await settles(camera, lambda: shoot(camera), LIMIT_S)]
         cell.left.faults.lost_packets = (2,)
-        frames += [await shoot(camera) for _ in range(2)]
-        assert [1, 2, 3] == [cell.left_sensor.saw(frame.image) for frame in frames]
-        assert [1, 1] == np.diff([frame.frame_id for frame in frames]).tolist()
+        frames += [await settles(camera, lambda: shoot(camera), LIMIT_S) for _ in range(2)]
+        saw = [cell.left_sensor.saw(frame.image) for frame in frames]
+        assert np.all(np.diff(saw) > 0)
+        assert np.all(np.diff([frame.frame_id for frame in frames]) > 0)
 
     with habit(quirk) as cell:
         run(script, left_camera(packet_size=1500))
@@ -298,3 +307,53 @@ def test_a_camera_without_a_trigger_runs_freely_and_says_so() -> None:
     with running(Cell(make=make)):
         run(refused, left_camera(trigger=Software()))
         run(script, left_camera(trigger=FreeRun()))
+
+
+@pytest.mark.slow
+def test_two_cameras_are_reported_on(tmp_path: Path) -> None:
+    """What they are and how they expose together; nothing in the file names a camera."""
+    file, told = tmp_path / "report.json", io.StringIO()
+    with running(Cell()):
+        assert 0 == report(file, [LEFT, RIGHT], 0.05, Console(file=told, width=200))
+
+    seen = json.loads(file.read_text())
+    assert ["edged", "edged"] == [camera["vendor"] for camera in seen["cameras"]]
+    assert "ExposureTime" in {feature["name"] for feature in seen["cameras"][0]["features"]}
+    assert seen["together"]["pairs"] > 0
+    assert [41.5, 41.5] == seen["together"]["temperature_c"]
+    assert all(camera["complete"] > 0 for camera in seen["full_rate"]["cameras"])
+    assert not {"EDGED-T1", "EDGED-T2", LEFT, RIGHT} & set(file.read_text().split('"'))
+    assert "skew of both exposures" in told.getvalue()
+
+
+def test_a_report_needs_two_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that answers is no pair: it says how to name them."""
+    monkeypatch.setattr("edged.commands.cameras.list_cameras", list)
+    with pytest.raises(UserError, match="--report needs two cameras, and 0 answer"):
+        report(tmp_path / "report.json", [], 1.0, Console(file=io.StringIO()))
+
+
+def test_two_descriptions_are_never_read_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Aravis reads them with one state for the process: two cameras that are opened together take turns."""
+    reading, most = [0], [0]
+
+    def new(_device: str) -> str:
+        reading[0] += 1
+        most[0] = max(most[0], reading[0])
+        time.sleep(0.02)
+        reading[0] -= 1
+        return "opened"
+
+    class Untranslated(Exception):
+        """No error of GLib."""
+
+    fake = SimpleNamespace(
+        aravis=SimpleNamespace(Camera=SimpleNamespace(new=new)), glib=SimpleNamespace(Error=Untranslated)
+    )
+    monkeypatch.setattr(library, "library", lambda _camera: fake)
+    threads = [threading.Thread(target=library.connect, args=("left", f"127.0.40.{n}")) for n in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [1] == most

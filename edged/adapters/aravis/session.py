@@ -33,6 +33,7 @@ from edged.adapters.aravis.library import (
     CONTROL_PRIVILEGE_REGISTER,
     CONTROLLED,
     DEVICE_ERROR_DOMAIN,
+    PARSING,
     connect,
     library,
     translated,
@@ -457,7 +458,8 @@ class CameraSession:
             return None
         with self._talking("chunks: asking for the exposure time with each image"):
             self._camera.set_chunks("ExposureTime")
-            parser = self._camera.create_chunk_parser()
+            with PARSING:
+                parser = self._camera.create_chunk_parser()
         return ExposureCheck(parser, self._library.glib.Error, self.settings.exposure_us)
 
     def _set_packet_delay(self) -> None:
