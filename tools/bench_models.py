@@ -2,7 +2,7 @@
 """Open virtual cameras with the features of 84 real models, and say of each what works, what it lacks,
 what to do.
 
-    tools/bench models [--only NAME ...] [--doc FILE] [--json FILE]
+    tools/bench models [--only NAME ...] [--resume FILE] [--doc FILE] [--json FILE]
 
 prints Markdown. Of each model two virtual cameras are made from the table of facts (`cameramodels.json`),
 with the
@@ -26,6 +26,7 @@ that a model has not; cameras with CoaXPress need a frame grabber and cannot be 
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import math
 import sys
@@ -387,6 +388,16 @@ def look_at(model: Model) -> Row:
     return row
 
 
+def looked_at(model: Model) -> Row:
+    """Once; or again, because two virtual cameras and a driver on a busy machine lose pictures."""
+    row = look_at(model)
+    for _ in range(AGAIN):
+        if row.wrong and model.transport != "CoaXPress":
+            print(f"{model.name}: {row.wrong}; again", file=sys.stderr, flush=True)
+            row = look_at(model)
+    return row
+
+
 COLUMNS = ("pair", "adjust", "line", "action", "output", "free-run", "chunks", "PTP")
 MARKS = {"yes": "✓", "no": "–"}
 GRABBER = "a frame grabber and its own driver: CoaXPress"
@@ -410,26 +421,38 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
+def _known(file: Path | None) -> dict[str, Row]:
+    """Rows of a run that was interrupted."""
+    if file is None or not file.exists():
+        return {}
+    return {row["name"]: Row(**row) for row in json.loads(file.read_text()) if not row["wrong"]}
+
+
 def main() -> None:
     """Every model, one after the other."""
     parser = bench_parser(__doc__)
     parser.add_argument(
         "--only", nargs="+", default=[], metavar="NAME", help="models whose name contains one of these"
     )
+    parser.add_argument(
+        "--resume", type=Path, metavar="FILE", help="well rows of this --json stand; new ones are added"
+    )
     parser.add_argument("--doc", type=Path, metavar="FILE", help="write the table into this page")
     options = parser.parse_args()
     enter_namespace()
     logging.getLogger("edged").addHandler(logging.NullHandler())
     logging.getLogger("edged").propagate = False
+    known = _known(options.resume)
     rows = []
     for model in models():
-        if not options.only or any(part in model.name for part in options.only):
-            rows.append(look_at(model))
-            for _ in range(AGAIN):  # two virtual cameras and a driver on a busy machine lose pictures
-                if rows[-1].wrong and model.transport != "CoaXPress":
-                    print(f"{model.name}: {rows[-1].wrong}; again", file=sys.stderr, flush=True)
-                    rows[-1] = look_at(model)
-            print(f"{model.name}: {rows[-1].wrong or 'well'}", file=sys.stderr, flush=True)
+        if options.only and not any(part in model.name for part in options.only):
+            continue
+        if model.name not in known:
+            known[model.name] = looked_at(model)
+            print(f"{model.name}: {known[model.name].wrong or 'well'}", file=sys.stderr, flush=True)
+            if options.resume is not None:
+                options.resume.write_text(json.dumps([asdict(row) for row in known.values()], indent=1))
+        rows.append(known[model.name])
     reached = [row for row in rows if row.transport != "CoaXPress"]
     wrong = [row for row in reached if row.wrong]
     good = [row for row in reached if row.works.get("pair") == "yes" and not row.wrong]

@@ -72,6 +72,6 @@ def test_the_driver_finds_its_way_by_the_names_of_a_model(name: str, monkeypatch
     """One of each kind: old names, raw gain, one selector that is fixed, no trigger at all."""
     monkeypatch.setattr(bench_models, "ADDRESSES", ("127.0.71.1", "127.0.71.2"))
     (model,) = (model for model in models() if model.name == name)
-    row = bench_models.look_at(model)
+    row = bench_models.looked_at(model)
     assert [] == row.wrong
     assert "yes" == row.works["pair"]
