@@ -390,11 +390,14 @@ def look_at(model: Model) -> Row:
 
 def looked_at(model: Model) -> Row:
     """Once; or again, because two virtual cameras and a driver on a busy machine lose pictures."""
-    row = look_at(model)
-    for _ in range(AGAIN):
-        if row.wrong and model.transport != "CoaXPress":
-            print(f"{model.name}: {row.wrong}; again", file=sys.stderr, flush=True)
+    for number in range(AGAIN + 1):
+        try:
             row = look_at(model)
+        except (EdgedError, TimeoutError) as error:
+            row = Row(model.name, model.transport, wrong=[str(error)])
+        if not row.wrong or model.transport == "CoaXPress" or number == AGAIN:
+            break
+        print(f"{model.name}: {row.wrong}; again", file=sys.stderr, flush=True)
     return row
 
 
