@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -178,13 +179,23 @@ def camera_facts(head: StereoHead) -> dict[str, list[Json]]:
         if health.resent is not None:
             resent, lost = str(health.resent), str(health.lost or 0)
             parts.append(said("packets", f"packets: {resent} resent, {lost} lost", resent=resent, lost=lost))
+        if health.packet_delay_us is not None:
+            pause = f"{health.packet_delay_us:.1f}"
+            parts.append(said("packet-delay", f"{pause} µs between packets", pause=pause))
+        if health.lacks:
+            what = "; ".join(str(lack) for lack in health.lacks)
+            parts.append(said("lacks", f"has not: {what}", what=what))
         facts[camera] = parts
     return facts
 
 
-def camera_gammas(head: StereoHead) -> dict[str, float]:
-    """The response that each open camera states: the exponent between light and grey value."""
-    return {camera: health.gamma for camera, health in _healths(head)}
+def camera_gammas(head: StereoHead) -> dict[str, tuple[float, str]]:
+    """The response that each open camera states: the exponent between light and grey value,
+    and how to make it 1."""
+    return {
+        camera: (health.gamma, f"{health.linear[0]} = {json.dumps(health.linear[1])}")
+        for camera, health in _healths(head)
+    }
 
 
 def camera_figures(head: StereoHead) -> dict[str, tuple[str, float]]:

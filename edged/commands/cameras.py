@@ -1,15 +1,20 @@
-"""`edged cameras`: what is on the network."""
+"""`edged cameras`: what is on the network; and a report on two of them."""
 
 from __future__ import annotations
 
+import asyncio
 import json
 from dataclasses import asdict
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from edged.app.discovery import aravis_missing, list_cameras
-from edged.errors import UserError
+from edged.app.camerareport import camera_report
+from edged.app.discovery import CameraInfo, aravis_missing, list_cameras
+from edged.errors import CaptureError, UserError
+from edged.files.atomic import write_file
+from edged.payload import Json
 
 
 def cameras(as_json: bool, console: Console) -> int:
@@ -31,3 +36,51 @@ def cameras(as_json: bool, console: Console) -> int:
             "no camera answers: cable, power, and is a port of this machine in the camera's network?"
         )
     return 0 if found else 1
+
+
+def report(file: Path, devices: list[str], minutes: float, console: Console) -> int:
+    """Look at two cameras for some minutes and write what was seen to a file; 0, or 1 when they cannot be
+    used."""
+    if missing := aravis_missing():
+        raise UserError(missing)
+    found = list_cameras()
+    chosen = devices or [_name(info) for info in found]
+    if len(chosen) != 2:
+        raise UserError(f"--report needs two cameras, and {len(chosen)} answer: name both with --device")
+    console.print(f"looking at {chosen[0]} and {chosen[1]} for {minutes:g} minutes ...")
+    try:
+        seen = asyncio.run(camera_report(chosen, 60 * minutes))
+    except CaptureError as error:
+        console.print(f"no report: {error}")
+        return 1
+    write_file(file, json.dumps(seen, indent=1).encode() + b"\n")
+    for line in _lines(seen):
+        console.print(line, highlight=False, markup=False)
+    console.print(f"written to {file}, without serial numbers and addresses", markup=False)
+    return 0
+
+
+def _name(info: CameraInfo) -> str:
+    return info.address if info.protocol == "GigEVision" else info.serial
+
+
+def _lines(seen: Json) -> list[str]:
+    together, full = seen["together"], seen["full_rate"]
+    lines = []
+    for camera, rate, temperature in zip(
+        seen["cameras"], full["cameras"], together["temperature_c"], strict=True
+    ):
+        degrees = "no temperature" if temperature is None else f"{temperature:.1f} °C"
+        failed, resent, lost = (rate.get(name, 0) for name in ("failed", "resent", "lost"))
+        lines.append(
+            f"{camera['vendor']} {camera['model']}, firmware {camera['firmware'] or 'unknown'}: "
+            f"{len(camera['features'])} features, {degrees}; at full rate {rate['rate_hz']:g} images/s, "
+            f"{failed} damaged, {resent} packets resent, {lost} lost"
+        )
+        lines += [f"  has not: {lack}" for lack in camera["lacks"]]
+    lines.append(f"{together['pairs']} pairs; faults: {together['faults'] or 'none'}")
+    if together["pairs"]:
+        (skew_us, most_us), (time_ms, slow_ms) = together["skew_us"], together["trigger_to_images_ms"]
+        lines.append(f"skew of both exposures: {skew_us:g} us in the middle, {most_us:g} us in 99 of 100")
+        lines.append(f"trigger to both images: {time_ms:g} ms in the middle, {slow_ms:g} ms in 99 of 100")
+    return lines

@@ -89,7 +89,13 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
         text += f", {statistics.median(times_ms):.0f} ms from trigger to both images"
         text += f", skew up to {max(skews_ms):.2f} ms"
     for side, parts in facts.items():
-        text += f"; {side}: " + "; ".join(part["text"] for part in parts)
+        text += f"; {side}: " + "; ".join(part["text"] for part in parts if part["code"] != "lacks")
+    lacking = [
+        Check(f"{side} camera", CheckResult.OK, part["text"])
+        for side, parts in facts.items()
+        for part in parts
+        if part["code"] == "lacks"
+    ]
     if faults:
         return [
             Check(
@@ -99,14 +105,15 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
                 "CAPTURE_FAULT in such cycles",
                 _remedy(faults[0]),
             ),
+            *lacking,
             *_responses(rig, gammas),
         ]
-    return [Check("test pictures", CheckResult.OK, text), *_responses(rig, gammas)]
+    return [Check("test pictures", CheckResult.OK, text), *lacking, *_responses(rig, gammas)]
 
 
-def _responses(rig: StereoRig, gammas: dict[str, float]) -> Iterator[Check]:
+def _responses(rig: StereoRig, gammas: dict[str, tuple[float, str]]) -> Iterator[Check]:
     """A warning for each camera whose grey values are not in proportion to the light."""
-    for side, gamma in gammas.items():
+    for side, (gamma, linear) in gammas.items():
         calibrated = rig.left.gamma if side == "left" else rig.right.gamma
         if gamma != 1.0 or calibrated != 1.0:
             yield Check(
@@ -114,7 +121,7 @@ def _responses(rig: StereoRig, gammas: dict[str, float]) -> Iterator[Check]:
                 CheckResult.WARN,
                 f"the camera's Gamma is {gamma:g}, the calibration measured {calibrated:g}",
                 "a response that the calibration does not know moves every edge: radii by about 10 µm",
-                f"set Gamma = 1.0 under cameras.{side}.features and calibrate again",
+                f"set {linear} under cameras.{side}.features and calibrate again",
             )
 
 

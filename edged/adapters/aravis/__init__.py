@@ -5,6 +5,9 @@
     trigger    what starts an exposure: software, free run, line, action command
     clock      the camera's time against the host's
     exposure   exposure time and gain, also while it streams
+    names      what cameras of many makers call the same thing
+    processing filters, tables and test patterns: off
+    lacks      what a camera has not
     setup      settings of a camera before it is armed, and what is refused
     link       how fast it may send
     stream     buffers as images

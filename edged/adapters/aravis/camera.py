@@ -26,10 +26,10 @@ from typing import Any, TypeVar
 from edged.adapters.aravis.clock import Mapped, to_utc
 from edged.adapters.aravis.exposure import StreamLocks
 from edged.adapters.aravis.features import Value
-from edged.adapters.aravis.session import CameraHealth, CameraSession
+from edged.adapters.aravis.session import CameraDescription, CameraHealth, CameraSession
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.stream import Arrival
-from edged.adapters.aravis.trigger import FreeRun
+from edged.adapters.aravis.trigger import FreeRun, Software
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import Frame, TimeBase
 from edged.errors import CameraSetupError, CameraUnreachable, CaptureError, FrameIncomplete, FrameTimeout
@@ -45,12 +45,18 @@ BACKLOG = 4
 ADJUST_S = 3.0
 """Some registers are written and read; each command may have to be repeated."""
 
+DESCRIPTION_S = 30.0
+"""Hundreds of features, some of which are read to see whether they can be used."""
+
 CLOSE_S = 1.0
 """A camera that answers is closed within milliseconds; without an answer it is left to its thread."""
 
 PREDECESSOR_S = 2.0
 """How long a new connection waits for the old one to give up control of the camera. One that died holds its
 thread for up to 10 s, but then there is no control to give up."""
+
+SETTLE_S = 2.0
+"""For the longest exposure of a cell, and its transfer."""
 
 FRAME_S = 10.0
 """No image is waited for longer than this, whatever the caller's own deadline."""
@@ -243,7 +249,13 @@ class AravisCamera:
             )
             return await self._opened_with(values)
         self._draft = _stated(values, made).over(self._draft)
+        await self._settle(connection, session)
         return made
+
+    async def description(self) -> CameraDescription:
+        """What the camera says of itself. Raises `CaptureError`."""
+        connection, session = self._opened()
+        return await self._call(connection, session.description, DESCRIPTION_S)
 
     async def limits(self) -> CameraLimits:
         """Limits of exposure time and gain now."""
@@ -261,10 +273,28 @@ class AravisCamera:
         try:
             connection, session = self._opened()
             await self._call(connection, lambda: session.write_back(self._found), ADJUST_S)
+            await self._settle(connection, session)
         except CaptureError:
             await self.close()
             raise
         self._found = {}
+
+    async def _settle(self, connection: _Connection, session: CameraSession) -> None:
+        """Let an exposure pass that may have the values before: many sensors take new ones a frame late.
+
+        Only where nobody else sees it. That image is not waited for when it does not come.
+        """
+        if not isinstance(session.settings.trigger, Software):
+            return
+        self._arrivals.clear()
+        self._awaiting = True
+        self._triggers += 1
+        with contextlib.suppress(FrameTimeout):
+            self._sent_ns = await self._call(connection, session.trigger, REPLY_S)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(SETTLE_S):
+                await self._next_arrival(session)
+            self._awaiting = False
 
     def _in_force(self) -> AravisSettings:
         """The configured settings, with what was adjusted or is still to be written back."""

@@ -22,6 +22,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from edged.adapters.aravis.features import Features
+from edged.adapters.aravis.names import PTP_STATUS
 
 CLOCK_DRIFT = 200e-6
 """A camera's crystal against the host's, over temperature and age."""
@@ -218,5 +219,5 @@ def tick_hz(device: Any) -> int:
 
 def ptp_locked(device: Any, features: Features) -> bool:
     """Whether the camera says that its clock is the PTP network's: locked to a master, or the master."""
-    name = features.first("PtpStatus", "GevIEEE1588Status")
+    name = features.first(*PTP_STATUS)
     return bool(name) and device.get_string_feature_value(name) in ("Slave", "Master")

@@ -6,7 +6,8 @@ import contextlib
 from collections.abc import Mapping
 from typing import Any
 
-from edged.adapters.aravis.library import library, translated
+from edged.adapters.aravis.library import DEVICE_ERROR_DOMAIN, library, translated
+from edged.adapters.aravis.names import FRAME_RATE, FRAME_RATE_AUTO, FRAME_RATE_ENABLE
 from edged.errors import CameraSetupError
 
 Value = bool | int | float | str
@@ -18,8 +19,9 @@ ORDER = (
     ("Width", "Height"),
     ("OffsetX", "OffsetY"),
     (),  # everything else, as written: a selector stands before what it selects
-    ("AcquisitionFrameRateEnable",),
-    ("AcquisitionFrameRate",),
+    FRAME_RATE_ENABLE,
+    (FRAME_RATE_AUTO,),
+    FRAME_RATE,
 )
 """What must be written before what: a loaded user set overwrites, binning changes the limits of the
 region, a region must fit before it moves."""
@@ -29,11 +31,15 @@ FLOAT_TOLERANCE = 0.01
 
 
 class Features:
-    """The feature nodes of one open device; every method must run on its control thread."""
+    """The feature nodes of one open device; every method must run on its control thread.
 
-    def __init__(self, camera: str, device: Any) -> None:
+    maker : names of maker and model.
+    """
+
+    def __init__(self, camera: str, device: Any, maker: tuple[str, str] = ("", "")) -> None:
         self._camera = camera
         self._device = device
+        self.maker = maker
         self._library = library(camera)
 
     def exists(self, name: str) -> bool:
@@ -55,8 +61,10 @@ class Features:
         return bool(self._device.get_feature(name).get_actual_access_mode() != aravis.GcAccessMode.RO)
 
     def choices(self, name: str) -> list[str]:
-        """Entries of an enumeration; empty for a feature that the camera does not have."""
-        if not self.exists(name):
+        """Entries of an enumeration; empty for a feature that the camera does not have,
+        or has as a number."""
+        enumeration = self._library.aravis.GcEnumeration
+        if not self.exists(name) or not isinstance(self._device.get_feature(name), enumeration):
             return []
         with translated(self._camera, f"asking for the choices of {name}"):
             return list(self._device.dup_available_enumeration_feature_values_as_strings(name))
@@ -65,6 +73,17 @@ class Features:
         """The present value; None if it cannot be read."""
         with translated(self._camera, f"reading {name}"):
             return self._read(name)
+
+    def title(self, name: str) -> str:
+        """A feature as the maker's own program shows it, with its name where that is another."""
+        node = self._device.get_feature(name)
+        shown = node.get_display_name() if isinstance(node, self._library.aravis.GcFeatureNode) else None
+        return f'"{shown}" ({name})' if shown and shown != name else name
+
+    def number(self, name: str, value: float) -> float | int:
+        """A value as the feature takes it: rounded for one that holds whole numbers."""
+        is_float = isinstance(self._device.get_feature(name), self._library.aravis.GcFloat)
+        return value if is_float else round(value)
 
     def nearest(self, name: str, value: int) -> int:
         """The value of a whole-number feature that is nearest to this one within its limits."""
@@ -81,6 +100,28 @@ class Features:
             else:
                 low, high = self._device.get_integer_feature_bounds(name)
         return float(low), float(high)
+
+    def described(self) -> list[dict[str, Any]]:
+        """Every feature as its maker describes it: name, kind, access, text in the menu, choices."""
+        aravis = self._library.aravis
+        found, seen, waiting = list[dict[str, Any]](), set[str](), ["Root"]
+        while waiting:
+            name = waiting.pop()
+            node = self._device.get_feature(name)
+            if name in seen or node is None:
+                continue
+            seen.add(name)
+            if isinstance(node, aravis.GcCategory):
+                waiting += reversed(node.get_features())
+            elif isinstance(node, aravis.GcFeatureNode):
+                entry = {
+                    "name": name,
+                    "kind": node.get_node_name(),
+                    "access": node.get_actual_access_mode().value_nick,
+                    "menu": node.get_display_name() or "",
+                }
+                found.append(entry | ({"choices": choices} if (choices := self.choices(name)) else {}))
+        return found
 
     def check(self, values: Mapping[str, Value]) -> list[str]:
         """Errors of these settings in name, type and choice; nothing is written."""
@@ -117,7 +158,7 @@ class Features:
         except _RefusedError as error:
             return f"{name}: {error}"
         except self._library.glib.Error as error:
-            if error.domain == "arv-device-error-quark" and error.code == int(
+            if error.domain == DEVICE_ERROR_DOMAIN and error.code == int(
                 self._library.aravis.DeviceError.TIMEOUT
             ):
                 raise  # no answer is no opinion on the setting

@@ -34,6 +34,11 @@ CONTROL_PRIVILEGE_REGISTER = 0x0A00
 CONTROLLED = 0b11
 """Bits of it: exclusive access, control access. Neither: the camera is not controlled."""
 
+PARSING = threading.Lock()
+"""Held while Aravis reads a camera's description: its parser has one state for the whole process
+(`_parse_memory` in arvdomparser.c, 0.8), and two threads in it free each other's objects."""
+
+DEVICE_ERROR_DOMAIN = "arv-device-error-quark"
 DEVICE_ERRORS: dict[str, type[CaptureError]] = {
     "WRONG_FEATURE": CameraSetupError,
     "FEATURE_NOT_FOUND": CameraSetupError,
@@ -117,7 +122,7 @@ def translate(camera: str, doing: str, error: Any) -> CaptureError:
     """
     aravis = library(camera).aravis
     message = f"{doing}: {error.message}"
-    if error.domain == "arv-device-error-quark":
+    if error.domain == DEVICE_ERROR_DOMAIN:
         names = {int(getattr(aravis.DeviceError, name)): name for name in DEVICE_ERRORS}
         return DEVICE_ERRORS.get(names.get(error.code, ""), CameraUnreachable)(camera, message)
     if error.domain == "arv-gc-error-quark":
@@ -255,7 +260,7 @@ def connect(camera: str, device: str, serial: str = "") -> Any:
 
 def _connect(camera: str, device_id: str) -> Any:
     aravis = library(camera).aravis
-    with translated(camera, f"connecting to {device_id}"):
+    with PARSING, translated(camera, f"connecting to {device_id}"):
         return aravis.Camera.new(device_id)
 
 

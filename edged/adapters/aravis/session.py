@@ -28,15 +28,20 @@ from edged.adapters.aravis.clock import (
     tick_hz,
 )
 from edged.adapters.aravis.features import Features, Value
+from edged.adapters.aravis.lacks import CameraLack, lacks
 from edged.adapters.aravis.library import (
     CONTROL_PRIVILEGE_REGISTER,
     CONTROLLED,
+    DEVICE_ERROR_DOMAIN,
+    PARSING,
     connect,
     library,
     translated,
 )
+from edged.adapters.aravis.names import BYTES_PER_SECOND, TEMPERATURE
+from edged.adapters.aravis.processing import gamma_in_effect, gamma_switch
 from edged.adapters.aravis.settings import AravisSettings
-from edged.adapters.aravis.setup import Placement, gamma_in_effect, set_up
+from edged.adapters.aravis.setup import Placement, set_up
 from edged.adapters.aravis.stream import Arrival, Decoder, ExposureCheck, FrameCounter, pump
 from edged.adapters.aravis.trigger import Action, Software, fires, send_action
 from edged.domain.exposure import CameraLimits, CameraValues
@@ -50,6 +55,10 @@ BUFFERS = 4
 
 HEARTBEAT_REGISTER = 0x0938
 """GigE Vision bootstrap register "heartbeat timeout", in ms."""
+
+HEARTBEAT_MS = 3000
+"""Aravis says each second that it is there (ARV_GV_DEVICE_HEARTBEAT_PERIOD_US); cameras begin with 0.5 to 3
+s, and one that is lost for less is not lost."""
 
 CLOCK_READINGS = 5
 """Clock readings at the start; each trigger adds one. The quietest of them counts."""
@@ -79,7 +88,9 @@ class CameraHealth:
     temperature_c : None if unknown. clock_bound_ns : of its clock's map, None without a clock.
     ptp : its clock is locked to the PTP network. complete, failed : images since it was opened.
     resent, lost : packets resent on request, and lost. None: not counted by the driver.
-    gamma : exponent between light and grey value, by the camera; 1: linear.
+    gamma : exponent between light and grey value, by the camera; 1: linear. linear : the setting that makes
+    it so.
+    lacks : what it has not. packet_delay_us : its pause after each packet; None where it has none.
     """
 
     temperature_c: float | None = None
@@ -90,6 +101,19 @@ class CameraHealth:
     resent: int | None = None
     lost: int | None = None
     gamma: float = 1.0
+    linear: tuple[str, Value] = ("Gamma", 1.0)
+    lacks: tuple[CameraLack, ...] = ()
+    packet_delay_us: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CameraDescription:
+    """Maker, model and firmware of a camera, and its features as its maker describes them."""
+
+    vendor: str
+    model: str
+    firmware: str
+    features: tuple[Mapping[str, Any], ...]
 
 
 class CameraSession:
@@ -119,6 +143,9 @@ class CameraSession:
         self._actions = 0
         self._temperature_c: float | None = None
         self._gamma = 1.0
+        self._linear: tuple[str, Value] = ("Gamma", 1.0)
+        self._lacks: tuple[CameraLack, ...] = ()
+        self._packet_delay_us: float | None = None
         self._looked_s = 0.0
         self._library = library(name)
         self._on_lost = lost
@@ -127,6 +154,7 @@ class CameraSession:
         self._heartbeat_ms = 0
         self._stream: Any = None
         self._check: ExposureCheck | None = None
+        self._placement: Placement | None = None
         self._pump: threading.Thread | None = None
         self._stop_pump = threading.Event()
         self._counter = FrameCounter(first_frame_id)
@@ -156,7 +184,7 @@ class CameraSession:
         sent_ns = host_ns()
         if isinstance(trigger, Software):
             with self._talking("software trigger"):
-                self._camera.software_trigger()
+                self._fire()
             took_s = (host_ns() - sent_ns) * 1e-9
             if took_s >= REPEAT_S:
                 raise FrameTimeout(self.name, f"the trigger command was answered only after {took_s:.2f} s")
@@ -167,6 +195,16 @@ class CameraSession:
         if time.monotonic() - self._looked_s > LOOK_S:
             self._look()
         return sent_ns
+
+    def _fire(self) -> None:
+        """A camera that is still exposing may refuse: that is no lost connection."""
+        try:
+            self._camera.software_trigger()
+        except self._library.glib.Error as error:
+            busy = int(self._library.aravis.DeviceError.PROTOCOL_ERROR_BUSY)
+            if error.domain == DEVICE_ERROR_DOMAIN and error.code == busy:
+                raise FrameTimeout(self.name, "it refuses a trigger: still busy with an exposure") from error
+            raise
 
     def _ahead(self, lead_s: float) -> int | None:
         """The PTP time of a scheduled action; None for "at once"."""
@@ -197,11 +235,15 @@ class CameraSession:
             self.clock.add(ClockReading(earliest_ns, arrival.arrived_ns, arrival.device_ns))
 
     def restart(self) -> None:
-        """Stop and start acquisition: an exposure that is still under way is given up."""
+        """Stop and start acquisition: an exposure that is still under way is given up.
+
+        The stream is made anew, too: a camera that counts from 1 again would send what Aravis takes for late.
+        """
         with self._talking("restarting acquisition"):
             self._camera.stop_acquisition()
+            self._end_stream()
             self._counter.restart()
-            self._camera.start_acquisition()
+            self._start_stream()
 
     # --- exposure and gain while images are taken ----------------------------------------------
 
@@ -214,6 +256,14 @@ class CameraSession:
         if values.exposure_us is not None and self._check is not None:
             self._check.wanted_us = made.exposure_us
         return made
+
+    def description(self) -> CameraDescription:
+        """Maker, model, firmware and every feature."""
+        features = self._nodes()
+        with self._talking("reading its description"):
+            firmware = features.first("DeviceFirmwareVersion", "DeviceVersion")
+            version = features.value(firmware) if firmware else None
+            return CameraDescription(*features.maker, str(version or ""), tuple(features.described()))
 
     def values(self) -> CameraValues:
         """The present values."""
@@ -267,8 +317,9 @@ class CameraSession:
         if features is not None:
             with self._talking("reading its status"):
                 self.ptp = ptp_locked(device, features)
-                if features.exists("DeviceTemperature"):
-                    self._temperature_c = float(device.get_float_feature_value("DeviceTemperature"))
+                temperature = features.first(*TEMPERATURE)
+                value = features.value(temperature) if temperature else None
+                self._temperature_c = float(value) if isinstance(value, int | float) else None
 
     def health(self) -> CameraHealth:
         """Health of the camera as last read."""
@@ -282,15 +333,14 @@ class CameraSession:
         bound_ns = mapped.bound_ns if mapped is not None else None
         complete, failed, resent, lost = (counts.get(name) for name in COUNTS)
         return CameraHealth(
-            self._temperature_c, bound_ns, self.ptp, complete, failed, resent, lost, self._gamma
-        )
+            self._temperature_c, bound_ns, self.ptp, complete, failed, resent, lost, self._gamma,
+            self._linear,
+            self._lacks, self._packet_delay_us,
+        )  # fmt: skip
 
     def close(self) -> None:
         """Close the connection, in order if the camera still answers; never raises."""
-        self._stop_pump.set()
-        if self._pump is not None:
-            self._pump.join()
-            self._pump = None
+        self._stop_pumping()
         camera, self._camera = self._camera, None
         if camera is None:
             return
@@ -336,21 +386,28 @@ class CameraSession:
         if camera.is_gv_device() and not device.is_controller():
             raise CameraBusy(self.name, f"{settings.device} is controlled by another host or program")
         if camera.is_gv_device():
-            self._heartbeat_ms = device.read_register(HEARTBEAT_REGISTER)
+            self._heartbeat_ms = max(device.read_register(HEARTBEAT_REGISTER), HEARTBEAT_MS)
+            device.write_register(HEARTBEAT_REGISTER, self._heartbeat_ms)
         self._handler = device.connect("control-lost", self._control_lost)
         with contextlib.suppress(self._library.glib.Error):
             camera.stop_acquisition()  # a host that crashed may have left it running
-        self._features = features = Features(self.name, device)
+        with self._talking("asking who it is"):
+            maker = camera.get_vendor_name() or "", camera.get_model_name() or ""
+        self._features = features = Features(self.name, device, maker)
         placement = set_up(self.name, camera, features, settings)
         with self._talking("asking for its response"):
-            self._gamma = gamma_in_effect(features)
+            self._gamma, self._linear = gamma_in_effect(features), gamma_switch(features)
         self._latch = find_latch(device, features, gige=camera.is_gv_device())
+        with self._talking("asking what it has"):
+            self._lacks = lacks(features, clock=self._latch is not None)
         for _ in range(CLOCK_READINGS):
             self._read_clock()
         self._look()
-        self._start_stream(placement)
+        self._placement = placement
+        self._set_up_stream()
+        self._start_stream()
 
-    def _start_stream(self, placement: Placement | None) -> None:
+    def _set_up_stream(self) -> None:
         """Packet size first: a stream made before it scrambles its buffers."""
         aravis, camera, settings = self._library.aravis, self._camera, self.settings
         if camera.is_gv_device():
@@ -361,6 +418,9 @@ class CameraSession:
             if settings.user_socket:
                 camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
         self._check = self._exposure_check()
+
+    def _start_stream(self) -> None:
+        aravis, camera, settings = self._library.aravis, self._camera, self.settings
         payload = camera.get_payload()
         self._stream = camera.create_stream(None, None)
         if camera.is_gv_device():
@@ -370,19 +430,27 @@ class CameraSession:
                 self._stream.set_property("packet-resend", aravis.GvStreamPacketResend.NEVER)
         for _ in range(BUFFERS):
             self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
+        self._stop_pump = threading.Event()
+        decoder = Decoder(aravis, self._counter, self._placement, self._check)
         self._pump = threading.Thread(
             target=pump,
-            args=(
-                Decoder(aravis, self._counter, placement, self._check),
-                self._stream,
-                self._stop_pump,
-                self._deliver,
-            ),
+            args=(decoder, self._stream, self._stop_pump, self._deliver),
             name=f"pump {self.name}",
             daemon=True,
         )
         self._pump.start()
         camera.start_acquisition()
+
+    def _stop_pumping(self) -> None:
+        self._stop_pump.set()
+        if self._pump is not None:
+            self._pump.join()
+            self._pump = None
+
+    def _end_stream(self) -> None:
+        self._stop_pumping()
+        self._stream = None
+        gc.collect()
 
     def _exposure_check(self) -> ExposureCheck | None:
         """Checks the exposure time in an image's chunk data against the configured one."""
@@ -390,7 +458,8 @@ class CameraSession:
             return None
         with self._talking("chunks: asking for the exposure time with each image"):
             self._camera.set_chunks("ExposureTime")
-            parser = self._camera.create_chunk_parser()
+            with PARSING:
+                parser = self._camera.create_chunk_parser()
         return ExposureCheck(parser, self._library.glib.Error, self.settings.exposure_us)
 
     def _set_packet_delay(self) -> None:
@@ -410,11 +479,13 @@ class CameraSession:
             except self._library.glib.Error:  # GigE Vision 1.x has no such register
                 camera_bps = link.DEFAULT_BPS
             host_bps = link.host_bps(settings.device)
+            self._share_link(host_bps / cameras / 8)
             delay_s = link.packet_delay_s(camera.gv_get_packet_size(), camera_bps, host_bps, cameras)
         ticks_hz = tick_hz(device) or 10**9
         ticks = math.ceil(delay_s * ticks_hz)
         device.write_register(PACKET_DELAY_REGISTER, ticks)
         found = device.read_register(PACKET_DELAY_REGISTER)
+        self._packet_delay_us = found / ticks_hz * 1e6
         if found != ticks:
             log.warning(
                 "camera %s: a packet delay of %.1f us became %.1f us",
@@ -422,6 +493,17 @@ class CameraSession:
                 delay_s * 1e6,
                 found / ticks_hz * 1e6,
             )
+
+    def _share_link(self, bytes_per_second: float) -> None:
+        """Cameras that pace themselves by a rate do not hear of a pause between packets."""
+        features = self._nodes()
+        name = features.first(*BYTES_PER_SECOND)
+        stated = any(name in group for group in self.settings.features)
+        if not name or stated or not features.writable(name) or not isinstance(features.value(name), int):
+            return
+        rate = features.nearest(name, math.floor(bytes_per_second))
+        if refused := features.write({name: rate}):  # what it makes of it is rounded to its own steps
+            log.warning("camera %s: two cameras share its link: %s", self.name, "; ".join(refused))
 
     def _control_lost(self, _device: Any) -> None:
         """Called in Aravis' heartbeat thread."""

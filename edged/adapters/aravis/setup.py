@@ -1,18 +1,20 @@
 """Set-up of a camera before it is armed: features, exposure, clock, outputs; and what is refused.
 
 Order: the user's features (all are checked before the first is written), then the geometry they make is
-compared with the calibration, then exposure and gain, PTP, outputs and, last, the trigger.
+compared with the calibration, filters off, then exposure and gain, PTP, outputs and, last, the trigger.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from edged.adapters.aravis.exposure import exposure_nodes
 from edged.adapters.aravis.features import Features, Value
 from edged.adapters.aravis.library import translated
+from edged.adapters.aravis.names import PTP, PTP_MODE
+from edged.adapters.aravis.processing import switch_off
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.trigger import arm, set_output, trigger_names
 from edged.domain.exposure import CameraValues
@@ -30,6 +32,9 @@ NEUTRAL: Mapping[str, Value] = {
     "ReverseY": False,
 }
 """Features that move pixels, with their neutral values."""
+
+WHOLE = "X1"
+"""No binning, where that is a choice (Vieworks VNP)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,24 +56,24 @@ def set_up(name: str, camera: Any, features: Features, settings: AravisSettings)
     groups = _groups(name, camera, features, settings)
     for group in groups:
         features.require(group)
-    placement = _placement(name, camera.get_device(), features, groups, settings.calibrated)
+    stated = {node for group in groups for node in group}
+    placement = _placement(name, camera.get_device(), features, stated, settings.calibrated)
+    switch_off(features, stated)
     features.require(exposure_nodes(name, features, CameraValues(settings.exposure_us, settings.gain_db)))
     if settings.ptp is not None:
-        node = features.first("PtpEnable", "GevIEEE1588")
-        if node or settings.ptp:
-            features.require({node or "PtpEnable": settings.ptp})
+        _set_ptp(features, settings.ptp)
     for output in settings.outputs:
         set_output(output, features)
-    arm(name, settings.trigger, features)
+    arm(name, settings.trigger, features, stated)
     return placement
 
 
-def gamma_in_effect(features: Features) -> float:
-    """The camera's exponent between light and grey values; 1 if it states none."""
-    if features.exists("GammaEnable") and features.value("GammaEnable") is False:
-        return 1.0
-    gamma = features.value("Gamma") if features.exists("Gamma") else None
-    return float(gamma) if isinstance(gamma, int | float) and gamma > 0 else 1.0
+def _set_ptp(features: Features, on: bool) -> None:
+    node = features.first(*PTP)
+    if not node and features.exists(PTP_MODE):
+        features.require({PTP_MODE: "Auto" if on else "Off"})
+    elif node or on:
+        features.require({node or PTP[0]: on})
 
 
 def _check_serial(name: str, camera: Any, settings: AravisSettings) -> None:
@@ -86,7 +91,9 @@ def _groups(name: str, camera: Any, features: Features, settings: AravisSettings
         for node in trigger_names(group)
     ]
     if not any("PixelFormat" in group for group in groups):
-        groups.insert(0, {"PixelFormat": _pixel_format(features)})
+        chosen = _pixel_format(features)
+        if features.value("PixelFormat") != chosen:
+            groups.insert(0, {"PixelFormat": chosen})
     for group in groups:
         wanted = group.get("PixelFormat", "Mono8")
         if wanted not in FORMATS:
@@ -103,17 +110,24 @@ def _groups(name: str, camera: Any, features: Features, settings: AravisSettings
 
 
 def _pixel_format(features: Features) -> str:
-    """Mono8, or from a colour camera its mosaic with 8 bits."""
-    offered = features.choices("PixelFormat")
-    plain = (name for name in offered if name in FORMATS and FORMATS[name].layout == "bytes")
-    return "Mono8" if "Mono8" in offered else next(plain, "Mono8")
+    """Mono8; or the mosaic of a colour camera with 8 bits; or of what is understood that with the fewest
+    bits."""
+    understood = [name for name in features.choices("PixelFormat") if name in FORMATS]
+    present = features.value("PixelFormat")
+    if present in understood and not features.writable("PixelFormat"):
+        return str(present)
+    return "Mono8" if "Mono8" in understood else min(understood, key=_bits, default="Mono8")
+
+
+def _bits(name: str) -> tuple[int, bool]:
+    return FORMATS[name].bits, not name.startswith("Mono")
 
 
 def _placement(
     name: str,
     device: Any,
     features: Features,
-    groups: list[dict[str, Value]],
+    stated: Collection[str],
     calibrated: tuple[int, int] | None,
 ) -> Placement | None:
     """Refuse unintended geometry, or geometry that the calibration does not cover.
@@ -122,10 +136,9 @@ def _placement(
     and no check of a single image would tell. So what is not neutral must stand in the configuration. A
     region of an image that was calibrated as a whole is put back in its place.
     """
-    stated = {node for group in groups for node in group}
     found = {node: features.value(node) for node in NEUTRAL if features.exists(node)}
-    odd = {node: value for node, value in found.items() if value != NEUTRAL[node]}
-    if unmeant := odd.keys() - stated:
+    odd = {node: value for node, value in found.items() if value not in (NEUTRAL[node], WHOLE)}
+    if unmeant := odd.keys() - set(stated):
         described = ", ".join(f"{node} is {odd[node]!r}" for node in NEUTRAL if node in unmeant)
         raise CameraSetupError(
             name, f"{described}: an image that lies otherwise than at calibration; set it under features"

@@ -22,7 +22,12 @@ EXPOSURE_TOLERANCE, EXPOSURE_STEP_US = 0.01, 40.0
 """A camera rounds an exposure to its own steps: some of its lines."""
 
 BLOCK_IDS = 65_535
-"""GigE Vision 1.x counts frames from 1 to 65535 and then from 1 again."""
+"""GigE Vision 1.x counts frames from 1 to 65535 and then from 1 again; some cameras from 0 to 65535 and from
+0."""
+
+RESTARTED_BY = 100
+"""A number that falls by more has begun anew. Aravis drops what falls by less, as late
+(ARV_GV_STREAM_DISCARD_LATE_FRAME_THRESHOLD)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,19 +53,20 @@ class FrameCounter:
 
     def __init__(self, first: int) -> None:
         self._base = self._highest = first
-        self._last_raw = 0
+        self._last_raw: int | None = None
 
     def restart(self) -> None:
         """The camera may count from 1 again, or may not: what comes next counts on from here."""
-        self._last_raw = 0
+        self._last_raw = None
         self._base = self._highest
 
     def count(self, raw: int) -> int:
         """The frame id for the camera's own number."""
-        if self._last_raw == 0:
+        fallen = 0 if self._last_raw is None else self._last_raw - raw
+        if raw <= BLOCK_IDS and fallen > BLOCK_IDS // 2:
+            self._base += BLOCK_IDS + (raw == 0)
+        elif self._last_raw is None or fallen > RESTARTED_BY:
             self._base = self._highest + 1 - raw
-        elif raw <= BLOCK_IDS and self._last_raw - raw > BLOCK_IDS // 2:
-            self._base += BLOCK_IDS
         self._last_raw = raw
         frame_id = self._base + raw
         self._highest = max(self._highest, frame_id)

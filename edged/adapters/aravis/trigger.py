@@ -10,12 +10,23 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from edged.adapters.aravis.features import Features, Value
 from edged.adapters.aravis.library import GVCP_PORT
+from edged.adapters.aravis.names import (
+    DEBOUNCE_FILTER,
+    DEBOUNCE_US,
+    EXPOSURE_ACTIVE,
+    FRAME_RATE,
+    FRAME_RATE_AUTO,
+    FRAME_RATE_ENABLE,
+    FRAME_TRIGGERS,
+    TRIGGER_DELAY,
+    TRIGGER_DELAY_ENABLE,
+)
 from edged.errors import CameraSetupError, FrameTimeout
 
 ACTION_COMMAND, ACTION_ACK = 0x0100, 0x0101
@@ -96,8 +107,11 @@ def fires(trigger: Trigger) -> bool:
     return isinstance(trigger, Software) or (isinstance(trigger, Action) and bool(trigger.send_to))
 
 
-def arm(camera: str, trigger: Trigger, features: Features) -> None:
+def arm(camera: str, trigger: Trigger, features: Features, stated: Collection[str] = ()) -> None:
     """Every trigger but the start of a frame off, that one as wanted. Raises `CameraSetupError`.
+
+    stated : features that stand in the configuration. A rate that another program left as a limit would hold
+    triggers back: it goes, unless it is stated.
 
     Mode before source: some firmware forgets a source that is set while the mode is off. And mode after
     source: some switch it off when the source changes.
@@ -107,6 +121,13 @@ def arm(camera: str, trigger: Trigger, features: Features) -> None:
     if isinstance(trigger, FreeRun):
         _set_rate(camera, trigger.rate_hz, features)
         return
+    if not features.exists("TriggerMode"):
+        raise CameraSetupError(
+            camera, 'no trigger can be set: it can only run freely (trigger.mode = "free-run")'
+        )
+    limited = features.first(*FRAME_RATE_ENABLE)
+    if limited and limited not in stated and features.value(limited) is True and features.writable(limited):
+        features.require({limited: False})
     if isinstance(trigger, LineTrigger):
         _set_input(trigger, features)
     source = _source(camera, trigger, features)
@@ -115,7 +136,9 @@ def arm(camera: str, trigger: Trigger, features: Features) -> None:
     if isinstance(trigger, LineTrigger):
         _set_or_neutral(features, ("TriggerActivation",), ACTIVATIONS[trigger.edge], "RisingEdge")
     delay_us = trigger.delay_us if isinstance(trigger, LineTrigger) else 0.0
-    _set_or_neutral(features, ("TriggerDelay", "TriggerDelayAbs"), delay_us, 0.0)
+    if delay_us > 0 and features.exists(TRIGGER_DELAY_ENABLE):
+        features.require({TRIGGER_DELAY_ENABLE: True})
+    _set_or_neutral(features, TRIGGER_DELAY, delay_us, 0.0)
     if isinstance(trigger, Action):
         _set_action(trigger, source, features)
     features.require({"TriggerMode": "On"})
@@ -123,15 +146,29 @@ def arm(camera: str, trigger: Trigger, features: Features) -> None:
 
 def set_output(output: Output, features: Features) -> None:
     """Raises `CameraSetupError`. A line that is wired as an output only has no LineMode to write."""
+    if not features.exists("LineSelector") and features.exists("SyncOutSelector"):
+        features.require({"SyncOutSelector": output.line})
+        features.require({"SyncOutSource": _shown(output, features, "SyncOutSource")})
+        _set_or_neutral(features, ("SyncOutPolarity",), "Invert" if output.inverted else "Normal", "Normal")
+        return
     features.require({"LineSelector": output.line})
     if features.writable("LineMode"):
         features.require({"LineMode": "Output"})
-    features.require({"LineSource": output.source})
+    features.require({"LineSource": _shown(output, features, "LineSource")})
     _set_or_neutral(features, ("LineInverter",), output.inverted, neutral=False)
 
 
+def _shown(output: Output, features: Features, node: str) -> str:
+    """What an output shows, in this camera's word for it."""
+    words = EXPOSURE_ACTIVE if output.source in EXPOSURE_ACTIVE else (output.source,)
+    offered = features.choices(node)
+    return next((word for word in words if word in offered), output.source)
+
+
 def _all_off(camera: str, features: Features) -> None:
-    if not features.exists("TriggerSelector"):
+    if not features.exists("TriggerMode"):
+        return
+    if not features.writable("TriggerSelector"):  # there is none, or nothing to select (Flea3 GE)
         features.require({"TriggerMode": "Off"})
         return
     selectors = features.choices("TriggerSelector")
@@ -139,24 +176,31 @@ def _all_off(camera: str, features: Features) -> None:
         features.require({"TriggerSelector": selector})
         if features.exists("TriggerMode"):
             features.require({"TriggerMode": "Off"})
-    if "FrameStart" not in selectors:
-        raise CameraSetupError(camera, f"no FrameStart trigger, only {', '.join(selectors)}")
-    features.require({"TriggerSelector": "FrameStart"})
+    frame = next((name for name in FRAME_TRIGGERS if name in selectors), None)
+    if frame is None:
+        raise CameraSetupError(camera, f"no trigger of a frame, only {', '.join(selectors)}")
+    features.require({"TriggerSelector": frame})
 
 
 def _set_rate(camera: str, rate_hz: float | None, features: Features) -> None:
     if rate_hz is None:
         return
-    name = features.first("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
+    if enable := features.first(*FRAME_RATE_ENABLE):
+        features.require({enable: True})
+    if features.exists(FRAME_RATE_AUTO):  # with some only once the rate is enabled
+        features.require({FRAME_RATE_AUTO: "Off"})
+    name = features.first(*FRAME_RATE)
     if not name:
         raise CameraSetupError(camera, "trigger rate_hz: the camera has no AcquisitionFrameRate")
-    values: dict[str, Value] = {}
-    if features.exists("AcquisitionFrameRateEnable"):
-        values["AcquisitionFrameRateEnable"] = True
-    features.require({**values, name: rate_hz})
+    features.require({name: features.number(name, rate_hz)})
 
 
 def _set_input(trigger: LineTrigger, features: Features) -> None:
+    if not features.exists("LineSelector") and features.exists("SyncInSelector"):
+        if trigger.debounce_us > 0:  # Line1 is SyncIn1; ns
+            features.require({"SyncInSelector": trigger.line.replace("Line", "SyncIn")})
+            features.require({"SyncInGlitchFilter": round(trigger.debounce_us * 1e3)})
+        return
     if not features.exists("LineSelector") or trigger.line not in features.choices("LineSelector"):
         if trigger.debounce_us > 0:
             features.require({"LineSelector": trigger.line})  # says what there is
@@ -164,7 +208,9 @@ def _set_input(trigger: LineTrigger, features: Features) -> None:
     features.require({"LineSelector": trigger.line})
     if features.writable("LineMode"):
         features.require({"LineMode": "Input"})
-    _set_or_neutral(features, ("LineDebouncerTime", "LineDebouncerTimeAbs"), trigger.debounce_us, 0.0)
+    if "Debounce" in features.choices(DEBOUNCE_FILTER):
+        features.require({DEBOUNCE_FILTER: "Debounce"})
+    _set_or_neutral(features, DEBOUNCE_US, trigger.debounce_us, 0.0)
 
 
 def _source(camera: str, trigger: Trigger, features: Features) -> str:
@@ -181,7 +227,10 @@ def _source(camera: str, trigger: Trigger, features: Features) -> str:
 
 
 def _set_action(trigger: Action, source: str, features: Features) -> None:
-    if features.exists("ActionSelector"):  # counts as the names do, where it can
+    if features.choices("ActionSelector"):  # with Blackfly S a choice, of one
+        if features.writable("ActionSelector"):
+            features.require({"ActionSelector": source})
+    elif features.exists("ActionSelector"):  # counts as the names do, where it can
         features.require({"ActionSelector": features.nearest("ActionSelector", int(source[6:] or 0))})
     features.require({"ActionDeviceKey": trigger.device_key})
     features.require({"ActionGroupKey": trigger.group_key})
@@ -191,6 +240,8 @@ def _set_action(trigger: Action, source: str, features: Features) -> None:
 def _set_or_neutral(features: Features, names: tuple[str, ...], value: Value, neutral: Value) -> None:
     """Write the first existing name. Raises `CameraSetupError` without one, unless the value is neutral."""
     name = features.first(*names)
+    if name and isinstance(value, float):
+        value = features.number(name, value)
     if name or value != neutral:
         features.require({name or names[0]: value})
 

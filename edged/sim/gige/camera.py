@@ -19,7 +19,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import TracebackType
 
@@ -30,9 +30,17 @@ from edged.errors import ListenError
 from edged.sim.exposure import ExposureRequest
 from edged.sim.gige import genicam as g
 from edged.sim.gige.clock import DeviceClock, utc_minus_monotonic_ns
-from edged.sim.gige.faults import Faults, Quirk
+from edged.sim.gige.faults import BLOCKS_TO_RESTART, Faults, Quirk
 from edged.sim.gige.gvcp import POLL_S, ControlChannel
-from edged.sim.gige.gvsp import EXTENDED_CHUNK, IMAGE, IMAGE_WITH_CHUNKS, ImageBlock, with_chunks
+from edged.sim.gige.gvsp import (
+    EXTENDED_BYTES,
+    EXTENDED_CHUNK,
+    IMAGE,
+    IMAGE_WITH_CHUNKS,
+    JPEG,
+    ImageBlock,
+    with_chunks,
+)
 from edged.sim.gige.pixels import encode
 from edged.sim.gige.registers import INVALID_PARAMETER, SUCCESS, CameraIdentity, CameraRegisters
 from edged.sim.gige.stream import StreamChannel
@@ -40,7 +48,7 @@ from edged.sim.gige.triggers import CameraTriggers
 from edged.sim.gige.wiring import Wire
 from edged.vision.kernels.pixelformats import BY_CODE
 
-__all__ = ["Faults", "GigeCamera", "Quirk", "moving_ramp"]
+__all__ = ["Faults", "GigeCamera", "Make", "Quirk", "moving_ramp"]
 
 log = logging.getLogger(__name__)
 
@@ -50,12 +58,23 @@ FASTEST_HZ = 100.0
 RESET, LATCH = 0x01, 0x02  # of the time stamp control register
 
 
+@dataclass(frozen=True, slots=True)
+class Make:
+    """Maker, model and features of a camera that is imitated; registers with a meaning as in `genicam`."""
+
+    vendor: str
+    model: str
+    features: tuple[g.GenicamNode, ...]
+
+
 class GigeCamera:
     """One virtual camera; a context manager with two threads (control, exposure).
 
     exposure : called in the exposure thread; returns the (height, width) uint8 image.
     faults : what goes wrong; its fields may be changed at any time.
-    quirks : what its firmware does otherwise than others.
+    quirks : what its firmware does otherwise than others. make : it is called, and has the features, of
+    another
+    maker's camera.
     clock : its clock; offset, drift and PTP may be changed at any time.
     registers : its memory. exposures : how many there were since it was made.
     """
@@ -71,6 +90,7 @@ class GigeCamera:
         faults: Faults | None = None,
         clock: DeviceClock | None = None,
         quirks: Collection[Quirk] = (),
+        make: Make | None = None,
     ) -> None:
         if len(serial.encode()) > 15:
             raise ValueError(f"serial {serial!r}: at most 15 bytes")
@@ -78,13 +98,17 @@ class GigeCamera:
         self.exposure, self.exposures = exposure, 0
         self.faults = faults or Faults()
         self.clock = clock or DeviceClock()
-        self._old_chunks = Quirk.OLD_CHUNKS in quirks
+        self._quirks = frozenset(quirks)
         # two threads take chances: each its own, or no run is like another
         self._chance, self._answer_chance = random.Random(0), random.Random(0)
-        self.registers = CameraRegisters(
-            CameraIdentity(address, serial, "Virtual"), width, height, frozenset(quirks)
-        )
-        self._triggers = CameraTriggers(self.registers, self.clock)
+        identity = CameraIdentity(address, serial)
+        if make is not None:
+            identity = replace(identity, model=make.model, vendor=make.vendor)
+        table = make.features if make is not None else g.features(width, height, self._quirks)
+        self.registers = CameraRegisters(identity, table, self._quirks)
+        self._triggers = CameraTriggers(self.registers, self.clock, self._quirks)
+        self._held: tuple[float, float] | None = None
+        self._starts = 0
         self._set_hooks(self.registers.hooks)
         self._temperature_c = 41.5
         self._frame_id, self._next_ns = 0, 0
@@ -256,6 +280,9 @@ class GigeCamera:
 
     def _start_acquisition(self) -> int:
         self._triggers.queue.clear()
+        self._triggers.exposing = False
+        self._held = None
+        self._starts += 1
         self._frame_id = 0
         self._next_ns = time.monotonic_ns()
         self.registers.acquiring = True
@@ -302,12 +329,14 @@ class GigeCamera:
         if not self.faults.repeat_id or self._frame_id == 0:
             self._frame_id += 1
         registers, (width, height) = self.registers, self.registers.size
+        exposure_us, gain_db = self._effective()
+        start = self._starts
         request = ExposureRequest(
             frame_id=self._frame_id,
             exposed_ns=at_ns + utc_minus_monotonic_ns(),
             device_ns=self.clock.at(at_ns),
-            exposure_us=registers.number(g.EXPOSURE_TIME),
-            gain_db=registers.number(g.GAIN),
+            exposure_us=exposure_us,
+            gain_db=gain_db,
             width=width,
             height=height,
         )
@@ -317,11 +346,22 @@ class GigeCamera:
             time.sleep(self.faults.delay_s)
         if self.faults.drop_next > 0:
             self.faults.drop_next -= 1
+            self._triggers.exposing = False
             return
-        if not (self.faults.stalled or self.faults.unplugged) and self.registers.acquiring:
+        # what was begun before acquisition was stopped is not sent after it has been started again
+        sends = self.registers.acquiring and start == self._starts
+        if sends and not (self.faults.stalled or self.faults.unplugged):
             self._stream.send(
                 self._block(request, image), self._destination(), registers.word(g.PACKET_DELAY) * 1e-9
             )
+        if start == self._starts:
+            self._triggers.exposing = False
+
+    def _effective(self) -> tuple[float, float]:
+        """Exposure time and gain of this exposure."""
+        written = self.registers.number(g.EXPOSURE_TIME), self.registers.number(g.GAIN)
+        held, self._held = self._held, written
+        return held if held is not None and Quirk.LATE_EXPOSURE in self._quirks else written
 
     def _picture(self, request: ExposureRequest) -> Image:
         if self.faults.frozen and self._last_image is not None:
@@ -332,7 +372,7 @@ class GigeCamera:
                 f"exposure gave {image.dtype} {image.shape}, expected uint8 {(request.height, request.width)}"
             )
         gamma = self.registers.number(g.GAMMA, 1.0)
-        if gamma != 1.0:
+        if gamma != 1.0 and (self.registers.word(g.GAMMA_ENABLE) or g.GAMMA_ENABLE not in self.registers):
             levels = np.rint(255.0 * (np.arange(256) / 255.0) ** gamma).astype(np.uint8)
             image = levels[image]
         self._last_image = image
@@ -344,7 +384,7 @@ class GigeCamera:
         pixel_format = registers.word(g.PIXEL_FORMAT)
         data, payload_type = encode(image, BY_CODE[pixel_format]), IMAGE
         if registers.word(g.CHUNK_MODE):
-            payload_type = EXTENDED_CHUNK if self._old_chunks else IMAGE_WITH_CHUNKS
+            payload_type = EXTENDED_CHUNK if Quirk.OLD_CHUNKS in self._quirks else IMAGE_WITH_CHUNKS
             content = {
                 "FrameID": request.frame_id.to_bytes(8, "big"),
                 "Timestamp": ticks.to_bytes(8, "big"),
@@ -352,17 +392,31 @@ class GigeCamera:
             }
             chunks = [(chunk.id, content[chunk.name]) for chunk in registers.chunks]
             data = with_chunks(data, g.IMAGE_CHUNK_ID, chunks)
+        if Quirk.JPEG_PAYLOAD in self._quirks:
+            payload_type = JPEG
+        extended = Quirk.EXTENDED_IDS in self._quirks
         return ImageBlock(
-            block_id=(request.frame_id - 1) % 0xFFFF + 1,  # 16 bits, never 0
+            block_id=self._block_id(request.frame_id),
             ticks=ticks,
             pixel_format=pixel_format,
             width=request.width,
             height=request.height,
             offset=(registers.word(g.OFFSET_X), registers.word(g.OFFSET_Y)),
             data=data,
-            packet_bytes=(registers.word(g.PACKET_SIZE) & g.PACKET_SIZE_MASK) - HEADERS_BYTES,
+            packet_bytes=(registers.word(g.PACKET_SIZE) & g.PACKET_SIZE_MASK)
+            - (HEADERS_BYTES + (EXTENDED_BYTES if extended else 0)),
             payload_type=payload_type,
+            extended=extended,
         )
+
+    def _block_id(self, frame_id: int) -> int:
+        """How this firmware counts: the standard's 16 bits without 0, or otherwise."""
+        if Quirk.EXTENDED_IDS in self._quirks:
+            return 2**32 + frame_id
+        if Quirk.BLOCK_ID_ZERO in self._quirks:
+            return (frame_id - 1) % 0x1_0000
+        wraps = BLOCKS_TO_RESTART if Quirk.COUNTER_RESTARTS in self._quirks else 0xFFFF
+        return (frame_id - 1) % wraps + 1
 
 
 def moving_ramp(request: ExposureRequest) -> Image:

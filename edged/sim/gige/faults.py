@@ -52,8 +52,25 @@ class Quirk(StrEnum):
     """Exposure time and gain cannot be written while it acquires."""
     OLD_CHUNKS = "old-chunks"
     """Chunk data come in the payload type of GigE Vision 1.2, of which many clients read the image only."""
+    LATE_EXPOSURE = "late-exposure"
+    """Exposure time and gain that are written while it acquires hold from the exposure after the next on."""
+    BUSY_DROPS = "busy-drops"
+    """A software trigger during an exposure and its read-out is acknowledged and forgotten."""
+    BUSY_REFUSES = "busy-refuses"
+    """Such a trigger is refused: GEV_STATUS_BUSY."""
+    COUNTER_RESTARTS = "counter-restarts"
+    """The block id begins at 1 again after 200 blocks, without a word."""
+    BLOCK_ID_ZERO = "block-id-zero"
+    """Block ids begin at 0, which the standard keeps for test packets, and come back to it after 65535."""
+    EXTENDED_IDS = "extended-ids"
+    """Block ids of 64 bits, from 2**32 on, and packet ids of 32: GigE Vision 2."""
+    JPEG_PAYLOAD = "jpeg-payload"
+    """Blocks of payload type 6, JPEG, instead of images."""
+    SHORT_HEARTBEAT = "short-heartbeat"
+    """At power-on its heartbeat time-out is 0.5 s."""
     FEW_NODES = "few-nodes"
     """No frame rate, temperature, lines, actions, chunks or PTP."""
 
 
 CLAMPED_EXPOSURE_US = 10_000.0
+BLOCKS_TO_RESTART = 200

@@ -38,16 +38,18 @@ FIRE_TEST_PACKET, DO_NOT_FRAGMENT, PACKET_SIZE_MASK = 0x8000_0000, 0x4000_0000, 
 
 WIDTH, HEIGHT, OFFSET_X, OFFSET_Y = 0x10000, 0x10004, 0x10008, 0x1000C
 PIXEL_FORMAT, PAYLOAD_SIZE, WIDTH_MAX, HEIGHT_MAX = 0x10010, 0x10014, 0x10018, 0x1001C
-ACQUISITION_MODE, TRIGGER_SELECTOR, TRIGGER_MODE, TRIGGER_SOURCE = 0x10020, 0x10024, 0x10028, 0x1002C
+ACQUISITION_MODE, TRIGGER_SELECTOR = 0x10020, 0x10024
 EXPOSURE_TIME, GAIN, FRAME_RATE, TEMPERATURE = 0x10030, 0x10034, 0x10038, 0x1003C
-FRAME_RATE_ENABLE, TRIGGER_ACTIVATION, TRIGGER_DELAY, GAMMA = 0x10040, 0x10044, 0x10048, 0x1004C
+FRAME_RATE_ENABLE, GAMMA_ENABLE, GAMMA = 0x10040, 0x10044, 0x10048
 ACQUISITION_START, ACQUISITION_STOP, TRIGGER_SOFTWARE, DEVICE_RESET = 0x10100, 0x10104, 0x10108, 0x1010C
 LINE_SELECTOR, LINE_STATUS_ALL, ACTION_SELECTOR = 0x10200, 0x10204, 0x10208
-LINE_MODE, LINE_INVERTER, LINE_DEBOUNCER, LINE_SOURCE, LINE_STATUS = range(0x10210, 0x10260, 0x10)
 ACTION_DEVICE_KEY, ACTION_GROUP_KEY, ACTION_GROUP_MASK = 0x10270, 0x10274, 0x10278
 PTP_ENABLE, PTP_STATUS, PTP_LATCH, PTP_OFFSET = 0x10300, 0x10304, 0x10308, 0x10310
 LATCH, LATCH_VALUE, CLOCK_RESET = 0x10320, 0x10328, 0x10330
 CHUNK_MODE, CHUNK_SELECTOR, CHUNK_ENABLE = 0x10400, 0x10404, 0x10410
+# each one of several, for the choices of a selector; the virtual camera looks at the first
+TRIGGER_MODE, TRIGGER_SOURCE, TRIGGER_ACTIVATION, TRIGGER_DELAY = range(0x10500, 0x10600, 0x40)
+LINE_MODE, LINE_INVERTER, LINE_DEBOUNCER, LINE_SOURCE, LINE_STATUS = range(0x10600, 0x10740, 0x40)
 
 PIXEL_FORMATS = (
     "Mono8",
@@ -76,6 +78,7 @@ class GenicamNode:
     low, high : limits of a number. choices : of an enumeration. length : bytes, 4 or 8.
     selector : enumeration that chooses one of several registers, 4 bytes apart, that this node shows.
     chunk : where the value is found in an image's chunk data, instead of in a register.
+    menu : its name in a maker's program, where it has another.
     """
 
     name: str
@@ -92,6 +95,7 @@ class GenicamNode:
     length: int = 4
     selector: str = ""
     chunk: int = 0
+    menu: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +122,7 @@ def features(width: int, height: int, quirks: frozenset[Quirk] = frozenset()) ->
     """The features of a camera with a sensor of width x height px."""
     table = [*_image(width, height), *_acquisition(), *_device()]
     if Quirk.FEW_NODES not in quirks:
-        table += [*_rate(), *_trigger_details(), *_lines(), *_actions(), *_time(), *_chunks()]
+        table += [*_rate(), *_trigger_details(), *_lines(), *_actions(), *_time(), *_chunks(), *_standard()]
     return tuple(_as_quirky(feature, quirks) for feature in table)
 
 
@@ -258,7 +262,7 @@ def _counter(name: str, group: str, address: int, unit: str = "") -> GenicamNode
     )
 
 
-def bootstrap_nodes() -> list[GenicamNode]:
+def _standard() -> list[GenicamNode]:
     """Nodes that show registers of the standard."""
     group = "TransportLayerControl"
     return [

@@ -31,7 +31,7 @@ from edged.sim.gige.registers import (
 log = logging.getLogger(__name__)
 
 GVCP_PORT = 3956
-ACK_REQUIRED, SCHEDULED = 0x01, 0x80
+ACK_REQUIRED, EXTENDED_IDS, SCHEDULED = 0x01, 0x10, 0x80
 DISCOVERY, PACKET_RESEND, ACTION = 0x0002, 0x0040, 0x0100
 READ_REGISTER, WRITE_REGISTER, READ_MEMORY, WRITE_MEMORY = 0x0080, 0x0082, 0x0084, 0x0086
 KNOWN = (READ_REGISTER, WRITE_REGISTER, READ_MEMORY, WRITE_MEMORY, PACKET_RESEND, ACTION)
@@ -210,7 +210,10 @@ class ControlChannel:
             return self._write_all(listed, sender, unit=4)
         if command == PACKET_RESEND and len(body) >= 12:
             _, block_id, first, last = struct.unpack(">HHII", body[:12])
-            self._device.resend(block_id, first & 0xFFFFFF, last & 0xFFFFFF)
+            if flags & EXTENDED_IDS and len(body) >= 20:
+                (block_id,) = struct.unpack(">Q", body[12:20])
+            mask = 0xFFFF_FFFF if flags & EXTENDED_IDS else 0xFF_FFFF
+            self._device.resend(block_id, first & mask, last & mask)
             return SUCCESS, b""
         if command == ACTION and len(body) == (20 if flags & SCHEDULED else 12):
             device_key, group_key, mask = struct.unpack(">III", body[:12])

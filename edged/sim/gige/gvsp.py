@@ -7,8 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 LEADER, TRAILER, PAYLOAD = 1, 2, 3
-IMAGE, IMAGE_WITH_CHUNKS, EXTENDED_CHUNK = 0x0001, 0x4001, 0x0005
+IMAGE, IMAGE_WITH_CHUNKS, EXTENDED_CHUNK, JPEG = 0x0001, 0x4001, 0x0005, 0x0006
 """Chunk data come behind an image as 2.0 says (bit 14 of the type), or in 1.2's type of their own."""
+
+
+EXTENDED, EXTENDED_BYTES = 0x80, 12
+"""Mark of a header with long ids, and what it is longer by (GigE Vision 2.0, 24.3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +20,7 @@ class ImageBlock:
     """One image on its way.
 
     ticks : time stamp. pixel_format : PFNC code. data : the image's bytes, and chunk data behind them.
-    packet_bytes : bytes of data in each packet. payload_type : `IMAGE`, or one with chunk data.
+    packet_bytes : bytes of data in each packet. payload_type : `IMAGE`, or another. extended : long ids.
     """
 
     block_id: int
@@ -28,6 +32,7 @@ class ImageBlock:
     data: bytes
     packet_bytes: int
     payload_type: int = IMAGE
+    extended: bool = False
 
     @property
     def packets(self) -> int:
@@ -55,6 +60,8 @@ def packet(block: ImageBlock, number: int) -> tuple[bytes, ...]:
 
 
 def _header(block: ImageBlock, kind: int, number: int) -> bytes:
+    if block.extended:
+        return struct.pack(">HHIQI", 0, 0, (EXTENDED | kind) << 24, block.block_id, number)
     return struct.pack(">HHI", 0, block.block_id, kind << 24 | number)
 
 

@@ -6,7 +6,7 @@ import socket
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape, quoteattr
 
 from edged.sim.gige import genicam as g
 from edged.sim.gige.faults import CLAMPED_EXPOSURE_US, Quirk
@@ -25,11 +25,12 @@ FIXED_WHILE_ACQUIRING = (*GEOMETRY, g.CHUNK_MODE, g.CHUNK_ENABLE)
 
 @dataclass(frozen=True, slots=True)
 class CameraIdentity:
-    """Address, serial number and model."""
+    """Address, serial number, model and maker."""
 
     address: str
     serial: str
-    model: str
+    model: str = "Virtual"
+    vendor: str = "edged"
 
 
 class CameraRegisters:
@@ -38,22 +39,23 @@ class CameraRegisters:
     identity : who it is from the next power-on on.
     hooks : what happens when a register is written, instead of keeping the word; each returns a status.
     live : registers whose content is computed when it is read.
+    table : its features. quirks : of its firmware.
     acquiring : whether geometry must stay as it is.
     """
 
-    def __init__(self, identity: CameraIdentity, width: int, height: int, quirks: frozenset[Quirk]) -> None:
+    def __init__(
+        self, identity: CameraIdentity, table: Sequence[GenicamNode], quirks: frozenset[Quirk]
+    ) -> None:
         self.identity, self._quirks = identity, quirks
         locked = (g.EXPOSURE_TIME, g.GAIN) if Quirk.LOCKED_EXPOSURE in quirks else ()
         self._fixed = (*FIXED_WHILE_ACQUIRING, *locked)
-        table = g.features(width, height, quirks)
         self._features = {
             feature.address + 4 * index: feature
             for feature in table
             if not feature.chunk
             for index in range(_count(feature, table))
         }
-        shown = g.bootstrap_nodes() if Quirk.FEW_NODES not in quirks else []
-        self._xml = description((*table, *shown), identity.model)
+        self._xml = description(table, identity)
         self._xml += b"\0" * (-len(self._xml) % 4)
         self.hooks: dict[int, Callable[[int], int]] = {}
         self.live: dict[int, Callable[[], int]] = {}
@@ -66,8 +68,8 @@ class CameraRegisters:
         self._words = self._bootstrap()
         for address, feature in self._features.items():
             self.put(address, feature.start, feature.length)
-        if g.LINE_MODE in self._features:
-            for index, directions in enumerate(g.LINE_DIRECTIONS):
+        for index, directions in enumerate(g.LINE_DIRECTIONS):
+            if g.LINE_MODE + 4 * index in self._features:
                 self.put(g.LINE_MODE + 4 * index, directions[0])
         self.acquiring = False
 
@@ -84,7 +86,7 @@ class CameraRegisters:
         words[g.MAC_HIGH], words[g.MAC_LOW] = 0x0200, number  # locally administered, unique per address
         words[g.IP_OPTIONS] = words[g.IP_CONFIGURATION] = 0x0000_0006
         words[g.CURRENT_IP], words[g.SUBNET_MASK] = number, 0xFF00_0000
-        text(g.MANUFACTURER, "edged", 32)
+        text(g.MANUFACTURER, self.identity.vendor, 32)
         text(g.MODEL, self.identity.model, 32)
         text(g.DEVICE_VERSION, "1", 32)
         text(g.INFO, "virtual camera", 48)
@@ -93,7 +95,7 @@ class CameraRegisters:
         words[g.INTERFACES] = words[g.STREAM_CHANNELS] = 1
         # serial number register; PTP, scheduled actions; actions; PACKETRESEND, WRITEMEM, concatenation
         words[g.CAPABILITY] = 0x4000_0000 | 0x0008_0000 | 0x0002_0000 | 0x0000_0040 | 0x0000_0007
-        words[g.HEARTBEAT_MS] = 3000
+        words[g.HEARTBEAT_MS] = 500 if Quirk.SHORT_HEARTBEAT in self._quirks else 3000
         words[g.PACKET_SIZE] = 1500
         return words
 
@@ -117,9 +119,11 @@ class CameraRegisters:
         return self._words.get(address, 0)
 
     def number(self, address: int, default: float = 0.0) -> float:
-        """The value of a float feature; `default` where this camera has none."""
-        word = self._words.get(address)
-        return default if word is None else _float(word)
+        """The value of a feature with a number; `default` where this camera has none."""
+        word, feature = self._words.get(address), self._features.get(address)
+        if word is None:
+            return default
+        return word if feature is not None and feature.kind == "integer" else _float(word)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -165,7 +169,7 @@ class CameraRegisters:
         if feature.read_only:
             return WRITE_PROTECT
         if feature.kind == "command":
-            return self.hooks[address](word)
+            return self.hooks[address](word) if address in self.hooks else SUCCESS
         if not self._allows(feature, address, word):
             return INVALID_PARAMETER
         if self.acquiring and feature.address in self._fixed:
@@ -179,8 +183,11 @@ class CameraRegisters:
         return SUCCESS
 
     def _allows(self, feature: g.GenicamNode, address: int, word: int) -> bool:
-        if feature.address == g.LINE_MODE:
-            return word in g.LINE_DIRECTIONS[(address - g.LINE_MODE) // 4]
+        wired = (
+            g.LINE_DIRECTIONS[(address - g.LINE_MODE) // 4 :][:1] if feature.address == g.LINE_MODE else ()
+        )
+        if wired:
+            return word in wired[0]
         if feature.kind == "enumeration":
             return word in feature.choices.values()
         if feature.kind == "boolean":
@@ -200,16 +207,16 @@ class CameraRegisters:
         return word
 
 
-def _count(feature: g.GenicamNode, table: tuple[g.GenicamNode, ...]) -> int:
+def _count(feature: g.GenicamNode, table: Sequence[g.GenicamNode]) -> int:
     """Registers that a node shows, one for each choice of its selector."""
-    return next((len(other.choices) for other in table if other.name == feature.selector), 1)
+    return next((max(other.choices.values()) + 1 for other in table if other.name == feature.selector), 1)
 
 
 def _float(word: int) -> float:
     return float(struct.unpack(">f", word.to_bytes(4, "big"))[0])
 
 
-def description(table: Sequence[GenicamNode], model: str) -> bytes:
+def description(table: Sequence[GenicamNode], identity: CameraIdentity) -> bytes:
     """The XML text."""
     categories: dict[str, list[str]] = {}
     for feature in table:
@@ -217,8 +224,8 @@ def description(table: Sequence[GenicamNode], model: str) -> bytes:
     parts = [
         '<?xml version="1.0" encoding="utf-8"?>',
         '<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1" '
-        f'ModelName={quoteattr(model)} VendorName="edged" ToolTip="virtual camera" '
-        'StandardNameSpace="GEV" SchemaMajorVersion="1" '
+        f"ModelName={quoteattr(identity.model)} VendorName={quoteattr(identity.vendor)} "
+        'ToolTip="virtual camera" StandardNameSpace="GEV" SchemaMajorVersion="1" '
         'SchemaMinorVersion="1" SchemaSubMinorVersion="0" '
         'MajorVersion="1" MinorVersion="0" SubMinorVersion="0" '
         'ProductGuid="6d1ed9ed-0000-4000-8000-000000000001" '
@@ -241,24 +248,27 @@ def description(table: Sequence[GenicamNode], model: str) -> bytes:
 
 def _node(feature: GenicamNode, selected: Sequence[str]) -> str:
     register = f"<pValue>{feature.name}Reg</pValue>"
+    shown = f"<DisplayName>{escape(feature.menu)}</DisplayName>" if feature.menu else ""
     head = f'Name="{feature.name}" NameSpace="Standard"'
     if feature.kind == "command":
         value = f"<CommandValue>{feature.start:.0f}</CommandValue>"
-        return f"<Command {head}>{register}{value}</Command>"
+        return f"<Command {head}>{shown}{register}{value}</Command>"
     selects = "".join(f"<pSelected>{name}</pSelected>" for name in selected)
     if feature.kind == "boolean":
-        return f"<Boolean {head}>{register}<OnValue>1</OnValue><OffValue>0</OffValue></Boolean>"
+        return f"<Boolean {head}>{shown}{register}<OnValue>1</OnValue><OffValue>0</OffValue></Boolean>"
     if feature.kind == "enumeration":
         entries = "".join(
             f'<EnumEntry Name="{name}" NameSpace="Standard"><Value>{value}</Value></EnumEntry>'
             for name, value in feature.choices.items()
         )
-        return f"<Enumeration {head}>{entries}{register}{selects}</Enumeration>"
+        return f"<Enumeration {head}>{shown}{entries}{register}{selects}</Enumeration>"
     unit = f"<Unit>{feature.unit}</Unit>" if feature.unit else ""
     if feature.kind == "float":
-        return f"<Float {head}>{register}<Min>{feature.low}</Min><Max>{feature.high}</Max>{unit}</Float>"
+        return (
+            f"<Float {head}>{shown}{register}<Min>{feature.low}</Min><Max>{feature.high}</Max>{unit}</Float>"
+        )
     limits = f"<Min>{feature.low:.0f}</Min><Max>{feature.high:.0f}</Max><Inc>{feature.step}</Inc>"
-    return f"<Integer {head}>{register}{limits}{unit}</Integer>"
+    return f"<Integer {head}>{shown}{register}{limits}{unit}</Integer>"
 
 
 def _register(feature: GenicamNode) -> str:

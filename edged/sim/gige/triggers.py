@@ -7,7 +7,8 @@ from functools import partial
 
 from edged.sim.gige import genicam as g
 from edged.sim.gige.clock import DeviceClock
-from edged.sim.gige.registers import ACTION_LATE, NO_REFERENCE_TIME, SUCCESS, CameraRegisters
+from edged.sim.gige.faults import Quirk
+from edged.sim.gige.registers import ACTION_LATE, BUSY, NO_REFERENCE_TIME, SUCCESS, CameraRegisters
 from edged.sim.gige.wiring import Debouncer, Due, TriggerQueue, Wire
 
 LINE_SOURCES = {"Line1": g.LINE1, "Line3": g.LINE3}
@@ -17,11 +18,13 @@ OUTPUT = 1  # LineMode
 class CameraTriggers:
     """Turns what happens into exposures, as the registers say.
 
-    lines : the wires at the camera's pins. queue : exposures to come.
+    lines : the wires at the camera's pins. queue : exposures to come. exposing : from a software trigger
+    until its image has been sent.
     """
 
-    def __init__(self, registers: CameraRegisters, clock: DeviceClock) -> None:
-        self._registers, self._clock = registers, clock
+    def __init__(self, registers: CameraRegisters, clock: DeviceClock, quirks: frozenset[Quirk]) -> None:
+        self._registers, self._clock, self._quirks = registers, clock, quirks
+        self.exposing = False
         self.queue = TriggerQueue()
         self.lines = {name: Wire() for name in g.LINES}
         self._inputs = {name: Debouncer(partial(self._accept, name)) for name in g.LINES}
@@ -74,7 +77,10 @@ class CameraTriggers:
         return self.queue.put(at_ns + round(registers.number(g.TRIGGER_DELAY) * 1e3))
 
     def _by_software(self, _word: int) -> int:
-        self._expose_if(g.SOFTWARE, time.monotonic_ns())
+        if self.exposing and Quirk.BUSY_REFUSES in self._quirks:
+            return BUSY
+        if not (self.exposing and Quirk.BUSY_DROPS in self._quirks):
+            self.exposing = self._expose_if(g.SOFTWARE, time.monotonic_ns()) is not None or self.exposing
         return SUCCESS
 
     def _is_output(self, line: str) -> bool:

@@ -1,0 +1,66 @@
+"""What a camera makes of a picture before it sends it, switched off: measuring needs what the sensor saw.
+
+Another program, or the maker, may have left on what pleases the eye. A filter moves edges, a table bends grey
+values, a test pattern is no picture at all; and every picture looks as well as the last. What stands under
+`features` in the configuration is left as it stands there. Gamma is only looked at: the calibration measures
+it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from edged.adapters.aravis.features import Features, Value
+from edged.adapters.aravis.names import GAMMA_ENABLE
+
+SWITCHES = (
+    "SharpeningEnable", "SharpnessEnabled", "DenoisingEnable", "MedianFilter", "ContrastEnable", "LUTEnable",
+    "pgrHDRModeEnabled",
+)  # fmt: skip
+CHOICES = (
+    "EdgeFilter",
+    "TestPattern",
+    "TestImageSelector",
+    "TestPatternGeneratorSelector",
+    "SequencerMode",
+    "HDR_Mode",
+)
+OFF = ("Off", "Normal")
+STRENGTHS = (
+    "Sharpening", "Sharpness", "SharpnessEnhancementAbs", "NoiseReductionAbs", "Denoise", "Denoising",
+    "AdaptiveNoiseSuppressionFactor", "BslSharpnessEnhancement", "BslNoiseReduction", "BslContrast",
+    "BslBrightness",
+)  # fmt: skip
+"""Off at 0, or at the least where that is more: of both signs (Sharpness of Alvium, -12 to 12) 0 is neither.
+The Bsl names are in docs.baslerweb.com (PGI, Brightness and Contrast), Denoise and Sharpness also with The
+Imaging
+Source."""
+
+
+def switch_off(features: Features, stated: Collection[str]) -> None:
+    """Switch off whatever is on and not stated. Raises `CameraSetupError` for what stays on."""
+    wanted: dict[str, Value] = {name: False for name in SWITCHES if features.exists(name)}
+    for name in CHOICES:
+        off = next((choice for choice in features.choices(name) if choice in OFF), None)
+        if off is not None:
+            wanted[name] = off
+    for name in STRENGTHS:
+        if features.exists(name) and not features.first(f"{name}Enable", f"{name}Enabled"):
+            wanted[name] = features.number(name, max(0.0, features.bounds(name)[0]))
+    on = {name: off for name, off in wanted.items() if name not in stated and features.value(name) != off}
+    features.require(on)
+
+
+def gamma_switch(features: Features) -> tuple[str, Value]:
+    """The feature that makes this camera linear, and its value."""
+    enable = features.first(*GAMMA_ENABLE)
+    return (enable, False) if enable else ("Gamma", 1.0)
+
+
+def gamma_in_effect(features: Features) -> float:
+    """The camera's exponent between light and grey values; 1 if it states none."""
+    enable = features.first(*GAMMA_ENABLE)
+    if enable and features.value(enable) is False:
+        return 1.0
+    gamma = features.value("Gamma") if features.exists("Gamma") else None
+    return float(gamma) if isinstance(gamma, int | float) and gamma > 0 else 1.0

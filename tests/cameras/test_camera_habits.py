@@ -1,0 +1,359 @@
+"""What real cameras do beside the standard, imitated, with the real Aravis over real UDP."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import json
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.gigecell import LEFT, RIGHT, Cell, left_camera, run, running, settles, shoot
+from helpers.waiting import LIMIT_S
+from rich.console import Console
+
+from edged.adapters.aravis import AravisCamera, FreeRun, Output, Software, aravis_missing, library, link
+from edged.commands.cameras import report
+from edged.domain.exposure import CameraValues
+from edged.domain.frames import Frame
+from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout, UserError
+from edged.sim.gige import genicam as g
+from edged.sim.gige.camera import GigeCamera, Make
+from edged.sim.gige.faults import BLOCKS_TO_RESTART, Quirk
+from edged.sim.gige.genicam import GenicamNode
+
+pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+
+
+@contextmanager
+def habit(*quirks: Quirk) -> Iterator[Cell]:
+    """A running cell whose left camera has these habits."""
+    with running(Cell(quirks=quirks)) as cell:
+        yield cell
+
+
+@pytest.mark.slow
+def test_a_picture_after_an_adjustment_has_the_new_exposure_and_one_after_restore_the_old() -> None:
+    """Firmware that takes new values one exposure late: that exposure is made and thrown away."""
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+        await shoot(camera)
+        await camera.adjust(CameraValues(exposure_us=700.0))
+        assert 700.0 == exposure_of(await shoot(camera))
+        await camera.restore()
+        assert 3000.0 == exposure_of(await shoot(camera))
+
+    with habit(Quirk.LATE_EXPOSURE) as cell:
+
+        def exposure_of(frame: Frame) -> float:
+            number = cell.left_sensor.saw(frame.image)
+            return cell.left_sensor.requests[number - 1].exposure_us
+
+        run(script, left_camera(exposure_us=3000.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quirk", [Quirk.BUSY_DROPS, Quirk.BUSY_REFUSES])
+def test_a_trigger_during_an_abandoned_exposure_is_exposed_all_the_same(quirk: Quirk) -> None:
+    """Acquisition begins anew: the camera is no longer busy, and its picture is of the new trigger."""
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+        await shoot(camera)
+        cell.left.faults.delay_s = 0.4
+        await camera.trigger()
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.05):
+                await camera.frame()
+        cell.left.faults.delay_s = 0.0
+        frame = await shoot(camera)
+        assert 3 <= cell.left.exposures
+        assert cell.left_sensor.saw(frame.image) is not None
+
+    with habit(quirk) as cell:
+        run(script, left_camera())
+
+
+@pytest.mark.slow
+def test_a_refused_trigger_is_a_frame_that_did_not_come_and_no_lost_camera() -> None:
+    """GEV_STATUS_BUSY: said so, and the next trigger is exposed without a new connection."""
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+        await shoot(camera)
+        cell.left._triggers.exposing = True  # noqa: SLF001  (as after a pulse that nobody knows of)
+        with pytest.raises(FrameTimeout, match="still busy with an exposure"):
+            await camera.trigger()
+        cell.left._triggers.exposing = False  # noqa: SLF001  (and it is over)
+        await shoot(camera)
+
+    with habit(Quirk.BUSY_REFUSES) as cell:
+        run(script, left_camera())
+
+
+@pytest.mark.slow
+def test_pictures_are_new_though_the_camera_counts_from_one_again() -> None:
+    """Its counter falls by 200: ids rise on, no picture is taken for one that was there before."""
+
+    async def script(camera: AravisCamera) -> list[int]:
+        await camera.open()
+        return [(await camera.frame()).frame_id for _ in range(BLOCKS_TO_RESTART + 20)]
+
+    with habit(Quirk.COUNTER_RESTARTS):
+        ids = run(script, left_camera(trigger=FreeRun(100.0)))
+        assert np.all(np.diff(ids) > 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quirk", [Quirk.BLOCK_ID_ZERO, Quirk.EXTENDED_IDS])
+def test_pictures_come_whatever_their_block_ids_are(quirk: Quirk) -> None:
+    """From 0 on, or with 64 bits: each picture is the one that the sensor saw, packets sent again
+    included."""
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+        frames = [await settles(camera, lambda: shoot(camera), LIMIT_S)]
+        cell.left.faults.lost_packets = (2,)
+        frames += [await settles(camera, lambda: shoot(camera), LIMIT_S) for _ in range(2)]
+        saw = [cell.left_sensor.saw(frame.image) for frame in frames]
+        assert np.all(np.diff(saw) > 0)
+        assert np.all(np.diff([frame.frame_id for frame in frames]) > 0)
+
+    with habit(quirk) as cell:
+        run(script, left_camera(packet_size=1500))
+
+
+@pytest.mark.slow
+def test_a_payload_that_is_no_image_is_named() -> None:
+    """A camera that was left sending JPEG: the fault says what came."""
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+        with pytest.raises(FrameIncomplete, match="it carries jpeg"):
+            await shoot(camera)
+
+    with habit(Quirk.JPEG_PAYLOAD):
+        run(script, left_camera())
+
+
+@pytest.mark.slow
+def test_a_camera_with_a_short_heartbeat_stays_ours_while_idle() -> None:
+    """It would give us up after half a second, and Aravis speaks once a second: it is told three."""
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+        assert 3000 == cell.left.registers.word(g.HEARTBEAT_MS)
+        began_s = time.monotonic()
+        while time.monotonic() - began_s < 2.0:
+            await asyncio.sleep(0.05)
+            assert cell.left.controlled
+        await shoot(camera)
+
+    with habit(Quirk.SHORT_HEARTBEAT) as cell:
+        run(script, left_camera())
+
+
+# --- features under other names ---------------------------------------------------------------------------
+
+
+def node(
+    name: str, kind: Any, address: int, start: float = 0, high: float = 2**31 - 1, **more: Any
+) -> GenicamNode:
+    """A feature of a camera that is imitated."""
+    return GenicamNode(name, "Camera", address, kind, start, 0, high, **more)
+
+
+def made(*extra: GenicamNode, without: tuple[str, ...] = ()) -> Make:
+    """A camera with further features, and without some of ours."""
+    own = tuple(feature for feature in g.features(320, 240) if feature.name not in without)
+    return Make("Somebody", "Other", (*own, *extra))
+
+
+@pytest.mark.slow
+def test_what_changes_pictures_is_switched_off_unless_it_is_configured() -> None:
+    """Sharpening, noise reduction, a table, a test pattern: another program may have left them on."""
+    make = made(
+        node("SharpeningEnable", "boolean", 0x20000, 1),
+        node("NoiseReductionAbs", "float", 0x20100, 0.7, 1.0),
+        node("LUTEnable", "boolean", 0x20200, 1),
+        node("TestPattern", "enumeration", 0x20300, 1, choices={"Off": 0, "Ramp": 1}),
+        node("ExposureMode", "enumeration", 0x20400, 1, choices={"Timed": 0, "TriggerWidth": 1}),
+    )
+
+    def left(camera: GigeCamera) -> list[int]:
+        return [camera.registers.word(address) for address in range(0x20000, 0x20500, 0x100)]
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+
+    with running(Cell(make=make)) as cell:
+        run(script, left_camera(exposure_us=2000.0, features=({"LUTEnable": True},)))
+        assert [0, 0, 1, 0, 0] == left(cell.left)
+
+
+@pytest.mark.slow
+def test_a_limit_of_the_frame_rate_does_not_hold_triggers_back() -> None:
+    """It goes, unless it is configured."""
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+
+    with running(Cell()) as cell:
+        run(script, left_camera())
+        assert 0 == cell.left.registers.word(g.FRAME_RATE_ENABLE)
+        run(script, left_camera(features=({"AcquisitionFrameRateEnable": True},)))
+        assert 1 == cell.left.registers.word(g.FRAME_RATE_ENABLE)
+
+
+@pytest.mark.slow
+def test_a_gain_in_steps_that_nobody_explains_is_refused_in_the_words_of_the_menu() -> None:
+    """With the way out; and what else such a camera lacks is said, with what its menu offers."""
+    raw = node("GainRaw", "integer", g.GAIN, 100, 1023, menu="Gain (Raw)")
+    make = made(raw, without=("Gain", "PtpEnable"))
+
+    async def refused(camera: AravisCamera) -> None:
+        with pytest.raises(CameraSetupError, match=r'gain_db: "Gain \(Raw\)" \(GainRaw\) counts in steps'):
+            await camera.open()
+
+    async def said(camera: AravisCamera) -> list[str]:
+        await camera.open()
+        assert camera.health is not None
+        return [str(lack) for lack in camera.health.lacks]
+
+    with running(Cell(make=make)) as cell:
+        run(refused, left_camera(gain_db=6.0))
+        lacks = run(said, left_camera(features=({"GainRaw": 200},)))
+        assert ['gain in dB ("Gain (Raw)" (GainRaw) in steps of its own)', "PTP"] == lacks
+        assert 200 == cell.left.registers.word(g.GAIN)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("vendor", "model", "raw"),
+    [("Prosilica", "GC655C", 6), ("Basler", "acA1300-30gm", 167), ("Basler", "acA2000-50gm", 64)],
+)
+def test_a_gain_in_steps_is_set_in_db_where_the_manual_says_how(vendor: str, model: str, raw: int) -> None:
+    """By the least step and their size, or by amplification."""
+    high = 1023 if vendor == "Basler" else 24
+    make = made(node("GainRaw", "integer", g.GAIN, 20 if vendor == "Basler" else 1, high), without=("Gain",))
+
+    async def script(camera: AravisCamera) -> CameraValues:
+        await camera.open()
+        return await camera.adjust(CameraValues(gain_db=6.0))
+
+    with running(Cell(make=Make(vendor, model, make.features))) as cell:
+        values = run(script, left_camera())
+        assert raw == cell.left.registers.word(g.GAIN)
+        assert values.gain_db == pytest.approx(6.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_two_cameras_that_pace_themselves_share_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Allied Vision counts bytes per second and hears of no pause between packets: each gets its half."""
+    monkeypatch.setattr(link, "cameras_on_link", lambda _device, _neighbour: 2)
+    monkeypatch.setattr(link, "host_bps", lambda _device: 1e9)
+    make = made(node("StreamBytesPerSecond", "integer", 0x20000, 115_000_000, 124_000_000))
+
+    async def script(camera: AravisCamera) -> float | None:
+        await camera.open()
+        return camera.health.packet_delay_us if camera.health is not None else None
+
+    with running(Cell(make=make)) as cell:
+        delay_us = run(script, left_camera(packet_size=1500))
+        assert 62_500_000 == cell.left.registers.word(0x20000)
+        assert delay_us == pytest.approx(8 * 1538 / 1e9 * 1e6, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_lines_that_are_called_otherwise_show_the_exposure() -> None:
+    """SyncOut of Allied Vision: selector, source and polarity have names of their own."""
+    above, sources, polarity = "SyncOutSelector", {"GPO": 0, "Exposing": 5}, {"Normal": 0, "Invert": 1}
+    make = made(
+        node(above, "enumeration", 0x20000, choices={"SyncOut1": 0, "SyncOut2": 1}),
+        node("SyncOutSource", "enumeration", 0x20100, choices=sources, selector=above),
+        node("SyncOutPolarity", "enumeration", 0x20200, choices=polarity, selector=above),
+        without=("LineSelector", "LineMode", "LineInverter", "LineSource", "LineStatus", "LineDebouncerTime"),
+    )
+
+    async def script(camera: AravisCamera) -> None:
+        await camera.open()
+
+    with running(Cell(make=make)) as cell:
+        run(script, left_camera(outputs=(Output("SyncOut2", inverted=True),)))
+        assert [5, 1] == [cell.left.registers.word(bank + 4) for bank in (0x20100, 0x20200)]
+
+
+@pytest.mark.slow
+def test_a_camera_without_a_trigger_runs_freely_and_says_so() -> None:
+    """Thermal cameras, and X-ray: refused by the way out."""
+    make = made(without=("TriggerMode", "TriggerSelector", "TriggerSource", "TriggerSoftware"))
+
+    async def refused(camera: AravisCamera) -> None:
+        with pytest.raises(CameraSetupError, match=r'trigger\.mode = "free-run"'):
+            await camera.open()
+
+    async def script(camera: AravisCamera) -> Frame:
+        await camera.open()
+        return await camera.frame()
+
+    with running(Cell(make=make)):
+        run(refused, left_camera(trigger=Software()))
+        run(script, left_camera(trigger=FreeRun()))
+
+
+@pytest.mark.slow
+def test_two_cameras_are_reported_on(tmp_path: Path) -> None:
+    """What they are and how they expose together; nothing in the file names a camera."""
+    file, told = tmp_path / "report.json", io.StringIO()
+    with running(Cell()):
+        assert 0 == report(file, [LEFT, RIGHT], 0.05, Console(file=told, width=200))
+
+    seen = json.loads(file.read_text())
+    assert ["edged", "edged"] == [camera["vendor"] for camera in seen["cameras"]]
+    assert "ExposureTime" in {feature["name"] for feature in seen["cameras"][0]["features"]}
+    assert seen["together"]["pairs"] > 0
+    assert [41.5, 41.5] == seen["together"]["temperature_c"]
+    assert all(camera["complete"] > 0 for camera in seen["full_rate"]["cameras"])
+    assert not {"EDGED-T1", "EDGED-T2", LEFT, RIGHT} & set(file.read_text().split('"'))
+    assert "skew of both exposures" in told.getvalue()
+
+
+def test_a_report_needs_two_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that answers is no pair: it says how to name them."""
+    monkeypatch.setattr("edged.commands.cameras.list_cameras", list)
+    with pytest.raises(UserError, match="--report needs two cameras, and 0 answer"):
+        report(tmp_path / "report.json", [], 1.0, Console(file=io.StringIO()))
+
+
+def test_two_descriptions_are_never_read_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Aravis reads them with one state for the process: two cameras that are opened together take turns."""
+    reading, most = [0], [0]
+
+    def new(_device: str) -> str:
+        reading[0] += 1
+        most[0] = max(most[0], reading[0])
+        time.sleep(0.02)
+        reading[0] -= 1
+        return "opened"
+
+    class Untranslated(Exception):
+        """No error of GLib."""
+
+    fake = SimpleNamespace(
+        aravis=SimpleNamespace(Camera=SimpleNamespace(new=new)), glib=SimpleNamespace(Error=Untranslated)
+    )
+    monkeypatch.setattr(library, "library", lambda _camera: fake)
+    threads = [threading.Thread(target=library.connect, args=("left", f"127.0.40.{n}")) for n in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [1] == most
