@@ -64,10 +64,10 @@ FORMATS = {
             **{
                 f"{program}.pgx": "val3"
                 for program in (
-                    *("runLocate", "runPerform", "openAndAsk", "runNext", "runGrasp", "acknowledge"),
+                    *("runLocate", "runPerform", "openAndAsk", "runFetch", "runGrasp", "acknowledge"),
                     *("nextNumber", "ask", "newField", "takeCode", "takeField", "openLink", "hangUp"),
                     *("send", "receive", "addPlace", "startClock", "readClock", "pause"),
-                    *("locate", "nextPart", "grasp", "perform", "start", "stop"),
+                    *("locate", "expose", "result", "nextPart", "grasp", "perform", "start", "stop"),
                 )
             },
         },

@@ -98,6 +98,12 @@ class Abb:
     def next(self) -> tuple[float, ...] | None:
         return self._pose(self.program.call("EdgedNext", 5, self.part))
 
+    def expose(self) -> bool:
+        return bool(self.program.call("EdgedExpose", 0, 5))
+
+    def result(self) -> tuple[float, ...] | None:
+        return self._pose(self.program.call("EdgedResult", 5, self.part))
+
     def grasp(self) -> list[tuple[float, ...]] | None:
         grasp, approach = (rapid.TYPES.variable("pose") for _ in range(2))
         if not self.program.call("EdgedGrasp", 5, grasp, approach):
@@ -256,6 +262,13 @@ class Doosan:
         pose = self.names["edged_next"](5.0)
         return None if pose is None else tuple(pose)
 
+    def expose(self) -> bool:
+        return bool(self.names["edged_expose"](0, 5.0))
+
+    def result(self) -> tuple[float, ...] | None:
+        pose = self.names["edged_result"](5.0)
+        return None if pose is None else tuple(pose)
+
     def grasp(self) -> list[tuple[float, ...]] | None:
         poses = [self.names[name](5.0) for name in ("edged_grasp", "edged_approach")]
         return None if None in poses else [tuple(pose) for pose in poses]
@@ -306,6 +319,14 @@ class Shared:
 
     def next(self) -> tuple[float, ...] | None:
         self.run("next", 5.0)
+        return self._part()
+
+    def expose(self) -> bool:
+        self.run("expose", 0, 5.0)
+        return self.error() == 0
+
+    def result(self) -> tuple[float, ...] | None:
+        self.run("result", 5.0)
         return self._part()
 
     def grasp(self) -> list[tuple[float, ...]] | None:

@@ -18,12 +18,16 @@ from helpers.robotlink import Link
 from helpers.robotsides import (
     LIES,
     SIDES,
+    Abb,
     Doosan,
+    Epson,
     Fanuc,
     FanucWithEnds,
+    Kawasaki,
     Kuka,
     Mitsubishi,
     Side,
+    Staubli,
     Yaskawa,
     honest,
 )
@@ -253,6 +257,26 @@ def test_parts_may_be_acknowledged_one_by_one(make: type[Any]) -> None:
             assert ([10.0, 20.0, 30.0], 0) == (seen, side.error())
             assert (None, Failure.NO_LINK) == (side.next(), side.error())
         assert 2 == cell.head.captures
+
+
+@pytest.mark.parametrize("make", [Abb, Doosan, Staubli, Kawasaki, Epson], ids=lambda one: one.__name__)
+def test_a_robot_may_go_when_its_picture_is_taken(make: type[Any]) -> None:
+    """Its program goes on while the cell measures, and fetches the pose afterwards; so again and again."""
+    with running(make) as (cell, side):
+        for captures in (1, 2):
+            cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+            cell.may_end.clear()
+            assert side.expose(), side.error()
+            assert not bits(cell) & StatusBit.ACK
+            cell.may_end.set()
+            seen = [(one or (0,))[0] for one in (side.result(), side.next())]
+            side.acknowledge()
+            assert ([10.0, 20.0], 0, captures) == (seen, side.error(), cell.head.captures)
+        cell.targets = ()
+        assert side.expose()
+        assert (None, 102, 0) == (side.result(), side.error(), side.remaining())
+        cell.head.broken = True
+        assert (False, 6) == (side.expose(), side.error())
 
 
 @talkers
