@@ -123,7 +123,7 @@ def registers(
             "--format",
             help="md, csv, json; left out: md, or the program of --config's brand; "
             "sources: st, plcopen, scl, twincat, urscript, python; "
-            "for robots with lines of text: rapid, karel, krl, drl, val3, as, spel, melfa, motoplus",
+            "for robots with lines of text: rapid, karel, krl, krl6, drl, val3, as, spel, melfa, motoplus",
         ),
     ] = None,
     output: Annotated[

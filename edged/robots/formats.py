@@ -74,7 +74,7 @@ class ProgramCell:
 
 NAME = re.compile("[a-z]{2,5}")
 """At most as long as "edged", so that every name stays within its language's limit."""
-RENAMED = ("rapid", "krl", "drl", "val3", "as", "spel", "scl", "urscript")
+RENAMED = ("rapid", "krl", "krl6", "drl", "val3", "as", "spel", "scl", "urscript")
 """Formats of which two may be in one controller under different names."""
 
 
@@ -117,6 +117,7 @@ FORMATS = {
     ),
     "karel": Format({"edged.kl": "karel", "edgepick.ls": "tp", "edgedreg.ls": "tp"}, Brand.FANUC),
     "krl": Format({"edged.src": "krl", "edged.dat": "krl", "edged.xml": ""}, Brand.KUKA),
+    "krl6": Format({"edged.src": "krl", "edged.dat": "krl", "edged.xml": ""}, Brand.KUKA),
     "val3": Format(
         {
             "edged.pjx": "",

@@ -194,16 +194,20 @@ class Kuka:
     """A KUKA controller: one call measures, fetches the targets and acknowledges."""
 
     brand = Brand.KUKA
+    fmt = "krl"
     excuses: ClassVar[dict[str, Lie]] = {  # no line ever ends: nothing has been received
         "a flood": (lambda *_: b"1" * 900, Failure.LATE),
     }
 
     def __init__(self, link: Link) -> None:
         self.link = link
-        files = written("krl")
-        self.controller = krl.Controller(files["edged.xml"], link)
+        self.controller = self.made(files := written(self.fmt), link)
         self.program = krl.load(files, self.controller)
         self.given = 0
+
+    def made(self, files: dict[str, str], link: Link) -> krl.Controller:
+        """Its controller, with the configuration of the link."""
+        return krl.Controller(files["edged.xml"], link)
 
     def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
         is_found = self.program.call("EDGED_LOCATE", job, timeout_s)
@@ -241,6 +245,22 @@ class Kuka:
 
     def close(self) -> None:
         self.link.close()
+
+
+class Kuka6(Kuka):
+    """One with iiQKA.OS2; nothing says that its link is lost."""
+
+    fmt = "krl6"
+    clears = False
+
+    def made(self, files: dict[str, str], link: Link) -> krl.Controller:
+        return krl.Controller6(files["edged.xml"], link, clears=self.clears)
+
+
+class Kuka6ThatClears(Kuka6):
+    """One that ends a text which is read with a zero."""
+
+    clears = True
 
 
 class Doosan:
@@ -565,8 +585,11 @@ class YaskawaThatCarries(Yaskawa):
 
 NUMBERS = itertools.count(1)
 """Of controllers."""
-SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Doosan, Staubli, StaubliThatStays]
+SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Kuka6, Kuka6ThatClears]
 SIDES += [
+    Doosan,
+    Staubli,
+    StaubliThatStays,
     Kawasaki,
     KawasakiThatHearsNothing,
     Epson,

@@ -25,6 +25,7 @@ from helpers.robotsides import (
     FanucWithEnds,
     Kawasaki,
     Kuka,
+    Kuka6,
     Mitsubishi,
     Side,
     Staubli,
@@ -480,7 +481,7 @@ def test_a_link_that_is_lost_fails_the_command(make: type[Any]) -> None:
     """Whether nobody listens or the cell hangs up on the request; nothing waits for the time-out."""
     with Liar(lambda _: None) as liar, beside(make, liar) as side:
         # KAREL and MELFA-BASIC cannot see that nothing will come
-        failure = Failure.LATE if isinstance(side, (Fanuc, Mitsubishi)) else Failure.NO_LINK
+        failure = Failure.LATE if isinstance(side, (Fanuc, Kuka6, Mitsubishi)) else Failure.NO_LINK
         assert (None, failure) == (side.locate(timeout_s=15.0), side.error())
     if make is Doosan:
         return  # its controller tries for ever
