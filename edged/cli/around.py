@@ -30,6 +30,10 @@ def demo(
         Path | None, typer.Option(help="where rig, job and config go; default: a temporary folder")
     ] = None,
     as_json: JsonOption = False,
+    brand: Annotated[
+        str | None,
+        typer.Option(help="open the robots' socket, with poses as this maker writes them: kuka, abb, ..."),
+    ] = None,
     stage: Annotated[
         bool, typer.Option("--stage", help="without rig and job: set the cell up on its page, step by step")
     ] = False,
@@ -50,6 +54,7 @@ def demo(
                 folder,
                 as_json,
                 stage,
+                brand.lower() if brand is not None else None,
             )
         )
     )
@@ -113,17 +118,26 @@ def sim(
 @app.command()
 def registers(
     format: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--format",
-            help="md, csv, json; sources: st, plcopen, scl, twincat, urscript, python; "
-            "for robots with lines of text: rapid, karel, krl, drl, val3, as, spel, melfa, motoplus",
+            help="md, csv, json; left out: md, or the program of --config's brand; "
+            "sources: st, plcopen, scl, twincat, urscript, python; "
+            "for robots with lines of text: rapid, karel, krl, krl6, drl, val3, as, spel, melfa, motoplus",
         ),
-    ] = "md",
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="folder for formats of several files"),
     ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", help="cell.toml: its address, ports, words, brand and jobs go in"),
+    ] = None,
+    name: Annotated[
+        str,
+        typer.Option(help="of several cells of one robot: 2 to 5 letters, in place of edged in all names"),
+    ] = "",
     read: Annotated[
         str | None, typer.Option("--read", help="HOST[:PORT] of a cell: print what its registers say")
     ] = None,
@@ -143,7 +157,7 @@ def registers(
         raise typer.Exit(read_command(read, base_address, unit_id, Console()))
     from edged.commands.registers import registers as command
 
-    raise typer.Exit(command(format, output))
+    raise typer.Exit(command(format, output, config, name))
 
 
 @app.command()

@@ -8,9 +8,10 @@ import logging
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from edged.app.cell import load_cell, warm_up
@@ -24,13 +25,18 @@ from edged.files.jobs import save_job
 from edged.files.outputs import make_folder
 from edged.files.rig import save_rig
 from edged.pipeline import prepare
+from edged.plc.lines import answer_fields
+from edged.robot.orientations import Brand
 from edged.sim.cell import Truth, VirtualCell
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import transform
 from edged.vision.teaching.pair import teach
 from edged.vision.teaching.region import Region
 
 CELL = "demo"
+REGISTERED = transform(np.diag((1.0, -1.0, -1.0)), np.array((600.0, 0.0, 500.0)))
+"""Where the robot of `--brand` has the left camera: 500 mm above its base, looking down."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +52,14 @@ class DemoOptions:
     folder: Path | None = None
     as_json: bool = False
     stage: bool = False
+    brand: str | None = None
+    line_port: int = 1503
 
 
 def demo(options: DemoOptions) -> int:
     """Make a cell, teach it, run the daemon on it; 0 when every cycle found the part, 1 when not."""
+    if options.brand is not None and options.brand not in set(Brand):
+        raise UserError(f"--brand {options.brand}: expected {', '.join(Brand)}")
     set_up_process(logging.WARNING)
     console = Console(stderr=options.as_json)
     gige = not options.in_process and _aravis_is_here(console)
@@ -65,6 +75,10 @@ def demo(options: DemoOptions) -> int:
         console.print(f"virtual cell: {source}; configuration, rig and job in {folder}")
         if options.web_port is not None:
             console.print(f"status page: http://127.0.0.1:{options.web_port}")
+        if options.brand is not None:
+            console.print(
+                _how_to_talk(options.brand, options.line_port, path), highlight=False, soft_wrap=True
+            )
         daemons: list[Daemon] = []
         view = demo_view(
             world.cell,
@@ -89,11 +103,21 @@ def _stage(options: DemoOptions, console: Console, *, gige: bool) -> int:
     """The cell is set up on its page: nothing is prepared."""
     from edged.commands.stage import WEB_PORT, run_stage  # with the page's packages
 
-    if options.cycles or options.as_json:
-        raise UserError("--stage runs until ctrl-C, and its results are on its page: no --cycles, no --json")
+    if options.cycles or options.as_json or options.brand is not None:
+        raise UserError(
+            "--stage runs until ctrl-C, and is set up on its page: no --cycles, no --json, no --brand"
+        )
     ports = (options.web_port or WEB_PORT, options.modbus_port, options.zenoh_port)
     with _folder(options.folder) as folder, VirtualWorld(gige=gige, staged=True) as world:
         return run_stage(folder, world, console, ports=ports, period_s=options.period_s)
+
+
+def _how_to_talk(brand: str, port: int, config: Path) -> str:
+    """What to type to be that robot, and what comes."""
+    fields = ",".join(answer_fields(Brand(brand)))
+    return f"""robot: printf '{brand},1,LOCATE,0\\n' | nc -q 2 127.0.0.1 {port}
+       answers {fields}
+       its program: edged registers --config {config}"""
 
 
 def region_of_part(rig: StereoRig, truth: Truth) -> Region:
@@ -107,7 +131,8 @@ def region_of_part(rig: StereoRig, truth: Truth) -> Region:
 def prepare_cell(folder: Path, cell: VirtualCell, options: DemoOptions, *, gige: bool) -> Path:
     """Write rig, taught job and configuration of the virtual cell; returns the configuration file."""
     make_folder(folder)
-    save_rig(folder / "rig.json", cell.rig)
+    rig = cell.rig if options.brand is None else replace(cell.rig, robot_from_rig=REGISTERED)
+    save_rig(folder / "rig.json", rig)
     left, right, truth = cell.teach_pair()
     region = region_of_part(cell.rig, truth)
     job = teach(left, right, prepare(cell.rig).rectification, region, "flange")
@@ -137,6 +162,9 @@ listen = ["tcp/127.0.0.1:{options.zenoh_port}"]
 """
     if options.web_port is not None:
         text += f"\n[web]\nport = {options.web_port}\n"
+    if options.brand is not None:
+        line = f'port = {options.line_port}\nbrand = "{options.brand}"\nallow_simulated = true'
+        text += f"\n[modbus.socket]\n{line}\n"
     path = folder / "cell.toml"
     write_file(path, text.encode())
     return path

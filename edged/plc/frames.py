@@ -21,6 +21,8 @@ MAGIC = b"\xed\x46"
 VERSION = 1
 FLANGE, ALL_JOBS = 1, 2
 """Flags of a request: FLANGE is given; every job is tried."""
+BOX_SHIFT = 4
+"""The upper half of FLAGS is the box that alone counts."""
 POSE_SIZE = 7
 """Numbers of the longest pose, ABB's."""
 REQUEST_ROWS = (
@@ -51,8 +53,9 @@ ANSWER_ROWS = (
 """Names and types (as `struct` writes them), in their order."""
 REQUEST = struct.Struct(">" + "".join(kind for _, kind in REQUEST_ROWS))
 ANSWER = struct.Struct(">" + "".join(kind for _, kind in ANSWER_ROWS))
-COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, "GRASP": 100, "APPROACH": 101, "ACK": 102}
-"""Values of COMMAND: commands of the registers, and queries about the last part."""
+QUERIES = {"GRASP": 100, "APPROACH": 101, "ACK": 102, "EXPOSE": 103, "RESULT": 104, "AUTO_LOCK": 105}
+COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, **QUERIES}
+"""Values of COMMAND: commands of the registers, and what only lines and frames have."""
 BRANDS = {brand: number for number, brand in enumerate(Brand, 1)}
 AS_CONFIGURED = 0
 """BRAND of a request without a brand; in older frames this byte was the upper half of COMMAND."""
@@ -62,7 +65,7 @@ AS_CONFIGURED = 0
 class FrameRequest:
     """Request of a frame. flange : its numbers in the brand's convention, () if not given.
 
-    brand : of the robot; None: the configured one.
+    brand : of the robot; None: the configured one. box : 0 to 15, as in `edged.adapters.modbus.lines`.
     """
 
     sequence: int
@@ -71,10 +74,11 @@ class FrameRequest:
     flange: tuple[float, ...] = ()
     tries_all: bool = False
     brand: Brand | None = None
+    box: int = 0
 
     def frame(self) -> bytes:
         """The bytes to send."""
-        flags = (FLANGE if self.flange else 0) | (ALL_JOBS if self.tries_all else 0)
+        flags = (FLANGE if self.flange else 0) | (ALL_JOBS if self.tries_all else 0) | self.box << BOX_SHIFT
         flange = self.flange + (0.0,) * (POSE_SIZE - len(self.flange))
         brand = BRANDS[self.brand] if self.brand is not None else AS_CONFIGURED
         head = (MAGIC, VERSION, flags, REQUEST.size, self.sequence, brand, COMMANDS[self.command], self.job)
@@ -88,9 +92,10 @@ def read_request(frame: bytes, configured: Brand) -> FrameRequest:
     2
     """
     try:
-        flags, sequence, named, number, job, *flange = _opened(frame, REQUEST)
+        whole, sequence, named, number, job, *flange = _opened(frame, REQUEST)
     except ValueError as error:
         raise BadRequest(str(error), configured) from error
+    box, flags = divmod(whole, 1 << BOX_SHIFT)
     command = next((name for name, code in COMMANDS.items() if code == number), None)
     if command is None or flags & ~(FLANGE | ALL_JOBS):
         raise BadRequest(f"no such command or flag: {number}, {flags}", configured)
@@ -98,7 +103,7 @@ def read_request(frame: bytes, configured: Brand) -> FrameRequest:
     if brand is None and named != AS_CONFIGURED:
         raise BadRequest(f"no such brand: {named}", configured, LineStatus.NO_SUCH_BRAND, sequence)
     size = len(POSE_NAMES[brand or configured]) if flags & FLANGE else 0
-    return FrameRequest(sequence, command, job, tuple(flange[:size]), bool(flags & ALL_JOBS), brand)
+    return FrameRequest(sequence, command, job, tuple(flange[:size]), bool(flags & ALL_JOBS), brand, box)
 
 
 def answer_frame(answer: LineAnswer, brand: Brand) -> bytes:

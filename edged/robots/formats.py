@@ -5,17 +5,77 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 
 from edged.errors import UserError
 from edged.plc.registers import BLOCKS, MAP_VERSION
-from edged.robot.orientations import Brand
+from edged.robot.orientations import Brand, Convention
 from edged.robots.grammar import grammar
 from edged.robots.registervalues import register_values
 from edged.robots.robotlines import line_values
 from edged.robots.templating import rendered
+
+JOB = re.compile("[0-9]{1,5} [A-Za-z0-9_. -]+")
+"""Number and name of a job that no language takes for the end of a comment."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramCell:
+    """The cell that a program talks to. name : takes the place of "edged" in all names; "": stays.
+
+    address : IPv4. line_port : of lines of text. convention : number of what A, B, C mean.
+    jobs : number and name of each, which stand in comments. Raises `ValueError` for an address or a job
+    with anything that might end a comment or a text.
+    """
+
+    address: str = "192.168.10.20"
+    line_port: int = 1503
+    modbus_port: int = 1502
+    unit_id: int = 1
+    base_address: int = 0
+    is_low_first: bool = False
+    convention: int = Convention.FIXED_XYZ
+    jobs: tuple[str, ...] = ()
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[0-9.]+", self.address) or not all(map(JOB.fullmatch, self.jobs)):
+            raise ValueError(f"{self.address}, {self.jobs}: not for a program")
+
+    @property
+    def octets(self) -> list[int]:
+        """The four numbers of the address."""
+        return [int(number) for number in self.address.split(".")]
+
+    @property
+    def low_word_first(self) -> str:
+        """As a word of IEC 61131-3."""
+        return "TRUE" if self.is_low_first else "FALSE"
+
+    @property
+    def more_jobs(self) -> str:
+        """The jobs behind others in a comment."""
+        return "".join(f", {job}" for job in self.jobs)
+
+    def named(self, text: str) -> str:
+        """A file's text, or its name, with this cell's name. `edged registers` stays as it is."""
+        if not self.name:
+            return text
+        small = re.sub(r"\bed_", f"{self.name[:2]}_", text)
+        return re.sub(r"(?i)edged(?! registers)", self._alike, small)
+
+    def _alike(self, found: re.Match[str]) -> str:
+        word = found[0]
+        return self.name.upper() if word.isupper() else self.name.title() if word[0] == "E" else self.name
+
+
+NAME = re.compile("[a-z]{2,5}")
+"""At most as long as "edged", so that every name stays within its language's limit."""
+RENAMED = ("rapid", "krl", "krl6", "drl", "val3", "as", "spel", "scl", "urscript")
+"""Formats of which two may be in one controller under different names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +117,7 @@ FORMATS = {
     ),
     "karel": Format({"edged.kl": "karel", "edgepick.ls": "tp", "edgedreg.ls": "tp"}, Brand.FANUC),
     "krl": Format({"edged.src": "krl", "edged.dat": "krl", "edged.xml": ""}, Brand.KUKA),
+    "krl6": Format({"edged.src": "krl", "edged.dat": "krl", "edged.xml": ""}, Brand.KUKA),
     "val3": Format(
         {
             "edged.pjx": "",
@@ -64,10 +125,10 @@ FORMATS = {
             **{
                 f"{program}.pgx": "val3"
                 for program in (
-                    *("runLocate", "runPerform", "openAndAsk", "runNext", "runGrasp", "acknowledge"),
+                    *("runLocate", "runPerform", "openAndAsk", "runFetch", "runGrasp", "acknowledge"),
                     *("nextNumber", "ask", "newField", "takeCode", "takeField", "openLink", "hangUp"),
                     *("send", "receive", "addPlace", "startClock", "readClock", "pause"),
-                    *("locate", "nextPart", "grasp", "perform", "start", "stop"),
+                    *("locate", "expose", "result", "nextPart", "grasp", "perform", "start", "stop"),
                 )
             },
         },
@@ -79,19 +140,26 @@ FORMATS = {
 }
 
 
-def written(fmt: str) -> dict[str, str]:
-    """Files of a format by name.
+def written(fmt: str, cell: ProgramCell | None = None) -> dict[str, str]:
+    """Files of a format by name. cell : that the program talks to; None: an example.
 
-    Raises `UserError` for an unknown format, `ValueError` for a program that its controller would not read.
+    Raises `UserError` for an unknown format or a name that cannot be, `ValueError` for a program that its
+    controller would not read.
     """
+    cell = cell or ProgramCell()
     if fmt not in FORMATS:
         raise UserError(f"--format {fmt}: expected {', '.join(FORMATS)}")
     if fmt in ("csv", "json"):
         return {f"edged.{fmt}": _csv() if fmt == "csv" else _json()}
-    values = register_values() | {"files": list(FORMATS[fmt].files)}
+    if cell.name and (fmt not in RENAMED or not NAME.fullmatch(cell.name)):
+        raise UserError(
+            f"--name {cell.name}: expected 2 to 5 small letters, and one of {', '.join(RENAMED)}. "
+            "Two cells of the other formats share a block (call FB_EDGED twice), or numbers"
+        )
+    values = register_values() | {"files": list(FORMATS[fmt].files), "cell": cell}
     if (brand := FORMATS[fmt].brand) is not None:
-        values |= line_values(brand, FORMATS[fmt].first)
-    return {file: _text(fmt, file, values) for file in FORMATS[fmt].files}
+        values |= line_values(brand, FORMATS[fmt].first, cell.jobs)
+    return {cell.named(file): _text(fmt, file, values, cell) for file in FORMATS[fmt].files}
 
 
 def render(fmt: str) -> str:
@@ -100,13 +168,13 @@ def render(fmt: str) -> str:
     return text
 
 
-def _text(fmt: str, file: str, values: Mapping[str, object]) -> str:
+def _text(fmt: str, file: str, values: Mapping[str, object], cell: ProgramCell) -> str:
     if fmt == "python":
         # read, not imported: printing it takes no pymodbus
         source = files("edged.robots").joinpath("cell_client.py").read_text(encoding="utf-8")
         head, _, rest = source.partition("# <map>\n")
         return head + rendered(fmt, "map.py", values) + rest.partition("# </map>\n")[2]
-    text = rendered(fmt, file, values)
+    text = cell.named(rendered(fmt, file, values))
     language = FORMATS[fmt].files[file]
     return grammar(language).checked(text) if language else text
 

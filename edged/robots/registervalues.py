@@ -89,10 +89,10 @@ def register_values() -> dict[str, object]:
             "FLAGS": numbers["flag"],
             "OPTIONS": numbers["option"],
         },
-        # COMMAND to TIMEOUT, in one write
-        "control_words": ADDRESS["TIMEOUT"] - COMMAND.address + 1,
-        "result_variables": list(_variables(RESULT, "awResult")),
-        "grasp_variables": list(_variables(GRASP, "awGrasp")),
+        # COMMAND to BOX, in one write
+        "control_words": ADDRESS["BOX"] - COMMAND.address + 1,
+        "result_variables": list(_variables(RESULT, "Result")),
+        "grasp_variables": list(_variables(GRASP, "Grasp")),
         # both blocks are read in one request, which begins with ur
         "ur": {
             register.name: register.address - UR.address
@@ -125,9 +125,12 @@ def _area(block: Block) -> Area:
     )
 
 
-def _variables(block: Block, words: str) -> Iterator[Variable]:
-    """Declared and converted registers of a block; 64 bits become two UDINT."""
-    low_first = "xLowWordFirst := xLowWordFirst"
+def _variables(block: Block, place: str) -> Iterator[Variable]:
+    """Declared and converted registers of a block; 64 bits become two UDINT, lengths and angles a REAL, too.
+
+    place : "aw" and this are its words, "st" and this its structure.
+    """
+    low_first, words = "xLowWordFirst := xLowWordFirst", f"aw{place}"
     for register in block.registers:
         if "RESERVED" in register.name or register.name.endswith("CRC16"):
             continue
@@ -139,6 +142,10 @@ def _variables(block: Block, words: str) -> Iterator[Variable]:
             yield Variable(f"ui{name}", "UINT", f"WORD_TO_UINT({words}[{at}])", comment)
         elif register.kind is Kind.I32:
             yield Variable(f"di{name}", "DINT", f"DWORD_TO_DINT({joined})", comment)
+            # 24 bits: exact to 16 m; what is not known is -2147483.6, as far away as its DINT
+            unit = "mm" if register.unit == "µm" else "degrees"
+            thousandth = f"DINT_TO_REAL(st{place}.di{name}) / 1000.0"
+            yield Variable(f"r{name}", "REAL", thousandth, f"{unit}: di{name}")
         elif register.kind is Kind.U32:
             yield Variable(f"ud{name}", "UDINT", f"DWORD_TO_UDINT({joined})", comment)
         else:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import enum
 import textwrap
+from collections.abc import Iterable
 
 from edged.plc.answers import NackReason
 from edged.plc.lines import LineStatus, answer_fields
 from edged.robot.orientations import Brand
-
-PORT = 1503
 
 
 class Failure(enum.IntEnum):
@@ -48,20 +47,19 @@ MEANINGS = {
 """Texts of the error numbers; the NACK reasons, 1 to 99, have their own."""
 
 
-def line_values(brand: Brand, first: int) -> dict[str, object]:
+def line_values(brand: Brand, first: int, jobs: Iterable[str] = ()) -> dict[str, object]:
     """Values for a brand's templates; first : index of an array's first element in its language.
 
-    statuses : every error number and its meaning, as lines for a comment.
+    statuses : every error number and its meaning, and the cell's jobs, as lines for a comment.
     """
     fields = answer_fields(brand)
     reasons = {int(reason): reason.name.lower().replace("_", " ") for reason in NackReason if reason}
     meanings = ", ".join(f"{number:d} {meaning}" for number, meaning in (reasons | MEANINGS).items())
     return {
         "brand": brand,
-        "port": PORT,
         "n_fields": len(fields),
         "field": {name: index for index, name in enumerate(fields, first)},
         "failure": {failure.name: int(failure) for failure in Failure},
         "status": {status.name: int(status) for status in LineStatus},
-        "statuses": textwrap.wrap(meanings, 72),
+        "statuses": textwrap.wrap(meanings, 72) + [f"job {job}" for job in jobs],
     }

@@ -113,7 +113,8 @@ class _Krl(Program):
 def load(files: dict[str, str], controller: Controller) -> Program:
     """The module of `edged.src` and `edged.dat`."""
     program = _Krl("krl", TYPES, "==", "[]")
-    program.builtins = {name: getattr(controller, name.lower()) for name in BUILTINS}
+    calls = {name: getattr(controller, name.lower(), None) for name in BUILTINS}
+    program.builtins = {name: call for name, call in calls.items() if call is not None}
     lines = [line.partition(";")[0].strip() for line in files["edged.dat"].splitlines()]
     lines = [line for line in lines if line and not line.startswith("&")]
     assert lines[0] == "DEFDAT EDGED PUBLIC" and lines[-1] == "ENDDAT"
@@ -170,6 +171,7 @@ def _routine(program: Program, lines: list[str], at: int) -> int:
 
 BUILTINS = (
     *("EKI_INIT", "EKI_OPEN", "EKI_CLOSE", "EKI_CLEAR", "EKI_SEND", "EKI_CHECKBUFFER", "EKI_GETSTRING"),
+    *("EKI_LOAD", "EKI_UNLOAD", "EKI_SETSTRING", "EKI_READNEXT"),
     *("STRLEN", "WAIT_SEC", "LIN", "GEOMETRIC", "GEOMETRIC_INVERSE"),
 )
 
@@ -275,8 +277,9 @@ class Controller:
         return self._status()
 
     def strlen(self, text: Any) -> int:
-        """Characters of the string."""
-        return "".join(one.get() for one in text.elements).find("\0")
+        """Characters of the string: up to the first zero, or all."""
+        whole = "".join(one.get() for one in text.elements)
+        return len(whole.partition("\0")[0])
 
     def wait_sec(self, seconds: Any) -> None:
         """Wait; what is read then is where the robot stands (advance run)."""
@@ -296,3 +299,92 @@ class Controller:
     def geometric_inverse(self, target: Any, place: Any, frame: Any) -> None:
         """A place, and the inverse of a frame in it."""
         _write(target, _matrix(place) @ invert(_matrix(frame)))
+
+
+class Controller6(Controller):
+    """iiQKA with EthernetKRL 6, as Roboception's public program for it uses it (KUKA-EKI6/GRI_CLIENT).
+
+    Every call gives an INT, 0 when it went well. clears : a text that is read ends with a zero; otherwise
+    what was behind it stays.
+    """
+
+    eki_init = eki_clear = eki_checkbuffer = None  # type: ignore[assignment]  # calls of other versions
+
+    def __init__(
+        self, configuration: str, link: Link, arm: RobotArm | None = None, *, clears: bool = False
+    ) -> None:
+        self.arm, self.link, self.clears = arm or link.arm, link, clears
+        self.position, self.tool = TYPES.variable("FRAME"), TYPES.variable("FRAME")
+        _write(self.tool, self.arm.flange_from_tip)
+        _write(self.position, self.arm.tip)
+        self.flags = TYPES.array("BOOL", 1)
+        self.is_initialised, self.data, self.said, self.message = False, b"", "", b""
+        root = ElementTree.fromstring(configuration)
+        assert ("Channel", "1.1.0") == (root.tag, root.get("Version"))
+        client, receive, value = (
+            root.find(path) for path in ("Connection/Client", "Receive", "Receive/Message/Value")
+        )
+        assert client is not None and "1503" == client.get("PeerPort")
+        assert receive is not None and "String" == receive.get("Format")
+        assert value is not None and ("Line", "String") == (value.get("Name"), value.get("Type"))
+        self.separator = re.compile(receive.get("Separator", "").encode())
+        self.rule = re.compile(value.get("Rule", "").encode())
+        self.form = root.findtext("Send/Message") or ""
+
+    def eki_load(self, channel: Any) -> int:
+        """Read the configuration."""
+        assert channel.get() == "edged" and not self.is_initialised
+        self.is_initialised = True
+        return 0
+
+    def eki_open(self, _channel: Any) -> Any:
+        """Connect."""
+        assert self.is_initialised
+        return 0 if self.link.open() else 1
+
+    def eki_close(self, _channel: Any) -> Any:
+        """Hang up."""
+        self.link.close()
+        return 0
+
+    def eki_unload(self, _channel: Any) -> int:
+        """The channel and its memory are gone."""
+        self.link.close()
+        self.is_initialised, self.data, self.message = False, b"", b""
+        return 0
+
+    def eki_setstring(self, _channel: Any, name: Any, text: Any, length: Any) -> int:
+        """So many characters of a value that is sent."""
+        assert name.get() == "Request"
+        self.said = "".join(one.get() for one in text.elements)[: length.get()]
+        return 0
+
+    def eki_send(self, _channel: Any, message: Any, _length: Any = None) -> Any:
+        """The message of that number."""
+        assert 0 == message.get()
+        sent = self.form.replace("$$Request:String$$", self.said)
+        assert sent != self.form
+        return 0 if self.link.send(sent.encode("ascii")) else 1
+
+    def eki_readnext(self, _channel: Any, message: Any) -> int:
+        """0: a message was there, and has been taken."""
+        while self.link.is_open and (more := self.link.receive(0.0)) is not None:
+            self.data += more
+            if not more:
+                self.link.close()
+        found = self.separator.search(self.data)
+        if found is None:
+            return 1
+        self.message, self.data = self.data[: found.end()], self.data[found.end() :]
+        message.set(0)
+        return 0
+
+    def eki_getstring(self, _channel: Any, name: Any, target: Any) -> Any:
+        """The value of the message that was read."""
+        found = self.rule.match(self.message)
+        if name.get() != "Line" or found is None or len(found[1]) > len(target.elements):
+            return 1
+        text = found[1].decode("latin-1") + ("\0" if self.clears else "")
+        for place, char in zip(target.elements, text, strict=False):
+            place.set(char)
+        return 0

@@ -98,6 +98,12 @@ class Abb:
     def next(self) -> tuple[float, ...] | None:
         return self._pose(self.program.call("EdgedNext", 5, self.part))
 
+    def expose(self) -> bool:
+        return bool(self.program.call("EdgedExpose", 0, 5))
+
+    def result(self) -> tuple[float, ...] | None:
+        return self._pose(self.program.call("EdgedResult", 5, self.part))
+
     def grasp(self) -> list[tuple[float, ...]] | None:
         grasp, approach = (rapid.TYPES.variable("pose") for _ in range(2))
         if not self.program.call("EdgedGrasp", 5, grasp, approach):
@@ -188,16 +194,20 @@ class Kuka:
     """A KUKA controller: one call measures, fetches the targets and acknowledges."""
 
     brand = Brand.KUKA
+    fmt = "krl"
     excuses: ClassVar[dict[str, Lie]] = {  # no line ever ends: nothing has been received
         "a flood": (lambda *_: b"1" * 900, Failure.LATE),
     }
 
     def __init__(self, link: Link) -> None:
         self.link = link
-        files = written("krl")
-        self.controller = krl.Controller(files["edged.xml"], link)
+        self.controller = self.made(files := written(self.fmt), link)
         self.program = krl.load(files, self.controller)
         self.given = 0
+
+    def made(self, files: dict[str, str], link: Link) -> krl.Controller:
+        """Its controller, with the configuration of the link."""
+        return krl.Controller(files["edged.xml"], link)
 
     def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
         is_found = self.program.call("EDGED_LOCATE", job, timeout_s)
@@ -237,6 +247,22 @@ class Kuka:
         self.link.close()
 
 
+class Kuka6(Kuka):
+    """One with iiQKA.OS2; nothing says that its link is lost."""
+
+    fmt = "krl6"
+    clears = False
+
+    def made(self, files: dict[str, str], link: Link) -> krl.Controller:
+        return krl.Controller6(files["edged.xml"], link, clears=self.clears)
+
+
+class Kuka6ThatClears(Kuka6):
+    """One that ends a text which is read with a zero."""
+
+    clears = True
+
+
 class Doosan:
     """A Doosan controller. It waits for the cell in `client_socket_open`, without end."""
 
@@ -254,6 +280,13 @@ class Doosan:
 
     def next(self) -> tuple[float, ...] | None:
         pose = self.names["edged_next"](5.0)
+        return None if pose is None else tuple(pose)
+
+    def expose(self) -> bool:
+        return bool(self.names["edged_expose"](0, 5.0))
+
+    def result(self) -> tuple[float, ...] | None:
+        pose = self.names["edged_result"](5.0)
         return None if pose is None else tuple(pose)
 
     def grasp(self) -> list[tuple[float, ...]] | None:
@@ -306,6 +339,14 @@ class Shared:
 
     def next(self) -> tuple[float, ...] | None:
         self.run("next", 5.0)
+        return self._part()
+
+    def expose(self) -> bool:
+        self.run("expose", 0, 5.0)
+        return self.error() == 0
+
+    def result(self) -> tuple[float, ...] | None:
+        self.run("result", 5.0)
         return self._part()
 
     def grasp(self) -> list[tuple[float, ...]] | None:
@@ -544,8 +585,11 @@ class YaskawaThatCarries(Yaskawa):
 
 NUMBERS = itertools.count(1)
 """Of controllers."""
-SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Doosan, Staubli, StaubliThatStays]
+SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Kuka6, Kuka6ThatClears]
 SIDES += [
+    Doosan,
+    Staubli,
+    StaubliThatStays,
     Kawasaki,
     KawasakiThatHearsNothing,
     Epson,

@@ -35,7 +35,7 @@ KEYWORDS = {
     *("IF", "THEN", "ELSE", "ELSIF", "END_IF", "FOR", "TO", "DO", "END_FOR", "CASE", "OF", "END_CASE"),
     *("AND", "OR", "NOT", "TRUE", "FALSE", "SHL", "SHR"),
 }
-ELEMENTARY = ["BOOL", "BYTE", "WORD", "DWORD", "INT", "UINT", "DINT", "UDINT", "TIME", "ARRAY", "OF"]
+ELEMENTARY = ["BOOL", "BYTE", "WORD", "DWORD", "INT", "UINT", "DINT", "UDINT", "REAL", "TIME", "ARRAY", "OF"]
 BLOCK = re.compile(
     r'^(?P<keyword>FUNCTION_BLOCK|FUNCTION) "(?P<name>\w+)"(?P<returns> : \w+)?\n'
     r"\{ S7_Optimized_Access := 'TRUE' \}\nVERSION : 0\.1\n(?P<sections>.*?)^BEGIN\n(?P<body>.*?)^END_\1$",

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+import numpy as np
 from blark import transform as ast
 from blark.parse import parse_source_code
 
@@ -133,6 +134,8 @@ class Program:
             return self.instance(kind)
         if kind in self.types:
             return {name: self.initial(one) for name, one in self.types[kind]}
+        if kind == "REAL":
+            return 0.0
         assert kind in RANGES, f"unknown type {kind}"
         return 0
 
@@ -275,6 +278,8 @@ class Instance:
                 return str(expression.value).upper() == "TRUE", "BOOL"
             case ast.HexInteger():
                 return int(str(expression.value), 16), "ANY_HEX"
+            case ast.Real():
+                return float(str(expression.value)), "REAL"
             case ast.Integer():
                 return int(str(expression.value)), "ANY_INT"
             case ast.SimpleVariable() | ast.MultiElementVariable():
@@ -386,8 +391,10 @@ def checked(value: Any, kind: Kind, wanted: Kind, place: str) -> Any:
     return value
 
 
-def converted(value: int, wanted: str) -> int:
-    """X_TO_Y keeps the bits that fit, as PLCs do."""
+def converted(value: int, wanted: str) -> float:
+    """X_TO_Y keeps the bits that fit, as PLCs do; a REAL has 24 of them."""
+    if wanted == "REAL":
+        return float(np.float32(value))
     low, high = RANGES[wanted]
     value &= (1 << (high - low).bit_length()) - 1
     return value if value <= high else value - (high - low + 1)
@@ -404,5 +411,8 @@ def operate(op: str, left: tuple[Any, str], right: tuple[Any, str]) -> tuple[Any
     compared = {"=": a == b, "<>": a != b, ">": a > b, "<": a < b, ">=": a >= b, "<=": a <= b}
     if op in compared:
         return compared[op], "BOOL"
+    if op == "/":
+        assert kind == "REAL", f"{kind} {op}: what is left over is lost"
+        return float(np.float32(a) / np.float32(b)), kind
     value = {"+": a + b, "-": a - b, "*": a * b}[op]
     return checked(value, kind, kind, f"{kind} {op}"), kind

@@ -82,7 +82,7 @@ def test_every_listing_names_every_register() -> None:
     with pytest.raises(
         UserError,
         match="expected md, csv, json, st, plcopen, scl, urscript, python, rapid, drl, as, spel, twincat, "
-        "karel, krl, val3, melfa, motoplus",
+        "karel, krl, krl6, val3, melfa, motoplus",
     ):
         render("xml")
 

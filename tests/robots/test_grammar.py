@@ -32,7 +32,7 @@ from helpers.robotwords import Declared
 from helpers.teachpendant import TeachPendant
 
 import edged.robots
-from edged.robots.formats import FORMATS, render, written
+from edged.robots.formats import FORMATS, ProgramCell, render, written
 from edged.robots.grammar import grammar
 
 NOBODY = Link(1)
@@ -208,8 +208,14 @@ def test_a_listing_has_its_negative_constants_in_parentheses(line: str) -> None:
 
 
 def test_no_name_that_a_user_gives_stands_in_a_program() -> None:
-    """Jobs are numbers, grasps come by their order: only the format is asked for, and nothing is escaped."""
-    assert ["fmt"] == list(inspect.signature(written).parameters)
+    """Beside the format a cell is given: its jobs stand in comments, and none of them can end one."""
+    assert ["fmt", "cell"] == list(inspect.signature(written).parameters)
+    for job in ("1 *) x := 1", "1 */", "1 a\nb", "1 a]]>", "1", "a 1", '1 "'):
+        with pytest.raises(ValueError, match="not for a program"):
+            ProgramCell(jobs=(job,))
+    for address in ('1"', "", "cell", "::1"):
+        with pytest.raises(ValueError, match="not for a program"):
+            ProgramCell(address)
 
 
 def test_every_table_names_its_source() -> None:

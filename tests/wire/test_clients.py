@@ -183,6 +183,41 @@ def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None
 
 
 @pytest.mark.slow
+def test_structured_text_narrows_to_one_box_and_locks_the_cell() -> None:
+    """uiBox is taken at the rising edge, xAutoLock at once; both are off unless they are set."""
+    cell = LiveCell()
+    boxes = tuple(Box(f"bin{i:g}", (i, 0.0, 0.0), (i + 20.0, 30.0, 300.0)) for i in (0.0, 40.0))
+    cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes))
+    cell.targets = (make_target(x_mm=10.0), make_target(x_mm=50.0))
+    with cell, Plc(cell.port) as plc:
+        for box, is_locked, expected in ((0, False, 10_000), (2, True, 50_000), (1, False, 10_000)):
+            plc.until("xReady")
+            plc.run(uiBox=box, xAutoLock=is_locked)
+            assert expected == plc.values["stResult"]["diX"]
+            plc.values["uiBox"] = 7
+            plc.scan()
+            assert [is_locked, box] == plc.client.read_holding_registers(119, count=2).registers
+            plc.release()
+
+
+def test_urscript_narrows_to_one_box_and_locks_the_cell() -> None:
+    """edged_box counts for the commands after it, edged_auto_lock at once."""
+    cell = LiveCell()
+    boxes = tuple(Box(f"bin{i:g}", (i, 0.0, 0.0), (i + 20.0, 30.0, 300.0)) for i in (0.0, 40.0))
+    cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes))
+    cell.targets = (make_target(x_mm=10.0), make_target(x_mm=50.0))
+    with robot_beside(cell) as (controller, robot):
+        for box, expected in ((0, 0.010), (2, 0.050), (1, 0.010)):
+            robot["edged_box"] = box
+            assert expected == pytest.approx(robot["edged_locate"](0, 5.0)[0])
+        for is_locked in (True, False):
+            robot["edged_auto_lock"](is_locked)
+            controller.refresh()
+            values = cell.call(lambda: {register.name: value for register, value in cell.server.values()})
+            assert is_locked == values["AUTO_LOCK"]
+
+
+@pytest.mark.slow
 def test_structured_text_tries_all_jobs() -> None:
     """xAllJobs, taken at the rising edge like everything that says what to do."""
     cell = LiveCell()
@@ -519,6 +554,8 @@ def test_structured_text_runs_the_handshake(order: Any) -> None:
                 result["xValid"],
             )
             assert (round(x_mm * 1000), 20_000, 200_000) == tuple(result[f"di{axis}"] for axis in "XYZ")
+            for name in (*"XYZABC", "RADIUS", "DEPTH"):
+                assert result[f"r{name}"] == pytest.approx(result[f"di{name}"] / 1000, rel=1e-7)
             exposed_ns = result["udEXPOSURE_NS_HIGH"] << 32 | result["udEXPOSURE_NS_LOW"]
             assert abs(time.time_ns() - exposed_ns) < 60e9
             plc.release()

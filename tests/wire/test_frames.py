@@ -17,6 +17,7 @@ from helpers.snapshots import make_target
 from helpers.waiting import LIMIT_S
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
+from edged.domain.picking import Bounds, Box
 from edged.plc.frames import ANSWER, FrameRequest, read_answer
 from edged.plc.lines import LineAnswer, LineStatus
 from edged.robot.orientations import Brand, pose_of, transform_of
@@ -90,6 +91,27 @@ def test_every_part_comes_as_the_maker_writes_it(brand: Brand) -> None:
             assert 0 == robot.ask(FrameRequest(20, "ACK")).status
             assert LineStatus.NOT_VALID == robot.ask(FrameRequest(30, "GRASP")).status
             assert 1 == cell.head.captures
+
+
+def test_a_frame_says_what_a_line_says_of_boxes_the_exposure_and_auto_lock() -> None:
+    """Of one box alone; answered when the picture is taken; the lock of this connection."""
+    boxes = tuple(Box(f"bin{x}", (x, 0.0, 0.0), (x + 10.0, 100.0, 300.0)) for x in (0.0, 20.0))
+    cell = LiveCell(KUKA)
+    cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes, ()))
+    with cell, connected(cell) as robot:
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (5.0, 25.0))
+        cell.may_end.clear()
+        exposed = robot.ask(FrameRequest(1, "EXPOSE", box=2))
+        assert (0, (0.0,) * 6) == (exposed.status, exposed.pose)
+        cell.may_end.set()
+        result = robot.ask(FrameRequest(2, "RESULT"))
+        assert (0, 0, 25.0) == (result.status, result.remaining, result.pose[0])
+        assert 5.0 == robot.ask(FrameRequest(3, "LOCATE", box=1)).pose[0]
+        assert 2 == robot.ask(FrameRequest(4, "LOCATE", box=3)).status
+        for sequence, is_locked in ((5, 1), (6, 0)):
+            assert 0 == robot.ask(FrameRequest(sequence, "AUTO_LOCK", is_locked)).status
+            values = cell.call(lambda: {r.name: v for r, v in cell.server.values()})
+            assert is_locked == values["AUTO_LOCK"]
 
 
 def test_a_flange_is_read_and_a_frame_that_came_twice_runs_once() -> None:

@@ -32,15 +32,21 @@ def test_a_function_block_locates_a_part(make: type[S7 | TwinCat]) -> None:
             plc.release()
             assert not plc.values["stResult"]["xValid"]
             plc.until("xReady")
-        plc.run(uiCommand=2, uiJob=2)
+        plc.run(uiCommand=2, uiJob=2, uiBox=0, xAutoLock=True)
+        values = cell.call(lambda: {register.name: value for register, value in cell.server.values()})
+        assert (1, 0) == (values["AUTO_LOCK"], values["BOX"])
         assert plc.values["xDone"]
         plc.release()
         plc.until("xReady")
-        plc.run(uiCommand=1, uiJob=99)
+        plc.run(uiCommand=1, uiJob=0, uiBox=1)
+        assert (True, 2) == (plc.values["xError"], plc.values["uiError"]), "there is no box"
+        plc.release()
+        plc.until("xReady")
+        plc.run(uiCommand=1, uiJob=99, uiBox=0)
         assert (True, 2) == (plc.values["xError"], plc.values["uiError"])
         assert 2 == cell.head.captures
         if isinstance(plc, S7):
-            expected = [(103, 200, 20), (103, 300, 48), (103, 540, 35), (116, 100, 19)]
+            expected = [(103, 200, 20), (103, 300, 48), (103, 540, 35), (116, 100, 21)]
             assert expected == plc.client.requests[:4]
 
 

@@ -77,6 +77,15 @@ def ready(cell: LiveCell) -> None:
         time.sleep(0.005)
 
 
+def until_free(plc: ModbusTcpClient) -> None:
+    """Write BOX 2 as soon as no other client has the turn, and give the turn up."""
+    deadline_s = time.monotonic() + LIMIT_S
+    while plc.write_register(reg.ADDRESS["BOX"], 2).isError():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+    assert not plc.write_register(reg.ADDRESS["OPTIONS"], Option.RELEASE).isError()
+
+
 @pytest.mark.parametrize("brand", Brand)
 def test_a_pose_comes_as_the_maker_writes_it(brand: Brand) -> None:
     """Read as the controller reads it, it is the pose of the part: to 1 µm and 0.001° of the registers."""
@@ -212,6 +221,76 @@ def test_a_grasp_comes_as_the_maker_writes_it(brand: Brand) -> None:
         assert 0 == robot.ask("8,ACK")[1]
         assert LineStatus.NOT_VALID == robot.ask("9,GRASP")[1]
         assert 1 == cell.head.captures
+
+
+def test_a_line_of_one_box_gives_parts_of_that_box_alone() -> None:
+    """Of its own command only: the next line without a box has each, and BOX stays as a PLC wrote it."""
+    boxes = tuple(Box(f"bin{x}", (x, 0.0, 0.0), (x + 10.0, 100.0, 300.0)) for x in (0.0, 20.0))
+    cell = LiveCell(KUKA).pick(Picking(bounds=(Bounds(boxes, ()),)))
+    cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes, ()))
+    with cell, connected(cell) as robot:
+        ready(cell)
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (5.0, 25.0))
+        seen = [robot.ask(line) for line in ("1,LOCATE,0", "2,LOCATE,0:2", "3,LOCATE,*:1", "4,LOCATE,0")]
+        assert [(1, 0, 1), (2, 0, 0), (3, 0, 0), (4, 0, 1)] == [one[:3] for one in seen]
+        assert [5.0, 25.0, 5.0, 5.0] == [one[3][0] for one in seen]
+        assert (5, 2) == robot.ask("5,LOCATE,0:3")[:2], "there are two boxes"
+        plc = ModbusTcpClient("127.0.0.1", port=cell.port)
+        assert plc.connect()
+        robot.file.close()
+        robot.socket.close()
+        until_free(plc)
+        with connected(cell) as another:
+            seen = [another.ask(line) for line in ("1,LOCATE,0", "2,LOCATE,0:1", "3,LOCATE,0")]
+            assert [25.0, 5.0, 25.0] == [one[3][0] for one in seen]
+        assert [2] == plc.read_holding_registers(reg.ADDRESS["BOX"], count=1).registers
+        plc.close()
+
+
+def test_a_robots_line_leaves_alone_what_a_plc_wrote() -> None:
+    """AUTO_LOCK and BOX stay; the lock is gone with the connection that made it."""
+    changed = dataclasses.replace(KUKA, owner_s=0.01)
+    with LiveCell(changed) as cell, connected(cell) as robot:
+        ready(cell)
+        plc = ModbusTcpClient("127.0.0.1", port=cell.port)
+        assert plc.connect()
+        assert not plc.write_register(reg.ADDRESS["AUTO_LOCK"], 1).isError()
+        time.sleep(0.05)
+        assert 0 == robot.ask("1,LOCATE,0")[1]
+        assert [1, 0] == plc.read_holding_registers(reg.ADDRESS["AUTO_LOCK"], count=2).registers
+        time.sleep(0.05)
+        assert [0, 0] == [robot.ask(f"{2 + lock},AUTO_LOCK,{lock}")[1] for lock in (0, 1)]
+        assert [1, 0] == plc.read_holding_registers(reg.ADDRESS["AUTO_LOCK"], count=2).registers
+        robot.socket.shutdown(socket.SHUT_RDWR)
+        deadline_s = time.monotonic() + LIMIT_S
+        while plc.read_holding_registers(reg.ADDRESS["AUTO_LOCK"], count=1).registers != [0]:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+        plc.close()
+
+
+def test_a_robot_may_go_when_its_picture_is_taken() -> None:
+    """EXPOSE is answered while the cell still measures, without a pose; RESULT gives what LOCATE gives."""
+    with LiveCell(KUKA).pick(GRASPS) as cell, connected(cell) as robot:
+        ready(cell)
+        assert (1, LineStatus.NOT_VALID) == robot.ask("1,RESULT")[:2], "of nothing"
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+        cell.may_end.clear()
+        for _ in range(2):  # a line that is repeated runs once
+            answer = robot.ask("2,EXPOSE,0")
+            assert (2, 0, 0, [0.0] * 6) == (*answer[:3], answer[3][:6])
+            values = cell.call(lambda: {one.name: value for one, value in cell.server.values()})
+            assert not values["STATUS_BITS"] & (reg.StatusBit.ACK | reg.StatusBit.RESULT_VALID)
+        cell.may_end.set()
+        seen = [robot.ask(line) for line in ("3,RESULT", "3,RESULT", "4,GRASP", "5,NEXT", "3,ACK")]
+        assert [0] * 5 == [one[1] for one in seen]
+        assert [10.0, 10.0, 20.0] == [seen[index][3][0] for index in (0, 1, 3)]
+        assert (1, LineStatus.NOT_VALID) == (cell.head.captures, robot.ask("6,RESULT")[1]), "acknowledged"
+        cell.targets = ()
+        assert (0, 102) == (robot.ask("7,EXPOSE,0")[1], robot.ask("8,RESULT")[1])
+        assert 2 == robot.ask("9,EXPOSE,99")[1], "what is refused says so at once"
+        cell.head.broken = True
+        assert 6 == robot.ask("10,EXPOSE,0")[1]
 
 
 def test_a_star_tries_every_job() -> None:

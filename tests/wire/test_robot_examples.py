@@ -151,6 +151,7 @@ def test_urscript_comes_to_the_part_along_its_tool(page: str) -> None:
 APPROACHES = {
     "rapid": ("EDGED.mod", "RelTool(pick,0,0,-100)"),
     "krl": ("edged.src", "PICK=EDGED_PART[1]:{X 0,Y 0,Z -100,A 0,B 0,C 0}"),
+    "krl6": ("edged.src", "PICK=EDGED_PART[1]:{X 0,Y 0,Z -100,A 0,B 0,C 0}"),
     "drl": ("edged.drl", "movel(trans(target, posx(0, 0, -100, 0, 0, 0), ref=DR_TOOL), vel=100, acc=100)"),
     "val3": ("start.pgx", "movel(appro(pPick,{0,0,-100,0,0,0}),tTool,mSlow)"),
     "as": ("edged.as", "LAPPRO ed_part,100"),

@@ -18,12 +18,17 @@ from helpers.robotlink import Link
 from helpers.robotsides import (
     LIES,
     SIDES,
+    Abb,
     Doosan,
+    Epson,
     Fanuc,
     FanucWithEnds,
+    Kawasaki,
     Kuka,
+    Kuka6,
     Mitsubishi,
     Side,
+    Staubli,
     Yaskawa,
     honest,
 )
@@ -255,6 +260,26 @@ def test_parts_may_be_acknowledged_one_by_one(make: type[Any]) -> None:
         assert 2 == cell.head.captures
 
 
+@pytest.mark.parametrize("make", [Abb, Doosan, Staubli, Kawasaki, Epson], ids=lambda one: one.__name__)
+def test_a_robot_may_go_when_its_picture_is_taken(make: type[Any]) -> None:
+    """Its program goes on while the cell measures, and fetches the pose afterwards; so again and again."""
+    with running(make) as (cell, side):
+        for captures in (1, 2):
+            cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+            cell.may_end.clear()
+            assert side.expose(), side.error()
+            assert not bits(cell) & StatusBit.ACK
+            cell.may_end.set()
+            seen = [(one or (0,))[0] for one in (side.result(), side.next())]
+            side.acknowledge()
+            assert ([10.0, 20.0], 0, captures) == (seen, side.error(), cell.head.captures)
+        cell.targets = ()
+        assert side.expose()
+        assert (None, 102, 0) == (side.result(), side.error(), side.remaining())
+        cell.head.broken = True
+        assert (False, 6) == (side.expose(), side.error())
+
+
 @talkers
 def test_parts_without_a_grasp_may_be_left_for_the_next(make: type[Any]) -> None:
     """119 says nothing of the others: they are still given, also after an acknowledgement."""
@@ -456,7 +481,7 @@ def test_a_link_that_is_lost_fails_the_command(make: type[Any]) -> None:
     """Whether nobody listens or the cell hangs up on the request; nothing waits for the time-out."""
     with Liar(lambda _: None) as liar, beside(make, liar) as side:
         # KAREL and MELFA-BASIC cannot see that nothing will come
-        failure = Failure.LATE if isinstance(side, (Fanuc, Mitsubishi)) else Failure.NO_LINK
+        failure = Failure.LATE if isinstance(side, (Fanuc, Kuka6, Mitsubishi)) else Failure.NO_LINK
         assert (None, failure) == (side.locate(timeout_s=15.0), side.error())
     if make is Doosan:
         return  # its controller tries for ever

@@ -38,6 +38,7 @@ from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason, ResultVerdict
+from edged.plc.controlbits import EndOfUse, StartBit, StartCommand, begun, cell_bits, control_written
 from edged.plc.ladder import Ladder
 from edged.plc.statuswords import status_values
 from edged.ports import Commander
@@ -105,6 +106,7 @@ class CellRegisters:
         self._exposures = ExposureClock(clock_s)
         self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
         self._locked_by: int | None = None  # the client whose AUTO_LOCK holds
+        self._start_bit = StartBit()
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self._jobs, self._are_jobs_placed = jobs, False
         self._counts: dict[str, int] = {}
@@ -164,6 +166,7 @@ class CellRegisters:
         if shown != self._encoded:
             self._encoded, self._held = shown, result
             self._place_result(valid, hs.is_as_published(self._state, now_s))
+        self._place(reg.BITS, self._bits(valid, int(status["STATUS_BITS"])))
         self._place_ur_status(status)
         if not self._are_jobs_placed:
             self._are_jobs_placed, jobs = True, self._jobs()
@@ -174,6 +177,19 @@ class CellRegisters:
         start = 2 * block.address
         data = reg.encode(block, values, self._settings.word_order)
         self._image[start : start + len(data)] = data
+
+    def _bits(self, valid: bool, status_bits: int) -> dict[str, reg.Number]:
+        """Values of the block bits. status_bits : register STATUS_BITS."""
+        result = self._state.result
+        flags = result.payload.flags if result is not None else reg.Flag(0)
+        bits, reason = cell_bits(
+            self._start_bit,
+            self._state,
+            is_ready=bool(status_bits & reg.StatusBit.READY),
+            is_usable=valid and reg.Flag.ROBOT_FRAME in flags,
+            is_simulated=reg.Flag.SIMULATED in flags,
+        )
+        return {"BITS": bits, "BITS_REASON": reason}
 
     def _place_result(self, valid: bool, as_published: bool) -> None:
         result = self._state.result
@@ -254,9 +270,26 @@ class CellRegisters:
             self._lock(client if new[_offset("AUTO_LOCK")] else None)
         if _offset("CMD_SEQ") in written:
             self._trigger(client, now_s, reg.Option(options), shown)
+        if _offset("CONTROL") in written:
+            self._control(client, new[_offset("CONTROL")])
         if options & reg.Option.RELEASE:
             self._step(ev.Released(client), now_s)
         self._tell()
+
+    def _control(self, client: int, word: int) -> None:
+        """Carry out what an edge of START asks: by the words that a client with sequences would write."""
+        self._start_bit, action = control_written(self._start_bit, client, word, self._state)
+        base = self._settings.base_address
+        if action is EndOfUse.ACKNOWLEDGE:
+            self.write(client, base + reg.ADDRESS["ACK_SEQ"], [self._state.ticket & hs.SEQUENCE_MASK])
+        elif action is EndOfUse.TAKE_BACK:
+            self.write(client, base + reg.ADDRESS["CMD_SEQ"], [0])
+        elif isinstance(action, StartCommand):
+            kind = CommandKind.NEXT_PART if action.gives_next else CommandKind.LOCATE
+            beat = self._command[_offset("CLIENT_HEARTBEAT")]
+            words = [int(kind), action.job, action.sequence, 0, beat, reg.Option.ONCE]
+            self.write(client, base + reg.COMMAND.address, words)
+            self._start_bit = begun(self._start_bit, self._state.ticket)
 
     def write_bits(self, client: int, address: int, bits: Sequence[bool]) -> None:
         """Write bits of OPTIONS, the only word whose bits a client may write."""
@@ -272,6 +305,8 @@ class CellRegisters:
         if self._locked_by == client:
             self._command[_offset("AUTO_LOCK")] = 0
             self._lock(None)
+        if self._start_bit.client == client:
+            self._start_bit, self._command[_offset("CONTROL")] = StartBit(), 0
         self._step(ev.Released(client, gone=True), self._clock_s())
         self._tell()
 

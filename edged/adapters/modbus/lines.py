@@ -6,6 +6,8 @@ Not for commands, turns to write and validity of results: each line becomes a wr
 
     7,LOCATE,0                                           sequence, command, job
     7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    with the pose of the flange
+    7,LOCATE,0:2                                         of the second box of the limits alone
+    7,EXPOSE,0 and 8,RESULT                              LOCATE in two: answered when the picture is taken
     kuka,7,LOCATE,0                                      with the robot's brand
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.LineAnswer`
 
@@ -38,7 +40,7 @@ from edged.domain.numerals import decimal, whole
 from edged.logs import LogLimit
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason
-from edged.plc.frames import MAGIC, REQUEST, answer_frame, read_request
+from edged.plc.frames import COMMANDS, MAGIC, REQUEST, answer_frame, read_request
 from edged.plc.lines import MAX_LINE_BYTES, POSE_NAMES, UNKNOWN, BadRequest, LineAnswer, LineStatus
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform
@@ -48,8 +50,8 @@ TIMEOUT_S = 10.0
 """Time-out of a command; then the cell answers NACK, TIMEOUT."""
 LOOK_S = 0.05
 """Poll period while waiting for the end of a command, which may come by time alone."""
-READ = ("GRASP", "APPROACH")
-"""Queries about the part that was given last."""
+TOOLS = ("GRASP", "APPROACH")
+"""Queries about the tool for the part that was given last."""
 QUALITY = ("RMS", "HELD_OUT", "LIMIT")
 """Lengths in the answer to a registration command, in place of X, Y, Z."""
 FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP
@@ -75,7 +77,7 @@ class LineRequest:
     """A decoded line or frame.
 
     brand : of the robot. flange : robot_from_flange (4, 4) in mm, None if not given; shown : its numbers.
-    tries_all : the job was "*".
+    tries_all : the job was "*". box : that alone counts; 0: what the register BOX says.
     """
 
     brand: Brand
@@ -85,6 +87,7 @@ class LineRequest:
     flange: FloatArray | None
     tries_all: bool = False
     shown: tuple[float, ...] = ()
+    box: int = 0
 
 
 BLANKS = " \t\r\n"
@@ -111,16 +114,17 @@ def _request(fields: list[str], brand: Brand) -> LineRequest:
     if len(fields) < 2:
         raise ValueError("expected a sequence and a command")
     sequence, command = whole(fields[0]), fields[1].upper()
-    tries_all = len(fields) > 2 and fields[2] == "*"
-    job = whole(fields[2]) if len(fields) > 2 and not tries_all else 0
-    if not 1 <= sequence <= 0xFFFF or not 0 <= job <= 0xFFFF:
-        raise ValueError("sequences are 1 to 65535, jobs 0 to 65535")
+    which, colon, narrowed = fields[2].partition(":") if len(fields) > 2 else ("0", "", "")
+    tries_all = which == "*"
+    job, box = 0 if tries_all else whole(which), whole(narrowed) if colon else 0
+    if not 1 <= sequence <= 0xFFFF or not 0 <= job <= 0xFFFF or not 0 <= box <= 0xFFFF:
+        raise ValueError("sequences are 1 to 65535, jobs and boxes 0 to 65535")
     command = "NEXT_PART" if command == "NEXT" else command
-    if command not in (*CommandKind.__members__, *READ, "ACK"):
+    if command not in COMMANDS:
         raise ValueError(f"no such command: {command}")
     shown = tuple(decimal(field) for field in fields[3:])
     flange = transform_of(brand, shown) if shown else None
-    return LineRequest(brand, sequence, command, job, flange, tries_all, shown)
+    return LineRequest(brand, sequence, command, job, flange, tries_all, shown, box)
 
 
 def parse_frame(frame: bytes, configured: Brand) -> LineRequest:
@@ -133,7 +137,9 @@ def parse_frame(frame: bytes, configured: Brand) -> LineRequest:
         flange = transform_of(brand, asked.flange) if asked.flange else None
     except (ValueError, OverflowError) as error:
         raise BadRequest(str(error), brand) from error
-    return LineRequest(brand, asked.sequence, asked.command, asked.job, flange, asked.tries_all, asked.flange)
+    return LineRequest(
+        brand, asked.sequence, asked.command, asked.job, flange, asked.tries_all, asked.flange, asked.box
+    )
 
 
 class Robot:
@@ -190,19 +196,30 @@ class Robot:
             used = self._sequence if request.sequence in self._given else request.sequence
             self._write("ACK_SEQ", [used])
             return LineAnswer(request.sequence, LineStatus.OK)
-        if request.command in READ:
+        if request.command == "AUTO_LOCK":
+            self._write("AUTO_LOCK", [request.job])
+            return LineAnswer(request.sequence, LineStatus.OK)
+        if request.command in TOOLS:
             return self._tool(request)
         if request.command == "NEXT_PART":
             return await self._next(request)
-        if CommandKind[request.command] in REGISTERING:
+        if CommandKind.__members__.get(request.command) in REGISTERING:
             return await self._register(request)
-        await self._locate(request)
+        if request.command == "RESULT":
+            if self._sequence == 0:
+                raise _Refused(LineStatus.NOT_VALID)
+            self._given.add(request.sequence)
+            await self._end()
+        else:
+            await self._locate(request)
+        if request.command == "EXPOSE":
+            return LineAnswer(request.sequence, LineStatus.OK)
         result = self._read(reg.RESULT)
         code = int(result["RESULT"])
         reject = int(result["REJECT"])
         if code == reg.ResultCode.LOW_QUALITY and reject and not reject & ~FORBIDDEN:
             raise _Refused(LineStatus.OUT_OF_LIMITS)
-        if request.command == "LOCATE":
+        if request.command in ("LOCATE", "RESULT"):
             if code != reg.ResultCode.OK:
                 raise _Refused(100 + code)
             return self._part(request, LineStatus.NOT_VALID)
@@ -219,7 +236,7 @@ class Robot:
                 self._write("CMD_SEQ", [0])
             self._begin(request, request.sequence)
             self._located, self._given = request.sequence, {request.sequence}
-        await self._end()
+        await self._end(at_exposure=request.command == "EXPOSE")
 
     async def _next(self, request: LineRequest) -> LineAnswer:
         """Give the next part of the picture, under a number of the cell's that cannot clash with the robot's.
@@ -259,11 +276,18 @@ class Robot:
 
     def _begin(self, request: LineRequest, sequence: int) -> None:
         start = self._settings.base_address + reg.ADDRESS["COMMAND"]
-        self._view.write(start, self._command(request, sequence), shown=request.shown)
+        box = int(self._read(reg.COMMAND)["BOX"])
+        if request.box:
+            self._write("BOX", [request.box])
+        try:
+            self._view.write(start, self._command(request, sequence), shown=request.shown)
+        finally:
+            if request.box:  # it counts for this command alone
+                self._write("BOX", [box])
         self._sequence, self._asked = sequence, (request.sequence, request.command == "NEXT_PART")
 
-    async def _end(self) -> None:
-        """Wait for the end of the command."""
+    async def _end(self, *, at_exposure: bool = False) -> None:
+        """Wait for the end of the command, or only until its picture is taken."""
         sequence = self._sequence
         end_s = asyncio.get_running_loop().time() + TIMEOUT_S + 1.0
         while asyncio.get_running_loop().time() < end_s:
@@ -271,8 +295,10 @@ class Robot:
             status = self._read(reg.STATUS)
             if status["CMD_SEQ_ECHO"] != sequence:
                 raise _Refused(LineStatus.TAKEN_OVER)
+            bits = int(status["STATUS_BITS"])
+            if at_exposure and bits & reg.StatusBit.EXPOSURE_DONE:
+                return
             if status["DONE_SEQ"] == sequence:
-                bits = int(status["STATUS_BITS"])
                 if bits & reg.StatusBit.NACK:
                     raise _Refused(int(status["NACK_REASON"]))
                 if bits & reg.StatusBit.ACK:
@@ -281,9 +307,10 @@ class Robot:
         raise _Refused(LineStatus.TAKEN_OVER)
 
     def _command(self, request: LineRequest, sequence: int) -> list[int]:
-        """Words of the command block. ONCE: a line is not written cyclically."""
+        """Words of COMMAND to TIMEOUT: what a PLC wrote behind them stays. ONCE: a line is written once."""
+        kind = CommandKind.LOCATE if request.command == "EXPOSE" else CommandKind[request.command]
         values: dict[str, reg.Number] = {
-            "COMMAND": CommandKind[request.command],
+            "COMMAND": kind,
             "JOB": request.job,
             "CMD_SEQ": sequence,
             "OPTIONS": reg.Option.ONCE | (reg.Option.ALL_JOBS if request.tries_all else reg.Option(0)),
@@ -296,7 +323,8 @@ class Robot:
             pairs = zip("XYZABC", numbers, strict=True)
             values |= {f"FLANGE_{axis}": round(number * 1000) for axis, number in pairs}
         data = reg.encode(reg.COMMAND, values, self._settings.word_order)
-        return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
+        n_bytes = 2 * (reg.ADDRESS["TIMEOUT"] - reg.COMMAND.address + 1)
+        return [int.from_bytes(data[i : i + 2], "big") for i in range(0, n_bytes, 2)]
 
     def _part(self, request: LineRequest, otherwise: LineStatus) -> LineAnswer:
         """Answer with the part on display. otherwise : status if it is no longer valid."""

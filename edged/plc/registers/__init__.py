@@ -11,6 +11,7 @@ from edged.plc.registers.codec import CRC_START, crc16, decode, encode
 from edged.plc.registers.layout import (
     ADDRESS,
     AXES,
+    BITS,
     BLOCKS,
     COMMAND,
     CONSTANTS,
@@ -37,6 +38,8 @@ from edged.plc.registers.schema import (
     UINT16_MAX,
     UINT32_MAX,
     Block,
+    CellBit,
+    ControlBit,
     Flag,
     Kind,
     Number,
@@ -66,6 +69,7 @@ from edged.plc.registers.values import (
 __all__ = [
     "ADDRESS",
     "AXES",
+    "BITS",
     "BLOCKS",
     "COMMAND",
     "CONSTANTS",
@@ -93,6 +97,8 @@ __all__ = [
     "UR",
     "UR_GRASP",
     "Block",
+    "CellBit",
+    "ControlBit",
     "Flag",
     "Kind",
     "Number",

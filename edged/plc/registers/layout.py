@@ -16,6 +16,8 @@ from edged.plc.registers.schema import (
     ROW_WORDS,
     TABLE_ROWS,
     Block,
+    CellBit,
+    ControlBit,
     Flag,
     Option,
     ResultCode,
@@ -73,7 +75,8 @@ COMMAND = make_block(
         0: they may; so it is without the connection that wrote 1
     BOX              u16 - of the boxes of the cell's `[limits]` this one alone counts for the command, from
         1; 0: each of them. Stays as it was written
-    RESERVED_121     u16 - write 0
+    CONTROL          u16 bits {list_bits(ControlBit)}; bits 8 to 15 are the job, 0: the active one. For a
+        program without CMD_SEQ, which it then must not write; BITS answers. Written last, or alone
     """,
     writable=True,
 )
@@ -201,6 +204,15 @@ FLOAT = make_block(
     """,
 )
 
+BITS = make_block(
+    "bits",
+    535,
+    f"""
+    BITS             u16 bits {list_bits(CellBit)}; of the client that wrote CONTROL last
+    BITS_REASON      u16 - as NACK_REASON, of the command of CONTROL
+    """,
+)
+
 GRASP = make_block(
     "grasp",
     540,
@@ -297,7 +309,7 @@ TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
 BLOCKS = (
     *(CONSTANTS, COMMAND, STATUS),
-    *(RESULT, UR, UR_GRASP, FLOAT, GRASP, REGISTRATION),
+    *(RESULT, UR, UR_GRASP, FLOAT, BITS, GRASP, REGISTRATION),
     *(*TABLE, TABLE_END, COUNTERS, *JOBS),
 )
 ROWS = (TABLE, JOBS)

@@ -124,6 +124,34 @@ class Option(enum.IntFlag):
     """With CMD_SEQ in one request: LOCATE and VERIFY try every job, and the part that agrees best counts."""
 
 
+class ControlBit(enum.IntFlag):
+    """Register CONTROL, written by a client that has no sequences; bits 8 to 15 are the job."""
+
+    START = 1 << 0
+    """Rises: a command. Falls: its result was used, or it is taken back."""
+    NEXT = 1 << 1
+    """At the rising edge: the next part of the same picture instead of a new one."""
+    ALLOW_SIMULATED = 1 << 2
+    """OK also for coordinates of a virtual cell, where no part is."""
+
+
+class CellBit(enum.IntFlag):
+    """Register BITS, the answer to CONTROL."""
+
+    READY = 1 << 0
+    """START may rise."""
+    BUSY = 1 << 1
+    """The command runs."""
+    EXPOSURE_DONE = 1 << 2
+    """The picture is taken: the robot may leave it."""
+    DONE = 1 << 3
+    """The command has ended; down when START is."""
+    OK = 1 << 4
+    """DONE, and a robot may use the coordinates now: the only leave to move."""
+    NOK = 1 << 5
+    """DONE, and it may not: RESULT, F_RESULT and BITS_REASON say why."""
+
+
 class Warn(enum.IntFlag):
     """Register WARNING."""
 
