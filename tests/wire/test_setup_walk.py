@@ -312,6 +312,28 @@ def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
     walk.run(test, "409 (Conflict)")
 
 
+@pytest.mark.parametrize("role", ["viewer", "operator"])
+def test_who_may_not_is_refused_nothing(walk: Walk, role: str) -> None:
+    """Whoever only looks, or only operates, comes through all pages without one error."""
+
+    async def test() -> None:
+        page, name = walk.other, f"a {role}"
+        someone = {"name": name, "role": role, "password": PASSWORD}
+        await walk.newcomer.ask("POST", "users", someone, 201)
+        await page.ask("Network.clearBrowserCookies")
+        await log_in(page, walk.newcomer.origin, name, PASSWORD, "/setup", (1280, 900))
+        for step in STEPS:
+            await go(page, step)
+            await page.value("new Promise((done) => setTimeout(done, 500))")
+            assert "" == await page.value('document.querySelector(".trouble")?.innerText ?? ""'), step
+        offered = await page.value(
+            """[...document.querySelectorAll("main button, .lease button")].map((b) => b.textContent)"""
+        )
+        assert [] == [one for one in offered if one.strip() in ("Take the cell", "Take over")]
+
+    walk.run(test)
+
+
 def test_whoever_logs_in_again_is_where_they_were(walk: Walk) -> None:
     """Also after a wrong password, which is said."""
 

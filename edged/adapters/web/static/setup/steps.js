@@ -22,7 +22,7 @@ function ofLight() {
 }
 
 function ofRig() {
-  if (cell.value.missing.includes("rig")) return "gap";
+  if (cell.value.missing.includes("rig")) return draft.value ? "doubt" : "open";
   return draft.value && !draft.value.active ? "doubt" : "tick";
 }
 
@@ -40,13 +40,14 @@ function ofTry() {
 }
 
 const ofCell = () => (!isConnected.value ? "gap" : cell.value.error ? "doubt" : "tick");
-const ofJobs = () => (cell.value.missing.includes("jobs") ? "gap" : "tick");
-const ROBOT = { yes: "tick", on_flange: "tick", no: "gap" };
+const ofJobs = () => (cell.value.missing.includes("jobs") ? "open" : "tick");
+const ROBOT = { yes: "tick", on_flange: "tick", no: "open" };
 const ofRobot = () => ROBOT[cell.value.rig?.robot] ?? "none";
 const ofPlc = () => (cell.value.plc.owner ? "tick" : "none");
 const none = () => "none";
 /**
- * topic: the folder of the page; needs: routes, one of which the cell must have; state: a shape of pieces.js.
+ * topic: the folder of the page; needs: routes, one of which the cell must have; state: a shape of pieces.js,
+ * or "open" where nothing was done yet; "gap" is for what is broken.
  * @typedef {{ id: string, topic: string, needs?: string[], state: () => string }} Step
  */
 /** @type {Step[]} */
@@ -78,5 +79,5 @@ export const next = computed(() =>
 );
 
 export const State = ({ is }) => html`<span class="state ${is}">
-  <${Shape} is=${is} /><span class="unseen">${t(`state-${is}`)}</span>
+  <${Shape} is=${is === "open" ? "none" : is} /><span class="unseen">${t(`state-${is}`)}</span>
 </span>`;

@@ -112,7 +112,7 @@ function Board() {
       <${PitchField} size=${size} mm=${mm} onMm=${setMm} />
       <${NumberField}
         label=${t("board-goal")} unit="µm" digits=${1} low=${0.1} high=${1000} value=${goal}
-        onValue=${setGoal} name="goal"
+        onValue=${setGoal} name="goal" isForm
       />
     </div>
     <p class="hint"><${Shape} is="doubt" /> ${t("board-proof")}</p>

@@ -1,7 +1,7 @@
 // Which camera is which: cameras found, live pictures, a wave of the hand, and a test pair.
 import { html, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../shared/api.js";
-import { cameras, holds, lookAtCameras, SIDES, token, useFresh } from "../shared/live.js";
+import { cameras, holds, lookAtCameras, mayTake, SIDES, token, useFresh } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
 import { Shape, say } from "../shared/pieces.js";
 import { inWords, number, t } from "../shared/texts.js";
@@ -81,6 +81,7 @@ export default function Cameras() {
     <${Pair} />
     <section aria-labelledby="found">
       <h2 id="found">${t("cameras-found")}</h2>
+      ${!mayTake.value && html`<p class="hint">${t("cameras-engineer")}</p>`}
       ${found && !found.length && html`<p>${t("cameras-none")}</p>`}
       <ul class="tiles">
         ${found?.map(
@@ -100,7 +101,9 @@ export default function Cameras() {
             </li>`,
         )}
       </ul>
-      <div class="actions"><button onClick=${lookAtCameras}>${t("cameras-again")}</button></div>
+      <div class="actions">
+        <button disabled=${!mayTake.value} onClick=${lookAtCameras}>${t("cameras-again")}</button>
+      </div>
     </section>
     <${Wave} />
     <${Keep} />

@@ -34,11 +34,13 @@ function Newcomer() {
   const [role, setRole] = useState(ROLES[1]);
   const add = async (event) => {
     event.preventDefault();
-    const added = await attempt(() => ask("POST", "users", { name: name.trim(), role, password }));
+    const sent = { name, role, password };
+    const added = await attempt(() => ask("POST", "users", { ...sent, name: name.trim() }));
     if (!added) return;
     say(t("user-added", { name: added.name }));
-    setName("");
-    setPassword("");
+    // the next person may have been begun meanwhile
+    setName((now) => (now === sent.name ? "" : now));
+    setPassword((now) => (now === sent.password ? "" : now));
     await find();
   };
   return html`<form onSubmit=${add}>

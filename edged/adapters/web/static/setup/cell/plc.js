@@ -1,7 +1,7 @@
 // PLC and go live: addresses, last commands, clients' sources; what is missing for READY.
 import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, glance } from "../shared/api.js";
-import { cell, holds, leave, mayTake } from "../shared/live.js";
+import { cell, hasManual, holds, leave, mayTake } from "../shared/live.js";
 import { Dialog, Shape, say } from "../shared/pieces.js";
 import { number, t } from "../shared/texts.js";
 import { isBuilt, STEPS, State } from "../steps.js";
@@ -177,7 +177,10 @@ const Sources = ({ clients }) => html`<section aria-labelledby="plc-sources">
       </a>`,
     )}
   </div>
-  <div class="actions"><a class="button" href="/manual/how-to/plc/">${t("plc-manual")}</a></div>
+  ${
+    hasManual &&
+    html`<div class="actions"><a class="button" href="/manual/how-to/plc/">${t("plc-manual")}</a></div>`
+  }
 </section>`;
 
 const EVERY_MS = 2000;
