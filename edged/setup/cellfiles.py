@@ -28,6 +28,9 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.part.job import Job
 
+HIDDEN_HASH = "$argon2id$v=19$m=8,t=1,p=1$aGlkZGVuLi4$aGlkZGVuaGlkZGVuaGlkZGVu"
+"""In the place of a password's hash that the other process need not know; nothing is compared with it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellFiles:
@@ -106,8 +109,8 @@ def files_in_use(cell: CellFiles | UnfinishedCell) -> FilesInUse:
     settings = cell.config.model_dump(mode="json", by_alias=True, exclude_unset=True)
     if cell.config.web is not None:
         settings["web"]["password_hash"] = cell.config.web.password_hash.get_secret_value()
-    if cell.config.opcua is not None:
-        settings.pop("opcua", None)
+    if cell.config.opcua is not None and cell.config.opcua.password_hash.get_secret_value():
+        settings["opcua"]["password_hash"] = HIDDEN_HASH
     return FilesInUse(
         config=json.dumps(settings),
         contents=cell.contents,

@@ -34,6 +34,7 @@ from typing import Any
 
 from edged import __version__
 from edged.config.chosencameras import chosen_file
+from edged.config.chosenconnections import connections_file
 from edged.config.configuration import Config
 from edged.config.tomltext import toml_of
 from edged.domain.numerals import json_of
@@ -176,6 +177,9 @@ def _collect(
     _add(files, member, config.cell.rig, None if rig is None else rig.rig)
     if os.path.lexists(chosen) if rig is None else rig.cameras is not None:
         _add(files, _chosen_member(member), chosen, None if rig is None else rig.cameras)
+    connections = connections_file(config.cell.rig)
+    if os.path.lexists(connections):
+        _add(files, connections_file(Path(member)).as_posix(), connections)
     jobs, text = _placed(path, text, "jobs", config.cell.jobs)
     for place, data in (jobs_in(config.cell.jobs) if of_jobs is None else of_jobs).items():
         _add(files, f"{jobs}/{place}", config.cell.jobs / place, data)
@@ -376,11 +380,12 @@ def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:
     """Exchange the files; returns whether any is kept. output : how messages name the place."""
     names = _named(taken.files[taken.config], f"{taken.config} of the backup")
     replaced = _replaced(taken, place, names.get("cell.jobs", ""))
-    chosen = _chosen_member(names["cell.rig"]) if "cell.rig" in names else ""
-    if not _wrong_name(chosen) and os.path.lexists(place / chosen):
-        replaced.add(chosen)  # or another rig's cameras would be this one's
+    rig = names.get("cell.rig", "")
+    beside = [chosen_file(Path(rig)).as_posix(), connections_file(Path(rig)).as_posix()] if rig else []
+    # or another cell's cameras and connections would be this one's
+    replaced |= {name for name in beside if not _wrong_name(name) and os.path.lexists(place / name)}
     _leave_others_alone(taken, place, output, replaced)
-    private = {taken.config, names.get("zenoh.config_file", taken.config)}
+    private = {taken.config, names.get("zenoh.config_file", taken.config), *beside[1:]}
     return replace_files(place, taken.files, replaced, keep, private=private)
 
 

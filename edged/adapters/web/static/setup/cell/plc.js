@@ -1,12 +1,13 @@
 // PLC and go live: addresses, last commands, clients' sources; what is missing for READY.
 import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, glance } from "../shared/api.js";
-import { cell, hasManual, holds, leave, mayTake } from "../shared/live.js";
+import { cell, hasManual, holds, leave, mayTake, offers } from "../shared/live.js";
 import { Dialog, Shape, say } from "../shared/pieces.js";
 import { number, t } from "../shared/texts.js";
 import { isBuilt, STEPS, State } from "../steps.js";
 import { Exchanges } from "./plcexchanges.js";
 import { verdictOf } from "./plcprobe.js";
+import { Settings } from "./plcsettings.js";
 
 // --- go live ---
 
@@ -185,8 +186,18 @@ const Sources = ({ clients }) => html`<section aria-labelledby="plc-sources">
 
 const EVERY_MS = 2000;
 
+// The brand of the registration in use; null where it is not known.
+async function registeredBrand() {
+  if (!offers("registrations")) return null;
+  const { registrations } = await ask("GET", "registrations");
+  const used = registrations.find(({ active }) => active);
+  return used ? (await ask("GET", `registrations/${used.id}`)).brand : null;
+}
+
 export default function Plc() {
   const [plc, setPlc] = useState(null);
+  const [robot, setRobot] = useState(null);
+  const [looked, setLooked] = useState(0);
   const owner = cell.value.plc.owner;
   useEffect(() => {
     let isHere = true;
@@ -200,13 +211,18 @@ export default function Plc() {
       isHere = false;
       clearInterval(timer);
     };
-  }, [owner]);
+  }, [owner, looked]);
+  useEffect(() => {
+    glance(async () => setRobot(await registeredBrand()));
+  }, []);
   return html`<h1>${t("plc-title")}</h1>
     <p class="lead">${t("plc-lead")}</p>
     <${GoLive} />
     ${
       plc &&
-      html`<${Reach} plc=${plc} />${plc.listening && html`<${Exchanges} />`}
+      html`<${Reach} plc=${plc} />
+        ${offers("plc/settings") && html`<${Settings} robot=${robot} onSaved=${() => setLooked(looked + 1)} />`}
+        ${plc.listening && html`<${Exchanges} />`}
         <${Sources} clients=${plc.clients} />`
     }`;
 }
