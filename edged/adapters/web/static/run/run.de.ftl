@@ -73,6 +73,7 @@ run-no-result = kein Ergebnis, solange der Fehler besteht
 run-nothing-yet = noch nichts gemessen
 run-frame-robot = System des Roboters
 run-frame-rig = System der Kameras
+run-axis = Achse
 run-radius = Radius { $name }
 run-angle = Winkel im Bild
 run-score = Ähnlich{"\u00AD"}keit

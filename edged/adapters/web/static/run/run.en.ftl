@@ -73,6 +73,7 @@ run-no-result = no result while the fault lasts
 run-nothing-yet = nothing measured yet
 run-frame-robot = robot's frame
 run-frame-rig = rig's frame
+run-axis = axis
 run-radius = radius { $name }
 run-angle = angle in image
 run-score = score

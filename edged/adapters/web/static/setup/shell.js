@@ -30,7 +30,9 @@ function StateChip() {
         ? t("state-setup-by", { name: setup.name })
         : t("state-setup-nobody")
       : t(`state-${(state ?? "starting").toLowerCase()}`);
-  return html`<${Chip} kind=${kind} shape=${shape} role="status" id="state">${text}<//>`;
+  return html`<${Chip} kind=${kind} shape=${shape} role="status" id="state">
+    <span class="label">${text}</span>
+  <//>`;
 }
 
 function PlcChip() {
@@ -56,10 +58,11 @@ function Menu() {
   const left = ({ relatedTarget }) => menu.current.contains(relatedTarget) || shut();
   const onKey = ({ key }) => key === "Escape" && shut();
   return html`<details class="menu" ref=${menu} onFocusOut=${left} onKeyDown=${onKey}>
-    <summary><span class="unseen">${t("menu")}</span> <span translate=${false}>${
+    <summary><span class="unseen">${t("menu")}</span> <span class="words" translate=${false}>${
       me.value.name || me.value.role
     }</span></summary>
     <div class="panel" tabindex="-1">
+      <p class="muted" translate=${false}>${me.value.name || me.value.role}</p>
       <label class="language">
         <span>${t("language")}</span>
         <select onChange=${(event) => speakFrom(event.currentTarget.value)}>

@@ -1,6 +1,17 @@
 // The nine steps from unboxed cameras to a picked part; their ticks come from facts, never from clicks.
 import { computed, html } from "../vendor/ui.js";
-import { cameras, cell, checked, draft, isConnected, offers, quality, SIDES, told } from "./shared/live.js";
+import {
+  cameras,
+  cell,
+  checked,
+  draft,
+  hasObject,
+  isConnected,
+  offers,
+  quality,
+  SIDES,
+  told,
+} from "./shared/live.js";
 import { Shape } from "./shared/pieces.js";
 import { t } from "./shared/texts.js";
 
@@ -15,7 +26,7 @@ function ofCameras() {
 }
 
 function ofLight() {
-  if (!quality.value) return "none";
+  if (!quality.value || !hasObject.value) return "none";
   const isGood = ({ advice, sigma_z_factor }) =>
     advice.code === "good" && (sigma_z_factor ?? 1) <= MOST_FACTOR;
   return SIDES.every((side) => isGood(quality.value[side])) ? "tick" : "doubt";

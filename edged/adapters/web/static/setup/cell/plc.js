@@ -7,7 +7,7 @@ import { number, t } from "../shared/texts.js";
 import { isBuilt, STEPS, State } from "../steps.js";
 import { Exchanges } from "./plcexchanges.js";
 import { verdictOf } from "./plcprobe.js";
-import { Settings } from "./plcsettings.js";
+import { CONVENTION_NAMES, Settings } from "./plcsettings.js";
 
 // --- go live ---
 
@@ -90,7 +90,7 @@ function Reach({ plc }) {
       <dt>${t("plc-address")}</dt><dd translate=${false}>Modbus TCP ${where}:${port}, unit ${unit_id}</dd>
       <dt>${t("plc-base")}</dt><dd>${number(base_address)}</dd>
       <dt>${t("plc-order")}</dt><dd>${t(`plc-order-${word_order}`)}</dd>
-      <dt>${t("plc-convention")}</dt><dd translate=${false}>${convention}</dd>
+      <dt>${t("plc-convention")}</dt><dd translate=${false}>${CONVENTION_NAMES[convention] ?? convention}</dd>
       <dt>${t("plc-connected")}</dt><dd>${number(connected)}</dd>
       <dt>${t("plc-owner-now")}</dt>
       <dd>${owner ? html`<span translate=${false}>${owner}</span>` : t("plc-owner-none")}</dd>

@@ -7,7 +7,7 @@ import { NumberField, Shape, say } from "../shared/pieces.js";
 import { t } from "../shared/texts.js";
 
 const CONVENTIONS = ["fixed_xyz", "kuka_abc", "ur_rotation_vector", "staubli_xyz", "kawasaki_oat", "abb_zyx"];
-const CONVENTION_NAMES = {
+export const CONVENTION_NAMES = {
   fixed_xyz: "W P R, Rx Ry Rz (FANUC, Yaskawa)",
   kuka_abc: "A B C (KUKA)",
   ur_rotation_vector: "rx ry rz (Universal Robots)",
@@ -271,14 +271,18 @@ export function Settings({ robot, onSaved }) {
     setWanted({ ...wanted, modbus: { ...modbus, ...values } });
     if ("convention" in values || "socket" in values) setSure(false);
   };
-  const send = (method, body, text) => async () => {
+  const send = (method, body) => async () => {
     setSaving(true);
     const found = await attempt(() => ask(method, "plc/settings", { token: token.value, ...body }));
     setSaving(false);
     if (!found) return;
     take(found);
-    say(t(text));
+    say(t("plc-set-saved"));
     onSaved();
+  };
+  const submit = (event) => {
+    event.preventDefault();
+    send("PUT", wanted)();
   };
   const isOther = JSON.stringify(wanted) !== JSON.stringify({ modbus: known.modbus, opcua: known.opcua });
   const brand = modbus.socket?.brand || robot;
@@ -289,6 +293,7 @@ export function Settings({ robot, onSaved }) {
     <p class="hint">${t(known.is_chosen ? "plc-set-chosen" : "plc-set-configured")}</p>
     <details open=${isOpen} onToggle=${(event) => setOpen(event.currentTarget.open)}>
       <summary>${t("plc-set-change")}</summary>
+      <form onSubmit=${submit}>
       <fieldset disabled=${!mayTake.value}>
         <${Modbus} modbus=${modbus} set=${set} />
         <${Lines} socket=${modbus.socket} set=${set} />
@@ -306,21 +311,21 @@ export function Settings({ robot, onSaved }) {
         <button
           class="primary"
           disabled=${!holds.value || !isOther || isSaving || !isWhole || (disagrees && !isSure)}
-          onClick=${send("PUT", wanted, "plc-set-saved")}
         >
           ${t(isSaving ? "plc-set-saving" : "plc-set-save")}
         </button>
-        <button disabled=${!isOther} onClick=${() => take(known)}>${t("plc-set-back")}</button>
+        <button type="button" disabled=${!isOther} onClick=${() => take(known)}>${t("plc-set-back")}</button>
         ${
           known.is_chosen &&
           html`<button
-            disabled=${!holds.value || isSaving} onClick=${send("DELETE", {}, "plc-set-saved")}
+            type="button" disabled=${!holds.value || isSaving} onClick=${send("DELETE", {})}
           >
             ${t("plc-set-as-configured")}
           </button>`
         }
       </div>
       ${!holds.value && html`<p class="hint">${t("plc-set-take-cell")}</p>`}
+      </form>
     </details>
   </section>`;
 }

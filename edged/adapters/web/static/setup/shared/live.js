@@ -23,6 +23,15 @@ export const liveState = signal(/** @type {LiveState} */ ({}));
 export const token = signal(localStorage.getItem(KEPT) ?? "");
 export const liveViews = signal(0);
 
+// Whether somebody said that a board or a part is before the cameras: an empty scene has texture, too, and
+// light and focus cannot be judged by that.
+const OBJECT = "edged.object";
+export const hasObject = signal(sessionStorage.getItem(OBJECT) === "yes");
+export function sayObject(isThere) {
+  sessionStorage.setItem(OBJECT, isThere ? "yes" : "no");
+  hasObject.value = isThere;
+}
+
 // Whether this cell has a route; a page without its routes is not opened.
 const offered = new Set(document.getElementById("setup").dataset.offers.split(" "));
 export const offers = (path) => offered.has(path);
