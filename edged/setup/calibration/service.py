@@ -167,6 +167,7 @@ class Calibrations:
             raise CalibrationError("it is being solved")
         if not opened.draft.state.used:
             raise CalibrationError("there are no views yet")
+        opened.auto = None  # whoever solves has enough of them
         opened.task = self._tasks.start("solve", partial(self._solve, opened))
         self.drafts.tell(opened)
         return opened.task

@@ -3,7 +3,7 @@ import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "../v
 import { enter, pageOf } from "./pages.js";
 import { ask, attempt, confirming, glance, sentence, trouble, troubled } from "./shared/api.js";
 import { cell, end, hasManual, holds, isConnected, leave, mayTake, me, take, wake } from "./shared/live.js";
-import { Chip, Dialog, Shape, Spoken } from "./shared/pieces.js";
+import { Chip, Dialog, mainAction, Shape, Spoken } from "./shared/pieces.js";
 import { choose, LANGUAGES, language, t } from "./shared/texts.js";
 import { Stage } from "./stage.js";
 import { BESIDE, isBuilt, PAGES, STEPS, State } from "./steps.js";
@@ -245,7 +245,7 @@ function Lease() {
   </aside>`;
 }
 
-// Below what was pressed, as long as that is there; else above the page. It comes into sight, and follows.
+// Below or above what was pressed, as long as that is there; else above the page. It comes into sight, and follows.
 const GAP_PX = 6;
 function Trouble() {
   const box = useRef(null);
@@ -257,11 +257,12 @@ function Trouble() {
     let isSeen = false;
     const stay = () => {
       const control = troubled.peek();
-      const { left, bottom, width } = control?.getBoundingClientRect() ?? {};
-      const room = innerWidth - (box.current?.offsetWidth ?? 0) - GAP_PX;
-      setPlace(
-        width ? `${Math.max(GAP_PX, Math.min(left, room)) + scrollX}px ${bottom + GAP_PX + scrollY}px` : null,
-      );
+      const { left, top, bottom, width } = control?.getBoundingClientRect() ?? {};
+      const { offsetWidth, offsetHeight } = box.current ?? { offsetWidth: 0, offsetHeight: 0 };
+      const room = innerWidth - offsetWidth - GAP_PX;
+      const isAbove = bottom + GAP_PX + offsetHeight > innerHeight; // as at the foot of the window
+      const y = isAbove ? top - offsetHeight - GAP_PX : bottom + GAP_PX;
+      setPlace(width ? `${Math.max(GAP_PX, Math.min(left, room)) + scrollX}px ${y + scrollY}px` : null);
       frame = requestAnimationFrame(stay);
       if (isSeen) return;
       isSeen = true;
@@ -289,8 +290,14 @@ function Foot() {
   return html`<nav class="foot" aria-label=${t("foot")}>
     <a class="button" href="#/${before.id}">‹ ${t(`step-${before.id}`)}</a>
     ${
+      mainAction.value &&
+      html`<button class="primary" onClick=${mainAction.value.act}>${mainAction.value.text}</button>`
+    }
+    ${
       after &&
-      html`<a class="button ${step.state() === "tick" ? "primary" : ""}" href="#/${after.id}">
+      html`<a
+        class="button ${step.state() === "tick" && !mainAction.value ? "primary" : ""}"
+        href="#/${after.id}">
         ${t(`step-${after.id}`)} ›
       </a>`
     }

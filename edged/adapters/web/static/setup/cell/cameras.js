@@ -73,6 +73,13 @@ function Test() {
   </section>`;
 }
 
+const isChoosable = (serial) => Boolean(serial) && mayTake.value;
+async function use(side, serial) {
+  const done = await attempt(() => ask("PUT", `cameras/${side}`, { token: token.value, serial }));
+  if (done) say(t(`used-as-${side}`, { serial }));
+  await lookAtCameras();
+}
+
 export default function Cameras() {
   useFresh(lookAtCameras, [holds.value]);
   const found = cameras.value?.found;
@@ -97,6 +104,19 @@ export default function Cameras() {
                       ${t("is-neither")}`
                 }
               </p>
+              ${
+                isChoosable(serial) &&
+                html`<div class="actions">
+                  ${SIDES.filter((one) => one !== side).map(
+                    (one) => html`<button
+                      key=${one} disabled=${!holds.value} onClick=${() => use(one, serial)}
+                      aria-label=${t(`use-as-${one}-name`, { serial })}
+                    >
+                      ${t(`use-as-${one}`)}
+                    </button>`,
+                  )}
+                </div>`
+              }
               ${trouble && html`<p class="wrong"><${Shape} is="doubt" /> ${inWords("trouble", trouble)}</p>`}
             </li>`,
         )}

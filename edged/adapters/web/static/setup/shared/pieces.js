@@ -117,6 +117,24 @@ export function Slider({ label, value, low, high, isLogarithmic, onValue, disabl
   />`;
 }
 
+// What the page is about to do next, offered at the foot of the window too: {text, act}, or null.
+export const mainAction = signal(null);
+// text: falsy: not now. Of several components at most one has it.
+export function useMainAction(text, act) {
+  const own = useRef(null);
+  const give = () => {
+    if (own.current && mainAction.peek() === own.current) mainAction.value = null;
+    own.current = null;
+  };
+  useEffect(() => {
+    if (!text) return give();
+    own.current = { text, act };
+    mainAction.value = own.current;
+    return undefined;
+  });
+  useEffect(() => give, []);
+}
+
 // Announcements of the screen reader.
 const spoken = signal("");
 export const say = (text) => {
