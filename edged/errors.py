@@ -107,7 +107,7 @@ class CaptureError(EdgedError):
 
     def __init__(self, camera: str, message: str) -> None:
         self.camera = camera
-        super().__init__(f"camera {camera}: {message}")
+        super().__init__(f"{'both cameras' if camera == 'both' else f'camera {camera}'}: {message}")
 
 
 class CameraUnreachable(CaptureError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from helpers.cells import small_rig
 
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.config.chosencameras import chosen_file, read_chosen, with_changes
+from edged.config.chosenconnections import connections_file
 from edged.config.reading import load
 from edged.errors import ConfigError
 from edged.setup.cellfiles import read_any_cell, read_cell
@@ -86,6 +88,19 @@ def test_it_goes_with_the_rig_into_a_backup_and_back(config: Path, tmp_path: Pat
         assert taken.fingerprint == read_cell(restored).fingerprint
         expected = 700.0 if taken is chosen else None
         assert expected == load(restored).cameras.left.exposure_us
+
+
+def test_connections_go_into_a_backup_and_back(config: Path, tmp_path: Path) -> None:
+    """As private as the configuration; a backup without them leaves none of another cell's."""
+    file = connections_file(load(config).cell.rig)
+    plain = releases.read(_saved(tmp_path / "plain", config))
+    file.write_text(json.dumps({"modbus": {"port": 1702}}))
+    chosen = releases.read(_saved(tmp_path / "chosen", config))
+    for taken, port in ((chosen, 1702), (plain, 1502), (chosen, 1702)):
+        releases.restore(taken, tmp_path / "restored", force=True)
+        again = load(tmp_path / "restored" / config.name)
+        assert port == again.modbus.port
+    assert 0 == connections_file(again.cell.rig).stat().st_mode & 0o077
 
 
 def _saved(path: Path, config: Path) -> Path:

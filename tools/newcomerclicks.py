@@ -109,7 +109,6 @@ async def calibrate(page: Browser, ask: Ask, goal_um: float) -> int:
             await ask("PUT", "stage/hand", {"left": left, "right": right})
         await page.value("new Promise((done) => setTimeout(done, 100))")
     views = int(await page.value(VIEWS))
-    await press(page, "Stop taking views")
     await press(page, "Solve")
     await long(page, 'document.querySelector("#solve").parentElement.querySelector("dl")')
     await press(page, "Use this calibration")

@@ -74,6 +74,7 @@ class SetupServices:
         from edged.setup.calibration.routes import CalibrationRoutes, CheckRoutes
         from edged.setup.cameras.routes import CameraRoutes
         from edged.setup.plcroutes import PlcRoutes
+        from edged.setup.plcsettings import PlcSettingsRoutes
         from edged.setup.recordings.routes import CycleRoutes, RegressionRoutes
         from edged.setup.registration.routes import RegistrationRoutes
         from edged.setup.releases.routes import JobRoutes, ReleaseRoutes
@@ -88,6 +89,7 @@ class SetupServices:
             CycleRoutes(self._cycles),
             RegistrationRoutes(self._registrations, self._activation),
             PlcRoutes(self._running),
+            PlcSettingsRoutes(self.cell, self._activation),
             TeachingRoutes(self._teachings, self._activation),
             TrialRoutes(self._trials),
             JobRoutes(self._jobs, self._activation),

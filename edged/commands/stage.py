@@ -8,9 +8,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.app.cell import load_any_cell, warm_up
+from edged.app.cell import LoadedCell, load_any_cell, warm_up
 from edged.app.daemon import Daemon
 from edged.app.process import serve
+from edged.domain.cell import SetupSource
 from edged.files.outputs import make_folder
 from edged.files.private import write_private
 from edged.files.statefolder import page_folder
@@ -27,7 +28,7 @@ USER = "me"
 """The user who sets the stage up: an engineer."""
 
 STEPS = """\
-A virtual cell without a calibration and without a job: set it up on its page, up to a part to be picked.
+A virtual cell {with_what}: set it up on its page, up to a part to be picked.
   1  open    http://127.0.0.1:{port}/setup
   2  log in  name {name}, password {password}   (made for this run)
   3  take the cell; the stage at the foot of each page does what hands do: wave, hold the board, lay the part
@@ -47,7 +48,9 @@ def run_stage(
     warm_up(loaded)
     routes = StageRoutes(world.stage)
     console.print(
-        STEPS.format(port=ports[0], name=USER, password=password, folder=folder),
+        STEPS.format(
+            with_what=_what_it_has(loaded), port=ports[0], name=USER, password=password, folder=folder
+        ),
         highlight=False,
         soft_wrap=True,
     )
@@ -55,6 +58,16 @@ def run_stage(
         serve(lambda: Daemon(path, loaded, observers=[routes], world=world, routes=[routes, routes.robot]))
     )
     return 0
+
+
+def _what_it_has(loaded: LoadedCell) -> str:
+    """In words: what was done in this folder before is still there."""
+    lacks, count = loaded.setup.lacks, len(loaded.setup.jobs)
+    if lacks is SetupSource.NO_CALIBRATION:
+        return "without a calibration and without a job"
+    if lacks is SetupSource.NO_JOB:
+        return "with the calibration of this folder, and without a job"
+    return f"with the calibration and the {count} job{'' if count == 1 else 's'} of this folder"
 
 
 def write_cell(

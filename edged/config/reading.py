@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from edged.config.cell import LimitsSection
 from edged.config.chosencameras import chosen_file, chosen_of, read_chosen
+from edged.config.chosenconnections import connections_file, connections_of, read_connections
 from edged.config.configuration import Config
 from edged.config.tomltext import MAX_TOML_BYTES, toml_of
 from edged.errors import ConfigError
@@ -83,7 +84,7 @@ def config_of(content: bytes, path: Path) -> Config:
 
 
 def config_and_choice(content: bytes, path: Path) -> tuple[Config, bytes | None]:
-    """The configuration with the cameras chosen for its rig: in force, and as they are written."""
+    """The configuration with what was chosen on the page, in force; and the cameras of that as written."""
     try:
         data = toml_of(content)
     except UnicodeDecodeError as error:
@@ -93,10 +94,16 @@ def config_and_choice(content: bytes, path: Path) -> tuple[Config, bytes | None]
     except RecursionError:
         raise ConfigError(str(path), ["not a configuration: nested too deeply"]) from None
     config = _validated(data, path, str(path))
-    chosen = read_chosen(config.cell.rig)
+    rig = config.cell.rig
+    connections = read_connections(rig)
+    if connections is not None:
+        file = connections_file(rig)
+        data = connections_of(connections, file).over(data)
+        config = _validated(data, path, f"{path} with {file}")
+    chosen = read_chosen(rig)
     if chosen is None:
         return config, None
-    file = chosen_file(config.cell.rig)
+    file = chosen_file(rig)
     cameras = chosen_of(chosen, file).over(data.get("cameras", {}))
     return _validated({**data, "cameras": cameras}, path, f"{path} with {file}"), chosen
 

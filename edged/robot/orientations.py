@@ -223,7 +223,7 @@ _ROTATIONS: dict[Convention, Callable[[float, float, float], FloatArray]] = {
     Convention.KAWASAKI_OAT: matrix_oat,
     Convention.ABB_ZYX: matrix_zyx,
 }
-_CONVENTIONS = {
+CONVENTIONS = {
     Brand.UR: Convention.UR_ROTATION_VECTOR,
     Brand.KUKA: Convention.KUKA_ABC,
     Brand.FANUC: Convention.FIXED_XYZ,
@@ -286,7 +286,7 @@ def pose_of(brand: Brand, robot_from_part: FloatArray) -> tuple[float, ...]:
     if brand is Brand.ABB:
         angles: tuple[float, ...] = tuple(quaternion(R).tolist())
     else:
-        angles = tuple(math.radians(angle) / to_rad for angle in ANGLES_DEG[_CONVENTIONS[brand]](R))
+        angles = tuple(math.radians(angle) / to_rad for angle in ANGLES_DEG[CONVENTIONS[brand]](R))
     return (*(robot_from_part[:3, 3] / to_mm).tolist(), *angles)
 
 

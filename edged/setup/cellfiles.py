@@ -32,6 +32,8 @@ from edged.vision.part.job import Job
 USUAL_BASELINE_MM = (10.0, 800.0)
 """Between two cameras on one mount: outside of it a board was mostly stated ten times too large or small. The
 rig cannot tell; a ruler can."""
+HIDDEN_HASH = "$argon2id$v=19$m=8,t=1,p=1$aGlkZGVuLi4$aGlkZGVuaGlkZGVuaGlkZGVu"
+"""In the place of a password's hash that the other process need not know; nothing is compared with it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,8 +113,8 @@ def files_in_use(cell: CellFiles | UnfinishedCell) -> FilesInUse:
     settings = cell.config.model_dump(mode="json", by_alias=True, exclude_unset=True)
     if cell.config.web is not None:
         settings["web"]["password_hash"] = cell.config.web.password_hash.get_secret_value()
-    if cell.config.opcua is not None:
-        settings.pop("opcua", None)
+    if cell.config.opcua is not None and cell.config.opcua.password_hash.get_secret_value():
+        settings["opcua"]["password_hash"] = HIDDEN_HASH
     return FilesInUse(
         config=json.dumps(settings),
         contents=cell.contents,

@@ -148,7 +148,7 @@ def test_no_pulse_is_a_time_out(cell: Cell) -> None:
     """Both cameras waited in vain."""
 
     async def script(head: StereoHead) -> None:
-        with pytest.raises(FrameTimeout, match=r"camera both: no trigger came within 0\.3 s"):
+        with pytest.raises(FrameTimeout, match=r"both cameras: no trigger came within 0\.3 s"):
             await head.capture()
 
     run(script, head({"mode": "line"}, timeout_s=0.3))

@@ -60,6 +60,10 @@ def test_cameras_are_told_apart_by_a_wave_and_set_with_their_own_limits(tmp_path
             assert [] == await page.value(SMALL_TARGETS)
 
             await go(page, "light")
+            await page.until(said("First put a board or a part"))
+            await page.until("document.querySelector('[name=left-exposure_us]')?.value === '2000'")
+            assert not await page.value(f"{said('px wide')} || {said('Exposure is good')} || {said('Set ')}")
+            await press(page, "It is there")
             await page.until(said("px wide"))
             await page.until("document.querySelector('[name=left-exposure_us]')?.value === '2000'")
             await page.type("[name=left-exposure_us]", "0,5")

@@ -126,6 +126,10 @@ def test_what_is_kept_outlives_setup_and_the_daemon(tmp_path: Path) -> None:
                 "PUT", "cameras/left", {**newcomer.token, "serial": SERIALS[1], "gain_db": 3.0}
             )
             await newcomer.ask("POST", "cameras/keep", newcomer.token, 204)
+            configured = (await newcomer.ask("GET", "cameras"))["configured"]
+            assert [{}, {}] == [
+                configured[side]["tried"] for side in ("left", "right")
+            ]  # nothing is left to keep
         await newcomer.ask("DELETE", "setup", newcomer.token, 204)
         newcomer.token = await newcomer.ask("POST", "setup", {"name": "Ben"}, 201)
         await newcomer.picture()

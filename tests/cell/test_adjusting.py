@@ -6,14 +6,25 @@ import asyncio
 
 import numpy as np
 import pytest
+from helpers.scriptedhead import Head
 
 from edged.cell.lease.cameras import SetupCameras
 from edged.cell.stereohead import HeadSettings, StereoHead
 from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Image
 from edged.domain.exposure import CameraLimits, CameraValues
-from edged.domain.frames import Frame
-from edged.errors import CameraSetupError, CameraUnreachable
+from edged.domain.frames import Frame, FramePair
+from edged.errors import (
+    CameraBusy,
+    CameraSetupError,
+    CameraUnreachable,
+    CaptureError,
+    FrameFrozen,
+    FrameIncomplete,
+    FrameTimeout,
+    FrameUnpaired,
+    StreamStalled,
+)
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
 
@@ -125,3 +136,36 @@ def test_cameras_that_cannot_be_opened_leave_those_from_before() -> None:
 
     asyncio.run(script())
     assert [(2000.0, 0.0), (2000.0, 0.0)] == film.exposed
+
+
+class Losing(Head):
+    """A head that fails with these errors first."""
+
+    def __init__(self, *errors: CaptureError) -> None:
+        super().__init__()
+        self.errors = list(errors)
+
+    async def capture(self) -> FramePair:
+        if self.errors:
+            raise self.errors.pop(0)
+        return await super().capture()
+
+
+@pytest.mark.parametrize("error", [FrameTimeout, FrameIncomplete, FrameUnpaired])
+def test_one_lost_image_is_exposed_again(error: type[CaptureError]) -> None:
+    """Nobody who looks, tests or teaches hears of it; two in a row are a fault."""
+    once, twice = Losing(error("left", "lost")), Losing(error("left", "lost"), error("left", "lost"))
+    cameras = SetupCameras(lambda: True)
+    pair = asyncio.run(cameras.capture(once, listens=False))
+    assert 1 == pair.left.frame_id
+    with pytest.raises(error):
+        asyncio.run(cameras.capture(twice, listens=False))
+
+
+@pytest.mark.parametrize("error", [CameraUnreachable, CameraBusy, StreamStalled, FrameFrozen])
+def test_a_fault_that_stays_is_said_at_once(error: type[CaptureError]) -> None:
+    """A further exposure would only take time."""
+    head = Losing(error("left", "cable"))
+    with pytest.raises(error):
+        asyncio.run(SetupCameras(lambda: True).capture(head, listens=False))
+    assert 0 == head.captures

@@ -228,7 +228,7 @@ def test_no_trigger_is_no_fault_of_the_cameras() -> None:
 
     async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
         for _ in range(2 * REOPEN_AFTER):
-            with pytest.raises(FrameTimeout, match=r"camera both: no trigger came within 0\.02 s") as caught:
+            with pytest.raises(FrameTimeout, match=r"both cameras: no trigger came within 0\.02 s") as caught:
                 await head.capture()
             assert FrameTimeout is type(caught.value)
         assert (1, 1) == (left.opened, right.opened)

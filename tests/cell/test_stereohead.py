@@ -636,7 +636,7 @@ def test_two_cameras_that_are_missing_are_both_named() -> None:
             side.faults.open_error = CameraUnreachable(side.name, "no answer")
         with pytest.raises(CameraUnreachable) as caught:
             await bench.head.open()
-        assert "camera both: left: no answer; right: no answer" == str(caught.value)
+        assert "both cameras: left: no answer; right: no answer" == str(caught.value)
 
     run(script)
 

@@ -192,7 +192,8 @@ class Browser:
             await self.ask("Runtime.evaluate", expression=AXE.read_text())
         return list(
             await self.value(
-                "axe.run().then(({violations}) => violations.flatMap(({id, nodes}) => "
+                "axe.run({rules: {'label-content-name-mismatch': {enabled: true}}}).then(("
+                "{violations}) => violations.flatMap(({id, nodes}) => "
                 "nodes.map(({target, failureSummary}) => `${id} ${target}: ${failureSummary}`)))"
             )
         )

@@ -21,11 +21,12 @@ from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Event, ExposureDone
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss
+from edged.identity.passwords import hash_password
 from edged.link import values
 from edged.link.pictures import PictureRing, SharedPictures
 from edged.link.summary import CellSummary, FilesInUse, PageTask, ProgramStep
 from edged.payload import snapshot_to_json
-from edged.setup.cellfiles import CellFiles, cell_of, files_in_use, read_any_cell, read_cell
+from edged.setup.cellfiles import HIDDEN_HASH, CellFiles, cell_of, files_in_use, read_any_cell, read_cell
 
 ROOTS = (*typing.get_args(Event), CellSummary, FilesInUse, PageTask, ProgramStep)
 
@@ -117,14 +118,19 @@ def test_the_files_of_a_cell_are_the_same(tmp_path: Path, lacks: str) -> None:
 def test_no_secret_but_the_pages_own_crosses(tmp_path: Path) -> None:
     """A page that strangers talk to cannot give away what others log in with."""
     cell = SmallCell(tmp_path)
+    other = hash_password("another horse")
     text = cell.config.read_text().replace("[web]", f'[web]\npassword_hash = "{HASH}"', 1)
-    cell.config.write_text(f"{text}\n[opcua]\nport = {free_port()}\nanonymous = true\n")
-    files = carried(files_in_use(read_cell(cell.config)))
+    keys = 'certificate = "c"\nkey = "k"\ntrusted = "t"\n'
+    cell.config.write_text(f'{text}\n[opcua]\nport = {free_port()}\npassword_hash = "{other}"\n{keys}')
+    files = carried(files_in_use(read_cell(cell.config, elsewhere=True)))
     told = cell_of(files).config
     assert told.web is not None
     assert HASH == told.web.password_hash.get_secret_value()
-    assert None is told.opcua
-    assert not any(HASH.encode() in content for content in files.contents.values())
+    assert told.opcua is not None
+    assert HIDDEN_HASH == told.opcua.password_hash.get_secret_value()
+    for secret in (HASH, other):
+        assert not any(secret.encode() in content for content in files.contents.values())
+    assert other not in files.config
 
 
 # --- pictures -----------------------------------------------------------------------------------------

@@ -80,13 +80,13 @@ def test_a_value_that_is_missing_is_an_error() -> None:
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("index.html", {"setup": False, "modules": []}),
-        ("index.html", {"setup": True, "modules": ["run/run.js"]}),
+        ("index.html", {"setup": False, "modules": [], "manual": False}),
+        ("index.html", {"setup": True, "modules": ["run/run.js"], "manual": True}),
         ("invite.html", {**FORM, "least": 8, "command": "edged"}),
         ("login.html", {**FORM, "users": False, "one": True}),
         ("login.html", {**FORM, "users": True, "one": False, "problem": "wrong"}),
         ("nomanual.html", {}),
-        ("setup.html", {"modules": ["/static/setup/main.js"], "offers": ["cell"]}),
+        ("setup.html", {"modules": ["/static/setup/main.js"], "offers": ["cell"], "manual": True}),
     ],
 )
 def test_the_status_page_has_the_same_frame(name: str, values: dict[str, Any]) -> None:

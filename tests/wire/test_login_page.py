@@ -170,6 +170,7 @@ def test_they_can_be_read_and_used_by_everybody() -> None:
 
         await log_in(page, cell.origin, "Vera", PASSWORD, "/setup", (1280, 900))
         await page.value('import("/static/setup/shared/texts.js").then((texts) => texts.choose("de"))')
+        await page.click("header .menu summary")
         await page.click("header form button")
         await page.until('document.querySelector("#password")')
         assert "de" == await page.value("document.documentElement.lang")

@@ -181,8 +181,12 @@ def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -> None
             await log_in(page, origin, "Anna", PASSWORD, "/setup", (1280, 900))
             await go(page, "calibrate")
             await page.until(f"{VIEWS} === 6")
+            status, _ = await cell.ask("PUT", f"{place}/auto", {"token": token, "on": True})
+            assert 200 == status
             status, _ = await cell.ask("POST", f"{place}/activate", {"token": token, "note": "the first"})
             assert 200 == status
+            assert not (await cell.ask("GET", place))[1]["auto"]
+            await page.until(said("Take views automatically"))
             await take_over(page)
             await press(page, "Begin another calibration")
             await page.until(said("Which board?"))
@@ -199,6 +203,41 @@ def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -> None
             await page.ask("Page.reload")
             await page.until(said("Which board?"))
             assert [] == page.complaints
+
+    asyncio.run(bounded())
+
+
+def test_another_calibration_is_begun_after_a_stop(tmp_path: Path) -> None:
+    """What was under way then is still there, is put aside or thrown away, and hinders nothing."""
+    cell = BoardCell(tmp_path)
+
+    async def bounded() -> None:
+        async with asyncio.timeout(WHOLE_S), browser() as page:
+            async with cell.running():
+                await with_views(cell, 3)
+            for end in ("put aside", "thrown away"):
+                async with cell.running():
+                    await log_in(
+                        page, f"http://127.0.0.1:{cell.port}", "Anna", PASSWORD, "/setup", (1280, 900)
+                    )
+                    await go(page, "calibrate")
+                    if end == "put aside":
+                        await page.until(f"{VIEWS} === 3")
+                        await press(page, "Begin another calibration")
+                        await page.until(said("Which board?"))
+                        await page.type("[name=mm]", "6")
+                        await press(page, "Begin")
+                        await page.until(said("Hold the board before both cameras"))
+                        page.complaints.clear()  # of a socket whose cell has stopped
+                    else:
+                        await page.until(said("Hold the board before both cameras"))
+                        await discard(page)
+                        await page.until(said("Which board?"))
+                        await discard(page)
+                        await page.until(f"!{said('Begun before')}")
+                        await page.type("[name=mm]", "7")
+                        await press(page, "Begin")
+                        await page.until(said("Hold the board before both cameras"))
 
     asyncio.run(bounded())
 

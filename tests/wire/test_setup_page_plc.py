@@ -135,7 +135,7 @@ async def check_probes(page: Browser) -> None:
     shown = {
         str(u32): "Right: words",
         hex(u32): "Right: words",
-        str(swapped(u32, words=True, octets=False)): 'set modbus.word_order = "low"',
+        str(swapped(u32, words=True, octets=False)): "choose low word first below",
         str(swapped(u32, words=False, octets=True)): "The two bytes of each word are swapped",
         str(swapped(u32, words=True, octets=True)): "Bytes and words are both swapped",
         str(0x030442F6): "The address is one too high",

@@ -53,6 +53,8 @@ ENTERED = {
     "plc": said("Modbus TCP 127.0.0.1:"),
 }
 """What shows that the cell has kept what was done on a page; without a line here: its heading."""
+OTHERS = ["viewer", "operator"]
+"""Who may not set the cell up."""
 ALONE = {"light"}
 """What a camera is set to is told to who has the cell."""
 HERE = """location.hash === "#/{step}" && document.querySelector('main[data-page="{step}"] h1')
@@ -117,6 +119,9 @@ async def worked(newcomer: Newcomer) -> None:
     """Do something at every step, as the pages would ask for it."""
     ask, token = newcomer.ask, newcomer.token
 
+    for role in OTHERS:
+        someone = {"name": f"a {role}", "role": role, "password": PASSWORD}
+        await ask("POST", "users", someone, 201)
     newcomer.world.cell.teach_pair()  # what is drawn for the first time takes longer than a camera may
     await ask("PUT", "stage", {"showing": "part"})
     draft = f"teachings/{(await ask('POST', 'teachings', token, 201))['id']}"
@@ -310,6 +315,26 @@ def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
         await page.ask("Page.reload")
 
     walk.run(test, "409 (Conflict)")
+
+
+@pytest.mark.parametrize("role", OTHERS)
+def test_who_may_not_is_refused_nothing(walk: Walk, role: str) -> None:
+    """Whoever only looks, or only operates, comes through all pages without one error."""
+
+    async def test() -> None:
+        page, name = walk.other, f"a {role}"
+        await page.ask("Network.clearBrowserCookies")
+        await log_in(page, walk.newcomer.origin, name, PASSWORD, "/setup", (1280, 900))
+        for step in STEPS:
+            await go(page, step)
+            await page.value("new Promise((done) => setTimeout(done, 500))")
+            assert "" == await page.value('document.querySelector(".trouble")?.innerText ?? ""'), step
+        offered = await page.value(
+            """[...document.querySelectorAll("main button, .lease button")].map((b) => b.textContent)"""
+        )
+        assert [] == [one for one in offered if one.strip() in ("Take the cell", "Take over")]
+
+    walk.run(test)
 
 
 def test_whoever_logs_in_again_is_where_they_were(walk: Walk) -> None:

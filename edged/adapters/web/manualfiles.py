@@ -55,6 +55,11 @@ class Manual:
         }
 
 
+def is_built(folder: Path) -> bool:
+    """Whether a manual is there; asked at each page, as it may be built meanwhile."""
+    return (folder / "index.html").is_file()
+
+
 def read_manual(folder: Path) -> Manual | None:
     """What was built into a folder; None where nothing was."""
     files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}

@@ -12,7 +12,7 @@ from pathlib import Path
 from aiohttp import web
 
 from edged.adapters.web.assets import run_modules, type_of
-from edged.adapters.web.manualfiles import Manual, read_manual
+from edged.adapters.web.manualfiles import Manual, is_built, read_manual
 from edged.adapters.web.page import THUMBNAIL_PX, StatusPage, picture
 from edged.domain.arrays import Side
 from edged.domain.measurement import Nearest
@@ -52,7 +52,10 @@ class PageHandlers:
         self._protected = protected
         self._pictures: OrderedDict[tuple[int, str, str], bytes] = OrderedDict()
         self._no_manual = render("nomanual.html", __package__, cell=cell)
-        self._run = render("index.html", __package__, cell=cell, setup=is_set_up, modules=run_modules(assets))
+        named = {"cell": cell, "setup": is_set_up, "modules": run_modules(assets)}
+        self._run = {
+            built: render("index.html", __package__, manual=built, **named) for built in (False, True)
+        }
 
     def add_to(self, router: web.UrlDispatcher) -> None:
         """Add the routes."""
@@ -77,7 +80,7 @@ class PageHandlers:
         return {**self._page.status(), "protected": self._protected}
 
     async def _index(self, _request: web.Request) -> web.Response:
-        return html(self._run)
+        return html(self._run[is_built(self._manual_folder)])
 
     async def _static(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]

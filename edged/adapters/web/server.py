@@ -24,7 +24,7 @@ from edged.adapters.web.assets import modules, read_assets
 from edged.adapters.web.auditing import Auditor, AuditRoutes
 from edged.adapters.web.gate import Gate
 from edged.adapters.web.login import MAX_FORM_BYTES, LoginForms, cookie_name, tell_of_users, visitor_of
-from edged.adapters.web.manualfiles import FOLDER
+from edged.adapters.web.manualfiles import FOLDER, is_built
 from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.page import PageSources, StatusPage
 from edged.adapters.web.pages import PageHandlers, html
@@ -140,7 +140,8 @@ class WebPublisher:
         self._setup = setup = setup or SettingUp()
         self._notices = setup.notices or Notices()
         self._sockets: Sockets | None = None
-        self._setup_page = ""
+        self._setup_page = dict[bool, str]()
+        self._manual = manual
         self._taking: SetupRoutes | None = None
         self._settings = settings
         self._context = context
@@ -254,9 +255,10 @@ class WebPublisher:
         )
         table.add(self._sockets, *self._setup.routes)
         offers = sorted({route.plain_path.removeprefix(f"{BASE}/") for route in table})
-        self._setup_page = render(
-            "setup.html", __package__, cell=self._cell, modules=modules(self._assets), offers=offers
-        )
+        named = {"cell": self._cell, "modules": modules(self._assets), "offers": offers}
+        self._setup_page = {
+            built: render("setup.html", __package__, manual=built, **named) for built in (False, True)
+        }
         return Gate(table, commissioner, self._access, self._auditor, setup.holds, self._clock_s)
 
     def announce(self, event: Event) -> None:
@@ -411,4 +413,4 @@ class WebPublisher:
         return visitor_of(self._access, request)
 
     async def _show_setup(self, _request: web.Request) -> web.Response:
-        return html(self._setup_page)
+        return html(self._setup_page[is_built(self._manual)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Mapping
 from typing import Protocol, runtime_checkable
 
@@ -11,13 +12,24 @@ from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import FramePair
-from edged.errors import CameraSetupError, CaptureError, FrameTimeout
+from edged.errors import (
+    CameraSetupError,
+    CaptureError,
+    FrameIncomplete,
+    FrameTimeout,
+    FrameUnpaired,
+    StreamStalled,
+)
 from edged.ports import AdjustableHead, Head
+
+log = logging.getLogger(__name__)
 
 LOOK_S = 1.0
 """Waiting for others to trigger, check this often whether the picture is still wanted."""
 LISTEN_S = 10.0
 """Longest wait for an exposure that others trigger."""
+LOST = FrameTimeout, FrameIncomplete, FrameUnpaired
+"""One image did not come, or not whole: the next one mostly does."""
 
 
 @runtime_checkable
@@ -49,7 +61,7 @@ class SetupCameras:
         head = self._draft or configured
         self._may_be_open, self._are_well = True, False
         await head.open()
-        pair = await (self._heard(head) if listens else head.capture())
+        pair = await (self._heard(head) if listens else capture_again(head))
         self._are_well = True
         return pair
 
@@ -138,6 +150,17 @@ class SetupCameras:
         finally:
             await cancel_and_await(heard)
         raise FrameTimeout("both", f"no trigger came within {LISTEN_S:g} s")
+
+
+async def capture_again(head: Head) -> FramePair:
+    """One exposure; a further one where an image of it was lost. Raises `CaptureError`."""
+    try:
+        return await head.capture()
+    except StreamStalled:
+        raise
+    except LOST as error:
+        log.info("%s: exposing once more", error)
+    return await head.capture()
 
 
 async def _restore(head: Head) -> None:

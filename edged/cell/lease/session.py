@@ -8,6 +8,7 @@ from typing import Protocol
 
 from edged.cell.announcements import log
 from edged.cell.context import CellContext
+from edged.cell.lease.cameras import capture_again
 from edged.cell.lease.lease import SetupRequest
 from edged.cell.loaded import Locate
 from edged.cell.registering import RobotRegistration
@@ -155,7 +156,7 @@ class SetupSession:
         try:
             await cell.head.open()
             if not cell.setup.listens:
-                await cell.head.capture()
+                await capture_again(cell.head)
         except CaptureError as error:
             cell.tell_fault(error)
             return

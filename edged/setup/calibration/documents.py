@@ -103,6 +103,7 @@ class DraftLine(DraftSummary):
 
     boards: list[str] = []  # noqa: RUF012  (pydantic copies it)
     views: int = 0
+    solved: bool = False
     current: bool = False
 
 

@@ -116,12 +116,13 @@ def waits_for(
         return "no_board"
     if not watched.is_seen:
         return "no_board_left" if watched.left.outline is None else "no_board_right"
-    if not still:
-        return "moving"
+    # first where it has to be: who is told to hold it still there would wait for nothing
     if is_same(watched.outlines, others):
         return "same"
     near = 0.0 if ghost is None else nearness(watched, ghost)
-    return "" if near >= IN_GHOST or is_new(watched.outlines, others) else "elsewhere"
+    if near < IN_GHOST and not is_new(watched.outlines, others):
+        return "elsewhere"
+    return "" if still else "moving"
 
 
 def nearness(watched: Watched, ghost: Ghost) -> float:

@@ -115,9 +115,11 @@ class CalibrationRoutes:
         call.trail.object = task = await self._calibrations.solve(draft)
         return Begun(task=task)
 
-    async def _activate(self, _draft: str, call: Call[Activating]) -> ReleaseDocument:
+    async def _activate(self, draft: str, call: Call[Activating]) -> ReleaseDocument:
         ours = self._calibrations
-        return await activated(self._activation, call, ours.solution, ours.drafts)
+        release = await activated(self._activation, call, ours.solution, ours.drafts)
+        ours.put_down(draft)
+        return release
 
     async def _report(self, draft: str, _: Call[None]) -> web.Response:
         page = await asyncio.to_thread((await self._calibrations.drafts.get(draft)).draft.report)

@@ -153,6 +153,13 @@ class Calibrations:
         self.drafts.current, opened.auto = identity, token if on else None
         return self.drafts.tell(opened)
 
+    def put_down(self, identity: str) -> None:
+        """Take no more pairs by themselves for a draft; nothing to do for an unknown one."""
+        opened = self.drafts.open.get(identity)
+        if opened is not None and opened.auto is not None:
+            opened.auto = None
+            self.drafts.tell(opened)
+
     async def solve(self, identity: str) -> str:
         """Begin to solve it; returns the task. Raises `CalibrationError` while it is being solved."""
         opened = await self.drafts.get(identity)
@@ -160,6 +167,7 @@ class Calibrations:
             raise CalibrationError("it is being solved")
         if not opened.draft.state.used:
             raise CalibrationError("there are no views yet")
+        opened.auto = None  # whoever solves has enough of them
         opened.task = self._tasks.start("solve", partial(self._solve, opened))
         self.drafts.tell(opened)
         return opened.task
@@ -302,7 +310,8 @@ class Calibrations:
 
     def summary(self, state: DraftState) -> dict[str, Any]:
         """A draft in the list."""
-        about = {"boards": list(state.boards), "views": len(state.used)}
+        solved = state.solved is not None
+        about = {"boards": list(state.boards), "views": len(state.used), "solved": solved}
         return {**about, "active": self._is_active(state), "current": state.id == self.drafts.current}
 
     def _is_active(self, state: DraftState) -> bool:

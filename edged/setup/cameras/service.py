@@ -9,6 +9,7 @@ from typing import Any
 from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
+from edged.config.cameras import CameraSection
 from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
@@ -51,7 +52,7 @@ class CameraService:
         await self.judge.close()
 
     def configured(self) -> dict[Side, dict[str, Any]]:
-        """Configuration of each side, with what is tried."""
+        """Configuration of each side, with what is tried and is not kept."""
         cameras, changes = self._cell.files.config.cameras, self._cell.session.camera_changes
         return {
             side: {
@@ -59,7 +60,7 @@ class CameraService:
                 "serial": getattr(cameras, side).serial,
                 "exposure_us": getattr(cameras, side).exposure_us,
                 "gain_db": getattr(cameras, side).gain_db,
-                "tried": changes[side].stated() if side in changes else {},
+                "tried": _tried(getattr(cameras, side), changes.get(side)),
             }
             for side in SIDES
         }
@@ -199,6 +200,11 @@ class CameraService:
             values = CameraValues(change.exposure_us, change.gain_db)
             if values != CameraValues():
                 await self.adjust(token, side, values)
+
+
+def _tried(configured: CameraSection, change: ChosenCamera | None) -> dict[str, Any]:
+    stated = {} if change is None else change.stated()
+    return {name: value for name, value in stated.items() if value != getattr(configured, name)}
 
 
 def _is_at(info: CameraInfo, device: str) -> bool:

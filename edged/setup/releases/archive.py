@@ -34,6 +34,7 @@ from typing import Any
 
 from edged import __version__
 from edged.config.chosencameras import chosen_file, read_chosen
+from edged.config.chosenconnections import connections_file, read_connections
 from edged.config.configuration import Config
 from edged.config.tomltext import toml_of
 from edged.domain.numerals import json_of
@@ -99,6 +100,7 @@ class Parts:
 
     rig: bytes | None
     cameras: bytes | None
+    connections: bytes | None
     jobs: Jobs
 
 
@@ -112,6 +114,7 @@ def make(config: Path, rig: RigFiles | None = None, jobs: Jobs | None = None) ->
     parts = Parts(
         read_rig(section.rig) if rig is None else rig.rig,
         read_chosen(section.rig) if rig is None else rig.cameras,
+        read_connections(section.rig),
         jobs_in(section.jobs) if jobs is None else jobs,
     )
     taken = _taken(config, cell, parts)
@@ -125,7 +128,8 @@ def make(config: Path, rig: RigFiles | None = None, jobs: Jobs | None = None) ->
 
 def parts_at(rig: Path, jobs: Path) -> Parts:
     """The parts that are there now. Raises `FileFormatError`, `ConfigError`."""
-    return Parts(read_rig(rig) if rig.exists() else None, read_chosen(rig), jobs_in(jobs))
+    content = read_rig(rig) if rig.exists() else None
+    return Parts(content, read_chosen(rig), read_connections(rig), jobs_in(jobs))
 
 
 def with_parts(config: Path, parts: Parts) -> Backup:
@@ -137,7 +141,10 @@ def with_parts(config: Path, parts: Parts) -> Backup:
 def parts_of(taken: Backup) -> Parts:
     """The parts in a backup."""
     name = _named(taken.files[taken.config], taken.config).get("cell.rig", "")
-    return Parts(taken.files.get(name), taken.files.get(_chosen_member(name)), jobs_of(taken))
+    rig, cameras, connections = map(
+        taken.files.get, (name, _chosen_member(name), connections_file(Path(name)).as_posix())
+    )
+    return Parts(rig, cameras, connections, jobs_of(taken))
 
 
 def _taken(config: Path, cell: CellFiles | UnfinishedCell, parts: Parts) -> Backup:
@@ -206,6 +213,9 @@ def _collect(path: Path, config: Config, parts: Parts) -> tuple[dict[str, bytes]
         _add(files, member, config.cell.rig, parts.rig)
     if parts.cameras is not None:
         _add(files, _chosen_member(member), chosen_file(config.cell.rig), parts.cameras)
+    if parts.connections is not None:
+        beside = connections_file(config.cell.rig)
+        _add(files, connections_file(Path(member)).as_posix(), beside, parts.connections)
     jobs, text = _placed(path, text, "jobs", config.cell.jobs)
     for place, data in parts.jobs.items():
         _add(files, f"{jobs}/{place}", config.cell.jobs / place, data)
@@ -406,11 +416,12 @@ def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:
     """Exchange the files; returns whether any is kept. output : how messages name the place."""
     names = _named(taken.files[taken.config], f"{taken.config} of the backup")
     replaced = _replaced(taken, place, names.get("cell.jobs", ""))
-    chosen = _chosen_member(names["cell.rig"]) if "cell.rig" in names else ""
-    if not _wrong_name(chosen) and os.path.lexists(place / chosen):
-        replaced.add(chosen)  # or another rig's cameras would be this one's
+    rig = names.get("cell.rig", "")
+    beside = [chosen_file(Path(rig)).as_posix(), connections_file(Path(rig)).as_posix()] if rig else []
+    # or another cell's cameras and connections would be this one's
+    replaced |= {name for name in beside if not _wrong_name(name) and os.path.lexists(place / name)}
     _leave_others_alone(taken, place, output, replaced)
-    private = {taken.config, names.get("zenoh.config_file", taken.config)}
+    private = {taken.config, names.get("zenoh.config_file", taken.config), *beside[1:]}
     return replace_files(place, taken.files, replaced, keep, private=private)
 
 

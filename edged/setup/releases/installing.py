@@ -23,6 +23,7 @@ from pathlib import Path
 from queue import SimpleQueue
 
 from edged.config.chosencameras import chosen_file
+from edged.config.chosenconnections import connections_file
 from edged.config.reading import load
 from edged.errors import EdgedError, FileFormatError, UserError
 from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
@@ -103,7 +104,7 @@ class Installation:
         write_atomically(self._folder / BEFORE, archive, mode=0o600)
 
     def _write(self, wanted: Parts, there: Parts) -> None:
-        """Write the files of rig, cameras and jobs. there : what they hold.
+        """Write the files of rig, cameras, connections and jobs. there : what they hold.
 
         Each by itself is in one step, and every mixture loads: a daemon that starts between them finishes it.
         """
@@ -111,6 +112,9 @@ class Installation:
             make_folders(self._rig.parent)
             if wanted.cameras != there.cameras:
                 _put(chosen_file(self._rig), wanted.cameras)
+            if wanted.connections != there.connections:
+                # with a password's hash: for the cell and its page, which share a group
+                _put(connections_file(self._rig), wanted.connections, mode=0o640)
             if wanted.rig != there.rig:
                 _put(self._rig, wanted.rig)
         except OSError as error:
@@ -142,9 +146,9 @@ def finish_installation(config: Path) -> None:
         log.warning("the daemon ended while it installed a release: finished that now")
 
 
-def _put(file: Path, content: bytes | None) -> None:
+def _put(file: Path, content: bytes | None, mode: int = 0o644) -> None:
     if content is not None:
-        write_atomically(file, content)
+        write_atomically(file, content, mode=mode)
     elif file.exists():
         file.unlink()
         sync(file.parent)

@@ -121,11 +121,20 @@ class Activation:
 
     async def keep_cameras(self, by: Mandate) -> None:
         """Let the cell have the cameras that are tried; no release is kept. Raises as `activate`."""
+        await self._keep_settings(self._with_tried, by)
+
+    async def keep_connections(self, content: bytes | None, by: Mandate) -> None:
+        """Let PLCs and robots connect otherwise; None: as configured. No release is kept.
+
+        Raises as `activate`.
+        """
+        await self._keep_settings(lambda there: replace(there, connections=content), by)
+
+    async def _keep_settings(self, change: Callable[[Parts], Parts], by: Mandate) -> None:
         async with self._turn:
             self._check_unlocked()
             there = await asyncio.to_thread(parts_at, self._rig, self._jobs)
-            wanted = await asyncio.to_thread(self._with_tried, there)
-            await self._hand_over(wanted, by)
+            await self._hand_over(await asyncio.to_thread(change, there), by)
 
     def _with_tried(self, there: Parts) -> Parts:
         """With the cameras that are tried. Raises `ConfigError`."""
@@ -145,7 +154,7 @@ class Activation:
         jobs = await asyncio.to_thread(self._releases.jobs, number)
 
         def wanted(there: Parts) -> Parts:
-            return Parts(files.rig, files.cameras, jobs or there.jobs)
+            return Parts(files.rig, files.cameras, there.connections, jobs or there.jobs)
 
         note = f"what release {number} has: {by.note}"
         return await self._activate(wanted, replace(by, note=note, signed=by.note))

@@ -114,7 +114,7 @@ def _taught(view: TeachingView, name: str, number: int, params: ModelParams | No
 def _is_concentric(circles: Sequence[CircleFeature]) -> bool:
     """Whether all circles of a part lie about one axis along its z."""
     away = [np.hypot(*(circle.centre_mm - circles[0].centre_mm)[:2]) for circle in circles]
-    return max(away) < TEACHING.face_tolerance_mm
+    return bool(max(away) < TEACHING.face_tolerance_mm)
 
 
 def without_pattern(view: TeachingView, ellipses: list[ImageEllipse]) -> list[ImageEllipse]:

@@ -30,7 +30,11 @@ export function showResult({ result, why, angles, state }) {
     const pose = target.pose_robot || target;
     const table = element("table");
     table.append(
-      element("thead", {}, row("th", ["", t(`run-frame-${target.pose_robot ? "robot" : "rig"}`), "1 σ"])),
+      element(
+        "thead",
+        {},
+        row("th", [t("run-axis"), t(`run-frame-${target.pose_robot ? "robot" : "rig"}`), "1 σ"]),
+      ),
     );
     const body = element("tbody");
     for (const [i, axis] of AXES.entries()) {

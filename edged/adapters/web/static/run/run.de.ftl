@@ -66,22 +66,6 @@ run-try-left-right-mismatch = sehen es beide Kameras scharf, und ist die Kalibri
 run-try-out-of-volume = liegt es zwischen depth_min_mm und depth_max_mm des Auftrags?
 run-try-look = sehen Sie es an
 
-## Fehler, nach der Nummer für die SPS
-run-fault-other = Ein Fehler der Zelle.
-run-fault-100 = Eine Kamera hat nichts geliefert.
-run-fault-101 = Eine Kamera wird nicht gefunden oder antwortet nicht: sehen Sie nach Kabel und Strom.
-run-fault-102 = Ein anderer Rechner steuert eine Kamera.
-run-fault-103 = Eine Kamera nimmt eine Einstellung nicht an.
-run-fault-104 = Kein Bild kam rechtzeitig: sehen Sie nach Auslöser, Licht und Kabel.
-run-fault-105 = Ein Bild kam beschädigt an: im Netz gingen Pakete verloren.
-run-fault-106 = Zwei Bilder stammen nicht von derselben Belichtung.
-run-fault-107 = Eine Kamera wurde aus- und eingeschaltet.
-run-fault-108 = Das ist eine andere Kamera als die kalibrierte: Kabel oder Adressen sind vertauscht.
-run-fault-109 = Eine Kamera hat ein Bild noch einmal geschickt.
-run-fault-110 = Eine Kamera schickt immer wieder dasselbe Bild.
-run-fault-111 = Eine Kamera hat belichtet, die andere nicht.
-run-fault-112 = Eine Kamera antwortet, schickt aber keine Bilder.
-
 ## Ergebnis
 run-result = Ergebnis
 run-before = zuvor, Zyklus { $cycle } um { $time }: { $status }
@@ -89,6 +73,7 @@ run-no-result = kein Ergebnis, solange der Fehler besteht
 run-nothing-yet = noch nichts gemessen
 run-frame-robot = System des Roboters
 run-frame-rig = System der Kameras
+run-axis = Achse
 run-radius = Radius { $name }
 run-angle = Winkel im Bild
 run-score = Ähnlich{"\u00AD"}keit

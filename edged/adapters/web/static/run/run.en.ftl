@@ -66,22 +66,6 @@ run-try-left-right-mismatch = do both cameras see it, sharp, and is the rig thei
 run-try-out-of-volume = does it lie within depth_min_mm and depth_max_mm of the job?
 run-try-look = look at it
 
-## Faults, by the PLC's number
-run-fault-other = A fault of the cell.
-run-fault-100 = A camera did not deliver.
-run-fault-101 = A camera is not found, or does not answer: check its cable and its power.
-run-fault-102 = Another computer controls a camera.
-run-fault-103 = A camera refuses a setting.
-run-fault-104 = No image came in time: check the trigger, the light and the cable.
-run-fault-105 = An image came damaged: packets were lost on the network.
-run-fault-106 = Two images are not from the same exposure.
-run-fault-107 = A camera was switched off and on.
-run-fault-108 = This is not the camera that was calibrated: cables or addresses were swapped.
-run-fault-109 = A camera sent the same image twice.
-run-fault-110 = A camera sends the same picture again and again.
-run-fault-111 = One camera exposed, and the other did not.
-run-fault-112 = A camera answers, but sends no images.
-
 ## Result
 run-result = Result
 run-before = before, cycle { $cycle } at { $time }: { $status }
@@ -89,6 +73,7 @@ run-no-result = no result while the fault lasts
 run-nothing-yet = nothing measured yet
 run-frame-robot = robot's frame
 run-frame-rig = rig's frame
+run-axis = axis
 run-radius = radius { $name }
 run-angle = angle in image
 run-score = score

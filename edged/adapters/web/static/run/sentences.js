@@ -24,7 +24,7 @@ export function clock(ns) {
   return new Date(ns / 1e6).toLocaleTimeString(tag);
 }
 
-export const fault = (code) => t(has(`run-fault-${code}`) ? `run-fault-${code}` : "run-fault-other");
+export const fault = (code) => t(has(`fault-${code}`) ? `fault-${code}` : "fault-other");
 
 const REMEDIED = ["FEW_EDGES", "RESIDUAL", "SIGMA_LIMIT", "LEFT_RIGHT_MISMATCH", "OUT_OF_VOLUME"];
 function cause({ code, number: count, text, reject, ...values }) {

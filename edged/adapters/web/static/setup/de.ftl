@@ -9,10 +9,12 @@ nav-jobs = Aufträge
 nav-cycles = Zyklen
 nav-system = System
 nav-manual = Handbuch
+menu = Konto und Sprache:
 language = Sprache
 log-out = Abmelden
 steps = Der Weg zum gegriffenen Teil
 step-of = Schritt { $number } von { $count }:
+foot = Schritt davor und danach
 understood = Verstanden
 back = Zurück
 left = Links
@@ -45,6 +47,7 @@ step-plc = SPS und Start
 state-tick = erledigt
 state-doubt = nochmals ansehen
 state-gap = fehlt
+state-open = noch nicht begonnen
 state-none = hier nicht bekannt
 
 ## Wer die Zelle hat
@@ -175,6 +178,7 @@ sign = Unterschreiben: { $label }
 ## Die virtuelle Bühne von edged demo --stage
 stage-title = Virtuelle Bühne: Ihre Hände in dieser Vorführung
 stage-what = Diese Kameras sind virtuell. Hier tun Sie, was in einer echten Zelle die Hände tun.
+stage-board = Die Tafel ist ein Schachbrett mit { $columns } × { $rows } inneren Ecken; ein Feld ist { $mm } mm breit.
 stage-show-board = Tafel halten
 stage-show-part = Teil hinlegen
 stage-show-nothing = Nichts
@@ -202,3 +206,19 @@ draft-discard = Verwerfen
 draft-discard-name = { $name } verwerfen
 draft-discard-title = { $name } verwerfen?
 draft-broken = Sie lässt sich nicht mehr lesen.
+
+## Fehler der Kameras, nach der Nummer der SPS
+fault-other = Ein Fehler der Zelle.
+fault-100 = Eine Kamera hat nichts geliefert.
+fault-101 = Eine Kamera wird nicht gefunden oder antwortet nicht: sehen Sie nach Kabel und Strom.
+fault-102 = Ein anderer Rechner steuert eine Kamera.
+fault-103 = Eine Kamera nimmt eine Einstellung nicht an.
+fault-104 = Kein Bild kam rechtzeitig: sehen Sie nach Auslöser, Licht und Kabel.
+fault-105 = Ein Bild kam beschädigt an: im Netz gingen Pakete verloren.
+fault-106 = Zwei Bilder stammen nicht von derselben Belichtung.
+fault-107 = Eine Kamera wurde aus- und eingeschaltet.
+fault-108 = Das ist eine andere Kamera als die kalibrierte: Kabel oder Adressen sind vertauscht.
+fault-109 = Eine Kamera hat ein Bild noch einmal geschickt.
+fault-110 = Eine Kamera schickt immer wieder dasselbe Bild.
+fault-111 = Eine Kamera hat belichtet, die andere nicht.
+fault-112 = Eine Kamera antwortet, schickt aber keine Bilder.

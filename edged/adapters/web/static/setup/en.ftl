@@ -9,10 +9,12 @@ nav-jobs = Jobs
 nav-cycles = Cycles
 nav-system = System
 nav-manual = Manual
+menu = Account and language:
 language = Language
 log-out = Log out
 steps = The way to a picked part
 step-of = Step { $number } of { $count }:
+foot = Step before and after
 understood = Understood
 back = Back
 left = Left
@@ -45,6 +47,7 @@ step-plc = PLC and go live
 state-tick = done
 state-doubt = look again
 state-gap = missing
+state-open = not begun
 state-none = not known here
 
 ## Who has the cell
@@ -175,6 +178,7 @@ sign = Sign: { $label }
 ## The virtual stage of edged demo --stage
 stage-title = Virtual stage: your hands in this demo
 stage-what = These cameras are virtual. Here you do what your hands would do in a real cell.
+stage-board = The board is a chessboard of { $columns } × { $rows } inner corners; the edge of one square is { $mm } mm.
 stage-show-board = Hold the board
 stage-show-part = Lay the part
 stage-show-nothing = Nothing
@@ -202,3 +206,19 @@ draft-discard = Discard
 draft-discard-name = Discard { $name }
 draft-discard-title = Discard { $name }?
 draft-broken = It can no longer be read.
+
+## Faults of cameras, by the PLC's number
+fault-other = A fault of the cell.
+fault-100 = A camera did not deliver.
+fault-101 = A camera is not found, or does not answer: check its cable and its power.
+fault-102 = Another computer controls a camera.
+fault-103 = A camera refuses a setting.
+fault-104 = No image came in time: check the trigger, the light and the cable.
+fault-105 = An image came damaged: packets were lost on the network.
+fault-106 = Two images are not from the same exposure.
+fault-107 = A camera was switched off and on.
+fault-108 = This is not the camera that was calibrated: cables or addresses were swapped.
+fault-109 = A camera sent the same image twice.
+fault-110 = A camera sends the same picture again and again.
+fault-111 = One camera exposed, and the other did not.
+fault-112 = A camera answers, but sends no images.

@@ -1,9 +1,9 @@
 // The frame of every page: state of the cell, steps, lease and errors.
-import { html, signal, useEffect, useRef, useState } from "../vendor/ui.js";
+import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "../vendor/ui.js";
 import { enter, pageOf } from "./pages.js";
-import { ask, attempt, confirming, glance, sentence, trouble } from "./shared/api.js";
-import { cell, end, holds, isConnected, leave, mayTake, me, take, wake } from "./shared/live.js";
-import { Chip, Dialog, Shape, Spoken } from "./shared/pieces.js";
+import { ask, attempt, confirming, glance, sentence, trouble, troubled } from "./shared/api.js";
+import { cell, end, hasManual, holds, isConnected, leave, mayTake, me, take, wake } from "./shared/live.js";
+import { Chip, Dialog, mainAction, Shape, Spoken } from "./shared/pieces.js";
 import { choose, LANGUAGES, language, t } from "./shared/texts.js";
 import { Stage } from "./stage.js";
 import { BESIDE, isBuilt, PAGES, STEPS, State } from "./steps.js";
@@ -30,14 +30,18 @@ function StateChip() {
         ? t("state-setup-by", { name: setup.name })
         : t("state-setup-nobody")
       : t(`state-${(state ?? "starting").toLowerCase()}`);
-  return html`<${Chip} kind=${kind} shape=${shape} role="status" id="state">${text}<//>`;
+  return html`<${Chip} kind=${kind} shape=${shape} role="status" id="state">
+    <span class="label">${text}</span>
+  <//>`;
 }
 
 function PlcChip() {
   const { owner, auto_lock } = cell.value.plc;
   if (auto_lock) return html`<${Chip} kind="warn" shape="plant">${t("plc-locked")}<//>`;
   return html`<${Chip} kind="plain" shape="plant">
-    ${owner ? html`${t("plc-owner")} <span translate=${false}>${owner}</span>` : t("plc-nobody")}
+    <span class="words">
+      ${owner ? html`${t("plc-owner")} <span translate=${false}>${owner}</span>` : t("plc-nobody")}
+    </span>
   <//>`;
 }
 
@@ -45,6 +49,36 @@ function PlcChip() {
 async function speakFrom(tag) {
   await choose(tag);
   if (me.value.name) await attempt(() => ask("PUT", "me", { language: tag }));
+}
+
+// Language, manual and log-out, behind the user's name.
+function Menu() {
+  const menu = useRef(null);
+  const shut = () => menu.current?.removeAttribute("open");
+  const left = ({ relatedTarget }) => menu.current.contains(relatedTarget) || shut();
+  const onKey = ({ key }) => key === "Escape" && shut();
+  return html`<details class="menu" ref=${menu} onFocusOut=${left} onKeyDown=${onKey}>
+    <summary><span class="unseen">${t("menu")}</span> <span class="words" translate=${false}>${
+      me.value.name || me.value.role
+    }</span></summary>
+    <div class="panel" tabindex="-1">
+      <p class="muted" translate=${false}>${me.value.name || me.value.role}</p>
+      <label class="language">
+        <span>${t("language")}</span>
+        <select onChange=${(event) => speakFrom(event.currentTarget.value)}>
+          ${Object.entries(LANGUAGES).map(
+            ([tag, name]) => html`<option
+              value=${tag} lang=${tag} translate=${false} selected=${tag === language.value}
+            >
+              ${name}
+            </option>`,
+          )}
+        </select>
+      </label>
+      ${hasManual && html`<a class="button" href="/manual/how-to/setup/">${t("nav-manual")}</a>`}
+      <form method="post" action="/logout"><button>${t("log-out")}</button></form>
+    </div>
+  </details>`;
 }
 
 function Head() {
@@ -58,23 +92,9 @@ function Head() {
       <a href="#/welcome" aria-current=${!BESIDE.some(({ id }) => id === here.value)}>${t("nav-setup")}</a>
       ${BESIDE.filter(isBuilt).map(
         ({ id }) => html`<a href="#/${id}" aria-current=${here.value === id}>${t(`nav-${id}`)}</a>`,
-      )}<a href="/manual/how-to/setup/">${t("nav-manual")}</a>
+      )}
     </nav>
-    <label class="language">
-      <span class="unseen">${t("language")}</span>
-      <select onChange=${(event) => speakFrom(event.currentTarget.value)}>
-        ${Object.entries(LANGUAGES).map(
-          ([tag, name]) => html`<option
-            value=${tag} lang=${tag} translate=${false} selected=${tag === language.value}
-          >
-            ${name}
-          </option>`,
-        )}
-      </select>
-    </label>
-    <form method="post" action="/logout" class="user">
-      <span translate=${false}>${me.value.name || me.value.role}</span><button>${t("log-out")}</button>
-    </form>
+    <${Menu} />
   </header>`;
 }
 
@@ -225,12 +245,63 @@ function Lease() {
   </aside>`;
 }
 
+// Below or above what was pressed, as long as that is there; else above the page. It comes into sight, and follows.
+const GAP_PX = 6;
 function Trouble() {
-  if (!trouble.value) return null;
-  return html`<div class="trouble" role="alert">
-    <p><${Shape} is="doubt" /> ${sentence(trouble.value)}</p>
+  const box = useRef(null);
+  const [place, setPlace] = useState(null);
+  const shown = trouble.value;
+  useLayoutEffect(() => {
+    if (!shown) return undefined;
+    let frame = 0;
+    let isSeen = false;
+    const stay = () => {
+      const control = troubled.peek();
+      const { left, top, bottom, width } = control?.getBoundingClientRect() ?? {};
+      const { offsetWidth, offsetHeight } = box.current ?? { offsetWidth: 0, offsetHeight: 0 };
+      const room = innerWidth - offsetWidth - GAP_PX;
+      const isAbove = bottom + GAP_PX + offsetHeight > innerHeight; // as at the foot of the window
+      const y = isAbove ? top - offsetHeight - GAP_PX : bottom + GAP_PX;
+      setPlace(width ? `${Math.max(GAP_PX, Math.min(left, room)) + scrollX}px ${y + scrollY}px` : null);
+      frame = requestAnimationFrame(stay);
+      if (isSeen) return;
+      isSeen = true;
+      setTimeout(() => box.current?.scrollIntoView({ block: "nearest" }));
+    };
+    stay();
+    return () => cancelAnimationFrame(frame);
+  }, [shown]);
+  if (!shown) return null;
+  const [left, top] = place?.split(" ") ?? [];
+  return html`<div
+    ref=${box} class="trouble ${place ? "beside" : ""}" role="alert" style=${place ? { left, top } : {}}
+  >
+    <p><${Shape} is="doubt" /> ${sentence(shown)}</p>
     <button type="button" onClick=${() => (trouble.value = null)}>${t("understood")}</button>
   </div>`;
+}
+
+// The steps before and after this one.
+function Foot() {
+  const steps = STEPS.filter(isBuilt);
+  const at = steps.findIndex(({ id }) => id === here.value);
+  if (at < 1) return null;
+  const [before, step, after] = [steps[at - 1], steps[at], steps[at + 1]];
+  return html`<nav class="foot" aria-label=${t("foot")}>
+    <a class="button" href="#/${before.id}">‹ ${t(`step-${before.id}`)}</a>
+    ${
+      mainAction.value &&
+      html`<button class="primary" onClick=${mainAction.value.act}>${mainAction.value.text}</button>`
+    }
+    ${
+      after &&
+      html`<a
+        class="button ${step.state() === "tick" && !mainAction.value ? "primary" : ""}"
+        href="#/${after.id}">
+        ${t(`step-${after.id}`)} ›
+      </a>`
+    }
+  </nav>`;
 }
 
 export function Shell() {
@@ -259,17 +330,18 @@ export function Shell() {
   };
   return html`<a class="skip" href="#main" onClick=${skip}>${t("skip")}</a>
     <${Head} />
-    <div class="body">
-      <${Steps} />
+    <div class="body ${BESIDE.includes(step) ? "alone" : ""}">
+      ${!BESIDE.includes(step) && html`<${Steps} />`}
       <div class="column">
         <${Lease} />
         <${Trouble} />
         <main id="main" ref=${main} tabindex="-1" data-page=${page ? step.id : undefined} aria-busy=${!page}>
           ${page && html`<${page} key=${step.id} />`}
         </main>
-        ${cell.value.stage && html`<${Stage} />`}
+        ${cell.value.stage && me.value.role !== "viewer" && html`<${Stage} />`}
       </div>
     </div>
+    <${Foot} />
     <${Confirm} />
     <${Spoken} />`;
 }

@@ -38,12 +38,14 @@ export function Stage() {
     return () => clearInterval(timer);
   }, []);
   if (!stage.value) return null;
-  const { showing, waving, rings } = stage.value;
+  const { showing, waving, rings, board } = stage.value;
+  const [, size, mm] = board.split(":");
+  const [columns, rows] = size.split("x");
   const ghost = draft.value?.suggestion;
   return html`<aside class="stage" aria-label=${t("stage-title")}>
     <details>
       <summary>${t("stage-title")}</summary>
-      <p>${t("stage-what")}</p>
+      <p>${t("stage-what")} ${t("stage-board", { columns, rows, mm: number(Number(mm)) })}</p>
       <div class="actions">
         ${["board", "part", "nothing"].map(
           (what) => html`<button

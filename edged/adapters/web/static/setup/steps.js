@@ -1,6 +1,17 @@
 // The nine steps from unboxed cameras to a picked part; their ticks come from facts, never from clicks.
 import { computed, html } from "../vendor/ui.js";
-import { cameras, cell, checked, draft, isConnected, offers, quality, SIDES, told } from "./shared/live.js";
+import {
+  cameras,
+  cell,
+  checked,
+  draft,
+  hasObject,
+  isConnected,
+  offers,
+  quality,
+  SIDES,
+  told,
+} from "./shared/live.js";
 import { Shape } from "./shared/pieces.js";
 import { t } from "./shared/texts.js";
 
@@ -15,14 +26,14 @@ function ofCameras() {
 }
 
 function ofLight() {
-  if (!quality.value) return "none";
+  if (!quality.value || !hasObject.value) return "none";
   const isGood = ({ advice, sigma_z_factor }) =>
     advice.code === "good" && (sigma_z_factor ?? 1) <= MOST_FACTOR;
   return SIDES.every((side) => isGood(quality.value[side])) ? "tick" : "doubt";
 }
 
 function ofRig() {
-  if (cell.value.missing.includes("rig")) return "gap";
+  if (cell.value.missing.includes("rig")) return draft.value ? "doubt" : "open";
   return draft.value && !draft.value.active ? "doubt" : "tick";
 }
 
@@ -40,13 +51,14 @@ function ofTry() {
 }
 
 const ofCell = () => (!isConnected.value ? "gap" : cell.value.error ? "doubt" : "tick");
-const ofJobs = () => (cell.value.missing.includes("jobs") ? "gap" : "tick");
-const ROBOT = { yes: "tick", on_flange: "tick", no: "gap" };
+const ofJobs = () => (cell.value.missing.includes("jobs") ? "open" : "tick");
+const ROBOT = { yes: "tick", on_flange: "tick", no: "open" };
 const ofRobot = () => ROBOT[cell.value.rig?.robot] ?? "none";
 const ofPlc = () => (cell.value.plc.owner ? "tick" : "none");
 const none = () => "none";
 /**
- * topic: the folder of the page; needs: routes, one of which the cell must have; state: a shape of pieces.js.
+ * topic: the folder of the page; needs: routes, one of which the cell must have; state: a shape of pieces.js,
+ * or "open" where nothing was done yet; "gap" is for what is broken.
  * @typedef {{ id: string, topic: string, needs?: string[], state: () => string }} Step
  */
 /** @type {Step[]} */
@@ -78,5 +90,5 @@ export const next = computed(() =>
 );
 
 export const State = ({ is }) => html`<span class="state ${is}">
-  <${Shape} is=${is} /><span class="unseen">${t(`state-${is}`)}</span>
+  <${Shape} is=${is === "open" ? "none" : is} /><span class="unseen">${t(`state-${is}`)}</span>
 </span>`;

@@ -18,7 +18,7 @@ import {
   useTask,
 } from "../shared/live.js";
 import { Pair, points } from "../shared/picture.js";
-import { NumberField, Shape, say, useKept } from "../shared/pieces.js";
+import { NumberField, Shape, say, useKept, useMainAction } from "../shared/pieces.js";
 import { inWords, number, t } from "../shared/texts.js";
 import { Filmstrip, short } from "./filmstrip.js";
 
@@ -112,7 +112,7 @@ function Board() {
       <${PitchField} size=${size} mm=${mm} onMm=${setMm} />
       <${NumberField}
         label=${t("board-goal")} unit="µm" digits=${1} low=${0.1} high=${1000} value=${goal}
-        onValue=${setGoal} name="goal"
+        onValue=${setGoal} name="goal" isForm
       />
     </div>
     <p class="hint"><${Shape} is="doubt" /> ${t("board-proof")}</p>
@@ -187,6 +187,9 @@ function beep() {
   tone.stop(audio.currentTime + 0.25);
 }
 
+const isReached = ({ sigma_um, goal_um }) =>
+  goal_um !== null && worst(sigma_um) !== null && worst(sigma_um) <= goal_um;
+
 const SOUND = "edged.sound";
 function Figure() {
   const { sigma_um, suggestion, goal_um, more_views, views, trouble, guiding } = draft.value;
@@ -202,7 +205,6 @@ function Figure() {
           <${Shape} is="doubt" /> ${sentence({ ...trouble, detail: trouble.text })}
         </p>`
       }`;
-  const isReached = goal_um !== null && now <= goal_um;
   return html`<p class="big figure" role="status">
     ${t("sigma-now", { now: micrometres(now) })}
     ${then !== null && html`, ${t("sigma-then", { next: micrometres(then) })}`}
@@ -212,7 +214,7 @@ function Figure() {
         ${t("sigma-goal", { goal: number(goal_um, Number.isInteger(goal_um) ? 0 : 1) })}`
     }:${" "}
     <strong>
-      ${isReached ? t("sigma-reached") : more_views ? t("sigma-more", { count: more_views }) : t("sigma-on")}
+      ${isReached(draft.value) ? t("sigma-reached") : more_views ? t("sigma-more", { count: more_views }) : t("sigma-on")}
     </strong> ${guiding && html`<span class="muted small">${t("sigma-again")}</span>`}
   </p>`;
 }
@@ -243,6 +245,9 @@ function Capture() {
     setSound(!hasSound);
   };
   const share = Math.round(100 * (in_ghost ?? 0));
+  const take = () => change("PUT", "/auto", { token: token.value, on: !auto });
+  const isDue = holds.value && !auto && !draft.value.solved && !isReached(draft.value);
+  useMainAction(isDue && t("auto-start"), take);
   return html`<div class="capture">
     ${isFlashing && html`<div class="flash" aria-hidden="true"></div>`}
     ${
@@ -265,7 +270,7 @@ function Capture() {
     <div class="actions">
       <button
         class=${auto ? "" : "primary"} aria-pressed=${Boolean(auto)} disabled=${!holds.value}
-        onClick=${() => change("PUT", "/auto", { token: token.value, on: !auto })}
+        onClick=${take}
       >
         ${t(auto ? "auto-stop" : "auto-start")}
       </button>
@@ -310,6 +315,8 @@ function Solve() {
       const { task: id } = await ask("POST", `${place()}/solve`, {});
       draft.value = { ...draft.value, task: id, solved: null };
     });
+  const isDue = mayTake.value && !running && !solved && used >= FEW && isReached(draft.value);
+  useMainAction(isDue && t("solve-start"), solve);
   const done = async (state) => {
     setEnded(state);
     await glance(async () => {
@@ -349,6 +356,10 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
     setRelease(made);
     await look();
   };
+  const mayUse = mayTake.value && offers("calibrations/{id}/activate");
+  useMainAction(mayUse && !release && !draft.value.active && verdict !== "repeat" && t("activate"), () =>
+    setAsked(true),
+  );
   return html`<p class="verdict">
       <${Shape} is=${verdict === "good" ? "tick" : verdict === "usable" ? "doubt" : "gap"} />${" "}
       ${inWords("verdict", verdict)}

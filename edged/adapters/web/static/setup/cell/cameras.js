@@ -1,7 +1,7 @@
 // Which camera is which: cameras found, live pictures, a wave of the hand, and a test pair.
 import { html, useState } from "../../vendor/ui.js";
 import { ask, attempt } from "../shared/api.js";
-import { cameras, holds, lookAtCameras, SIDES, token, useFresh } from "../shared/live.js";
+import { cameras, holds, lookAtCameras, mayTake, SIDES, token, useFresh } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
 import { Shape, say } from "../shared/pieces.js";
 import { inWords, number, t } from "../shared/texts.js";
@@ -73,6 +73,13 @@ function Test() {
   </section>`;
 }
 
+const isChoosable = (serial) => Boolean(serial) && mayTake.value;
+async function use(side, serial) {
+  const done = await attempt(() => ask("PUT", `cameras/${side}`, { token: token.value, serial }));
+  if (done) say(t(`used-as-${side}`, { serial }));
+  await lookAtCameras();
+}
+
 export default function Cameras() {
   useFresh(lookAtCameras, [holds.value]);
   const found = cameras.value?.found;
@@ -81,6 +88,7 @@ export default function Cameras() {
     <${Pair} />
     <section aria-labelledby="found">
       <h2 id="found">${t("cameras-found")}</h2>
+      ${!mayTake.value && html`<p class="hint">${t("cameras-engineer")}</p>`}
       ${found && !found.length && html`<p>${t("cameras-none")}</p>`}
       <ul class="tiles">
         ${found?.map(
@@ -96,11 +104,26 @@ export default function Cameras() {
                       ${t("is-neither")}`
                 }
               </p>
+              ${
+                isChoosable(serial) &&
+                html`<div class="actions">
+                  ${SIDES.filter((one) => one !== side).map(
+                    (one) => html`<button
+                      key=${one} disabled=${!holds.value} onClick=${() => use(one, serial)}
+                      aria-label=${t(`use-as-${one}-name`, { serial })}
+                    >
+                      ${t(`use-as-${one}`)}
+                    </button>`,
+                  )}
+                </div>`
+              }
               ${trouble && html`<p class="wrong"><${Shape} is="doubt" /> ${inWords("trouble", trouble)}</p>`}
             </li>`,
         )}
       </ul>
-      <div class="actions"><button onClick=${lookAtCameras}>${t("cameras-again")}</button></div>
+      <div class="actions">
+        <button disabled=${!mayTake.value} onClick=${lookAtCameras}>${t("cameras-again")}</button>
+      </div>
     </section>
     <${Wave} />
     <${Keep} />

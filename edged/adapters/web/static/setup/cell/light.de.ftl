@@ -1,6 +1,10 @@
 # Texts of light.js.
 light-title = Licht und Schärfe
 light-what = Kanten scharf, nichts übersteuert: zuerst das Licht, dann die Ringe der Objektive, und sehen Sie dabei, was es kostet.
+light-thing = Legen Sie zuerst eine Tafel oder ein Teil dorthin, wo Teile liegen werden: danach werden Licht und Schärfe beurteilt, und eine leere Szene gäbe falschen Rat.
+light-thing-is = Es liegt da
+light-thing-there = Licht und Schärfe werden nach dem beurteilt, was da liegt.
+light-thing-gone = Es liegt nichts mehr da
 light-no-settings = Hier lässt sich nichts einstellen: die Kamera nennt keine Grenzen oder ist nicht da.
 light-no-figures = Zahlen kommen mit den Live-Bildern.
 settings-left = Einstellungen der linken Kamera

@@ -1,6 +1,10 @@
 # Texts of light.js.
 light-title = Light and focus
 light-what = Make edges sharp and let nothing clip: first the light, then the rings of the lenses, while you watch what it costs.
+light-thing = First put a board or a part where parts will lie: light and focus are judged by it, and an empty scene would give wrong advice.
+light-thing-is = It is there
+light-thing-there = Light and focus are judged by what lies there.
+light-thing-gone = Nothing is there any more
 light-no-settings = Nothing can be set here: the camera reports no limits, or is not there.
 light-no-figures = Figures come with the live pictures.
 settings-left = Settings of the left camera

@@ -3,12 +3,14 @@ import { html, signal, useEffect } from "../../vendor/ui.js";
 import { ask, attempt } from "../shared/api.js";
 import {
   cameras,
+  hasObject,
   holds,
   keepSettings,
   lookAtCameras,
   quality,
   rawSize,
   SIDES,
+  sayObject,
   token,
   useFresh,
 } from "../shared/live.js";
@@ -150,6 +152,7 @@ function Advice({ side, advice }) {
 function Quality({ side }) {
   const figures = quality.value?.[side];
   if (!figures) return html`<p class="muted">${t("light-no-figures")}</p>`;
+  if (!hasObject.value) return null;
   return html`<div class="quality">
     <h2>${t("light-head")}</h2>
     <${Advice} side=${side} advice=${figures.advice} />
@@ -182,6 +185,17 @@ function fields(side) {
   </g>`;
 }
 
+// First the thing, then the advice.
+function Thing() {
+  const isThere = hasObject.value;
+  return html`<div class="keep">
+    <p><${Shape} is=${isThere ? "tick" : "hand"} /> ${t(isThere ? "light-thing-there" : "light-thing")}</p>
+    <button class=${isThere ? "" : "primary"} onClick=${() => sayObject(!isThere)}>
+      ${t(isThere ? "light-thing-gone" : "light-thing-is")}
+    </button>
+  </div>`;
+}
+
 export default function Light() {
   useFresh(lookAtCameras, [holds.value]); // settings come only with a lease
   useEffect(hold, [quality.value]);
@@ -196,6 +210,7 @@ export default function Light() {
   };
   return html`<h1>${t("light-title")}</h1>
     <p class="lead">${t("light-what")}</p>
+    ${holds.value && html`<${Thing} />`}
     <p class="legend">
       <span class="stripes-clipped"></span> ${t("legend-clipped")} <span class="stripes-dark"></span>${" "}
       ${t("legend-dark")}

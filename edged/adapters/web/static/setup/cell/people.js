@@ -9,16 +9,16 @@ const ROLES = ["viewer", "operator", "engineer"];
 const LEAST_LETTERS = 8;
 const SHOWN = 50;
 const users = signal(null);
-const deeds = signal(null);
+const entries = signal(null);
 
 const find = () =>
   glance(async () => {
     users.value = (await ask("GET", "users")).users;
   });
-const findDeeds = () =>
+const findEntries = () =>
   glance(async () => {
     const { count } = await ask("GET", "audit?most=1");
-    deeds.value = await ask("GET", `audit?after=${Math.max(0, count - SHOWN)}&most=${SHOWN}`);
+    entries.value = await ask("GET", `audit?after=${Math.max(0, count - SHOWN)}&most=${SHOWN}`);
   });
 
 const Roles = ({ value, onRole, label, disabled }) => html`<select
@@ -34,11 +34,13 @@ function Newcomer() {
   const [role, setRole] = useState(ROLES[1]);
   const add = async (event) => {
     event.preventDefault();
-    const added = await attempt(() => ask("POST", "users", { name: name.trim(), role, password }));
+    const sent = { name, role, password };
+    const added = await attempt(() => ask("POST", "users", { ...sent, name: name.trim() }));
     if (!added) return;
     say(t("user-added", { name: added.name }));
-    setName("");
-    setPassword("");
+    // the next person may have been begun meanwhile
+    setName((now) => (now === sent.name ? "" : now));
+    setPassword((now) => (now === sent.password ? "" : now));
     await find();
   };
   return html`<form onSubmit=${add}>
@@ -176,9 +178,37 @@ export function Users() {
   </section>`;
 }
 
+// What was done, in words where there are some; else as the route that it is.
+/** @type {[RegExp, string][]} */
+const DID = [
+  [/^log in page/, "log-in"],
+  [/^run cell/, "run"],
+  [/^end setup/, "ended"],
+  [/^POST setup$/, "take"],
+  [/^DELETE setup$/, "give"],
+  [/^POST cameras\/keep/, "keep"],
+  [/^POST cameras\/wave/, "wave"],
+  [/^PUT cameras\//, "camera"],
+  [/^PUT plc\/settings/, "connect"],
+  [/^DELETE plc\/settings/, "connect-back"],
+  [/^POST users/, "person"],
+  [/^PUT users/, "person-changed"],
+  [/^DELETE users/, "person-removed"],
+  [/^PUT me\/password/, "password"],
+  [/^POST .*\/activate/, "activate"],
+  [/^POST .*\/solve/, "solve"],
+  [/^DELETE (calibrations|teachings|registrations)\/[^/]+$/, "discard"],
+];
+function Did({ verb, object }) {
+  const route = `${verb} ${object}`;
+  const [, did] = DID.find(([pattern]) => pattern.test(route)) ?? [];
+  if (!did) return html`<span translate=${false}>${route}</span>`;
+  return html`${t(`audit-did-${did}`)} <span class="muted" translate=${false}>${object}</span>`;
+}
+
 export function Audit() {
-  useFresh(findDeeds);
-  const { records, problem, first, count } = deeds.value ?? {
+  useFresh(findEntries);
+  const { records, problem, first, count } = entries.value ?? {
     records: [],
     problem: null,
     first: 1,
@@ -203,11 +233,13 @@ export function Audit() {
             )}
           </tr>
         </thead>
-        <tbody translate=${false}>
+        <tbody>
           ${[...records].reverse().map(
             ({ number, time, user, role, address, verb, object, outcome, reason }) => html`<tr key=${number}>
-              <td>${moment(time)}</td><td>${user} <span class="muted">${role} ${address}</span></td>
-              <td>${verb} ${object}</td><td>${outcome}</td><td>${reason ?? ""}</td>
+              <td translate=${false}>${moment(time)}</td>
+              <td translate=${false}>${user} <span class="muted">${role} ${address}</span></td>
+              <td><${Did} verb=${verb} object=${object} /></td>
+              <td translate=${false}>${outcome}</td><td translate=${false}>${reason ?? ""}</td>
             </tr>`,
           )}
         </tbody>

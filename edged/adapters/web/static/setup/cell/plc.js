@@ -1,12 +1,13 @@
 // PLC and go live: addresses, last commands, clients' sources; what is missing for READY.
 import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, glance } from "../shared/api.js";
-import { cell, holds, leave, mayTake } from "../shared/live.js";
+import { cell, hasManual, holds, leave, mayTake, offers } from "../shared/live.js";
 import { Dialog, Shape, say } from "../shared/pieces.js";
 import { number, t } from "../shared/texts.js";
 import { isBuilt, STEPS, State } from "../steps.js";
 import { Exchanges } from "./plcexchanges.js";
 import { verdictOf } from "./plcprobe.js";
+import { CONVENTION_NAMES, Settings } from "./plcsettings.js";
 
 // --- go live ---
 
@@ -89,7 +90,7 @@ function Reach({ plc }) {
       <dt>${t("plc-address")}</dt><dd translate=${false}>Modbus TCP ${where}:${port}, unit ${unit_id}</dd>
       <dt>${t("plc-base")}</dt><dd>${number(base_address)}</dd>
       <dt>${t("plc-order")}</dt><dd>${t(`plc-order-${word_order}`)}</dd>
-      <dt>${t("plc-convention")}</dt><dd translate=${false}>${convention}</dd>
+      <dt>${t("plc-convention")}</dt><dd translate=${false}>${CONVENTION_NAMES[convention] ?? convention}</dd>
       <dt>${t("plc-connected")}</dt><dd>${number(connected)}</dd>
       <dt>${t("plc-owner-now")}</dt>
       <dd>${owner ? html`<span translate=${false}>${owner}</span>` : t("plc-owner-none")}</dd>
@@ -177,13 +178,26 @@ const Sources = ({ clients }) => html`<section aria-labelledby="plc-sources">
       </a>`,
     )}
   </div>
-  <div class="actions"><a class="button" href="/manual/how-to/plc/">${t("plc-manual")}</a></div>
+  ${
+    hasManual &&
+    html`<div class="actions"><a class="button" href="/manual/how-to/plc/">${t("plc-manual")}</a></div>`
+  }
 </section>`;
 
 const EVERY_MS = 2000;
 
+// The brand of the registration in use; null where it is not known.
+async function registeredBrand() {
+  if (!offers("registrations")) return null;
+  const { registrations } = await ask("GET", "registrations");
+  const used = registrations.find(({ active }) => active);
+  return used ? (await ask("GET", `registrations/${used.id}`)).brand : null;
+}
+
 export default function Plc() {
   const [plc, setPlc] = useState(null);
+  const [robot, setRobot] = useState(null);
+  const [looked, setLooked] = useState(0);
   const owner = cell.value.plc.owner;
   useEffect(() => {
     let isHere = true;
@@ -197,13 +211,18 @@ export default function Plc() {
       isHere = false;
       clearInterval(timer);
     };
-  }, [owner]);
+  }, [owner, looked]);
+  useEffect(() => {
+    glance(async () => setRobot(await registeredBrand()));
+  }, []);
   return html`<h1>${t("plc-title")}</h1>
     <p class="lead">${t("plc-lead")}</p>
     <${GoLive} />
     ${
       plc &&
-      html`<${Reach} plc=${plc} />${plc.listening && html`<${Exchanges} />`}
+      html`<${Reach} plc=${plc} />
+        ${offers("plc/settings") && html`<${Settings} robot=${robot} onSaved=${() => setLooked(looked + 1)} />`}
+        ${plc.listening && html`<${Exchanges} />`}
         <${Sources} clients=${plc.clients} />`
     }`;
 }

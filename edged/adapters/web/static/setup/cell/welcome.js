@@ -1,6 +1,6 @@
 // What the cell has and lacks, and the next step as a big button.
 import { html } from "../../vendor/ui.js";
-import { cameras, cell } from "../shared/live.js";
+import { cameras, cell, hasManual } from "../shared/live.js";
 import { number, t } from "../shared/texts.js";
 import { isBuilt, next, STEPS, State } from "../steps.js";
 
@@ -87,8 +87,9 @@ export default function Welcome() {
         <ul class="later">
           ${later.map(
             ({ id, state }) => html`<li>
-              <${State} is=${state()} /> ${t(`step-${id}`)}:${" "}
-              <a href="/manual/how-to/${MANUAL[id]}/">${t(`manual-${id}`)}</a>
+              <${State} is=${state()} /> ${t(`step-${id}`)}${
+                hasManual && html`: <a href="/manual/how-to/${MANUAL[id]}/">${t(`manual-${id}`)}</a>`
+              }
             </li>`,
           )}
         </ul>

@@ -31,7 +31,7 @@ const search = () =>
         .filter(({ active }) => !active)
         .map(({ id, name, created }) => ({ kind: "teaching", id, what: name, at: created })),
       ...calibrations
-        .filter(({ active }) => !active)
+        .filter(({ active, solved }) => solved && !active)
         .map(({ id, boards, created }) => ({
           kind: "calibration",
           id,

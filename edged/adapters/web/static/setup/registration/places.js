@@ -141,16 +141,16 @@ export function Places({ isProof, isStill, chosen: given, onChoose: choose }) {
   if (isProof) return html`${picture}${choice}`;
   return html`<${More} title=${titleOf("touch", samples.length + 1, wanted)}>
     <p class="lead">${t("robot-touch-what")}</p>
-    ${picture}${choice}
+    <div class="robot-beside"><div>${picture}${choice}</div>
     ${
       place &&
-      html`<p><strong>${t("robot-touch-now")}</strong></p>
+      html`<div><p><strong>${t("robot-touch-now")}</strong></p>
         <${Shown} draft=${current.draft.value} point=${place} onShown=${setShown} />
         <div class="actions">
           <button class="primary" disabled=${!mayTake.value || !shown.body} onClick=${add}>
             ${t("robot-add")}
           </button>
-        </div>`
-    }
+        </div></div>`
+    }</div>
   <//>`;
 }

@@ -5,20 +5,6 @@ import { discard, forget, isAside, putAside, unfinished } from "../shared/drafts
 import { newest, told } from "../shared/live.js";
 import { t } from "../shared/texts.js";
 
-export const BRANDS = {
-  ur: "Universal Robots",
-  kuka: "KUKA",
-  fanuc: "FANUC",
-  yaskawa: "Yaskawa",
-  abb: "ABB",
-  staubli: "Stäubli",
-  kawasaki: "Kawasaki",
-  doosan: "Doosan",
-  mitsubishi: "Mitsubishi",
-  epson: "Epson",
-  denso: "Denso",
-  techman: "Techman",
-};
 // job: the job whose part is touched, null for the board of the draft.
 export const current = { draft: signal(null), drafts: signal([]), brands: signal([]), job: signal(null) };
 

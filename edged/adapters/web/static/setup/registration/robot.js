@@ -3,6 +3,7 @@ import { effect, html, useEffect, useState } from "../../vendor/ui.js";
 import { Releasing } from "../releases/releasing.js";
 import { ask, attempt, glance } from "../shared/api.js";
 import { BoardFields, PitchField, SIZE, specOf } from "../shared/board.js";
+import { BRANDS } from "../shared/brands.js";
 import { Begun, Discard } from "../shared/drafts.js";
 import { cell, checked, holds, look, mayTake, newest, sign, token, useFresh } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
@@ -12,7 +13,6 @@ import { Shown } from "./numbers.js";
 import { More, Places, titleOf } from "./places.js";
 import {
   another,
-  BRANDS,
   change,
   current,
   find,

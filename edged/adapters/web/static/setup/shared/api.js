@@ -1,5 +1,5 @@
 // Requests to the cell and their errors.
-import { signal } from "../../vendor/ui.js";
+import { batch, signal } from "../../vendor/ui.js";
 import { dashed, has, t } from "./texts.js";
 
 export class Problem extends Error {
@@ -13,8 +13,19 @@ export class Problem extends Error {
   }
 }
 
-// The last error, until it is dismissed.
+// The last error, until it is dismissed, and what had been pressed; null for what the page did by itself.
 export const trouble = signal(null);
+export const troubled = signal(null);
+
+// The control that was used last: an error stands beside it.
+const CONTROLS = "button, a, input, select, textarea, summary";
+let used = null;
+/** @param {any} event */
+const use = ({ target, submitter }) => {
+  used = submitter ?? target.closest?.(CONTROLS) ?? used;
+};
+for (const name of ["click", "input", "change", "focusout", "keydown", "submit"])
+  addEventListener(name, use, { capture: true, passive: true });
 
 const AGAIN_MS = 700;
 const wait = (ms) => new Promise((done) => setTimeout(done, ms));
@@ -62,15 +73,20 @@ export async function ask(method, path, body) {
   throw new Problem({ status: answer.status, code: `status_${answer.status}`, ...document });
 }
 
-// A sentence with cause and remedy, or the server's own.
+// A sentence with cause and remedy, or the server's own. A camera's fault has the words of the Run page.
+const SIDE_NAMES = new Set(["left", "right"]);
+const FAULT = /^camera_(\d+)$/;
 export function sentence(problem) {
-  const id = `problem-${dashed(problem.code ?? "")}`;
+  const [, fault] = FAULT.exec(problem.code ?? "") ?? [];
+  const id = fault ? `fault-${fault}` : `problem-${dashed(problem.code ?? "")}`;
+  const side = problem.params?.camera ?? "";
+  if (fault && has(id)) return SIDE_NAMES.has(side) ? `${t(side)}: ${t(id)}` : t(id);
   if (has(id)) return t(id, { ...problem.params, detail: problem.detail || "" });
   return t("problem-other", { detail: problem.detail || problem.message || problem.code });
 }
 
 // An error that came meanwhile stays.
-async function tried(work, isOver) {
+async function tried(work, isOver, control) {
   const before = trouble.peek();
   try {
     const answer = await work();
@@ -78,13 +94,16 @@ async function tried(work, isOver) {
     return answer;
   } catch (problem) {
     if (!(problem instanceof Problem)) throw problem;
-    trouble.value = problem;
+    batch(() => {
+      trouble.value = problem;
+      troubled.value = control;
+    });
     return undefined;
   }
 }
 
 // Runs work and shows its error; returns its answer, or undefined.
-export const attempt = (work) => tried(work, () => true);
+export const attempt = (work) => tried(work, () => true, used);
 
 // As `attempt`, for what the page does by itself: success clears only "unreachable".
-export const glance = (work) => tried(work, (problem) => problem?.status === 0);
+export const glance = (work) => tried(work, (problem) => problem?.status === 0, null);

@@ -13,7 +13,7 @@ export function BoardFields({ size, onSize }) {
   const set = (values) => onSize({ ...size, ...values });
   const count = (name) => html`<${NumberField}
     label=${t(`board-${name}`)} unit="" digits=${0} low=${3} high=${99} value=${size[name]}
-    onValue=${(value) => set({ [name]: Math.round(value) })} name=${name}
+    onValue=${(value) => set({ [name]: Math.round(value) })} name=${name} isForm
   />`;
   return html`<div class="row">
     <label class="field">
@@ -29,7 +29,7 @@ export function BoardFields({ size, onSize }) {
       size.kind === "charuco" &&
       html`<${NumberField}
           label=${t("board-marker")} unit="mm" digits=${3} low=${0.001} high=${10000} value=${size.marker}
-          onValue=${(marker) => set({ marker })}
+          onValue=${(marker) => set({ marker })} isForm
         />
         <label class="field">
           <span>${t("board-dictionary")}</span>
@@ -44,5 +44,5 @@ export function BoardFields({ size, onSize }) {
 
 export const PitchField = ({ size, mm, onMm }) => html`<${NumberField}
   label=${t(isPitched(size) ? "board-pitch" : "board-mm")} unit="mm" digits=${3} low=${0.001} high=${10000}
-  value=${mm} onValue=${onMm} name="mm"
+  value=${mm} onValue=${onMm} name="mm" isForm
 />`;

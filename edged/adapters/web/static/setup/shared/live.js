@@ -1,6 +1,6 @@
 // The state of the cell and the live pictures, over one WebSocket, and the lease of the cell.
 import { batch, computed, effect, signal, useEffect } from "../../vendor/ui.js";
-import { ask, attempt, glance, logIn, Problem, trouble } from "./api.js";
+import { ask, attempt, glance, logIn, Problem, trouble, troubled } from "./api.js";
 import { forget, isAside } from "./drafts.js";
 
 const KEPT = "edged.lease";
@@ -18,14 +18,24 @@ export const task = signal(null);
 export const checked = signal(null);
 export const isConnected = signal(false);
 export const pictures = { left: signal(null), right: signal(null) };
-/** @typedef {{ on?: boolean, code?: string, width?: number, height?: number }} LiveState */
+/** @typedef {{ on?: boolean, code?: string, detail?: string, width?: number, height?: number }} LiveState */
 export const liveState = signal(/** @type {LiveState} */ ({}));
 export const token = signal(localStorage.getItem(KEPT) ?? "");
 export const liveViews = signal(0);
 
+// Whether somebody said that a board or a part is before the cameras: an empty scene has texture, too, and
+// light and focus cannot be judged by that.
+const OBJECT = "edged.object";
+export const hasObject = signal(sessionStorage.getItem(OBJECT) === "yes");
+export function sayObject(isThere) {
+  sessionStorage.setItem(OBJECT, isThere ? "yes" : "no");
+  hasObject.value = isThere;
+}
+
 // Whether this cell has a route; a page without its routes is not opened.
 const offered = new Set(document.getElementById("setup").dataset.offers.split(" "));
 export const offers = (path) => offered.has(path);
+export const hasManual = "manual" in document.getElementById("setup").dataset;
 
 export const holds = computed(() => Boolean(token.value && cell.value?.setup?.yours));
 export const mayTake = computed(() => me.value?.role === "engineer");
@@ -79,6 +89,7 @@ async function renew() {
     adopt(); // another tab may have taken the cell
     if (token.value !== held) return;
     keep("");
+    troubled.value = null;
     trouble.value = new Problem({ status: problem.status, code: "lease_lost", detail: problem.detail });
     glance(look); // who has it now
   } finally {
@@ -114,7 +125,7 @@ async function search() {
   ]);
   cameras.value = { ...found, ...read, ...(before === settings ? {} : { settings: cameras.value.settings }) };
 }
-export const lookAtCameras = () => glance(search);
+export const lookAtCameras = () => (mayTake.value ? glance(search) : undefined);
 export function keepSettings(side, read) {
   settings += 1;
   const { configured, settings: known } = cameras.value;
@@ -333,14 +344,14 @@ async function facts() {
       ({ last }) => (told("still").value = last),
       () => {},
     );
-  if (offers("cameras") && cameras.peek()) await search();
+  if (offers("cameras") && cameras.peek() && mayTake.peek()) await search();
 }
 
 export async function start() {
   await facts();
   if (token.value) await renew();
   open();
-  if (offers("cameras")) search().catch(() => {}); // the cameras' page reports errors
+  if (offers("cameras") && mayTake.value) search().catch(() => {}); // the cameras' page reports errors
   setInterval(() => {
     rouse();
     renew();

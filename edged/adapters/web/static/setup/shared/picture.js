@@ -22,7 +22,10 @@ function View({ side, children, stripe, label }) {
   );
   const { width, height } = rawSize(side);
   const isThere = pictures[side].value !== null;
-  return html`<div class="view" style=${{ aspectRatio: `${width} / ${height}` }}>
+  return html`<div
+    class="view ${isThere || holds.value ? "" : "bare"}"
+    style=${isThere || holds.value ? { aspectRatio: `${width} / ${height}` } : {}}
+  >
     <canvas ref=${canvas} role="img" aria-label=${label} hidden=${!isThere}></canvas>
     ${stripe && html`<canvas ref=${stripes} class="stripes" aria-hidden="true" hidden=${!isThere}></canvas>`}
     <svg viewBox="0 0 ${width} ${height}" aria-hidden="true">${children}</svg>

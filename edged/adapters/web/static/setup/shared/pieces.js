@@ -36,7 +36,8 @@ export function useKept(name, first) {
 }
 
 // A number typed with comma or point; invalid or out of limits, it is marked and not sent.
-// onValue(number): may return a promise, of undefined if it failed, as `attempt` does.
+// onValue(number): may return a promise, of undefined if it failed, as `attempt` does. isForm: the number is
+// not sent by itself, and counts with each key.
 export function NumberField({
   label,
   unit,
@@ -47,10 +48,16 @@ export function NumberField({
   onValue,
   disabled,
   name,
+  isForm,
 }) {
   const [typed, setTyped] = useState(null);
   const shown = typed ?? (value === null || value === undefined ? "" : number(value, digits));
-  const parsed = parseNumber(shown.replace(/\s/g, ""));
+  const read = (text) => parseNumber(text.replace(/\s/g, ""));
+  const parsed = read(shown);
+  const type = ({ currentTarget: { value: text } }) => {
+    setTyped(text);
+    if (isForm && read(text) >= low && read(text) <= high) onValue(read(text));
+  };
   const isWrong = typed !== null && !(parsed >= low && parsed <= high);
   // a rejected value stays, to be corrected
   const end = async () => {
@@ -68,7 +75,7 @@ export function NumberField({
     <span class="typed">
       <input
         inputmode="decimal" autocomplete="off" name=${name} value=${shown} disabled=${disabled}
-        aria-invalid=${isWrong} onInput=${(event) => setTyped(event.currentTarget.value)} onBlur=${end}
+        aria-invalid=${isWrong} onInput=${type} onBlur=${end}
         onKeyDown=${(event) => event.key === "Enter" && end()}
       />
       <span class="unit" translate=${false}>${unit}</span>
@@ -108,6 +115,24 @@ export function Slider({ label, value, low, high, isLogarithmic, onValue, disabl
     value=${dragged ?? Math.round(to(value))} disabled=${disabled} onInput=${move}
     onChange=${() => setTimeout(() => setDragged(null), SETTLED_MS)}
   />`;
+}
+
+// What the page is about to do next, offered at the foot of the window too: {text, act}, or null.
+export const mainAction = signal(null);
+// text: falsy: not now. Of several components at most one has it.
+export function useMainAction(text, act) {
+  const own = useRef(null);
+  const give = () => {
+    if (own.current && mainAction.peek() === own.current) mainAction.value = null;
+    own.current = null;
+  };
+  useEffect(() => {
+    if (!text) return give();
+    own.current = { text, act };
+    mainAction.value = own.current;
+    return undefined;
+  });
+  useEffect(() => give, []);
 }
 
 // Announcements of the screen reader.

@@ -1,7 +1,18 @@
 // Trying a job: live results, the map of predicted sigma, and the still test of sigma.
 import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt, glance, sentence } from "../shared/api.js";
-import { cell, holds, rawSize, SIDES, sign, token, told, useFresh, useTask } from "../shared/live.js";
+import {
+  cell,
+  holds,
+  liveState,
+  rawSize,
+  SIDES,
+  sign,
+  token,
+  told,
+  useFresh,
+  useTask,
+} from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
 import { Shape, say } from "../shared/pieces.js";
 import { dashed, inWords, moment, number, t } from "../shared/texts.js";
@@ -84,15 +95,17 @@ function over(side) {
 
 function Verdict() {
   if (!isOn.value) return html`<p class="big figure"><${Shape} is="none" /> ${t("try-off")}</p>`;
-  if (!trial.value.status && !trial.value.trouble)
+  if (!trial.value.status && !trial.value.trouble && !liveState.value.code)
     return html`<p class="big figure" role="status">
       <${Shape} is="busy" /> ${t("try-coming")}
     </p>`;
-  const { status, reasons, trouble } = trial.value;
-  const isGood = status === "OK";
+  const { status, reasons, trouble: measured } = trial.value;
+  const { on: isLive, code, detail } = liveState.value; // pictures that are lost are not measured
+  const trouble = isLive && code ? { code, text: detail ?? "" } : measured;
+  const isGood = status === "OK" && !trouble;
   return html`<div class="big figure" role="status">
     <p>
-      <${Shape} is=${isGood ? "tick" : "gap"} />${" "}
+      <${Shape} is=${isGood ? "tick" : trouble ? "doubt" : "gap"} />${" "}
       <strong>${trouble ? t("try-trouble") : t(`try-status-${dashed(status)}`)}</strong>
     </p>
     ${trouble && html`<p class="small">${sentence({ ...trouble, detail: trouble.text })}</p>`}

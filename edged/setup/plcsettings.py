@@ -1,0 +1,189 @@
+"""How PLCs and robots connect: chosen on the page, tried by a reload, and put back where that fails."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from edged.adapters.web.routes import Answer, Body, Call, Leased, route
+from edged.config.chosenconnections import connections_of, read_connections
+from edged.errors import UserError
+from edged.identity.passwords import hash_password
+from edged.identity.visitors import Role
+from edged.robot.orientations import CONVENTIONS, Brand, Convention
+from edged.setup.inuse import CellInUse
+from edged.setup.releases.service import Activation, Mandate
+
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+Networks = Annotated[list[Text], Field(max_length=64)]
+PortNumber = Annotated[int, Field(ge=1, le=65535)]
+ConventionName = Literal[
+    "fixed_xyz", "kuka_abc", "ur_rotation_vector", "staubli_xyz", "kawasaki_oat", "abb_zyx"
+]
+BRAND_CONVENTIONS = {Brand.ABB: Convention.ABB_ZYX, **CONVENTIONS}
+"""What A, B, C of the Modbus map are to be for a robot of a brand."""
+
+
+class TlsChoice(Body):
+    """Modbus/TCP Security. Files lie beside the configuration."""
+
+    certificate: Text
+    key: Text
+    authority: Text
+    writer_roles: Networks
+
+
+class SocketChoice(Body):
+    """Lines of text for robots."""
+
+    port: PortNumber
+    brand: Brand
+    allow_simulated: bool = False
+
+
+class ModbusChoice(Body):
+    """Keys of `[modbus]`; tls, socket : null: without."""
+
+    enabled: bool
+    host: Text
+    port: PortNumber
+    unit_id: int = Field(ge=1, le=247)
+    word_order: Literal["high", "low"]
+    base_address: int = Field(ge=0, le=60_000)
+    convention: ConventionName
+    readers: Networks
+    writers: Networks
+    tls: TlsChoice | None
+    socket: SocketChoice | None
+
+
+class OpcUaChoice(Body):
+    """Keys of `[opcua]`. password : a new one; null: as before."""
+
+    host: Text
+    port: PortNumber
+    certificate: Text | None
+    key: Text | None
+    trusted: Text | None
+    user: Text
+    password: Annotated[str, Field(min_length=8, max_length=200)] | None = None
+    anonymous: bool
+    readers: Networks
+
+
+class PlcChoice(Leased):
+    """All of it. opcua : null: no such server."""
+
+    modbus: ModbusChoice
+    opcua: OpcUaChoice | None
+
+
+class PlcSettings(Answer):
+    """What is in force. is_chosen : on this page; else it is the configuration's.
+
+    conventions : of A, B, C, by the brand of a robot. opcua_password : whether there is one.
+    """
+
+    modbus: ModbusChoice
+    opcua: OpcUaChoice | None
+    opcua_password: bool
+    is_chosen: bool
+    conventions: dict[str, str]
+
+
+class PlcSettingsRoutes:
+    """The routes."""
+
+    def __init__(self, cell: CellInUse, activation: Activation) -> None:
+        self._cell = cell
+        self._activation = activation
+
+    @route("GET", "/plc/settings", "How PLCs and robots connect", role=Role.VIEWER)
+    async def _settings(self, _call: Call[None]) -> PlcSettings:
+        return await asyncio.to_thread(self._now)
+
+    @route(
+        "PUT",
+        "/plc/settings",
+        "Choose how PLCs and robots connect; the cell tries it, and keeps what was where that fails",
+        audit=True,
+        needs_lease=True,
+        needs_password=True,
+    )
+    async def _choose(self, call: Call[PlcChoice]) -> PlcSettings:
+        before = await asyncio.to_thread(read_connections, self._cell.files.config.cell.rig)
+        content = await asyncio.to_thread(self._content, call.body, before)
+        return await self._changed(content, call.body.token)
+
+    @route(
+        "DELETE",
+        "/plc/settings",
+        "Let PLCs and robots connect as configured",
+        audit=True,
+        needs_lease=True,
+        needs_password=True,
+    )
+    async def _forget(self, call: Call[Leased]) -> PlcSettings:
+        return await self._changed(None, call.body.token)
+
+    async def _changed(self, content: bytes | None, token: str) -> PlcSettings:
+        """Let the cell run by a choice, or without one. Raises `EdgedError`, `OSError`; then it is as before."""
+        by = Mandate(self._cell.session.holder, "how PLCs and robots connect", token=token)
+        await self._activation.keep_connections(content, by)
+        return await asyncio.to_thread(self._now)
+
+    def _content(self, wanted: PlcChoice, before: bytes | None) -> bytes:
+        """The file's content. Raises `UserError` for a file elsewhere than beside the configuration."""
+        chosen: dict[str, Any] = wanted.model_dump(mode="json", exclude={"token"})
+        now = self._now()
+        for section, known in ((wanted.modbus.tls, now.modbus.tls), (wanted.opcua, now.opcua)):
+            for name in ("certificate", "key", "authority", "trusted"):
+                path = getattr(section, name, None)
+                if path is not None and path != getattr(known, name, None) and not _is_beside(path):
+                    raise UserError(f"{name}: {path}: expected a file beside the configuration, by its name")
+        if wanted.opcua is not None:
+            password = chosen["opcua"].pop("password")
+            old = {} if before is None else connections_of(before, Path("chosen")).opcua or {}
+            if password is not None:
+                chosen["opcua"]["password_hash"] = hash_password(password)
+            elif "password_hash" in old:
+                chosen["opcua"]["password_hash"] = old["password_hash"]
+        return (json.dumps(chosen, indent=2) + "\n").encode()
+
+    def _now(self) -> PlcSettings:
+        config = self._cell.files.config
+        folder = self._cell.path.parent
+        return PlcSettings(
+            modbus=ModbusChoice(**_shown(config.modbus.model_dump(), ModbusChoice, folder)),
+            opcua=None
+            if config.opcua is None
+            else OpcUaChoice(**_shown(config.opcua.model_dump(), OpcUaChoice, folder)),
+            opcua_password=config.opcua is not None and bool(config.opcua.password_hash.get_secret_value()),
+            is_chosen=read_connections(config.cell.rig) is not None,
+            conventions={brand.value: one.name.lower() for brand, one in BRAND_CONVENTIONS.items()},
+        )
+
+
+def _shown(section: dict[str, Any], model: type[Body], folder: Path) -> dict[str, Any]:
+    """Keys of a section that the page knows; files by their names beside the configuration."""
+    shown: dict[str, Any] = {}
+    for name, value in section.items():
+        if name == "tls" and value is not None:
+            shown[name] = TlsChoice(**_shown(value, TlsChoice, folder))
+        elif name == "socket" and value is not None:
+            shown[name] = SocketChoice(**{**value, "brand": Brand(value["brand"])})
+        elif name in model.model_fields:
+            shown[name] = _beside(value, folder) if isinstance(value, Path) else value
+    return shown
+
+
+def _beside(path: Path, folder: Path) -> str:
+    return str(path.relative_to(folder) if path.is_relative_to(folder) else path)
+
+
+def _is_beside(path: str) -> bool:
+    return not Path(path).is_absolute() and ".." not in Path(path).parts and not path.startswith("~")
