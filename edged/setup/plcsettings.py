@@ -131,7 +131,7 @@ class PlcSettingsRoutes:
         return await self._changed(None, call.body.token)
 
     async def _changed(self, content: bytes | None, token: str) -> PlcSettings:
-        """Let the cell run by a choice, or without one. Raises `EdgedError`, `OSError`; then it is as before."""
+        """Let the cell run by a choice, or without one. Raises `EdgedError`, `OSError`, and is as before."""
         by = Mandate(self._cell.session.holder, "how PLCs and robots connect", token=token)
         await self._activation.keep_connections(content, by)
         return await asyncio.to_thread(self._now)
