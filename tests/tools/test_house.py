@@ -38,7 +38,7 @@ MOST_FILES_ENTERED = 31
 what is asked and given and how a step is made, as one file of 750 lines would be no shorter a way; what
 broken rims do to it is a third. What a face shows by chance is a file of the search."""
 
-MOST_FILES_OF_A_REQUEST = {"ACK": 10, "GRASP": 10, "LOCATE": 30}
+MOST_FILES_OF_A_REQUEST = {"ACK": 10, "GRASP": 10, "LOCATE": 31}
 """Files entered from a robot's line to its answer, by its command. LOCATE goes through the whole cycle."""
 
 SUPPRESSION = re.compile(

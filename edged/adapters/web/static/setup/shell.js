@@ -245,7 +245,8 @@ function Lease() {
   </aside>`;
 }
 
-// Below or above what was pressed, as long as that is there; else above the page. It comes into sight, and follows.
+// Below or above what was pressed, as long as that is there; else above the page. It comes into sight, and
+// follows.
 const GAP_PX = 6;
 function Trouble() {
   const box = useRef(null);

@@ -214,7 +214,13 @@ function Figure() {
         ${t("sigma-goal", { goal: number(goal_um, Number.isInteger(goal_um) ? 0 : 1) })}`
     }:${" "}
     <strong>
-      ${isReached(draft.value) ? t("sigma-reached") : more_views ? t("sigma-more", { count: more_views }) : t("sigma-on")}
+      ${
+        isReached(draft.value)
+          ? t("sigma-reached")
+          : more_views
+            ? t("sigma-more", { count: more_views })
+            : t("sigma-on")
+      }
     </strong> ${guiding && html`<span class="muted small">${t("sigma-again")}</span>`}
   </p>`;
 }

@@ -156,7 +156,8 @@ function Lengths({ part, known, onKnown }) {
           }`;
         return html`<${NumberField}
           key=${name} label=${label} unit="mm" digits=${3} low=${0.001} high=${100000}
-          value=${known[name] ?? null} onValue=${(mm) => onKnown({ ...known, [name]: mm })} name=${name} isForm
+          value=${known[name] ?? null} onValue=${(mm) => onKnown({ ...known, [name]: mm })}
+            name=${name} isForm
         />`;
       })}
     </div>`;

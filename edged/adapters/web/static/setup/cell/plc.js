@@ -221,7 +221,10 @@ export default function Plc() {
     ${
       plc &&
       html`<${Reach} plc=${plc} />
-        ${offers("plc/settings") && html`<${Settings} robot=${robot} onSaved=${() => setLooked(looked + 1)} />`}
+        ${
+          offers("plc/settings") &&
+          html`<${Settings} robot=${robot} onSaved=${() => setLooked(looked + 1)} />`
+        }
         ${plc.listening && html`<${Exchanges} />`}
         <${Sources} clients=${plc.clients} />`
     }`;

@@ -1,4 +1,4 @@
-// How PLCs and robots connect: host, writers, convention, TLS, lines for robots, OPC UA; tried when it is saved.
+// How PLCs and robots connect: host, writers, convention, TLS, lines for robots, OPC UA.
 import { html, useEffect, useState } from "../../vendor/ui.js";
 import { ask, attempt, glance } from "../shared/api.js";
 import { BRANDS } from "../shared/brands.js";
@@ -40,7 +40,8 @@ const listed = (text) =>
 const Text = ({ label, name, value, onValue, hint = "", type = "text" }) => html`<label class="field">
   <span>${label}</span>
   <input
-    name=${name} type=${type === "text" ? undefined : type} autocomplete=${type === "text" ? "off" : "new-password"}
+    name=${name} type=${type === "text" ? undefined : type}
+      autocomplete=${type === "text" ? "off" : "new-password"}
     maxlength="200" value=${value ?? ""} onInput=${(event) => onValue(event.currentTarget.value)}
   />
   ${hint && html`<span class="hint">${hint}</span>`}
@@ -129,7 +130,8 @@ function Modbus({ modbus, set }) {
           label=${t("plc-set-host")} name="host" value=${modbus.host} onValue=${(host) => set({ host })}
         />`
       }
-      <${Port} label=${t("plc-set-port")} name="port" value=${modbus.port} onValue=${(port) => set({ port })} />
+      <${Port} label=${t("plc-set-port")} name="port" value=${modbus.port}
+          onValue=${(port) => set({ port })} />
       <${Port}
         label=${t("plc-set-unit")} name="unit" value=${modbus.unit_id} high=${247}
         onValue=${(unit_id) => set({ unit_id })}
@@ -244,7 +246,8 @@ function OpcUa({ opcua, hasPassword, onOpcua }) {
           />
           <${Text}
             label=${t(hasPassword ? "plc-set-password-kept" : "plc-set-password")} name="opcua-password"
-            type="password" value=${opcua.password} onValue=${(password) => change({ password: password || null })}
+            type="password" value=${opcua.password}
+              onValue=${(password) => change({ password: password || null })}
           />
         </div>`
     }`;
