@@ -23,7 +23,7 @@ from edged.errors import CaptureError
 from edged.payload import Json
 
 TOGETHER_SHARE = 0.5
-"""Of the time, for pairs by software trigger; the rest is for both at full rate."""
+"""Share of the time for pairs by software trigger; the rest is for both at full rate."""
 PERCENTILES = (50, 99)
 
 

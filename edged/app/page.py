@@ -31,6 +31,7 @@ from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.domain.cell import CellPhase, SetupSource
 from edged.domain.events import Event
+from edged.domain.numerals import is_whole, whole
 from edged.errors import EdgedError, LinkError
 from edged.files.statefolder import page_folder
 from edged.link.pageend import LinkNews, PageEnd
@@ -256,8 +257,8 @@ def main(arguments: Sequence[str]) -> int:
 
 def _reached(place: str) -> socket.socket:
     """The link by an inherited socket's number, or by the path of the cell's socket. Raises `OSError`."""
-    if place.isdecimal():
-        return socket.socket(fileno=int(place))
+    if is_whole(place):
+        return socket.socket(fileno=whole(place))
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     deadline_s = time.monotonic() + REACH_S
     while True:

@@ -14,6 +14,7 @@ from edged.app.camerareport import camera_report
 from edged.app.discovery import CameraInfo, aravis_missing, list_cameras
 from edged.errors import CaptureError, UserError
 from edged.files.atomic import write_file
+from edged.files.outputs import check_outputs
 from edged.payload import Json
 
 
@@ -43,6 +44,7 @@ def report(file: Path, devices: list[str], minutes: float, console: Console) -> 
     used."""
     if missing := aravis_missing():
         raise UserError(missing)
+    check_outputs({"--report": file})
     found = list_cameras()
     chosen = devices or [_name(info) for info in found]
     if len(chosen) != 2:

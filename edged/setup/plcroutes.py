@@ -27,6 +27,7 @@ FILES = {
     "twincat": "edged-twincat.zip",
     "urscript": "edged.script",
     "krl": "edged-kuka.zip",
+    "krl6": "edged-kuka-iiqka.zip",
     "karel": "edged-fanuc.zip",
     "rapid": "EDGED.mod",
     "motoplus": "edged-yaskawa.zip",

@@ -164,7 +164,7 @@ class PlcSettingsRoutes:
             else OpcUaChoice(**_shown(config.opcua.model_dump(), OpcUaChoice, folder)),
             opcua_password=config.opcua is not None and bool(config.opcua.password_hash.get_secret_value()),
             is_chosen=read_connections(config.cell.rig) is not None,
-            conventions={brand.value: one.name.lower() for brand, one in BRAND_CONVENTIONS.items()},
+            conventions={brand.value: angles.name.lower() for brand, angles in BRAND_CONVENTIONS.items()},
         )
 
 

@@ -599,7 +599,7 @@ def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: str) ->
         await bench.recovers()
         assert ["closed", "opened"] == order
 
-    run(script)
+    run(script, Bench(timeout_s=TIMEOUT_S))
 
 
 def test_an_attempt_that_hangs_is_ended() -> None:

@@ -28,6 +28,7 @@ OUTPUTS = {
     ("board", "output"): "board chessboard:11x8:15 -o {}/board.pdf",
     ("calibrate", "output"): f"calibrate pictures --board {SPEC} -o {{}}/rig.json",
     ("calibrate", "report"): f"calibrate pictures --board {SPEC} -o new.json --report {{}}/rig.html",
+    ("cameras", "report"): "cameras --report {}/cameras.json --minutes 0.1",
     ("demo", "folder"): "demo --in-process --cycles 1 --folder {}/cell",
     ("grab", "output"): "grab cell.toml -o {}/pictures",
     ("locate", "cloud"): f"{LOCATE} --cloud {{}}/cloud.png",
@@ -48,7 +49,8 @@ OUTPUTS = {
 INPUTS = {
     *(("sim", name) for name in ("config", "images")),
     *(("watch", name) for name in ("authority", "certificate", "key", "shared_key")),
-    *((name, "config") for name in ("audit", "backup", "check", "doctor", "grab", "run", "web invite")),
+    *((name, "config") for name in ("audit", "backup", "check", "doctor", "grab", "registers", "run")),
+    ("web invite", "config"),
     *(("teach", name) for name in ("rig", "left", "right", "step", "dxf", "contour")),
     *((name, "rig") for name in ("grasp touch", "locate", "verify")),
     *((name, "job") for name in ("grasp touch", "locate", "verify")),

@@ -82,7 +82,7 @@ def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
             with socket.create_server(("127.0.0.1", second)):
                 await page.type("[name=port]", str(second))
                 await press(page, "Use these connections")
-                await page.until(said("the cell cannot run by it, and stays as it was"))
+                await page.until(said("the cell cannot run with it, and goes on as before"))
                 assert answers(first)
             page.complaints.clear()  # of the refusal
             await choose(page, "order", "low")

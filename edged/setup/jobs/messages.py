@@ -15,6 +15,7 @@ import dataclasses
 import enum
 import re
 from collections.abc import Mapping
+from datetime import datetime
 from importlib import import_module
 from pathlib import Path, PurePath
 from typing import Any
@@ -73,6 +74,8 @@ def _plain(value: Any) -> Any:
         return value
     if isinstance(value, PurePath):
         return ["path", str(value)]
+    if isinstance(value, datetime):
+        return ["time", value.isoformat()]
     if isinstance(value, BaseModel):
         stated = {name: _plain(getattr(value, name)) for name in value.model_fields_set}
         return ["model", *_name(type(value)), stated]
@@ -108,6 +111,9 @@ def _value(plain: Any) -> Any:
         case "path":
             (path,) = rest
             return Path(path)
+        case "time":
+            (at,) = rest
+            return datetime.fromisoformat(at)
         case "scalar":
             kind_of, data = rest
             return _array(kind_of, [], data)[()]

@@ -43,7 +43,6 @@ from edged.files.atomic import read_bytes, replace_folder
 from edged.files.replacing import replace_files
 from edged.files.rig import read_rig
 from edged.owners import as_owner, by_name, unlinked
-from edged.robots.formats import render
 from edged.setup.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
 from edged.setup.releases.jobsfolder import Jobs, jobs_in, without_pictures
 
@@ -197,7 +196,15 @@ def read(archive: Path) -> Backup:
 
 def fits_map(taken: Backup) -> bool:
     """Whether the PLC's program for that cell reads this version's Modbus map."""
-    return taken.files.get(REGISTERS) == render("csv").encode()
+    return taken.files.get(REGISTERS) == _registers()
+
+
+def _registers() -> bytes:
+    """The register map."""
+    # a cell that runs installs what its page hands over, and needs no templates until it does
+    from edged.robots.formats import render
+
+    return render("csv").encode()
 
 
 # --- what belongs to a cell -------------------------------------------------------------------
@@ -207,7 +214,7 @@ def _collect(path: Path, config: Config, parts: Parts) -> tuple[dict[str, bytes]
     """Members by name, and what is left out."""
     path = path.resolve()
     text = read_bytes(path, "a configuration").decode()
-    files = {REGISTERS: render("csv").encode()}
+    files = {REGISTERS: _registers()}
     member, text = _placed(path, text, "rig", config.cell.rig)
     if parts.rig is not None:
         _add(files, member, config.cell.rig, parts.rig)

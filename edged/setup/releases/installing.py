@@ -39,7 +39,8 @@ INSTALLING, BEFORE = "installing.tar.gz", "before.tar.gz"
 PLACE = "the release"
 UNDO = "undo"
 MOST_MEMORY_BYTES, MOST_CPU_S = 4 << 30, 60
-"""Of addresses: libraries take 1 GiB, and the largest release is several times in memory, packed and not."""
+"""Limits of its addresses and its processor time: libraries take 1 GiB, and the largest release is several
+times in memory, packed and not."""
 
 
 class Installation:

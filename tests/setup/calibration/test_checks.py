@@ -19,6 +19,7 @@ from edged.files.jobs import load_job
 from edged.files.rig import save_rig
 from edged.setup.calibration.checks import CheckDocument, Checked, Checks, OfferedLength
 from edged.setup.calibration.service import FUNCTIONS
+from edged.setup.cellfiles import read_any_cell
 from edged.setup.jobs.worker import Worker
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix, transform
@@ -128,7 +129,7 @@ def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None
         try:
             for rig in (true, wide):
                 save_rig(in_use.files.config.cell.rig, rig)
-                await in_use.reload()
+                running.files = read_any_cell(cell.config)
                 found.append(await checks.by_part("theirs", "Anna", job.name, {"c0": 28.0}))
                 known = await checks.last()
                 assert Checked(last=found[-1], is_current=True, boards=[], parts=known.parts) == known

@@ -154,6 +154,7 @@ const WHOSE = {
   twincat: "TwinCAT 3",
   urscript: "Universal Robots",
   krl: "KUKA",
+  krl6: "KUKA (iiQKA)",
   karel: "FANUC",
   rapid: "ABB",
   motoplus: "Yaskawa",
