@@ -23,7 +23,7 @@ from edged.vision.shape.params import SearchParams, ShapeMatch
 from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
 from edged.vision.solid.curvemodel import has_enough_curves
-from edged.vision.solid.locate import locate_solid
+from edged.vision.solid.locate import all_edges_agree, locate_solid
 
 NEAR_SHARE = 0.7
 """Share of min_score that counts as a near miss: at half of it clutter looks like parts, and a search in
@@ -71,6 +71,7 @@ def inspect(
 ) -> PairInspection:
     """`locate` with the evidence: every part found, with its edges."""
     images = _rectified(pair, rig)
+    by_all = (job.solid or job.tilt_rad is not None) and has_enough_curves(job)
     if job.body is not None:
         lap("rectify")
         return _inspect_solid(images, job, lap)
@@ -86,8 +87,8 @@ def inspect(
         else:
             dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))
     lap("measure")
-    found = any(part.target.reject is Reject.NONE for part in measured)
-    if not found and (job.solid or job.tilt_rad is not None) and has_enough_curves(job):
+    good = [part.target for part in measured if part.target.reject is Reject.NONE]
+    if by_all and not (good and all_edges_agree(images, job, good)):
         again = _inspect_solid(images, job, lap)
         if again.measured:
             return again

@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from edged.domain.picking import Bounds, Box, Order, Picking
 from edged.errors import FileFormatError
-from edged.files.jobs import job_folders, load_job, save_job
+from edged.files.arrays import pack_arrays
+from edged.files.jobs import job_files, job_folders, job_of, load_job, save_job
 from edged.vision.part.job import (
     CircleFeature,
     CornerFeature,
@@ -28,6 +29,7 @@ from edged.vision.part.job import (
     ResultLimits,
     SlotFeature,
 )
+from edged.vision.part.traced import TracedCurve, to_arrays
 from edged.vision.shape.model import ShapeLevel, ShapeModel
 from edged.vision.shape.search import SearchParams
 
@@ -135,6 +137,50 @@ def test_a_job_comes_back(tmp_path: Path, limits: ResultLimits | None, search: S
     assert (tmp_path / "two" / "job.toml").read_bytes() == (
         tmp_path / "jobs" / "one" / "job.toml"
     ).read_bytes()
+
+
+def traced_job() -> Job:
+    """A job with two outlines that are no features."""
+    points = np.array([[0.0, 0.5, 3.25], [1.0, 0.5, 3.25], [1.5, 2.0, 3.25]])
+    return replace(make_job(), traced=(TracedCurve(points, 1), TracedCurve(-points[:2], -1)))
+
+
+def test_outlines_that_are_no_features_come_back(tmp_path: Path) -> None:
+    """Points and polarity of each."""
+    save_job(tmp_path / "one", traced_job())
+    found = load_job(tmp_path / "one").traced
+    assert [(one.points_mm.tolist(), one.polarity) for one in found] == [
+        (one.points_mm.tolist(), one.polarity) for one in traced_job().traced
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        (
+            "points_mm",
+            np.zeros((5, 2), np.float32),
+            "traced_points_mm: float32 (5, 2), expected float32",
+        ),
+        ("points_mm", np.zeros((5, 3)), "traced_points_mm: float64"),
+        ("points_mm", np.full((5, 3), np.nan, np.float32), "traced_points_mm: expected up to 20000 within"),
+        ("points_mm", np.zeros((5, 3), np.float32), "traced_points_mm: expected no point twice"),
+        ("curves", np.array([[4, 1], [2, 1]], np.int32), "traced_curves: expected two points or more"),
+        ("curves", np.array([[4, 1], [1, 1]], np.int32), "traced_curves: expected two points or more"),
+        ("curves", np.array([[3, 1], [2, 0]], np.int32), "traced_curves: expected two points or more"),
+        ("curves", np.array([[3, 1], [-3, 1]], np.int32), "traced_curves: expected two points or more"),
+        ("curves", None, "traced_curves: missing"),
+    ],
+)
+def test_damaged_outlines_are_named(tmp_path: Path, name: str, value: object, expected: str) -> None:
+    """Which array, and what was expected of it."""
+    arrays = {"traced_" + key: array for key, array in to_arrays(traced_job().traced).items()}
+    arrays["traced_" + name] = value
+    arrays |= traced_job().shape.to_arrays()
+    files = job_files(traced_job())
+    shape = pack_arrays("edged-shape", 1, {key: one for key, one in arrays.items() if one is not None})
+    with pytest.raises(FileFormatError, match=re.escape(expected)):
+        job_of(files | {"shape.npz": shape}, tmp_path)
 
 
 @pytest.mark.parametrize("order", Order)

@@ -27,6 +27,7 @@ from edged.files.outputs import check_folder
 from edged.owners import as_owner, by_name, unlinked
 from edged.vision.part.body import PartBody
 from edged.vision.part.job import Job
+from edged.vision.part.traced import TracedCurve, from_arrays, to_arrays
 from edged.vision.shape.model import ShapeModel
 
 SHAPE_KIND = "edged-shape"
@@ -36,6 +37,8 @@ TEXT, SHAPE = "job.toml", "shape.npz"
 """The files of a job; one says nothing without the other."""
 BODY = "body_"
 """Before the names of the arrays of the part's surface, beside those of its shape."""
+TRACED = "traced_"
+"""The same of its outlines that are no features."""
 REPLACED = ".old"
 """Ends the name of each folder with a job that was replaced: a cell passes over it."""
 
@@ -73,10 +76,10 @@ def job_of(files: Mapping[str, bytes], folder: Path) -> Job:
     shape_path = Path(folder) / SHAPE
     try:
         arrays = unpack_arrays(files[SHAPE], shape_path, SHAPE_KIND, SHAPE_VERSION)
-        shape, body = ShapeModel.from_arrays(arrays), _body_of(arrays)
+        shape, body, traced = ShapeModel.from_arrays(arrays), _body_of(arrays), _traced_of(arrays)
     except ValueError as error:
         raise FileFormatError(f"{shape_path}: {error}") from error
-    return replace(file.job(shape), body=body)
+    return replace(file.job(shape), body=body, traced=traced)
 
 
 def _body_of(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody | None:
@@ -86,6 +89,15 @@ def _body_of(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody | None:
         return PartBody.from_arrays(own) if own else None
     except ValueError as error:
         raise ValueError(f"{BODY}{error}") from error
+
+
+def _traced_of(arrays: Mapping[str, npt.NDArray[Any]]) -> tuple[TracedCurve, ...]:
+    """The part's outlines that are no features; none of a job that was taught before they were kept."""
+    own = {name.removeprefix(TRACED): array for name, array in arrays.items() if name.startswith(TRACED)}
+    try:
+        return from_arrays(own) if own else ()
+    except ValueError as error:
+        raise ValueError(f"{TRACED}{error}") from error
 
 
 def job_folders(folder: Path) -> list[Path]:
@@ -113,6 +125,8 @@ def job_files(job: Job) -> dict[str, bytes]:
     arrays = job.shape.to_arrays()
     if job.body is not None:
         arrays |= {BODY + name: array for name, array in job.body.to_arrays().items()}
+    if job.traced:
+        arrays |= {TRACED + name: array for name, array in to_arrays(job.traced).items()}
     return {TEXT: to_toml(job).encode(), SHAPE: pack_arrays(SHAPE_KIND, SHAPE_VERSION, arrays)}
 
 

@@ -51,9 +51,9 @@ class PartBody:
     @staticmethod
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody:
         """Inverse of `to_arrays`; raises `ValueError` that names what is wrong."""
-        points = _checked(arrays, "points_mm", 3, np.dtype(np.float32)).astype(np.float64)
-        triangles = _checked(arrays, "triangles", 3, np.dtype(np.uint32)).astype(np.int64)
-        lines = _checked(arrays, "lines", 4, np.dtype(np.uint32)).astype(np.int64)
+        points = checked(arrays, "points_mm", 3, np.dtype(np.float32)).astype(np.float64)
+        triangles = checked(arrays, "triangles", 3, np.dtype(np.uint32)).astype(np.int64)
+        lines = checked(arrays, "lines", 4, np.dtype(np.uint32)).astype(np.int64)
         if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > MAX_SIZE_MM):
             raise ValueError("points_mm: impossible values")
         if not 4 <= len(triangles) <= MAX_TRIANGLES or len(points) > 3 * MAX_TRIANGLES:
@@ -66,7 +66,7 @@ class PartBody:
             raise ValueError("lines: of points or triangles that are not there")
         if "breaks_mm" not in arrays:
             return PartBody(points, triangles, lines)
-        breaks, sigma = (_checked(arrays, name, 1, np.dtype(np.float32)) for name in BREAKS)
+        breaks, sigma = (checked(arrays, name, 1, np.dtype(np.float32)) for name in BREAKS)
         if len(breaks) != len(lines) or len(sigma) != 1:
             raise ValueError(f"breaks_mm: {len(breaks)} of {len(lines)} lines, expected one each")
         widths = np.append(breaks, sigma)
@@ -88,7 +88,8 @@ class PartBody:
         return np.asarray(normals / np.where(length > 0, length, 1.0))
 
 
-def _checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, wide: int, kind: np.dtype[Any]) -> Any:
+def checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, wide: int, kind: np.dtype[Any]) -> Any:
+    """The array (N, wide) of a name; raises `ValueError` where it is missing or another one."""
     if name not in arrays:
         raise ValueError(f"{name}: missing")
     value = arrays[name]

@@ -251,7 +251,8 @@ def _out_of_tolerance(job: Job, target: Target, evidence: Evidence) -> Reject:
     if job.circles and allowed is not None:
         taught = job.reference_circle
         for circle in target.circles:
-            if circle.name == taught.name and abs(circle.radius_mm - taught.radius_mm) > allowed:
+            away = abs(circle.radius_mm - taught.radius_mm) - evidence.break_mm
+            if circle.name == taught.name and away > allowed:
                 return Reject.TOLERANCE
     form = job.limits.form_tolerance_mm
     if form is not None and evidence.form_mm > form:

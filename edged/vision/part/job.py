@@ -14,6 +14,7 @@ from edged.domain.picking import Picking
 from edged.vision.geometry.rigid import transform
 from edged.vision.part.body import PartBody
 from edged.vision.part.params import MEASURING
+from edged.vision.part.traced import TracedCurve
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import SearchParams
 
@@ -178,6 +179,7 @@ class Job:
     body : its surface, where its CAD model is known; None: what it hides of itself is not known.
     sigma_mm : of all features together, of a job from a model alone: the part's edge breaks are unknown.
     break_mm : width of the edge breaks, of a job taught from pictures alone; None: not known.
+    traced : outlines of such a job that are no features; it is looked for by them, too.
     """
 
     name: str
@@ -202,6 +204,7 @@ class Job:
     body: PartBody | None = None
     sigma_mm: float = 0.0
     break_mm: float | None = None
+    traced: tuple[TracedCurve, ...] = ()
 
     @property
     def reference_circle(self) -> CircleFeature:

@@ -27,6 +27,7 @@ class Evidence:
     scale, sigma_scale : by which share all sizes exceed the taught ones, and what edges and the stated
     distance explain of that.
     form_mm : largest deviation of a straight edge or slot from its taught place.
+    break_mm : width of edge breaks that teaching did not show: the taught radius may be that of either end.
     """
 
     support: float
@@ -36,3 +37,4 @@ class Evidence:
     scale: float = math.nan
     sigma_scale: float = math.nan
     form_mm: float = math.nan
+    break_mm: float = 0.0

@@ -86,6 +86,9 @@ def shown_break(images: StereoImages, job: Job) -> float | None:
     for k, width in enumerate(widths):
         seen = evidence_of(curve_model(job, float(width)), pyramids, job.rig_from_part)
         beside = seen.curve % 3 == 2
+        # where the wall is seen its foot is as good an edge: where it is not, there must be some, too
+        if float(seen.log_ratio(beside & ~seen.walled, BREAKS.shown_far).sum()) <= 0:
+            continue
         for shown in BREAKS.shown:
             ratios = seen.log_ratio(beside, shown)
             if sigmas_of(ratios) > DECISION.certain:

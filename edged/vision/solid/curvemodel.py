@@ -15,8 +15,9 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job, SlotFeature
+from edged.vision.part.traced import TracedCurve
 from edged.vision.solid.edgemodel import EdgeModel
-from edged.vision.solid.params import CURVES
+from edged.vision.solid.params import BREAKS, CURVES
 
 B64 = npt.NDArray[np.bool_]
 
@@ -44,16 +45,22 @@ class _Rim:
 
 def has_enough_curves(job: Job) -> bool:
     """Whether the circles, straight edges and slots of a job tell its part from chance."""
-    return len(job.circles) + len(job.edges) + len(job.slots) >= CURVES.fewest
+    return len(job.circles) + len(job.edges) + len(job.slots) + len(job.traced) >= CURVES.fewest
 
 
-def curve_model(job: Job, break_mm: float = 0.0) -> EdgeModel:
+def curve_points(job: Job) -> list[FloatArray]:
+    """Points (N, 3) along each of the taught curves of a job, part frame."""
+    return [rim.points for rim in _rims(job)]
+
+
+def curve_model(job: Job, break_mm: float = 0.0, is_lower: bool = False) -> EdgeModel:
     """The edges of a job's taught curves, each the rim of a face that looks at the cameras.
 
-    break_mm : width of their edge breaks.
+    break_mm : width of their edge breaks.  is_lower : the taught curves are the ends of the breaks in the
+    walls, not those in the faces.
     """
     rims = list(_rims(job))
-    lower = [_is_lower(rim, rims, break_mm) for rim in rims]
+    lower = [is_lower or _is_lower(rim, rims, break_mm) for rim in rims]
     kept = [k for k, rim in enumerate(rims) if not (lower[k] and _has_upper(rim, rims, break_mm))]
     rims, lower = [rims[k] for k in kept], [lower[k] for k in kept]
     start, end, outwards = (
@@ -72,6 +79,7 @@ def curve_model(job: Job, break_mm: float = 0.0) -> EdgeModel:
         np.repeat(np.arange(len(rims)), pieces), np.ones(count, bool), np.ones(count, bool), by_break,
         np.full(count, break_mm), np.zeros((0, 3)), np.zeros((0, 3), np.int64), 0.5 * (low + high),
         float(np.linalg.norm(high - low)), CURVES.taught_px,
+        *((BREAKS.unknown_sigma_mm,) * 2 if job.break_mm is None else (BREAKS.taught_sigma_mm, 0.0)),
     )  # fmt: skip
 
 
@@ -101,9 +109,11 @@ def _rims(job: Job) -> Iterator[_Rim]:
     for circle in job.circles:
         yield _circle(circle, -1.0 if _is_hole(job, circle) else 1.0)
     for slot in job.slots:
-        yield _slot(slot)
+        yield _slot(slot, -1.0 if _is_slot_hole(job, slot) else 1.0)
     for edge in job.edges:
         yield _edge(edge)
+    for curve in job.traced:
+        yield _traced(curve)
 
 
 def _is_hole(job: Job, circle: CircleFeature) -> bool:
@@ -114,16 +124,25 @@ def _is_hole(job: Job, circle: CircleFeature) -> bool:
         near = abs(float(other.centre_mm[2]) - z) < CURVES.same_face_mm
         if near and other.radius_mm > circle.radius_mm + apart:
             return True
-    corners = [
-        point[:2]
-        for edge in job.edges
-        for point in (edge.start_mm, edge.end_mm)
-        if abs(float(point[2]) - z) < CURVES.same_face_mm
-    ]
+    lines = [np.stack([edge.start_mm, edge.end_mm]) for edge in job.edges]
+    points = np.concatenate([np.zeros((0, 3)), *lines, *(curve.points_mm for curve in job.traced)])
+    corners = points[np.abs(points[:, 2] - z) < CURVES.same_face_mm, :2]
     if len(corners) < 4:
         return circle.polarity > 0
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     return bool(((low < (x, y)) & (high > (x, y))).all())
+
+
+def _is_slot_hole(job: Job, slot: SlotFeature) -> bool:
+    """Whether nothing lies within a slot's outline: else it is the part's."""
+    along = np.array([math.cos(slot.angle_rad), math.sin(slot.angle_rad)])
+    reach = 0.5 * (slot.length_mm - slot.width_mm)
+    for circle in job.circles:
+        gap = (circle.centre_mm - slot.centre_mm)[:2]
+        beside = gap - np.clip(gap @ along, -reach, reach) * along
+        if np.linalg.norm(beside) + circle.radius_mm < 0.5 * slot.width_mm:
+            return False
+    return True
 
 
 def _circle(circle: CircleFeature, outwards: float) -> _Rim:
@@ -132,8 +151,8 @@ def _circle(circle: CircleFeature, outwards: float) -> _Rim:
     return _Rim(points, outwards * _around(0.5 * (turns[:-1] + turns[1:])))
 
 
-def _slot(slot: SlotFeature) -> _Rim:
-    """Both half circles and the edges between them, cut as finely; a slot is a hole."""
+def _slot(slot: SlotFeature, outwards: float) -> _Rim:
+    """Both half circles and the edges between them, cut as finely."""
     radius = 0.5 * slot.width_mm
     reach = 0.5 * slot.length_mm - radius
     turns = _turns(math.pi, radius) - 0.5 * math.pi
@@ -144,7 +163,7 @@ def _slot(slot: SlotFeature) -> _Rim:
     points = np.concatenate([*halves, halves[0][:1]])
     along = np.diff(points, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return _Rim(points, np.cross(along, UP))
+    return _Rim(points, outwards * np.cross(along, -UP))
 
 
 def _edge(edge: EdgeFeature) -> _Rim:
@@ -152,6 +171,13 @@ def _edge(edge: EdgeFeature) -> _Rim:
     points = edge.start_mm + np.linspace(0, 1, CURVES.pieces + 1)[:, None] * (edge.end_mm - edge.start_mm)
     along = (edge.end_mm - edge.start_mm) / edge.length_mm
     return _Rim(points, np.repeat(np.cross(along, -UP)[None] * edge.polarity, CURVES.pieces, axis=0))
+
+
+def _traced(curve: TracedCurve) -> _Rim:
+    """The face is its brighter side, as an edge's."""
+    along = np.diff(curve.points_mm, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return _Rim(curve.points_mm, np.cross(along, -UP) * curve.polarity)
 
 
 def _turns(turn_rad: float, radius_mm: float) -> FloatArray:

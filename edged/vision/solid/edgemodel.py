@@ -36,6 +36,7 @@ class EdgeModel:
     vertices (V, 3), triangles (T, 3) : the surface; empty where it is not known, and nothing hides.
     centre (3,), size_mm : of the part; poses are turned about the centre.
     taught_px : sigma of the place at which either camera had all of its edges at teaching.
+    sigma_break_mm : of the widths of all breaks together.  sigma_own_mm : of each curve's besides.
     """
 
     sides: I64
@@ -52,6 +53,8 @@ class EdgeModel:
     centre: FloatArray
     size_mm: float
     taught_px: float = 0.0
+    sigma_break_mm: float = 0.0
+    sigma_own_mm: float = 0.0
 
 
 class EdgePoints(NamedTuple):
@@ -98,6 +101,7 @@ def model_of(body: PartBody) -> EdgeModel:
     return EdgeModel(
         sides, start, end, normals[beside], chain, sharp, breakable, inward, breaks, body.points_mm,
         body.triangles, 0.5 * (low + high), float(np.linalg.norm(high - low)),
+        sigma_break_mm=body.sigma_break_mm,
     )  # fmt: skip
 
 

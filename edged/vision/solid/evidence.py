@@ -18,6 +18,7 @@ from edged.domain.arrays import FloatArray
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.lock import MOST, Pyramids, find_edges, seen_by
 from edged.vision.solid.params import EVIDENCE, LOCK
+from edged.vision.solid.visible import find_neighbours
 
 B64 = npt.NDArray[np.bool_]
 
@@ -28,6 +29,7 @@ class PoseEvidence:
 
     hit (M,) : an edge lies within a pixel.  chance (M,) : probability of that by chance.
     curve (M,) : number of the model's curve.  pixels (M, 2), camera (M,).
+    walled (M,) : both faces look at the camera.
     """
 
     hit: B64
@@ -35,11 +37,12 @@ class PoseEvidence:
     curve: npt.NDArray[np.int64]
     pixels: FloatArray
     camera: npt.NDArray[np.int64]
+    walled: B64
 
-    def log_ratio(self, chosen: B64 | None = None, shown: float = EVIDENCE.shown) -> FloatArray:
+    def log_ratio(self, chosen: B64 | None = None, shown: float | None = None) -> FloatArray:
         """(K,) log likelihood of the part against chance, of each block of the chosen samples.
 
-        shown : probability that an edge shows.
+        shown : probability that an edge shows; None: as usual, of either edge of a break half of the time.
         """
         rows = np.arange(len(self.hit)) if chosen is None else np.flatnonzero(chosen)
         if not len(rows):
@@ -51,7 +54,9 @@ class PoseEvidence:
         counts = np.diff(np.r_[first, len(rows)])
         share = np.add.reduceat(self.hit[rows].astype(np.float64), first) / counts
         chance = np.clip(np.add.reduceat(self.chance[rows], first) / counts, 0.02, 0.95)
-        hit = shown * EVIDENCE.found + (1 - shown) * chance
+        alone = self.curve[rows[first]] % 3 == 0
+        shows = np.where(alone, EVIDENCE.shown, EVIDENCE.shown_of_two) if shown is None else shown
+        hit = shows * EVIDENCE.found + (1 - shows) * chance
         whole = counts / EVIDENCE.block
         return np.asarray(
             whole * (share * np.log(hit / chance) + (1 - share) * np.log((1 - hit) / (1 - chance)))
@@ -66,7 +71,7 @@ class PoseEvidence:
 
 def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseEvidence:
     """What both pictures show of a part at a pose, rig_from_part (4, 4)."""
-    hits, chances, curves, pixels, cameras = [], [], [], [], []
+    hits, chances, curves, pixels, cameras, walled = [], [], [], [], [], []
     for k, seen in enumerate(seen_by(model, pyramids, pose, 0, EVIDENCE.spacing_px)):
         offsets = np.full((len(seen.row), MOST), np.nan)
         find_edges(
@@ -75,15 +80,21 @@ def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseE
         )  # fmt: skip
         away = np.abs(offsets)
         hits.append(np.nanmin(np.where(np.isfinite(away), away, np.inf), axis=1) < EVIDENCE.agree_px)
-        # edges per px beside the own one, over a stretch of the curve
-        beside = ((away > EVIDENCE.own_px) & (away < EVIDENCE.reach_px)).sum(axis=1)
+        # edges per px, without the own one and the part's others there, over a stretch of the curve
+        near = np.empty((len(seen.row), 4))
+        find_neighbours(
+            seen.pixels, seen.normals, seen.curve, pyramids.drawn[0][k], LOCK.own_px, EVIDENCE.reach_px, near
+        )
+        own = (np.abs(offsets[:, :, None] - near[:, None]) < EVIDENCE.own_px).any(axis=2)
+        beside = ((away > EVIDENCE.own_px) & (away < EVIDENCE.reach_px) & ~own).sum(axis=1)
         density = beside / (2 * (EVIDENCE.reach_px - EVIDENCE.own_px))
         density = _smooth(density)
         chances.append(1 - np.exp(-2 * EVIDENCE.agree_px * density))
         curves.append(seen.curve)
         pixels.append(seen.pixels)
         cameras.append(np.full(len(seen.row), k))
-    return PoseEvidence(*(np.concatenate(both) for both in (hits, chances, curves, pixels, cameras)))
+        walled.append(seen.walled)
+    return PoseEvidence(*(np.concatenate(both) for both in (hits, chances, curves, pixels, cameras, walled)))
 
 
 def _smooth(density: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ both pictures, locked as one, weighed against chance and against every rival, an
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -36,13 +36,12 @@ from edged.vision.solid.symmetry import is_round, like_turns
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundPart:
-    """A part at a place: by which model, how it was laid, and what is seen of it.
+    """A part at a place: how it was laid, by which model, and what is seen of it.
 
     certain : either picture shows the part rather than chance, by so many sigmas.  margin : both show it
     rather than the nearest rival; inf without one.
     """
 
-    model: EdgeModel
     laid: LaidPose
     seen: PoseEvidence
     certain: float
@@ -56,7 +55,6 @@ def locate_solid(
 
     The job has a body, or is looked for by its taught curves alone.
     """
-    models = models_of(job)
     wanted = wanted_of(job)
     pyramids = pyramids_of(images, wanted)
     measured: list[parts.MeasuredPart] = []
@@ -67,7 +65,7 @@ def locate_solid(
     for place in find_places(wanted, pyramids):
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
-        found = _likeliest(job, models, pyramids, place)
+        found = weighed(pyramids, place, lambda model: _turns(job, model))
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # not by the edges of another part
         present = found.seen.present() if job.body is None else 1.0
@@ -83,9 +81,35 @@ def locate_solid(
     return measured, dismissed, missed
 
 
+def all_edges_agree(images: StereoImages, job: Job, targets: Sequence[Target]) -> bool:
+    """Whether all taught curves of a job lie where targets say that were measured by some of them."""
+    models = models_of(job)
+    as_taught = next((model for model in models if not model.breaks_mm.any()), models[0])
+    pyramids = Pyramids(images.rig, images.raw, 1)
+    return all(_agrees(job, (as_taught, *models), pyramids, target) for target in targets)
+
+
+def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: Target) -> bool:
+    """Whether the first of some models stays where a target is, and none of the others is likelier there."""
+    pose = target.rig_from_part @ transform(np.eye(3), -job.place_of(job.reference))
+    steps = schedule(0)[1]
+    laid = lay(models[0], pyramids, pose, steps)
+    if laid is None or turn_between(laid.pose, pose) > DECISION.same_turn_rad:
+        return False
+    if laid.agreeing.min() > DECISION.plain:
+        return True
+    certain = _certain(evidence_of(models[0], pyramids, laid.pose))
+    if certain < DECISION.certain:
+        return False
+    others = [other for model in models[1:] if (other := lay(model, pyramids, laid.pose, steps)) is not None]
+    rival = max((_certain(evidence_of(other.model, pyramids, other.pose)) for other in others), default=0.0)
+    return rival - certain < DECISION.certain
+
+
 def wanted_of(job: Job) -> SearchedPart:
     """What is looked for, of a job."""
-    model = models_of(job)[0]
+    models = models_of(job)
+    model = models[0]
     place = apply(job.rig_from_part, model.centre)
     # as the search has it, within the limits, which are of the reference point
     taught = float(apply(job.rig_from_part, job.place_of(job.reference))[2])
@@ -93,7 +117,7 @@ def wanted_of(job: Job) -> SearchedPart:
     near, far = max(near, job.limits.depth_mm[0]), min(far, job.limits.depth_mm[1])
     near, far = (float(np.linalg.norm(place)) * depth / taught for depth in (near, far))
     tilt = DECISION.lying_rad if job.tilt_rad is None else job.tilt_rad
-    return SearchedPart(model, tilt + DECISION.tilt_margin_rad, (near, far), place)
+    return SearchedPart(models, tilt + DECISION.tilt_margin_rad, (near, far), place)
 
 
 @lru_cache(maxsize=16)
@@ -102,7 +126,11 @@ def models_of(job: Job) -> tuple[EdgeModel, ...]:
     if job.body is not None:
         return (model_of(job.body),)
     widths = BREAKS.unknown_mm if job.break_mm is None else (job.break_mm,)
-    return tuple(curve_model(job, width) for width in widths)
+    # light and view of the teaching pair decided which end of a break is taught
+    forms = [(width, is_lower) for is_lower in (False, True) for width in widths if width > 0 or not is_lower]
+    if job.break_mm is None:
+        forms.sort(key=lambda form: form != (BREAKS.looked_mm, False))
+    return tuple(curve_model(job, *form) for form in forms)
 
 
 def _axis(job: Job) -> tuple[float, float]:
@@ -118,40 +146,40 @@ def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
     return tuple(motion for axis in sorted(axes) for motion in like_turns(model, axis))
 
 
-def _likeliest(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, place: PartPlace) -> FoundPart:
-    """The best pose at a place by the likeliest of several models."""
-    found = weighed(models[0], pyramids, place, _turns(job, models[0]))
-    fine = schedule(len(pyramids.cameras) - 1)[1]
-    for model in models[1:]:
-        laid = [lay(model, pyramids, mode.pose, fine) for mode in place.modes[:1]]
-        modes = tuple(pose for pose in laid if pose is not None)
-        if modes:
-            other = weighed(model, pyramids, PartPlace(modes), _turns(job, model))
-            found = max(found, other, key=lambda part: part.certain)
-    return found
+def weighed(
+    pyramids: Pyramids, place: PartPlace, turns_of: Callable[[EdgeModel], Sequence[FloatArray]]
+) -> FoundPart:
+    """The best pose at a place, by the best of its models, against chance and against its rivals there.
 
-
-def weighed(model: EdgeModel, pyramids: Pyramids, place: PartPlace, turns: Sequence[FloatArray]) -> FoundPart:
-    """The best pose at a place, against chance and against its rivals there."""
+    turns_of : motions that leave a model like itself.
+    """
     fine = schedule(len(pyramids.cameras) - 1)[1][-DECISION.rival_steps :]
     poses = list(place.modes)
-    seen = [evidence_of(model, pyramids, mode.pose) for mode in poses]
+    seen = [evidence_of(mode.model, pyramids, mode.pose) for mode in poses]
+    model = poses[max(range(len(poses)), key=lambda k: _certain(seen[k]))].model
+
+    def likeliest() -> int:
+        """Number of the pose that explains most by the best model."""
+        mine = [k for k, mode in enumerate(poses) if mode.model is model]
+        return max(mine, key=lambda k: float(seen[k].log_ratio().sum()))
+
+    best = likeliest()
     if max(_certain(one) for one in seen) > 0:  # else no turn makes it a part
-        for motion in turns:
-            pose = np.asarray(place.best.pose @ motion)
+        for motion in turns_of(model):
+            pose = np.asarray(poses[best].pose @ motion)
             if any(turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
                 continue
             laid = lay(model, pyramids, pose, fine)
-            if laid is not None and laid.mean > DECISION.worth * place.best.mean:
+            if laid is not None and laid.mean > DECISION.worth * poses[best].mean:
                 poses.append(laid)
                 seen.append(evidence_of(model, pyramids, laid.pose))
+    best = likeliest()
     shapes = [grey.shape for grey in pyramids.grey[0]]
-    best = max(range(len(poses)), key=lambda k: float(seen[k].log_ratio().sum()))
     margin = math.inf
     for k, other in enumerate(seen):
         if k != best and turn_between(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
             margin = min(margin, margin_over(seen[best], other, shapes))
-    return FoundPart(model, poses[best], seen[best], _certain(seen[best]), margin)
+    return FoundPart(poses[best], seen[best], _certain(seen[best]), margin)
 
 
 def _certain(seen: PoseEvidence, chosen: npt.NDArray[np.bool_] | None = None) -> float:
@@ -185,7 +213,7 @@ def measure_found(
     images: StereoImages, job: Job, found: FoundPart, pyramids: Pyramids, match: Match
 ) -> parts.MeasuredPart | Reject:
     """A found part measured; the reason when that is not possible."""
-    model = found.model
+    model = found.laid.model
     fit = best_fit(model, pyramids, images, found.laid.pose, _held(job, model))
     if fit is None:
         return Reject.FEW_EDGES
@@ -206,6 +234,7 @@ def measure_found(
         fit.row_sigma_px,
         fit.growth,
         fit.growth_sigma,
+        break_mm=float(model.breaks_mm.max()) if job.body is None and job.break_mm is None else 0.0,
     )
     result = parts.MeasuredPart(target, evidence, () if whole is None else whole.fit.fits)
     result = with_sizes_apart(result, images, job)
@@ -224,17 +253,12 @@ def _target(job: Job, model: EdgeModel, fit: ProfileFit, match: Match) -> Target
     lift = np.zeros((6, 6))  # of (position, rotation vector) in rig axes to the twist
     lift[:3, :3], lift[:3, 3:] = -rotation @ skew(reference - model.centre), rotation
     lift[3:, :3] = rotation
-    if job.body is not None:
-        sigma_break = job.body.sigma_break_mm
-    else:
-        sigma_break = BREAKS.unknown_sigma_mm if job.break_mm is None else BREAKS.taught_sigma_mm
-    edges = fit.edges + sigma_break**2 * np.outer(fit.by_break, fit.by_break)
     return Target(
         job=job.name,
         match=match,
         rig_from_part=transform(rotation, apply(fit.pose, reference)),
-        covariance=lift @ (edges + fit.calibration) @ lift.T,
-        by_edges=lift @ edges @ lift.T,
+        covariance=lift @ (fit.edges + fit.calibration) @ lift.T,
+        by_edges=lift @ fit.edges @ lift.T,
         circles=(),
         epipolar_rms_px=math.nan,
     )

@@ -81,8 +81,12 @@ def _slopes(image: F32) -> tuple[F32, F32]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaidPose:
-    """A part at pose rig_from_part (4, 4), and the share of what each camera should see that agrees (2,)."""
+    """A part at pose rig_from_part (4, 4), and the share of what each camera should see that agrees (2,).
 
+    model : its edges, as it was laid.
+    """
+
+    model: EdgeModel
     pose: FloatArray
     agreeing: FloatArray
 
@@ -150,7 +154,7 @@ def step(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, how: LockStep) 
     twist *= min(1.0, LOCK.max_turn_rad / max(float(most), 1e-9))
     agree = np.abs(left) < LOCK.agree_px
     first = len(both[0].row)
-    return LaidPose(moved(model, pose, twist), np.array([agree[:first].mean(), agree[first:].mean()]))
+    return LaidPose(model, moved(model, pose, twist), np.array([agree[:first].mean(), agree[first:].mean()]))
 
 
 def _intervals(near: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -32,11 +32,12 @@ class PartPlace:
 class SearchedPart:
     """What is looked for, and where.
 
+    models : its edges, one for each form that they may have; it is looked for by the first.
     tilt_rad : most lean of the part's -z from the bisector of both cameras.  distances_mm : nearest and
     farthest of its centre from the left camera.  place (3,) : where it was taught, rig frame.
     """
 
-    model: EdgeModel
+    models: tuple[EdgeModel, ...]
     tilt_rad: float
     distances_mm: tuple[float, float]
     place: FloatArray
@@ -44,28 +45,33 @@ class SearchedPart:
 
 def pyramids_of(images: StereoImages, wanted: SearchedPart) -> Pyramids:
     """Both pictures down to the size at which the part is looked for."""
-    top = top_level(images.rig, wanted.model, float(np.linalg.norm(wanted.place)))
+    top = top_level(images.rig, wanted.models[0], float(np.linalg.norm(wanted.place)))
     return Pyramids(images.rig, images.raw, top + 1)
 
 
 def find_places(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:
     """Where the part may lie, by falling agreement."""
-    model = wanted.model
+    model = wanted.models[0]
     starts = starts_of(model, pyramids.rig, pyramids.grey, wanted.tilt_rad, wanted.distances_mm, wanted.place)
     coarse, fine = schedule(len(pyramids.cameras) - 1)
     laid = _laid(model, pyramids, starts, coarse, wanted)
     laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)
-    laid = _laid(model, pyramids, [candidate.pose for candidate in laid], fine, wanted)
+    poses = [candidate.pose for candidate in laid]
     places: list[list[LaidPose]] = []
-    for candidate in _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place):
-        near = [
-            place for place in places if _apart(model, place[0], candidate) < MODES.same_place * model.size_mm
-        ]
-        if near:
-            near[0].append(candidate)
-        else:
-            places.append([candidate])
-    return [PartPlace(tuple(place)) for place in places]
+    for form in wanted.models:
+        laid = _laid(form, pyramids, poses, fine, wanted)
+        for candidate in _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place):
+            near = [
+                place
+                for place in places
+                if _apart(model, place[0], candidate) < MODES.same_place * model.size_mm
+            ]
+            if near:
+                near[0].append(candidate)
+            else:
+                places.append([candidate])
+    ordered = [sorted(place, key=lambda candidate: -candidate.mean) for place in places]
+    return sorted((PartPlace(tuple(place)) for place in ordered), key=lambda place: -place.best.mean)
 
 
 def _laid(

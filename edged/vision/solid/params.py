@@ -231,6 +231,7 @@ class EvidenceParams:
     stretch: int = 15  # samples along which the density of edges is averaged
     found: float = 0.95  # probability that an edge that shows is found
     shown: float = 0.85  # probability that an edge shows
+    shown_of_two: float = 0.5  # the same of either edge of a break: light and view decide which
     apart_px: int = 3  # between edges that two poses have in common
 
 
@@ -273,6 +274,8 @@ class DecisionParams:
     tilt_margin_rad: float = math.radians(5.0)  # added to the allowed tilt: views are 13 degrees apart
     rival_steps: int = 4  # of the fine lock, for a turn that leaves the part like itself
     worth: float = 0.6  # of the best agreement, from which a turned pose is weighed
+    plain: float = 0.9
+    """Agreement of both cameras from which a pose that some curves gave is that of all."""
     same_turn_rad: float = math.radians(3.0)  # between two poses that are one
 
 
@@ -309,8 +312,13 @@ class BreaksParams:
     alike_mm: float = 0.1  # spread of the breaks of one part
     apart_px: float = 3.0  # between both edges of a break that a picture keeps apart
     widest_mm: float = 0.85  # that is looked for in a pair without a model
-    shown: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85)  # of the second edges
+    shown: tuple[float, ...] = (0.35, 0.5, 0.7, 0.85)
+    """Of the second edges: with fewer, either end may be the taught one, and the width is not known."""
+    shown_far: float = 0.1  # of those where the wall looks away
     unknown_mm: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6)  # tried where no picture has told
+    looked_mm: float = 0.3
+    """Of these, to look for a part by: of broken edges either end shows, and coarsely both are one of a sharp
+    one."""
     unknown_sigma_mm: float = 0.08  # of these: half of what lies between them
     taught_sigma_mm: float = 0.03  # of a width that a pair alone shows
 

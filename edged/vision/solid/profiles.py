@@ -60,8 +60,8 @@ class ProfileFit:
     """A pose rig_from_part (4, 4) by profiles.
 
     edges (6, 6) : covariance of the twist (turn about the part's axes and centre, shift along them) by the
-    edges, jackknifed, and by light that draws all of them alike.  by_break (6,) : motion by the width of the
-    edge breaks, per mm.  calibration (6, 6).
+    edges, jackknifed, by light that draws all of them alike, and by the widths of the edge breaks.
+    calibration (6, 6).
     rms_px : of the residuals, weighted.
     row_shift_px, row_sigma_px : by which the right picture shows the part across its rows.
     growth, growth_sigma : by which share the part seems larger.
@@ -69,7 +69,6 @@ class ProfileFit:
 
     pose: FloatArray
     edges: FloatArray
-    by_break: FloatArray
     calibration: FloatArray
     rms_px: float
     row_shift_px: float
@@ -180,17 +179,27 @@ def _fitted(
     inverse = np.linalg.inv(normal)
     response = inverse @ (weights[:, None] * design).T  # (6, M): of the twist to each shift
     by_light = PROFILE.light_px * (response @ np.sign(profiles.height))
-    by_break = response @ profiles.seen.by_break
     block = _blocks(2 * profiles.seen.curve + profiles.camera)
     edges = _jackknife(design, weights, left, inverse, block) + np.outer(by_light, by_light)
     for camera, axis in itertools.product((0, 1), (0, 1)):
         by_teaching = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
         edges += model.taught_px**2 * np.outer(by_teaching, by_teaching)
+    # how much more the edges scatter than their weights say, as the jackknife has seen it
+    excess = max(float(np.trace(edges @ np.linalg.inv(inverse))) / 6, 1.0)
+    curve = profiles.seen.curve // 3
+    by_own = np.zeros((int(curve.max()) + 1, len(left)))
+    by_own[curve, np.arange(len(left))] = profiles.seen.by_break
+    by_breaks = np.vstack([model.sigma_break_mm * profiles.seen.by_break, model.sigma_own_mm * by_own])
+    moves = response @ by_breaks.T
+    edges += moves @ moves.T
     units = np.outer(scale, scale)
     calibration = _by_calibration(images, pose, profiles, response)
-    extra = _extra(_added(model, images, profiles), design, left, weights, edges, inverse)
+    unknown = (
+        by_breaks if model.sigma_own_mm else by_breaks[:0]
+    )  # a width that a pair showed explains no growth
+    extra = _extra(_added(model, images, profiles), design, left, weights, excess, inverse, unknown)
     return ProfileFit(
-        moved(model, pose, delta / scale), edges / units, -by_break / scale, calibration / units,
+        moved(model, pose, delta / scale), edges / units, calibration / units,
         float(np.sqrt(np.sum(weights * left**2) / weights.sum())), *extra,
     )  # fmt: skip
 
@@ -272,11 +281,13 @@ def _added(model: EdgeModel, images: StereoImages, profiles: Profiles) -> tuple[
 
 def _extra(
     added: tuple[FloatArray, FloatArray], design: FloatArray, left: FloatArray, weights: FloatArray,
-    edges: FloatArray, inverse: FloatArray,
+    excess: float, inverse: FloatArray, drawn: FloatArray,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """Row shift and growth with their sigmas: each as one more unknown beside the pose."""
-    # how much more the edges scatter than their weights say, as the jackknife has seen it
-    excess = max(float(np.trace(edges @ np.linalg.inv(inverse))) / 6, 1.0)
+    """Row shift and growth with their sigmas: each as one more unknown beside the pose.
+
+    excess : how much more the edges scatter than their weights say.  drawn (K, M) : px, by which what is not
+    known of the part moves its edges, one sigma each.
+    """
     found = []
     for column in added:
         rest = column - design @ (inverse @ (design.T @ (weights * column)))
@@ -284,7 +295,11 @@ def _extra(
         if not power > 0:
             found += [math.nan, math.inf]
             continue
-        found += [float(rest @ (weights * left)) / power, math.sqrt(excess / power)]
+        by_part = drawn @ (weights * rest) / power
+        found += [
+            float(rest @ (weights * left)) / power,
+            math.sqrt(excess / power + float(by_part @ by_part)),
+        ]
     return found[0], found[1], found[2], found[3]
 
 

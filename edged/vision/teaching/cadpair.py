@@ -80,16 +80,15 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     place = _where_axes_meet(images)
     distance = float(np.linalg.norm(place))
     distances = distance / CAD.taught_range, distance * CAD.taught_range
-    wanted = SearchedPart(model, CAD.taught_tilt_rad, distances, place)
+    wanted = SearchedPart((model,), CAD.taught_tilt_rad, distances, place)
     pyramids = pyramids_of(images, wanted)
+    turns = like_turns(model, (float(model.centre[0]), float(model.centre[1])))
     for found in find_places(wanted, pyramids):
         centre = images.rig.left.project(apply(found.best.pose, model.centre)[None])
         x, y = np.rint(images.rectification.rectify_points("left", centre)[0]).astype(int)
         if not (0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x] > 0):
             continue
-        best = weighed(
-            model, pyramids, found, like_turns(model, (float(model.centre[0]), float(model.centre[1])))
-        )
+        best = weighed(pyramids, found, lambda _: turns)
         if min(best.certain, best.margin) < DECISION.certain:
             return None
         return np.asarray(best.laid.pose @ level)

@@ -136,6 +136,11 @@ def _is_clear(fit: CurveFit) -> bool:
     )
 
 
+def strong_contours(view: TeachingView) -> list[Contour]:
+    """The contours of the region that outline something, longest first."""
+    return _strong(view, find_contours(view.images.rectified_left, view.mask))
+
+
 def _strong(view: TeachingView, contours: list[Contour]) -> list[Contour]:
     """The contours that outline something: a step between two plateaus, as strong as most in the region."""
     everything = find_contours(view.images.rectified_left, view.mask)

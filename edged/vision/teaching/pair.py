@@ -34,6 +34,7 @@ from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.solid.breaks import shown_break
+from edged.vision.solid.curvemodel import curve_points
 from edged.vision.teaching.background import without_background
 from edged.vision.teaching.features import (
     FoundFeatures,
@@ -46,6 +47,7 @@ from edged.vision.teaching.features import (
 from edged.vision.teaching.levels import SolidFeatures, circle_on, find_levels, main_face_mask, solid_features
 from edged.vision.teaching.params import TEACHING
 from edged.vision.teaching.region import Area, Region, painted_region
+from edged.vision.teaching.tracing import trace
 
 IN_FACE_MM = TEACHING.face_tolerance_mm
 """Machined faces are flat to better than this. Measured singly, a hole whose break each camera sees at
@@ -74,6 +76,7 @@ def teach(
     mask = taught_mask(region, exclude, rectification)
     view = TeachingView(StereoImages.of(rectification, left, right), mask)
     job = _taught(view, name, number, params)
+    job = replace(job, traced=trace(view, job.rig_from_part, curve_points(job)))
     return replace(job, break_mm=shown_break(view.images, job))
 
 

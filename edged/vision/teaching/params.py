@@ -160,3 +160,34 @@ class CadParams:
 
 
 CAD = CadParams()
+
+
+@dataclass(frozen=True, slots=True)
+class TracingParams:
+    """Outlines of any form, traced in a teaching pair.
+
+    Where a line names no source, `tools/bench ablate --only TracingParams` shows what the number earns.
+    """
+
+    least_px: int = 20  # points of a stretch
+    alike_cos: float = 0.9  # between an edge's normals in both images: both look at the part from 12° aside
+    least_sine: float = 0.25  # of an edge against the rows, from which its place along them tells a height
+    least_share: float = 0.6  # of a stretch's points that agree
+    step_mm: float = 0.05  # between heights that are counted: half a pixel of parallax at 200 mm
+    width_mm: float = 0.15  # about a height: a pixel and a half, for tilt and edge breaks
+    rounds: int = 3  # of a height by the edges' own places
+    agree_px: float = 1.0  # between an edge of the right image and the left one's, at a height
+    slope_ratio: float = 3.0  # of an edge in both images: a wall or the table may be beside it in one
+    join_px: float = 8.0  # between the ends of stretches that meet
+    pieces: int = 8  # of a line
+    chord_rad: float = 0.05  # of an arc's chords: 5 µm off an arc of 16 mm
+    level_mm: float = 0.15  # between heights of one face, broken edges among them
+    level_share: float = 0.2  # of the fullest level: what is less by itself may be seen by one camera alone
+    on_level: int = 3  # stretches as high as each other, which is no chance either
+    one_level_mm: float = 0.03  # between these
+    same_mm: float = 0.3  # between two curves that are one
+    on_hull_mm: float = 1.0  # from an outline's convex hull
+    claim_px: float = 2.5  # between two curves that stand for one edge of the right image
+
+
+TRACING = TracingParams()

@@ -1,0 +1,311 @@
+"""Outlines of any form, traced in one stereo pair: what of a part is neither circle, slot nor straight edge.
+
+The faces of a part that lies for teaching are parallel. So each stretch of a contour has a height above the
+part's face, which the other camera's edges on the same rows tell: the one that most points of the stretch
+agree in. A stretch along the rows tells none by itself; it has that of those it joins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+from edged.vision.edges.contours import find_contours, split
+from edged.vision.edges.fitting import fit_circle, fit_line
+from edged.vision.edges.subpixel import edges_along_normals
+from edged.vision.geometry.rigid import Plane, apply, invert
+from edged.vision.geometry.triangulation import triangulate
+from edged.vision.part.traced import TracedCurve
+from edged.vision.teaching.features import TeachingView, strong_contours
+from edged.vision.teaching.params import TEACHING, TRACING
+
+B64 = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stretch:
+    """A line or an arc of a contour.
+
+    points, normals (N, 2) : rectified left px, from dark to bright.  slopes (N,) grey values per px.
+    height_mm : z in the part frame, NaN where not known.
+    """
+
+    kind: Literal["line", "arc"]
+    points: FloatArray
+    normals: FloatArray
+    slopes: FloatArray
+    height_mm: float = math.nan
+
+
+def trace(
+    view: TeachingView, rig_from_part: FloatArray, features: Sequence[FloatArray]
+) -> tuple[TracedCurve, ...]:
+    """The outlines that both images show on faces parallel to the part's, longest first.
+
+    rig_from_part (4, 4) : pose of the part, its z = 0 in a face.  features : points (N, 3) along each of what
+    is known of it already, part frame: that is not traced again.
+    """
+    tracer = _Tracer.of(view, rig_from_part)
+    stretches = [
+        _Stretch(
+            piece.kind,
+            contour.points[piece.indices],
+            contour.normals[piece.indices],
+            contour.slopes[piece.indices],
+        )
+        for contour in strong_contours(view)
+        if len(contour.points) >= TRACING.least_px
+        for piece in split(contour)
+        if len(piece.indices) >= TRACING.least_px
+    ]
+    found = [tracer.with_height(one) for one in stretches]
+    found = [tracer.as_beside(one, found) for one in found]
+    curves = [tracer.curve(one) for one in found if math.isfinite(one.height_mm)]
+    return _distinct(tracer, [one for one in curves if one is not None], features)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tracer:
+    """A teaching pair with the part at rig_from_part (4, 4), and the edges of its right image by their row.
+
+    x, y (M,), normals (M, 2) : of the edges, rectified px.  starts (H + 1,) : where each row begins.
+    """
+
+    view: TeachingView
+    rig_from_part: FloatArray
+    x: FloatArray
+    y: FloatArray
+    normals: FloatArray
+    starts: npt.NDArray[np.int64]
+
+    @staticmethod
+    def of(view: TeachingView, rig_from_part: FloatArray) -> _Tracer:
+        """Find the edges of the right image."""
+        images = view.images
+        contours = find_contours(images.rectified_right, images.rectification.valid_right)
+        points = np.concatenate([np.zeros((0, 2)), *(contour.points for contour in contours)])
+        normals = np.concatenate([np.zeros((0, 2)), *(contour.normals for contour in contours)])
+        rows = np.rint(points[:, 1]).astype(np.int64)
+        order = np.argsort(rows, kind="stable")
+        starts = np.searchsorted(rows[order], np.arange(images.rectified_right.shape[0] + 1))
+        return _Tracer(view, rig_from_part, points[order, 0], points[order, 1], normals[order], starts)
+
+    def with_height(self, one: _Stretch) -> _Stretch:
+        """A stretch at the height in which most of its points are seen by both cameras."""
+        tells = np.abs(one.normals[:, 0]) > TRACING.least_sine
+        if tells.mean() < TRACING.least_share:
+            return one
+        number, heights = self._heights(one.points[tells], one.normals[tells])
+        best, most = math.nan, 0
+        for height in np.unique(np.round(heights / TRACING.step_mm) * TRACING.step_mm):
+            count = len(np.unique(number[np.abs(heights - height) < TRACING.width_mm]))
+            if count > most:
+                best, most = float(height), count
+        if most < TRACING.least_share * tells.sum():
+            return one
+        for _ in range(TRACING.rounds):
+            offsets, alike, by_height = self._in_right(one, best)
+            used = alike & (np.abs(offsets) < TRACING.agree_px)
+            power = float(by_height[used] @ by_height[used])
+            if used.mean() < TRACING.least_share or not power > 0:
+                return one
+            best += float(by_height[used] @ offsets[used]) / power
+        return replace(one, height_mm=best)
+
+    def as_beside(self, one: _Stretch, others: Sequence[_Stretch]) -> _Stretch:
+        """A stretch that tells no height, at that of those it joins, if they agree."""
+        if math.isfinite(one.height_mm):
+            return one
+        heights = []
+        for end in (one.points[0], one.points[-1]):
+            near = [
+                (float(np.linalg.norm(other.points[[0, -1]] - end, axis=1).min()), other.height_mm)
+                for other in others
+                if math.isfinite(other.height_mm)
+            ]
+            gap, height = min(near, default=(math.inf, math.nan))
+            if gap < TRACING.join_px:
+                heights.append(height)
+        if not heights or max(heights) - min(heights) > TEACHING.apart_mm:
+            return one
+        height = float(np.mean(heights))
+        offsets, alike, _ = self._in_right(one, height)
+        agrees = alike & (np.abs(offsets) < TRACING.agree_px)
+        return replace(one, height_mm=height) if agrees.mean() >= TRACING.least_share else one
+
+    def curve(self, one: _Stretch) -> TracedCurve | None:
+        """A stretch with a height as a curve of the part; its ends belong to the corners."""
+        into = invert(self.rig_from_part)
+        flat, ahead = (
+            apply(into, self._space(points[1:-1], one.height_mm))[:, :2]
+            for points in (one.points, one.points + one.normals)
+        )
+        if one.kind == "line":
+            line = fit_line(flat)
+            if line is None:
+                return None
+            ends = flat[[0, -1]] - ((flat[[0, -1]] @ line.normal) - line.offset)[:, None] * line.normal
+            drawn = ends[0] + np.linspace(0, 1, TRACING.pieces + 1)[:, None] * (ends[1] - ends[0])
+        else:
+            circle = fit_circle(flat)
+            if circle is None:
+                return None
+            arms = flat - circle.centre
+            angles = np.unwrap(np.arctan2(arms[:, 1], arms[:, 0]))
+            count = max(TRACING.pieces, math.ceil(abs(angles[-1] - angles[0]) / TRACING.chord_rad))
+            turns = np.linspace(angles[0], angles[-1], count + 1)
+            drawn = circle.centre + circle.radius * np.column_stack([np.cos(turns), np.sin(turns)])
+        along = np.gradient(flat, axis=0)
+        bright = float(np.sum((ahead - flat) * np.column_stack([-along[:, 1], along[:, 0]])))
+        points = np.column_stack([drawn, np.full(len(drawn), one.height_mm)])
+        return TracedCurve(points, 1 if bright > 0 else -1)
+
+    def right_px(self, points: FloatArray) -> FloatArray:
+        """(N, 2) of the raw right image: points (N, 3) of the part."""
+        rig = self.view.images.rig
+        return np.asarray(rig.right.project(apply(rig.right_from_left, apply(self.rig_from_part, points))))
+
+    def _heights(self, points: FloatArray, normals: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray]:
+        """Whose (K,) and how high (K,) are edges of the right image that look like left points (N, 2)."""
+        row = np.clip(np.rint(points[:, 1]).astype(np.int64), 0, len(self.starts) - 2)
+        first, count = self.starts[row], self.starts[row + 1] - self.starts[row]
+        mine = np.repeat(np.arange(len(points)), count)
+        theirs = np.arange(len(mine)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
+        other = self.normals[theirs]
+        alike = (np.einsum("nj,nj->n", normals[mine], other) > TRACING.alike_cos) & (
+            np.abs(other[:, 0]) > TRACING.least_sine
+        )
+        mine, theirs, other = mine[alike], theirs[alike], other[alike]
+        x = self.x[theirs] + (self.y[theirs] - points[mine, 1]) * other[:, 1] / other[:, 0]
+        space = triangulate(self.view.images.rectification, points[mine], x)
+        heights = apply(invert(self.rig_from_part), space)[:, 2]
+        near = np.abs(heights) < TEACHING.height_share * self.rig_from_part[2, 3]
+        return mine[near], heights[near]
+
+    def _in_right(self, one: _Stretch, height_mm: float) -> tuple[FloatArray, B64, FloatArray]:
+        """Of each point of a stretch, seen in the right image at a height: offset px, alike, px by mm."""
+        along = np.column_stack([-one.normals[:, 1], one.normals[:, 0]])
+        behind, ahead, lower = (
+            self._right_of(one.points + shift * along, height)
+            for shift, height in ((-0.5, height_mm), (0.5, height_mm), (-0.5, height_mm + TRACING.step_mm))
+        )
+        along_right = ahead - behind
+        along_right = along_right / np.maximum(np.linalg.norm(along_right, axis=1, keepdims=True), 1e-9)
+        normals = np.column_stack([along_right[:, 1], -along_right[:, 0]])
+        offsets, slopes = edges_along_normals(
+            self.view.images.rectified_right, 0.5 * (behind + ahead), normals, 2 * TRACING.agree_px, 1
+        )
+        ratio = slopes / np.maximum(one.slopes, 1e-9)
+        with np.errstate(invalid="ignore"):
+            alike = (ratio < TRACING.slope_ratio) & (ratio > 1 / TRACING.slope_ratio)
+        by_height = np.einsum("nj,nj->n", lower - behind, normals) / TRACING.step_mm
+        return np.nan_to_num(offsets), np.asarray(alike & np.isfinite(offsets)), by_height
+
+    def _right_of(self, left_px: FloatArray, height_mm: float) -> FloatArray:
+        """(N, 2) of the rectified right image: where points of the left one are, if they lie at a height."""
+        images = self.view.images
+        seen = images.rig.right.project(apply(images.rig.right_from_left, self._space(left_px, height_mm)))
+        return np.asarray(images.rectification.rectify_points("right", seen))
+
+    def _space(self, left_px: FloatArray, height_mm: float) -> FloatArray:
+        """(N, 3) in the rig frame of points (N, 2) of the rectified left image at a height."""
+        normal = self.rig_from_part[:3, 2]
+        plane = Plane(normal, float(normal @ self.rig_from_part[:3, 3]) + height_mm)
+        return plane.meet(self.view.images.rays("left", left_px))
+
+
+def _distinct(
+    tracer: _Tracer, curves: Sequence[TracedCurve], features: Sequence[FloatArray]
+) -> tuple[TracedCurve, ...]:
+    """The curves that explain an edge of their own in the right image, those of the fullest heights first.
+
+    What only the left camera sees is taken for something else that the right one shows at another height: an
+    edge that is a feature's, or another curve's.
+    """
+    curves = _above_table(curves, features)
+    heights = np.array([one.points_mm[0, 2] for one in curves])
+    lengths = np.array([one.length_mm for one in curves])
+    levels = np.array([one[0, 2] for one in features])
+    around = np.array([float(np.linalg.norm(np.diff(one, axis=0), axis=1).sum()) for one in features])
+
+    def on_level(height: float) -> float:
+        """Length of all at a height, mm."""
+        mine, of_features = (np.abs(some - height) < TRACING.level_mm for some in (heights, levels))
+        return round(float(lengths[mine].sum() + around[of_features].sum()))
+
+    full = [on_level(float(height)) for height in heights]
+    pixel_mm = float(tracer.rig_from_part[2, 3]) / tracer.view.images.rig.left.fx
+    known = np.concatenate(list(features))
+    taken = tracer.right_px(known)
+    kept: list[TracedCurve] = []
+    for k in sorted(range(len(curves)), key=lambda k: (-full[k], -lengths[k])):
+        points = curves[k].points_mm
+        of_feature = bool((np.abs(levels - heights[k]) < TRACING.level_mm).any())
+        together = np.count_nonzero(np.abs(heights - heights[k]) < TRACING.one_level_mm)
+        is_level = of_feature or full[k] > TRACING.level_share * max(full) or together >= TRACING.on_level
+        if (
+            not is_level
+            or (_nearest(points, known) < TRACING.same_mm).mean() > 0.5
+            or (_nearest(tracer.right_px(points), taken) < TRACING.claim_px).mean() > 0.5
+        ):
+            continue
+        kept.append(curves[k])
+        fine = _finely(points, pixel_mm)
+        known = np.concatenate([known, fine])
+        taken = np.concatenate([taken, tracer.right_px(fine)])
+    return tuple(sorted(kept, key=lambda one: -one.length_mm))
+
+
+def _above_table(curves: Sequence[TracedCurve], features: Sequence[FloatArray]) -> list[TracedCurve]:
+    """The curves without those of a table: lower than all features of the part, beside it, and no outline.
+
+    Most of an outline lies on its own convex hull; grain and scratches do not.
+    """
+    levels = np.array([one[0, 2] for one in features])
+    lowest = float(levels.max()) + TEACHING.apart_mm
+    of_faces = [
+        one.points_mm for one in curves if np.abs(levels - one.points_mm[0, 2]).min() < TEACHING.apart_mm
+    ]
+    part = _hull([*features, *of_faces])
+    low = [one for one in curves if one.points_mm[0, 2] > lowest and (_within(part, one.points_mm) < 0).any()]
+    of_table = set()
+    for one in low:
+        beside = [
+            other for other in low if abs(other.points_mm[0, 2] - one.points_mm[0, 2]) < TRACING.level_mm
+        ]
+        hull = _hull([other.points_mm for other in beside])
+        on_hull = [_within(hull, other.points_mm).max() < TRACING.on_hull_mm for other in beside]
+        length = np.array([other.length_mm for other in beside])
+        if length[on_hull].sum() < 0.5 * length.sum():
+            of_table.add(id(one))
+    return [one for one in curves if id(one) not in of_table]
+
+
+def _hull(lines: Sequence[FloatArray]) -> npt.NDArray[np.float32]:
+    """The convex hull of polylines (N, 3), seen along z."""
+    return np.asarray(cv2.convexHull(np.concatenate(list(lines))[:, :2].astype(np.float32)), np.float32)
+
+
+def _within(hull: npt.NDArray[np.float32], points: FloatArray) -> FloatArray:
+    """(N,) by how many mm points (N, 3) lie within a hull; negative outside."""
+    return np.array([cv2.pointPolygonTest(hull, (float(x), float(y)), True) for x, y, _ in points])
+
+
+def _finely(points: FloatArray, step_mm: float) -> FloatArray:
+    """(M, 3) points along a polyline (N, 3), a step apart."""
+    along = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
+    at = np.linspace(0.0, along[-1], max(2, math.ceil(along[-1] / step_mm)))
+    return np.column_stack([np.interp(at, along, points[:, k]) for k in range(3)])
+
+
+def _nearest(points: FloatArray, others: FloatArray) -> FloatArray:
+    """(N,) distance of points (N, D) to the nearest of others (M, D)."""
+    apart = np.array([((others - point) ** 2).sum(axis=1).min() for point in points])
+    return np.asarray(np.sqrt(apart))

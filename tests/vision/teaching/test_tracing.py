@@ -1,0 +1,119 @@
+"""Outlines that are no features: traced where they are, no table's, and what a part is found by with them."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.cells import frame_pair
+from helpers.tilted import lying
+
+from edged.domain.measurement import Reject
+from edged.pipeline import PreparedRig, inspect, judge, prepare
+from edged.vision.geometry.rigid import turn_between
+from edged.vision.part.job import Job, SlotFeature
+from edged.vision.solid.curvemodel import curve_model, has_enough_curves
+from edged.vision.solid.edgemodel import sampled
+from edged.vision.teaching.pair import teach
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
+
+from solids import Design, Wall, box, circle, flattened
+from solidworld import BreakLook, Look, World, pictures, world_rig
+
+BOSS_MM = 3.6
+PLATE = Design(
+    "plate",
+    (
+        Wall("base", box(0, 0, 30, 20, 5), -1, True, 0.0, 6.0),
+        Wall("boss", circle(-6, 2, 4), 0, True, -BOSS_MM, 0.0, 0.3),
+        Wall("slot", box(8, -4, 9, 4, 2), 0, False, 0.0, 6.0),
+    ),
+)
+DISC = Design(
+    "disc",
+    (
+        Wall("base", flattened(13, 6.5), -1, True, 0.0, 6.0),
+        Wall("hole", circle(-6, 2, 1.5), 0, False, 0.0, 6.0),
+    ),
+)
+
+
+def look(table: float, grain: float) -> Look:
+    """A matt part with dark walls over a table of this brightness and grain."""
+    plain = BreakLook(0.3, 0.0, 0.0, 1.0, 0.5)
+    return Look(
+        albedo=0.6, contrast=0.02, feature_mm=0.5, wall=0.2, wall_swing=0.0, wall_azimuth_rad=0.0, bore=0.5,
+        breaks=(plain, plain), beneath=0.5, table=table, table_contrast=grain, table_feature_mm=0.8,
+        gap_mm=4.0, gradient_per_mm=(0.0, 0.0), levels=(1.0, 1.0), blur_px=(0.6, 0.6), blur_px_per_mm=0.0,
+        focus_mm=0.0,
+    )  # fmt: skip
+
+
+@cache
+def rig() -> PreparedRig:
+    """The cameras of random parts."""
+    return prepare(world_rig())
+
+
+@cache
+def taught(design: Design, table: float = 0.03, grain: float = 0.05) -> Job:
+    """A part as one pair shows it, square to the cameras."""
+    world = World(design, lying(rig().rig, 0.0, 0.0, 10.0), look(table, grain), 3)
+    return teach(*pictures(world, rig().rig), rig().rectification, None, design.name)
+
+
+@pytest.mark.slow
+def test_an_outline_with_round_corners_is_traced_at_the_height_of_its_face() -> None:
+    """The one circle is the boss's; all else lies 3.6 mm below it, to a few hundredths."""
+    job = taught(PLATE)
+    assert [round(one.radius_mm, 1) for one in job.circles] == [3.7]
+    heights = np.array([curve.points_mm[0, 2] for curve in job.traced])
+    lengths = np.array([curve.length_mm for curve in job.traced])
+    around = 2 * (20 + 10) + 2 * math.pi * 5
+    assert lengths[np.abs(heights - BOSS_MM) < 0.05].sum() > 0.9 * around
+    assert lengths[np.abs(heights - BOSS_MM) >= 0.05].sum() < 0.1 * around
+
+
+@pytest.mark.slow
+def test_a_tables_grain_is_not_traced() -> None:
+    """Over one as bright as the part, with marks as strong as its outline: nothing beyond it."""
+    job = taught(PLATE, 0.5, 0.5)
+    centre = job.circles[0].centre_mm
+    for curve in job.traced:
+        away = np.abs(curve.points_mm - centre)[:, :2]
+        assert away.max() < math.hypot(30, 20), curve.points_mm[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("tilt", "side", "turn"), [(10.0, 40.0, 200.0), (25.0, 250.0, 75.0)])
+def test_a_part_of_one_hole_is_turned_as_its_outline_says(tilt: float, side: float, turn: float) -> None:
+    """A disc with a flat: its one hole says nothing of its turn, which was published 6 to 12 degrees off."""
+    job = replace(taught(DISC), tilt_rad=math.radians(45.0))
+    assert has_enough_curves(job)
+    where = lying(rig().rig, tilt, side, turn)
+    pair = frame_pair(*pictures(World(DISC, where, look(0.2, 0.1), 5), rig().rig))
+    outcome = judge(inspect(pair, job, rig()))
+    assert [target.reject for target in outcome.targets] == [Reject.NONE]
+    as_taught = lying(rig().rig, 0.0, 0.0, 10.0)
+    true = where @ np.linalg.inv(as_taught) @ job.rig_from_part
+    assert turn_between(outcome.targets[0].rig_from_part, true) < math.radians(0.5)
+
+
+def test_a_stadium_around_a_hole_is_no_slot() -> None:
+    """The second edges of a part's broken outline lie beyond it, those of a slot within it."""
+    job = taught(DISC)
+    stadium = SlotFeature("s0", np.zeros(3), 0.3, 24.0, 14.0, -1)
+    for x, grows in ((0.0, True), (40.0, False)):
+        hole = replace(job.circles[0], centre_mm=np.array([x, 0.0, 0.0]))
+        points = sampled(
+            curve_model(replace(job, circles=(hole,), slots=(stadium,), edges=(), traced=()), 0.3), 0.2
+        )
+        of_slot = points.curve // 3 == 1
+        first, second = (np.abs(points.points[of_slot & (points.curve % 3 == k), :2]).max() for k in (1, 2))
+        assert (second > first) == grows
