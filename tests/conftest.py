@@ -5,6 +5,7 @@ pytest makes `helpers` and `naive` importable from every test.
 
 import gc
 import os
+from collections import Counter
 
 import pytest
 from hypothesis import settings
@@ -42,6 +43,12 @@ def pytest_collection_finish():
     gc.set_threshold(20_000, 20, 20)
 
 
+def pytest_collection_modifyitems(items):
+    """Files with most long tests first: at the end no process waits for a long file of another one."""
+    long = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: (not item.nodeid.startswith(ONE_WIRE), -long[item.path]))
+
+
 def pytest_runtest_setup(item):
     """Where tests run beside each other, those without cameras let those with them go first."""
     waits = "PYTEST_XDIST_WORKER" in os.environ and not item.nodeid.startswith(ONE_WIRE)
@@ -50,7 +57,8 @@ def pytest_runtest_setup(item):
 
 
 def pytest_xdist_make_scheduler(config, log):
-    """How `-n` shares out the tests."""
+    """How `-n` shares out the tests: in the order in which they are, not those files first that have most."""
+    config.option.loadscopereorder = False
     return ByRoom(config, log)
 
 

@@ -110,4 +110,4 @@ grep -qxF "$cache" .venv/bin/activate || printf '%s\n' "$cache" >>.venv/bin/acti
 mkdir -p "$NUMBA_CACHE_DIR"
 [ "$EDGED_FOR" != test ] || versions "${packages[@]:1}" chromium systemd
 tools/manual --if-needed || say "the manual could not be built: the status page will say so"
-edged warm --if-needed
+[ "$EDGED_FOR" = test ] || edged warm --if-needed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import get_args, get_type_hints
 
@@ -21,6 +21,7 @@ from edged.domain.frames import FramePair
 from edged.setup.cellfiles import read_cell
 from edged.sim.cell import VirtualCell, demo_part
 
+Command = Callable[[str], tuple[int, list[str]]]
 TEACH = "teach --rig rig.json --left left.png --right right.png --name new"
 LOCATE = "locate --rig rig.json --job jobs/flange left.png right.png"
 OUTPUTS = {
@@ -105,7 +106,31 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     places = ("1,0,200,1,0,0", "9,0,200,9,0,0", "1,9,200,1,9,0")
     (path / "touched.csv").write_text("\n".join(places))
     (path / "poses.csv").write_text("".join(f"{number},{number},0,0,0,0,{number}\n" for number in range(6)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(path)
+        assert 0 == exit_code("backup cell.toml -o cell.tar.gz", patch)
     return path
+
+
+def exit_code(command: str, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Of a command, run in this process."""
+    monkeypatch.setattr("sys.argv", ["edged", *command.split()])
+    monkeypatch.setenv("COLUMNS", "400")
+    with pytest.raises(SystemExit) as exit_:
+        main()
+    return int(exit_.value.code or 0)
+
+
+@pytest.fixture
+def run(cell: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Run a command in the cell's folder; its exit code, and the lines that it said."""
+    monkeypatch.chdir(cell)
+
+    def said(command: str) -> tuple[int, list[str]]:
+        code, out = exit_code(command, monkeypatch), capsys.readouterr()
+        return code, [line for line in (out.err + out.out).splitlines() if line.strip()]
+
+    return said
 
 
 def without_rights(folder: Path) -> Path:
@@ -122,62 +147,34 @@ def a_file(folder: Path) -> Path:
     return folder
 
 
-def run(command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """Exit code, and what was said."""
-    monkeypatch.setattr("sys.argv", ["edged", *command.split()])
-    monkeypatch.setenv("COLUMNS", "400")
-    with pytest.raises(SystemExit) as exit_:
-        main()
-    said = capsys.readouterr()
-    return int(exit_.value.code or 0), said.err + said.out
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("where", ["no rights", "a file"])
 @pytest.mark.parametrize("output", OUTPUTS, ids=" ".join)
 def test_where_nothing_can_be_written_one_line_says_so(
-    output: tuple[str, str],
-    where: str,
-    cell: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    output: tuple[str, str], where: str, cell: Path, tmp_path: Path, run: Command
 ) -> None:
     """It names the place as it was typed, and why not; nothing is half written."""
-    monkeypatch.chdir(cell)
-    if not (cell / "cell.tar.gz").exists():
-        run("backup cell.toml -o cell.tar.gz", monkeypatch, capsys)
     place = (without_rights if where == "no rights" else a_file)(tmp_path / "place")
     before = {path for path in cell.rglob("*") if "__pycache__" not in path.parts}
-    code, said = run(OUTPUTS[output].format(place), monkeypatch, capsys)
+    code, lines = run(OUTPUTS[output].format(place))
 
-    lines = [line for line in said.splitlines() if line.strip()]
-    assert 2 == code, said
-    assert 1 == len(lines), said
-    assert lines[0].startswith(f"edged: {place}/"), said
+    assert (2, 1) == (code, len(lines)), lines
+    assert lines[0].startswith(f"edged: {place}/")
     assert before == {path for path in cell.rglob("*") if "__pycache__" not in path.parts}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("output", OUTPUTS, ids=" ".join)
 def test_a_folder_that_is_not_there_is_made_or_named(
-    output: tuple[str, str],
-    cell: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    output: tuple[str, str], tmp_path: Path, run: Command
 ) -> None:
     """A folder to write is made; for a file its folder must be there, and the line says which one is not."""
-    monkeypatch.chdir(cell)
-    if not (cell / "cell.tar.gz").exists():
-        run("backup cell.toml -o cell.tar.gz", monkeypatch, capsys)
     place = tmp_path / "missing"
-    code, said = run(OUTPUTS[output].format(place), monkeypatch, capsys)
+    code, lines = run(OUTPUTS[output].format(place))
 
     if place.exists():
-        assert "Traceback" not in said
+        assert "Traceback" not in "\n".join(lines)
         return
-    lines = [line for line in said.splitlines() if line.strip()]
-    assert (2, 1) == (code, len(lines)), said
-    assert lines[0].startswith(f"edged: {place}/"), said
+    assert (2, 1) == (code, len(lines)), lines
+    assert lines[0].startswith(f"edged: {place}/")
     assert f"there is no folder {place}" in lines[0]

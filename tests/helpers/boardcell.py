@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import aiohttp
 
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
+from edged.app.page import Page
 from edged.domain.arrays import SIDES, Image
 from edged.files.statefolder import state_folder
 from edged.identity.users import User, UserFile
@@ -20,6 +21,7 @@ from edged.sim.inprocess import InProcessCamera
 from helpers.boardpairs import SPEC, pairs
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
 from helpers.ports import free_port
+from helpers.samepage import in_this_process
 from helpers.waiting import WHOLE_S
 from helpers.webcell import HASH
 
@@ -50,7 +52,7 @@ class BoardWorld:
 
 
 class BoardCell:
-    """The daemon's files, its world, and how the page asks it."""
+    """The daemon's files, its world, and how the page asks it. pages : of a daemon that has them here."""
 
     def __init__(self, folder: Path) -> None:
         self.world = BoardWorld()
@@ -67,6 +69,7 @@ class BoardCell:
         )
         anna = User(name="Anna", role="engineer", password_hash=HASH)
         UserFile(self.state / "users.json").put(anna)
+        self.pages: list[Page]
         self.session: aiohttp.ClientSession
         self.daemon: Daemon
 
@@ -91,9 +94,25 @@ class BoardCell:
                     return document
                 await asyncio.sleep(0.05)
 
+    def run(self, test: Callable[[Self], Awaitable[None]], *, page_is_here: bool = False) -> Self:
+        """A test's coroutine beside the running daemon, bounded; returns the cell."""
+
+        async def bounded() -> None:
+            async with asyncio.timeout(WHOLE_S), self.running(page_is_here=page_is_here):
+                await test(self)
+
+        asyncio.run(bounded())
+        return self
+
     @asynccontextmanager
-    async def running(self) -> AsyncIterator[None]:
-        """The daemon, and a browser that has logged in."""
+    async def running(self, *, page_is_here: bool = False) -> AsyncIterator[None]:
+        """The daemon, and a browser that has logged in. page_is_here : in this process, not in its own."""
+        with in_this_process() if page_is_here else nullcontext(list[Page]()) as self.pages:
+            async with self._running():
+                yield
+
+    @asynccontextmanager
+    async def _running(self) -> AsyncIterator[None]:
         loaded = load_any_cell(self.config)
         self.daemon = Daemon(self.config, loaded, world=self.world)
         task = asyncio.create_task(self.daemon.run())

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-import asyncio
+import atexit
 import base64
 import contextlib
 import json
-import re
+import os
+import shutil
+import signal
+import subprocess
 import tempfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, until
 
 AXE = Path(__file__).parents[1] / "data" / "axe" / "axe.min.js"
 REST_MS = 40
@@ -203,27 +207,45 @@ class Browser:
         return base64.b64decode((await self.ask("Page.captureScreenshot", format="png"))["data"])
 
 
-@asynccontextmanager
-async def browser() -> AsyncIterator[Browser]:
-    """An empty page of a new Chromium."""
-    with tempfile.TemporaryDirectory(prefix="edged-chromium-", ignore_cleanup_errors=True) as profile:
-        process = await asyncio.create_subprocess_exec(
+@cache
+def _chromium() -> Path:
+    """Where a new Chromium says how to reach it: one for all tests of a process, and ended with that."""
+    profile = Path(tempfile.mkdtemp(prefix="edged-chromium-"))
+    process = subprocess.Popen(
+        [
             *("chromium", "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"),
             *(f"--user-data-dir={profile}", "about:blank"),
-            stderr=asyncio.subprocess.PIPE,
-        )
-        try:
-            async with asyncio.timeout(LIMIT_S):
-                assert process.stderr is not None
-                while not (found := re.search(rb"ws://([^/]+)/", await process.stderr.readline())):
-                    pass
-            async with aiohttp.ClientSession() as session:
-                async with session.get(f"http://{found[1].decode()}/json/list") as answer:
-                    pages = json.loads(await answer.read())
-                address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
-                async with session.ws_connect(address, max_msg_size=0) as devtools:
-                    yield Browser(devtools)
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
-            await process.communicate()
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+    def end() -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        shutil.rmtree(profile, ignore_errors=True)
+
+    atexit.register(end)
+    return profile / "DevToolsActivePort"
+
+
+@asynccontextmanager
+async def browser() -> AsyncIterator[Browser]:
+    """An empty page with cookies, storage and a cache of its own, which end with it."""
+    told = _chromium()
+    await until(lambda: told.exists() and len(told.read_text().split()) == 2)
+    port, path = told.read_text().split()
+    origin = f"ws://127.0.0.1:{port}"
+    async with aiohttp.ClientSession() as session, session.ws_connect(origin + path) as all_pages:
+        chromium = Browser(all_pages)
+        person = await chromium.ask("Target.createBrowserContext", disposeOnDetach=True)
+        size = {"width": 1280, "height": 900, "newWindow": True}
+        target = (await chromium.ask("Target.createTarget", url="about:blank", **size, **person))["targetId"]
+        async with session.ws_connect(f"{origin}/devtools/page/{target}", max_msg_size=0) as devtools:
+            page = Browser(devtools)
+            await page.ask("Emulation.setFocusEmulationEnabled", enabled=True)  # of several, too
+            yield page
+        await chromium.ask("Target.disposeBrowserContext", **person)

@@ -1,9 +1,11 @@
-"""The page in the process of its cell, over a real link: for tests that reach into its services."""
+"""The page in the process of its cell, over a real link."""
 
 from __future__ import annotations
 
 import asyncio
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
@@ -43,14 +45,19 @@ def worker_of(pages: list[Page]) -> Worker:
     return setup.cell.worker
 
 
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> list[Page]:
-    """Let daemons of this process have such pages; returns the list that they come to."""
+@contextmanager
+def in_this_process() -> Iterator[list[Page]]:
+    """Let daemons that run meanwhile have such pages; the list is where they come to.
+
+    Where the process itself is no part of a test: it takes longer to start than most tests do.
+    """
     pages: list[Page] = []
 
     def made(link: PageEnd, task: PageTask) -> Page:
         pages.append(Page(link, task))
         return pages[-1]
 
-    monkeypatch.setattr(page_process, "Page", made)
-    monkeypatch.setattr(daemon, "PageServer", SamePage)
-    return pages
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page_process, "Page", made)
+        patch.setattr(daemon, "PageServer", SamePage)
+        yield pages

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
 
 import cv2
@@ -12,6 +12,7 @@ import numpy as np
 
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
+from edged.app.page import Page
 from edged.commands.stage import USER, write_cell
 from edged.domain.arrays import SIDES, Image
 from edged.files.statefolder import state_folder
@@ -22,16 +23,19 @@ from edged.vision.geometry.camera import StereoRig
 from helpers.browsersession import PASSWORD, BrowserSession, Visitor, browsing
 from helpers.cells import patient, small_rig
 from helpers.ports import free_port
+from helpers.samepage import in_this_process
 from helpers.waiting import WHOLE_S
 from helpers.webcell import HASH
 
 
 class Newcomer(Visitor):
-    """Somebody at a stage."""
+    """Somebody at a stage. pages : those of its daemon that are in this process."""
 
-    def __init__(self, browser: BrowserSession, world: VirtualWorld, daemon: Daemon) -> None:
+    def __init__(
+        self, browser: BrowserSession, world: VirtualWorld, daemon: Daemon, pages: list[Page]
+    ) -> None:
         super().__init__(browser)
-        self.world, self.daemon = world, daemon
+        self.world, self.daemon, self.pages = world, daemon, pages
 
     async def picture(self) -> dict[str, Image]:
         """A fresh pair."""
@@ -45,24 +49,36 @@ class Newcomer(Visitor):
         return images
 
 
-def run(folder: Path, test: Callable[[Newcomer], Awaitable[None]], *, gige: bool = True) -> None:
+def run(
+    folder: Path,
+    test: Callable[[Newcomer], Awaitable[None]],
+    *,
+    gige: bool = True,
+    page_is_here: bool = False,
+) -> None:
     """A test beside a running stage, bounded. gige : cameras on the network, not inside the process."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), staged(folder, gige=gige) as newcomer:
+        async with asyncio.timeout(WHOLE_S), staged(folder, gige=gige, page_is_here=page_is_here) as newcomer:
             await test(newcomer)
 
     asyncio.run(bounded())
 
 
 @asynccontextmanager
-async def staged(folder: Path, *, gige: bool = True, rig: StereoRig | None = None) -> AsyncIterator[Newcomer]:
+async def staged(
+    folder: Path, *, gige: bool = True, rig: StereoRig | None = None, page_is_here: bool = False
+) -> AsyncIterator[Newcomer]:
     """A running stage, and a session that has logged in and taken the cell.
 
     rig : with pictures of 640x480 if None, which take a quarter of the time of the demo's.
+    page_is_here : whether its page is in this process, and one of the newcomer's pages.
     """
     ports = free_port(), free_port(), free_port()
-    with VirtualWorld(gige=gige, rig=rig or small_rig(), staged=True) as world:
+    with (
+        in_this_process() if page_is_here else nullcontext(list[Page]()) as pages,
+        VirtualWorld(gige=gige, rig=rig or small_rig(), staged=True) as world,
+    ):
         assert world.stage is not None
         path = write_cell(folder, PASSWORD, ports=ports, period_s=0.2, gige=gige)
         path.write_text(patient(path.read_text()))
@@ -73,7 +89,7 @@ async def staged(folder: Path, *, gige: bool = True, rig: StereoRig | None = Non
         running = asyncio.create_task(daemon.run())
         try:
             async with browsing(f"http://127.0.0.1:{ports[0]}") as session:
-                newcomer = Newcomer(BrowserSession(session), world, daemon)
+                newcomer = Newcomer(BrowserSession(session), world, daemon, pages)
                 await newcomer.browser.log_in_once_it_listens(USER, PASSWORD, lambda: not running.done())
                 await newcomer.take()
                 yield newcomer

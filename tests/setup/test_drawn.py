@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
 from base64 import b64encode
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,26 +12,12 @@ import pytest
 from helpers.cells import flange
 from helpers.flangedrawing import flange_drawing
 from helpers.partcell import PartCell
-from helpers.waiting import WHOLE_S
 from rich.console import Console
 
 from edged.commands.teach import DrawingSource, TeachOptions, teach
 from edged.files.jobs import load_job
 
 DEPTH_MM = 205.0
-
-
-def run(folder: Path, test: Callable[[PartCell], Awaitable[None]]) -> PartCell:
-    """A test's coroutine beside a running cell, bounded."""
-    folder.mkdir()
-    cell = PartCell(folder)
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            await test(cell)
-
-    asyncio.run(bounded())
-    return cell
 
 
 def sent(path: Path, **how: Any) -> dict[str, Any]:
@@ -81,7 +65,8 @@ def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
         tapped = await cell.change("POST", again, "/tap", {"x": x, "y": y})
         assert None is tapped["drawing"]
 
-    cell = run(tmp_path / "cell", test)
+    (tmp_path / "cell").mkdir()
+    cell = PartCell(tmp_path / "cell").run(test)
     output = tmp_path / "part1"
     source = DrawingSource(dxf=path, contour=None, depth_mm=DEPTH_MM, layers=(), unit=None)
     assert 0 == teach(cell.rig, source, "part1", output, Console(file=io.StringIO()), TeachOptions(1))
@@ -122,4 +107,5 @@ def test_what_is_no_drawing_of_the_part_is_said(tmp_path: Path) -> None:
         back = await cell.change("POST", other, "/undo", {})
         assert draft["features"] == back["features"]
 
-    run(tmp_path / "cell", test)
+    (tmp_path / "cell").mkdir()
+    PartCell(tmp_path / "cell").run(test)

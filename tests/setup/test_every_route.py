@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import pytest
 from helpers.boardcell import BoardCell
 from helpers.browsersession import BrowserSession
 from helpers.everyroute import check_document, check_questions, check_roles
-from helpers.waiting import WHOLE_S
 from helpers.webcell import HASH, USERS
 
 from edged.files.statefolder import state_folder
@@ -19,18 +17,14 @@ from edged.identity.users import User, UserFile
 
 @pytest.fixture
 def asked(tmp_path: Path) -> Callable[[Callable[[BrowserSession], Awaitable[None]]], None]:
-    """Run a test's coroutine with a browser before a daemon, bounded."""
+    """Run a test's coroutine with a browser before a daemon and the process of its page."""
     cell = BoardCell(tmp_path)
     for name, role in USERS.items():
         users = UserFile(state_folder(cell.config) / "users.json")
         users.put(User(name=name, role=role, password_hash=HASH))
 
     def run(test: Callable[[BrowserSession], Awaitable[None]]) -> None:
-        async def bounded() -> None:
-            async with asyncio.timeout(WHOLE_S), cell.running():
-                await test(BrowserSession(cell.session))
-
-        asyncio.run(bounded())
+        cell.run(lambda cell: test(BrowserSession(cell.session)))
 
     return run
 

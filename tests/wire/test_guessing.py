@@ -9,7 +9,6 @@ from contextlib import asynccontextmanager
 
 import aiohttp
 import pytest
-from argon2 import PasswordHasher
 from helpers.browsersession import PASSWORD, BrowserSession
 from helpers.waiting import LIMIT_S, until
 from helpers.webcell import Cell, run
@@ -19,12 +18,6 @@ from edged.adapters.web import server
 
 HOUR_S = 3600.0
 STEP_S = 5.0
-
-
-@pytest.fixture(autouse=True)
-def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hashes that are made here cost little: what they must cost is tested elsewhere."""
-    monkeypatch.setattr("edged.identity.passwords.HASHER", PasswordHasher(1, 512, 1))
 
 
 @asynccontextmanager

@@ -7,7 +7,6 @@ import re
 import shutil
 
 import pytest
-from argon2 import PasswordHasher
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
 from helpers.scriptedhead import Ear
@@ -30,12 +29,6 @@ READ = """(() => {
 PROBLEM = (
     'document.querySelector("[autofocus][aria-describedby=problem]") && document.querySelector("#problem")'
 )
-
-
-@pytest.fixture(autouse=True)
-def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hashes that are made here cost little: what they must cost is tested elsewhere."""
-    monkeypatch.setattr("edged.identity.passwords.HASHER", PasswordHasher(1, 512, 1))
 
 
 def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_best() -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from argon2 import PasswordHasher
 from helpers.browsersession import PASSWORD
 from helpers.webcell import HASH, Cell, run
 
@@ -18,12 +17,6 @@ from edged.identity.users import User, UserFile
 from edged.identity.visitors import Role
 
 NEW = "battery staple"
-
-
-@pytest.fixture(autouse=True)
-def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hashes that are made here cost little: what they must cost is tested elsewhere."""
-    monkeypatch.setattr("edged.identity.passwords.HASHER", PasswordHasher(1, 512, 1))
 
 
 async def me(cell: Cell) -> tuple[str, str]:

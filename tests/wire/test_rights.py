@@ -27,12 +27,6 @@ NEW = "battery staple"
 TOKEN = "of prometheus alone"
 
 
-@pytest.fixture(autouse=True)
-def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hashes that are made here cost little: what they must cost is tested elsewhere."""
-    monkeypatch.setattr("edged.identity.passwords.HASHER", PasswordHasher(1, 512, 1))
-
-
 @asynccontextmanager
 async def page(
     name: str, certificate: Path | None = None, key: Path | None = None, **settings: Any

@@ -13,7 +13,6 @@ from helpers.boardpairs import SPEC
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
 from helpers.cells import small_rig
-from helpers.samepage import in_this_process
 from helpers.setuppage import (
     SMALL_TARGETS,
     TOO_WIDE,
@@ -28,7 +27,6 @@ from helpers.setuppage import (
 from helpers.stagecell import Newcomer, run
 from helpers.waiting import WHOLE_S
 
-from edged.app.page import Page
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
 
@@ -86,9 +84,8 @@ def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path)
     run(tmp_path, test, gige=False)
 
 
-def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
     """By another calibration, while live pairs are looked at: nothing opens the first one again by itself."""
-    pages = in_this_process(monkeypatch)
 
     async def test(newcomer: Newcomer) -> None:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
@@ -109,7 +106,7 @@ def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path, monkeypatch: pytest
             await page.until(said("Which board?"))
             (wrong,) = (await newcomer.ask("GET", "calibrations"))["calibrations"]
             assert not (await newcomer.ask("GET", f"calibrations/{wrong['id']}"))["auto"]
-            await overtaken(newcomer, page, wrong["id"], pages)
+            await overtaken(newcomer, page, wrong["id"])
             assert await page.value(said("Which board?"))
             await page.ask("Page.reload")
             await page.until(said("Begun before"))
@@ -122,7 +119,7 @@ def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path, monkeypatch: pytest
             await page.until(GHOST)
             assert [] == page.complaints
 
-    run(tmp_path, test, gige=False)
+    run(tmp_path, test, gige=False, page_is_here=True)
 
 
 def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
@@ -156,7 +153,7 @@ def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
     run(tmp_path, test, gige=False)
 
 
-async def overtaken(newcomer: Newcomer, page: Browser, identity: str, pages: list[Page]) -> None:
+async def overtaken(newcomer: Newcomer, page: Browser, identity: str) -> None:
     """What is told of a draft has come to a page."""
     await page.value(
         """import("/static/setup/shared/live.js")
@@ -164,7 +161,7 @@ async def overtaken(newcomer: Newcomer, page: Browser, identity: str, pages: lis
     )
     for goal_um in (2.0, 3.0):
         await newcomer.ask("PUT", f"calibrations/{identity}", {"goal_um": goal_um})
-        pages[-1].notices.publish("mark", {"id": goal_um})  # comes after it
+        newcomer.pages[-1].notices.publish("mark", {"id": goal_um})  # comes after it
         await page.until(f'live.told("mark").value?.id === {goal_um}')
 
 

@@ -6,7 +6,7 @@ import asyncio
 import io
 import os
 import signal
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers.boardcell import BoardCell, with_views
 from helpers.boardpairs import RIG, SPEC, pairs
-from helpers.samepage import in_this_process, worker_of
+from helpers.samepage import worker_of
 from helpers.waiting import WHOLE_S
 from rich.console import Console
 
@@ -26,18 +26,6 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.geometry.uncertainty import calibration_covariance
-
-
-def run(folder: Path, test: Callable[[BoardCell], Awaitable[None]]) -> BoardCell:
-    """A test's coroutine beside a running cell, bounded."""
-    cell = BoardCell(folder)
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            await test(cell)
-
-    asyncio.run(bounded())
-    return cell
 
 
 @pytest.mark.slow
@@ -81,7 +69,7 @@ def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
         assert (422, "input") == await refused(cell, "POST", "/releases/1/activate", again)
         assert (404, "unknown") == await refused(cell, "POST", "/releases/2/activate", again)
 
-    cell = run(tmp_path, test)
+    cell = BoardCell(tmp_path).run(test)
     assert cell.rig.read_bytes() == next((cell.state / "drafts").glob("*/rig-*.json")).read_bytes()
 
     pictures = next((cell.state / "drafts").glob("*/pictures"))
@@ -136,7 +124,7 @@ def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) -> Non
             assert 1 == len(draft["views"]), "nobody who has the cell has asked for it"
             looking.cancel()
 
-    run(tmp_path, test)
+    BoardCell(tmp_path).run(test)
 
 
 async def look(socket: aiohttp.ClientWebSocketResponse) -> None:
@@ -174,13 +162,12 @@ def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """While it solves, keeps a pair or suggests: that has failed and says so, and the draft is as it was."""
-    pages = in_this_process(monkeypatch)
 
     async def test(cell: BoardCell) -> None:
         place, token = await with_views(cell, 3)
         await cell.until(place, lambda draft: not draft["guiding"])
         # nobody else knows its process, nor what it can do
-        worker = worker_of(pages)
+        worker = worker_of(cell.pages)
         functions = worker._functions  # noqa: SLF001  (as above)
         with monkeypatch.context() as patch:
             patch.setitem(functions, "keep", "helpers.workertasks:vanish")
@@ -205,7 +192,7 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
         _, draft = await cell.ask("GET", place)
         assert (None, None, 3) == (draft["solved"], draft["task"], len(draft["views"]))
 
-    run(tmp_path, test)
+    BoardCell(tmp_path).run(test, page_is_here=True)
 
 
 @pytest.mark.slow
@@ -232,7 +219,7 @@ def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path: Path
         draft = await cell.until(place, lambda draft: not draft["guiding"])
         assert draft["sigma_um"]["z"] > 0
 
-    run(tmp_path, test)
+    BoardCell(tmp_path).run(test)
 
 
 @pytest.mark.slow
@@ -262,7 +249,7 @@ def test_live_pairs_are_looked_at_for_the_draft_that_somebody_goes_on_with(tmp_p
             assert {places[0][14:]: True, places[1][14:]: False} == current
             looking.cancel()
 
-    run(tmp_path, test)
+    BoardCell(tmp_path).run(test)
 
 
 WRONG: dict[str, tuple[str, Callable[[int], tuple[Image, Image]]]] = {
@@ -296,7 +283,7 @@ def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
             else:
                 assert {"stated": stated, "seen": SPEC} == ended["problem"]["params"]
 
-    run(tmp_path, test)
+    BoardCell(tmp_path).run(test)
 
 
 @pytest.mark.slow
@@ -319,7 +306,7 @@ def test_another_board_than_the_stated_one_is_told_at_once(tmp_path: Path) -> No
                 assert ("other_board", "chessboard:8x6") == (shown["missing"], shown["other_board"])
             looking.cancel()
 
-    run(tmp_path, test)
+    BoardCell(tmp_path).run(test)
 
 
 async def refused(cell: BoardCell, method: str, path: str, document: Any = None) -> tuple[int, str]:
@@ -354,4 +341,4 @@ def test_what_cannot_be_is_refused_with_a_code(tmp_path: Path) -> None:
         _, listed = await cell.ask("GET", "/calibrations")
         assert "state.json" in listed["calibrations"][0]["trouble"]
 
-    run(tmp_path, test)
+    BoardCell(tmp_path).run(test)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -13,7 +12,6 @@ from typing import NamedTuple
 import pytest
 from helpers.recordedcell import RecordingCell, exposures, record
 from helpers.smallcell import SmallCell
-from helpers.waiting import WHOLE_S
 
 from edged.domain.frames import FramePair
 from edged.errors import FileFormatError
@@ -47,14 +45,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
 
 
 def beside(recorded: Recorded, folder: Path, test: Callable[[RecordingCell], Awaitable[None]]) -> None:
-    """Run a test beside a running cell, bounded."""
-    cell = RecordingCell(folder / "cell", recorded.template, recorded.recordings, recorded.pairs)
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            await test(cell)
-
-    asyncio.run(bounded())
+    """Run a test beside a running cell."""
+    RecordingCell(folder / "cell", recorded.template, recorded.recordings, recorded.pairs).run(test)
 
 
 def solved(cell: RecordingCell, rig: StereoRig) -> str:

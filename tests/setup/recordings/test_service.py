@@ -19,7 +19,6 @@ from helpers.boardcell import BoardCell
 from helpers.cellinuse import StillCell
 from helpers.recordedcell import exposures, record
 from helpers.smallcell import SmallCell
-from helpers.waiting import WHOLE_S
 
 from edged.domain.frames import FramePair
 from edged.errors import FileFormatError, UserError
@@ -330,7 +329,7 @@ def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, t
     cell = BoardCell(tmp_path / "cell")
     cell.config.write_text(cell.config.read_text() + '[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n')
 
-    async def test() -> None:
+    async def test(cell: BoardCell) -> None:
         _, listed = await cell.ask("GET", "/cycles?status=LOW_QUALITY&most=5")
         assert [VAGUE] == [one["number"] for one in listed["cycles"]]
         assert listed["recorder"]
@@ -368,11 +367,7 @@ def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, t
             assert 400 == (await cell.ask("POST", what_if, wrong))[0], wrong
         assert 422 == (await cell.ask("POST", what_if, {"features": {"c0": False}}))[0]
 
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            await test()
-
-    asyncio.run(bounded())
+    cell.run(test)
 
 
 def test_seven_hundred_cycles_are_read_once(

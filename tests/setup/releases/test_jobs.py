@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import functools
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,6 @@ import pytest
 from helpers.browsersession import BrowserSession
 from helpers.cells import flange
 from helpers.partcell import PartCell
-from helpers.waiting import WHOLE_S
 
 from edged.domain.events import Command, CommandKind
 from edged.files.jobs import save_job
@@ -43,14 +41,13 @@ def cell_with_jobs(folder: Path) -> PartCell:
 
 
 def run(cell: PartCell, test: Any) -> None:
-    """A test's coroutine beside a running cell, bounded."""
+    """A test's coroutine beside a running cell, once that is ready."""
 
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            await cell.until("/cell", lambda now: now["state"] == "READY")
-            await test()
+    async def ready(cell: PartCell) -> None:
+        await cell.until("/cell", lambda now: now["state"] == "READY")
+        await test()
 
-    asyncio.run(bounded())
+    cell.run(ready)
 
 
 @pytest.mark.slow

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import dataclasses
 import io
 import json
 import os
 import signal
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +16,7 @@ import pytest
 from helpers.browsersession import BrowserSession
 from helpers.cells import flange, frame_pair
 from helpers.partcell import PartCell
-from helpers.samepage import in_this_process, worker_of
-from helpers.waiting import WHOLE_S
+from helpers.samepage import worker_of
 from rich.console import Console
 
 from edged.commands.check import check
@@ -34,18 +31,6 @@ from edged.vision.teaching.region import PolygonRegion
 
 RADII_MM = {14.0: 1, 4.0: 1, 1.6: 4, 0.9: 1}
 """Of the flange: how many circles of each."""
-
-
-def run(folder: Path, test: Callable[[PartCell], Awaitable[None]]) -> PartCell:
-    """A test's coroutine beside a running cell, bounded."""
-    cell = PartCell(folder)
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            await test(cell)
-
-    asyncio.run(bounded())
-    return cell
 
 
 async def refused(cell: PartCell, method: str, path: str, document: Any) -> tuple[int, str]:
@@ -89,7 +74,7 @@ def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
             shown = cv2.imdecode(np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_GRAYSCALE)
         assert np.abs(shown.astype(float) - flange().right).mean() < 3
 
-    run(tmp_path, test)
+    PartCell(tmp_path).run(test)
 
 
 @pytest.mark.slow
@@ -135,14 +120,13 @@ def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
             (one["id"], one["name"], one["number"]) for one in listed["teachings"]
         ]
 
-    run(tmp_path, test)
+    PartCell(tmp_path).run(test)
 
 
 @pytest.mark.slow
-def test_two_people_and_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_people_and_a_kill(tmp_path: Path) -> None:
     """Who comes late is told what is new; a tap finds the part, nothing is found on the table; after a kill
     of the worker and a restart of the daemon the draft is as it was."""
-    pages = in_this_process(monkeypatch)
 
     async def test(cell: PartCell) -> None:
         token = await cell.take()
@@ -185,7 +169,7 @@ def test_two_people_and_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         again = await cell.change("POST", draft, "/tap", {"x": bore[0], "y": bore[1]})
         widths = [np.ptp(np.array(one["region"][0]["points"])[:, 0]) for one in (tapped, again)]
         assert widths[1] < 0.5 * widths[0]
-        worker = worker_of(pages)
+        worker = worker_of(cell.pages)
         os.kill(worker.pid, signal.SIGKILL)
         draft = await cell.change("POST", draft, "/undo", {})
         assert tapped["region"] == draft["region"]
@@ -193,16 +177,14 @@ def test_two_people_and_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         kept.append(draft)
 
     kept: list[dict[str, Any]] = []
-    cell = run(tmp_path, test)
+    cell = PartCell(tmp_path).run(test, page_is_here=True)
     state = next((cell.state / "teachings").iterdir()) / "state.json"
     assert kept[0]["revision"] == json.loads(state.read_text())["revision"]
 
-    async def second() -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            after = await cell.learnt(kept[0]["id"])
-            assert kept[0] == after
+    async def second(cell: PartCell) -> None:
+        assert kept[0] == await cell.learnt(kept[0]["id"])
 
-    asyncio.run(second())
+    cell.run(second)
 
 
 @pytest.mark.slow
@@ -250,7 +232,7 @@ def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) 
         assert (200, first["fingerprint"]) == (status, back["fingerprint"])
         assert kept["text"] == (folder / "job.toml").read_bytes()
 
-    cell = run(tmp_path, test)
+    cell = PartCell(tmp_path).run(test)
     assert 0 == check(cell.config, as_json=True)
     taught = tmp_path / "jobs" / "part1" / "taught"
     region = "polygon:" + ";".join(f"{x},{y}" for x, y in kept["region"])

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from helpers.cells import flange
 from helpers.partcell import PartCell, turned
-from helpers.samepage import in_this_process
-from helpers.waiting import WHOLE_S
 
+from edged.cell.tasks import cancel_and_await
 from edged.files.jobs import save_job
 from edged.pipeline import prepare
 from edged.setup.jobs.worker import Worker
@@ -34,26 +33,39 @@ class TaughtCell(PartCell):
         self.config.write_text(self.config.read_text().replace('job = "none"', 'job = "flange"'))
 
 
+Trials = asyncio.Queue[dict[str, Any]]
+
+
 @asynccontextmanager
-async def live(cell: PartCell, token: dict[str, str]) -> AsyncIterator[aiohttp.ClientWebSocketResponse]:
-    """A tab that looks at the live pictures of who has the cell."""
-    headers = {"Origin": f"http://127.0.0.1:{cell.port}"}
-    async with cell.session.ws_connect("/api/v1/ws", headers=headers) as socket:
-        await socket.send_json({"live": True, **token})
-        yield socket
+async def live(cell: PartCell, token: dict[str, str]) -> AsyncIterator[Trials]:
+    """A tab of who has the cell, and the trials that it is told.
 
+    It looks at the live pictures whatever else is asked meanwhile: who does not is taken off.
+    """
+    trials = Trials()
 
-async def told(
-    socket: aiohttp.ClientWebSocketResponse, condition: Callable[[dict[str, Any]], object]
-) -> dict[str, Any]:
-    """The next trial that fulfils a condition; pictures are seen."""
-    async with asyncio.timeout(WHOLE_S):
+    async def look(socket: aiohttp.ClientWebSocketResponse) -> None:
         async for message in socket:
             if message.type is aiohttp.WSMsgType.BINARY:
                 await socket.send_json({"seen": int.from_bytes(message.data[1:9], "big")})
-            elif (document := json.loads(message.data))["type"] == "trial" and condition(document):
-                return dict(document)
-    raise AssertionError("the socket has ended")
+            elif (document := json.loads(message.data))["type"] == "trial":
+                trials.put_nowait(document)
+
+    headers = {"Origin": f"http://127.0.0.1:{cell.port}"}
+    async with cell.session.ws_connect("/api/v1/ws", headers=headers) as socket:
+        await socket.send_json({"live": True, **token})
+        looking = asyncio.create_task(look(socket))
+        try:
+            yield trials
+        finally:
+            await cancel_and_await(looking)
+
+
+async def told(trials: Trials, condition: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+    """The next trial that fulfils a condition."""
+    while not condition(trial := await trials.get()):
+        pass
+    return trial
 
 
 def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
@@ -72,10 +84,9 @@ def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]
 def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the part lies, in the robot's frame; when it is laid elsewhere, that is seen, and the trail is
     longer; a draft is tried as a job is. What cannot be tried is said."""
-    in_this_process(monkeypatch)
     cell = TaughtCell(tmp_path)
 
-    async def test() -> None:
+    async def test(cell: TaughtCell) -> None:
         token = await cell.take()
         for what, code in (
             ({"job": "gear"}, (422, "input_no_job")),
@@ -91,8 +102,8 @@ def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.Monkey
 
         _, begun = await cell.ask("PUT", "/trials", {**token, "job": "flange", "on": True})
         assert (True, "flange", None) == (begun["on"], begun["job"], begun["teaching"])
-        async with live(cell, token) as socket:
-            first = await told(socket, lambda one: one["number"])
+        async with live(cell, token) as trials:
+            first = await told(trials, lambda one: one["number"])
             assert ("OK", "OK", []) == (first["status"], first["words_code"], first["reasons"])
             (part,) = first["targets"]
             place = np.array([part["pose"][f"{axis}_mm"] for axis in "xyz"])
@@ -101,7 +112,7 @@ def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.Monkey
             true = robot_from_rig @ flange().rig_from_part
             assert ("robot", True) == (part["frame"], bool(np.abs(place - true[:3, 3]).max() < 0.02))
             cell.world.shown = turned(70.0)
-            moved = await told(socket, lambda one: len(one["covered"]) == 2)
+            moved = await told(trials, lambda one: len(one["covered"]) == 2)
             assert moved["number"] > first["number"]
 
             status, chart = await cell.ask("GET", "/trials/map", None)
@@ -109,35 +120,35 @@ def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.Monkey
             assert chart["columns"] * chart["rows"] * chart["layers"] == len(chart["points"])
             seen = [one for one in chart["points"] if one["sigma_um"]]
             assert all(max(one["sigma_um"].values()) < chart["limit_um"] for one in seen)
-            charted = await told(socket, lambda one: one["covered_share"] is not None)
+            charted = await told(trials, lambda one: one["covered_share"] is not None)
             assert 1 <= round(charted["covered_share"] * len(seen)) <= 2
 
             cell.world.shown = (np.full_like(flange().left, 30),) * 2
-            gone = await told(socket, lambda one: one["status"] != "OK")
+            gone = await told(trials, lambda one: one["status"] != "OK")
             assert ("NO_TARGET", "NOT_FOUND", []) == (gone["status"], gone["words_code"], gone["targets"])
 
             with monkeypatch.context() as patch:
                 patch.setattr(Worker, "run", cropping(Worker.run))
-                trouble = (await told(socket, lambda one: one["trouble"]))["trouble"]
+                trouble = (await told(trials, lambda one: one["trouble"]))["trouble"]
             height, width = flange().left.shape
             sizes = {"found": f"{width}x{height - 8}", "wanted": f"{width}x{height}"}
             assert ("image_size", {"side": "left", **sizes}) == (trouble["code"], trouble["params"])
             assert sizes["wanted"] in trouble["text"]
-            assert None is (await told(socket, lambda one: one["status"]))["trouble"]
+            assert None is (await told(trials, lambda one: one["status"]))["trouble"]
 
             status, off = await cell.ask("PUT", "/trials", {**token, "on": False})
             assert (200, False, len(gone["covered"])) == (status, off["on"], len(off["covered"]))
             cell.world.shown = turned(70.0)
             draft = (await cell.begun(**token))["id"]
             await cell.ask("PUT", "/trials", {**token, "teaching": draft, "on": True})
-            of_draft = await told(socket, lambda one: one["teaching"] == draft and one["number"])
+            of_draft = await told(trials, lambda one: one["teaching"] == draft and one["number"])
             assert ("OK", None, 1) == (of_draft["status"], of_draft["job"], len(of_draft["covered"]))
             _, again = await cell.ask("GET", "/trials/map?job=flange", None)
             assert chart == again
             _, still_on = await cell.ask("GET", "/trials", None)
             assert (True, draft) == (still_on["on"], still_on["teaching"])
 
-    run(cell, test())
+    cell.run(test, page_is_here=True)
 
 
 @pytest.mark.slow
@@ -154,7 +165,7 @@ def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
     async def last() -> dict[str, Any]:
         return dict((await cell.ask("GET", "/trials/still", None))[1]["last"])
 
-    async def test() -> None:
+    async def test(cell: TaughtCell) -> None:
         token = await cell.take()
         assert (200, {"last": None}) == await cell.ask("GET", "/trials/still", None)
         assert "done" == (await cell.done(await still(token, 6)))["state"]
@@ -174,7 +185,7 @@ def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
         await cell.done(await still(token, 6))
         assert ("vanished", None) == ((found := await last())["verdict"], found["scatter_um"])
 
-    run(cell, test())
+    cell.run(test)
 
 
 async def coded(cell: PartCell, method: str, body: Any) -> tuple[int, str]:
@@ -182,13 +193,3 @@ async def coded(cell: PartCell, method: str, body: Any) -> tuple[int, str]:
     path = {"PUT": "/trials", "POST": "/trials/still", "GET": "/trials/map"}[method]
     status, problem = await cell.ask(method, path, body)
     return status, problem["code"]
-
-
-def run(cell: PartCell, test: Any) -> None:
-    """Beside the daemon, bounded."""
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            await test
-
-    asyncio.run(bounded())
