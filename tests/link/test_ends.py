@@ -35,6 +35,8 @@ from edged.link.stream import framed
 from edged.link.summary import CellSummary, FilesInUse, PageTask
 
 FILES = FilesInUse("{}", {"rig.json": b"1"}, "f00d")
+LONG = ask.OnStage(route="PUT /stage", body={f"k{number}": [1.5] * 8 for number in range(190)})
+LONG_BYTES = len(encoded(Envelope(number=1, request=LONG)))
 NEVER_READ: list[socket.socket] = []
 """Ends of connections that stay open, and full."""
 
@@ -235,7 +237,9 @@ def test_who_says_nothing_loses_the_link_and_who_greets_keeps_it(monkeypatch: py
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("request_", "price"), [(ask.RenewLease(token="x"), 1), (ask.AskMetrics(), 1 + cellend.DEAR)]
+    ("request_", "price"),
+    [(ask.RenewLease(token="x"), 1), (ask.AskMetrics(), 1 + cellend.DEAR), (LONG, 1 + LONG_BYTES // 1024)],
+    ids=["plain", "dear", "long"],
 )
 def test_a_flood_is_read_no_faster_than_allowed(request_: ask.Asked, price: int) -> None:
     """Its sender waits; what is read is carried out at the rate that a page may have, and cycles come.
