@@ -53,7 +53,7 @@ UNDERWAY, CAPTURES = 16, 4
 REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 400.0
 COSTLY, DEAR = (AskExchanges, AskMetrics, AskRegisters), 20
 """Requests that take milliseconds of the loop, and as how many others each counts."""
-BYTES_OF_ONE = 1024
+COUNTED_BYTES = 1024
 """A message counts once more for each of so many: to check 15 kB of numbers takes 3 ms of the loop."""
 REST_S = 0.05
 """A page that has asked too much is read again after this."""
@@ -265,7 +265,7 @@ class CellEnd:
                     self._rest = asyncio.get_running_loop().call_later(REST_S, self._go_on)
                     return
                 message = self._frames.next()
-                self._rate.owe(len(message) // BYTES_OF_ONE)
+                self._rate.owe(len(message) // COUNTED_BYTES)
                 if self.is_greeted:
                     envelope = envelope_of(message)
                     self._rate.owe(DEAR if isinstance(envelope.request, COSTLY) else 0)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import random
 import time
 import tracemalloc
 import typing
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
+from typing import Any, Literal
 
 import cbor2
 import numpy as np
@@ -18,7 +21,9 @@ from helpers.fieldtypes import reachable
 from helpers.mutations import mutated
 from helpers.snapshots import make_snapshot
 
-from edged.codec.codec import FORMAT
+from edged.codec.codec import FORMAT, Codec
+from edged.codec.fieldkinds import check_of, checks_of
+from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Status
 from edged.errors import CalibrationError, ConfigError
 from edged.files.recording import Entry
@@ -139,7 +144,7 @@ def hostile() -> dict[str, bytes]:
         "cut off": b"",
         "tag 28": bytes.fromhex("d81c81d81d00"),
         "100 deep": b"\x81" * 100_000 + b"\x00",
-        "500000 items": b"\x9a\x01\x00\x00\x00" + b"\x80" * (1 << 24),
+        "more than 1000 items": b"\x99\x40\x00" + b"\x80" * (1 << 14),
         "in 3 bytes": b"\x9b\x7f" + b"\xff" * 7 + b"\x80" * 3,
         "bytes behind": cbor2.dumps([FORMAT, 1]) + b"\x00",
         "of the format": cbor2.dumps([FORMAT + 1, 1]),
@@ -151,10 +156,11 @@ def hostile() -> dict[str, bytes]:
 def test_anything_else_is_refused_and_says_why(why: str) -> None:
     """Before it takes memory: millions of empty lists would be a gigabyte."""
     data = hostile()[why]
+    codec = dataclasses.replace(CODEC, bounds=dataclasses.replace(CODEC.bounds, items=1000))
     tracemalloc.start()
     try:
         with pytest.raises(ValueError, match=f"no message of a worker: .*{why.replace('|', '.')}"):
-            decode_message(data)
+            codec.decode(data)
         assert tracemalloc.get_traced_memory()[1] < 1 << 20
     finally:
         tracemalloc.stop()
@@ -185,3 +191,37 @@ def test_random_and_mutated_messages_are_a_value_of_the_list_or_an_error_that_sa
     assert refused > 1000
     assert made > 100
     assert time.process_time() - began_s < 60
+
+
+@pytest.mark.parametrize("codec", [CODEC, LINK], ids=["worker", "link"])
+def test_the_fields_of_every_kind_can_be_checked(codec: Codec) -> None:
+    """What they are declared with is known where they are read, and none takes what is no value."""
+    for name, listed in codec.kinds.items():
+        kind = getattr(import_module(listed), name) if isinstance(listed, str) else listed
+        if dataclasses.is_dataclass(kind):
+            assert checks_of(kind).keys() == {field.name for field in dataclasses.fields(kind)}
+
+
+@pytest.mark.parametrize(
+    ("hint", "right", "wrong"),
+    [
+        (bool, [True, np.True_], [1, None]),
+        (int, [1, np.int32(1)], [True, 1.0, "1"]),
+        (float, [1, 1.0, np.float32(1)], [True, "1", None]),
+        (str | None, ["a", None], [b"a", 1]),
+        (Literal["left", 1], ["left", 1], ["up", 1.0, True]),
+        (tuple[int, str], [(1, "a")], [(1,), ("a", 1), [1, "a"]]),
+        (tuple[int, ...], [(), (1, 2), [1]], [(1, "a"), 1]),
+        (Sequence[str], [["a"], ()], ["a", [1]]),
+        (Mapping[str, int], [{"a": 1}, {}], [{1: 1}, {"a": "b"}, []]),
+        (frozenset[int], [frozenset({1})], [{1}, frozenset({"a"})]),
+        (FloatArray, [np.zeros(2)], [np.zeros(2, np.int32), [0.0], None]),
+        (Status, [Status.OK], ["OK", 1]),
+    ],
+    ids=str,
+)
+def test_a_field_takes_what_it_is_declared_with(hint: Any, right: list[Any], wrong: list[Any]) -> None:
+    """And nothing that only looks like it."""
+    check = check_of(hint)
+    assert [True] * len(right) == [check(value) for value in right]
+    assert [False] * len(wrong) == [check(value) for value in wrong]
