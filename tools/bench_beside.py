@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What a PLC's read costs beside guests of the page: nobody, two viewers, one who asks, and floods.
+"""What a PLC's read costs beside guests: nobody, two viewers, one who asks, floods, an OPC UA subscriber.
 
 Run it with `tools/bench beside`; it prints Markdown. The cell is `edged run` with its page, in processes of
 their own; the PLC reads the status every 5 ms from this one. All phases are measured in turn, so that a busy
@@ -19,13 +19,14 @@ import threading
 import time
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from http.cookiejar import CookieJar
 from pathlib import Path
 
 import numpy as np
 from benching import TESTS, bench_parser, finish
 from helpers.browsersession import PASSWORD
+from helpers.ports import free_port
 from helpers.smallcell import DaemonProcess, SmallCell
 from helpers.webcell import HASH
 
@@ -35,7 +36,7 @@ from edged.plc.registers import ADDRESS
 
 PERIOD_S = 0.005
 ROUNDS = 3
-PHASES = "nobody", "two viewers", "one who asks all the time", "viewers and floods"
+PHASES = "nobody", "two viewers", "one who asks all the time", "viewers and floods", "an OPC UA subscriber"
 VIEWERS, TABS, LINES = 2, 8, 16
 """Viewers; floods over sockets of a tab, and of requests that are refused."""
 
@@ -51,6 +52,26 @@ while True:
         pass
 """
 """Within the rate that a session may have."""
+
+SUBSCRIBING = """
+import asyncio, sys
+from asyncua import Client
+
+class Notes:
+    def datachange_notification(self, node, value, data):
+        pass
+
+async def main():
+    async with Client(f"opc.tcp://127.0.0.1:{sys.argv[1]}") as client:
+        registers = await client.nodes.objects.get_child(["3:Registers"])
+        variables = [one for block in await registers.get_children() for one in await block.get_children()]
+        subscription = await client.create_subscription(100, Notes())
+        await subscription.subscribe_data_change(variables)
+        await asyncio.sleep(1e6)
+
+asyncio.run(main())
+"""
+"""To every register, told ten times a second."""
 
 
 class Reads:
@@ -79,23 +100,26 @@ class Reads:
         return found
 
 
-def measure(seconds: float) -> None:
-    """Print the figures. seconds : of each phase, in each round."""
+def measure(seconds: float, wanted: Sequence[str]) -> None:
+    """Print the figures. seconds : of each phase, in each round. wanted : phases beside that with nobody."""
     with tempfile.TemporaryDirectory() as folder:
         cell = SmallCell(Path(folder))
         page = f'[web]\npassword_hash = "{HASH}"\ncommissioning = true'
-        cell.config.write_text(cell.config.read_text().replace("[web]", page, 1))
+        opcua_port = free_port()
+        text = cell.config.read_text().replace("[web]", page, 1)
+        cell.config.write_text(f"{text}\n[opcua]\nport = {opcua_port}\nanonymous = true\n")
         vera = User(name="Vera", role="viewer", password_hash=HASH)
         UserFile(state_folder(cell.config) / "users.json").put(vera)
         daemon = DaemonProcess(cell.config)
         try:
             daemon.wait_ready()
-            cookie = logged_in(cell.web_port)
+            is_page = any("OPC UA" not in name for name in wanted)
+            cookie = logged_in(cell.web_port) if is_page else ""
             reads = Reads(cell.modbus_port)
             reads.during(2.0)
-            phases: dict[str, list[float]] = {name: [] for name in PHASES}
+            phases: dict[str, list[float]] = {name: [] for name in PHASES if name in ("nobody", *wanted)}
             for name in ROUNDS * tuple(phases):
-                with guests(cell.web_port, cookie, name):
+                with guests(cell.web_port, opcua_port, cookie, name):
                     phases[name] += reads.during(seconds)
         finally:
             daemon.stop()
@@ -121,12 +145,14 @@ def logged_in(port: int) -> str:
 
 
 @contextlib.contextmanager
-def guests(port: int, cookie: str, phase: str) -> Iterator[None]:
+def guests(port: int, opcua_port: int, cookie: str, phase: str) -> Iterator[None]:
     """Those of a phase; who is shown the door comes again."""
     over = threading.Event()
     threads = []
     if phase == "one who asks all the time":
         threads.append(threading.Thread(target=_again, args=(["-c", ASKING, str(port), cookie], over)))
+    elif phase == "an OPC UA subscriber":
+        threads.append(threading.Thread(target=_again, args=(["-c", SUBSCRIBING, str(opcua_port)], over)))
     elif phase != "nobody":
         viewer = [str(Path(__file__).with_name("pageviewer.py")), str(port), "Vera", PASSWORD]
         threads += [threading.Thread(target=_again, args=(viewer, over)) for _ in range(VIEWERS)]
@@ -167,8 +193,9 @@ def main() -> int:
     """Measure."""
     parser = bench_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=15.0, help="of each phase, in each of three rounds")
+    parser.add_argument("--only", choices=PHASES[1:], help="one phase, and nobody")
     options = parser.parse_args()
-    measure(options.seconds)
+    measure(options.seconds, PHASES[1:] if options.only is None else [options.only])
     finish(options)
     return 0
 

@@ -12,9 +12,9 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from edged.app.lesserprocess import LESSER, environment
+from edged.codec.plainerrors import error_of
 from edged.errors import LinkError, SetupRefused, UserError
 from edged.files.statefolder import state_folder
-from edged.link.requests import error_of
 from edged.setup.releases.installing import UNDO, note_installed
 
 log = logging.getLogger(__name__)
@@ -83,7 +83,7 @@ async def _heard(process: subprocess.Popen[bytes], word: str = "") -> None:
     try:
         async with asyncio.timeout(MOST_S):
             line = await asyncio.to_thread(exchange)
-        error = None if (said := json.loads(line)) is None else error_of(said)
+        error = None if (said := json.loads(line)) is None else error_of(**said)
     except (TimeoutError, ValueError, KeyError, TypeError):
         error = LinkError(
             "the process that installs releases has ended, or hangs: the next start finishes it"

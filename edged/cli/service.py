@@ -92,13 +92,16 @@ def backup(
     config: Annotated[Path, typer.Argument(help="configuration file")],
     output: Annotated[Path, typer.Option("--output", "-o", help="archive to write, FILE.tar.gz")],
     force: Annotated[bool, typer.Option("--force", help="replace an archive of that name")] = False,
+    sign: Annotated[
+        Path | None, typer.Option("--sign", help="private key (Ed25519, PEM): sign it, in FILE.tar.gz.sig")
+    ] = None,
 ) -> None:
     """Put configuration, rig, jobs and the register map into one checksummed archive."""
     from rich.console import Console
 
     from edged.commands.backup import backup as command
 
-    raise typer.Exit(command(config, output, Console(soft_wrap=True), force=force))
+    raise typer.Exit(command(config, output, Console(soft_wrap=True), force=force, key=sign))
 
 
 @app.command()
@@ -111,13 +114,17 @@ def restore(
     force: Annotated[
         bool, typer.Option("--force", help="replace this cell's files in a folder; they are kept beside it")
     ] = False,
+    verify: Annotated[
+        Path | None,
+        typer.Option("--verify", help="public key (Ed25519, PEM): refuse what its owner has not signed"),
+    ] = None,
 ) -> None:
     """Check a backup and put it into a folder. 0: done; 1: done, but it would not start."""
     from rich.console import Console
 
     from edged.commands.backup import restore as command
 
-    raise typer.Exit(command(archive, output, Console(soft_wrap=True), force=force))
+    raise typer.Exit(command(archive, output, Console(soft_wrap=True), force=force, signed_by=verify))
 
 
 @app.command()

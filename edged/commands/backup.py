@@ -15,40 +15,58 @@ from edged.setup.cellfiles import read_cell
 from edged.setup.releases.archive import REGISTERS, Backup, fits_map, make, read
 from edged.setup.releases.archive import restore as put_back
 from edged.setup.releases.rights import rights_at, rights_in
+from edged.setup.releases.signing import signature_file, signature_of
 
 MAX_LINES = 50
 """The most lines of one kind: an archive may name very many."""
 
 
-def backup(config: Path, output: Path, console: Console, *, force: bool = False) -> int:
-    """Write the archive, proven by restoring it once. Raises `UserError`; then no archive is left."""
+def backup(
+    config: Path, output: Path, console: Console, *, force: bool = False, key: Path | None = None
+) -> int:
+    """Write the archive, proven by restoring it once. Raises `UserError`; then no archive is left.
+
+    key : private, PEM; the archive is signed with it, in a file beside it.
+    """
     if not output.name.lower().endswith((".tar.gz", ".tgz")):
         raise UserError(f"{output}: an archive is a tar: expected a name that ends in .tar.gz")
     if output.exists() and not force:
         raise UserError(f"{output}: exists; choose another name, or --force to replace it")
-    check_outputs({"--output": output}, {"CONFIG": config})
+    check_outputs({"--output": output}, {"CONFIG": config} | ({} if key is None else {"--sign": key}))
     made = make(config)
     taken, data = made.backup, made.archive
+    signed = None if key is None else signature_of(data, key)
     write_file(output, data, mode=0o600)
     say(
         f"{output}: cell {taken.cell}, fingerprint {taken.fingerprint}, {len(taken.files)} files, "
         f"{len(data) / 1024:.0f} KiB",
         console,
     )
+    if signed is not None:
+        signature, who = signed
+        write_file(signature_file(output), signature)
+        say(f"signed with the key {who}: {signature_file(output)}", console)
     _print_left_out(taken, console)
     if made.holds_password:
         say("it holds the hash of a password: only its owner may read it (mode 600)", console)
     return 0
 
 
-def restore(archive: Path, output: Path | None, console: Console, *, force: bool = False) -> int:
+def restore(
+    archive: Path,
+    output: Path | None,
+    console: Console,
+    *,
+    force: bool = False,
+    signed_by: Path | None = None,
+) -> int:
     """Check an archive; with an output put its files into that folder, all of them or none.
 
     force : files of this cell that are there make room and are kept beside the folder; others stay as they
-    are. Returns 0, or 1 when the daemon would not start with what was restored. Raises `UserError`; then
-    nothing has changed.
+    are. signed_by : a public key, PEM, whose signature the archive must have. Returns 0, or 1 when the daemon
+    would not start with what was restored. Raises `UserError`; then nothing has changed.
     """
-    taken = read(archive)
+    taken = read(archive, signed_by)
     if output is not None:
         check_folder(output)
     say(
@@ -56,6 +74,8 @@ def restore(archive: Path, output: Path | None, console: Console, *, force: bool
         f"{taken.created:%Y-%m-%d %H:%M} UTC; {len(taken.files)} files, every checksum is right",
         console,
     )
+    if signed_by is not None:
+        say(f"{signature_file(archive).name}: signed with the key in {signed_by}", console)
     _print_left_out(taken, console)
     if not fits_map(taken):
         say(

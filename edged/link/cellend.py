@@ -18,14 +18,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Protocol
 
-import cbor2
-
+from edged.codec.plainerrors import plain_error
 from edged.connections import Rate
 from edged.domain.arrays import Image
 from edged.domain.events import Event, ExposureDone
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError, LinkError, SetupRefused
-from edged.link import values
 from edged.link.pictures import PictureRing
 from edged.link.receiver import Receiver
 from edged.link.requests import (
@@ -41,10 +39,10 @@ from edged.link.requests import (
     encoded,
     envelope_of,
     greeting_of,
-    plain_error,
 )
 from edged.link.stream import Frames, send_within
 from edged.link.summary import CellSummary, FilesInUse, PageTask, ProgramStep
+from edged.link.values import CODEC
 
 log = logging.getLogger(__name__)
 
@@ -55,6 +53,8 @@ UNDERWAY, CAPTURES = 16, 4
 REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 400.0
 COSTLY, DEAR = (AskExchanges, AskMetrics, AskRegisters), 20
 """Requests that take milliseconds of the loop, and as how many others each counts."""
+COUNTED_BYTES = 1024
+"""A message counts once more for each of so many: to check 15 kB of numbers takes 3 ms of the loop."""
 REST_S = 0.05
 """A page that has asked too much is read again after this."""
 WRITE_S = 15.0
@@ -221,17 +221,17 @@ class CellEnd:
     def _write(self, kind: str, body: object, more: dict[str, object]) -> None:
         """Encode and send a message, in the sender's thread."""
         images: list[Image] = []
-        data = values.dumps(body, images)
+        data = CODEC.encode(body, images)
         message: dict[str, object] = {"kind": kind, "body": data, **more}
         if kind == "task":
-            self._send(cbor2.dumps(message), [opened.fileno() for opened in self._listening])
+            self._send(CODEC.encode(message), [opened.fileno() for opened in self._listening])
             return
         memory = None
         if images:
             placed, memory = self._ring.place(images)
             message |= {"pictures": list(placed), "memory": memory is not None}
         try:
-            self._send(cbor2.dumps(message), [] if memory is None else [memory])
+            self._send(CODEC.encode(message), [] if memory is None else [memory])
         finally:
             if memory is not None:
                 os.close(memory)
@@ -265,6 +265,7 @@ class CellEnd:
                     self._rest = asyncio.get_running_loop().call_later(REST_S, self._go_on)
                     return
                 message = self._frames.next()
+                self._rate.owe(len(message) // COUNTED_BYTES)
                 if self.is_greeted:
                     envelope = envelope_of(message)
                     self._rate.owe(DEAR if isinstance(envelope.request, COSTLY) else 0)

@@ -10,16 +10,13 @@ from collections.abc import AsyncIterator
 from itertools import count
 from typing import Any, NamedTuple
 
-import cbor2
-
+from edged.codec.plainerrors import error_of
 from edged.errors import LinkError
-from edged.link import values
 from edged.link.pictures import Placed, SharedPictures
-from edged.link.requests import GREETING, Asked, Envelope, encoded, error_of, greeting_of
+from edged.link.requests import GREETING, Asked, Envelope, encoded, greeting_of
 from edged.link.stream import Frames, framed, send_within
+from edged.link.values import CODEC, MOST_BYTES
 
-MOST_BYTES = 256 * 1024 * 1024
-"""Of a message of the cell: the largest are the files of many jobs."""
 READ_BYTES = 1024 * 1024
 MOST_DESCRIPTORS = 16
 ANSWER_S = 120.0
@@ -75,14 +72,14 @@ class PageEnd:
         """What the cell tells, until the link ends; answers are given on once what came before is done."""
         try:
             while True:
-                message = cbor2.loads(await self._message())
+                message = CODEC.decode(await self._message())
                 self._take_sockets(message.get("sockets", 0))
                 images: list[Any] = []
                 if message.get("memory"):
                     self._pictures.map(self._memories.pop(0))
                 if "pictures" in message:
                     images = self._pictures.copy(Placed(*message["pictures"]))
-                body = values.loads(message["body"], images)
+                body = CODEC.decode(message["body"], images)
                 if message["kind"] != "answer":
                     yield LinkNews(message["kind"], body)
                     continue
@@ -90,7 +87,7 @@ class PageEnd:
                 if answer is None or answer.done():
                     continue
                 if message["error"] is not None:
-                    answer.set_exception(error_of(message["error"]))
+                    answer.set_exception(error_of(**message["error"]))
                 else:
                     answer.set_result(body)
         except LinkError:

@@ -6,15 +6,16 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
-from edged import __version__, errors
-from edged.cbor import decode_cbor, encode_cbor
+from edged import __version__
+from edged.cbor import CborBounds, decode_cbor, encode_cbor
 from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Side
-from edged.errors import EdgedError, LinkError
+from edged.errors import LinkError
 from edged.link.values import schema_of
 
 MAX_BYTES = 64 * 1024
-"""Of a message of a page: a stage's outline is the largest."""
+"""Of a message of a page: the note of a release is the largest."""
+BOUNDS = CborBounds(MAX_BYTES, 2000, 32)
 
 Token = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64)]
@@ -199,34 +200,10 @@ def greeting_of(data: bytes) -> Greeting:
 
 def _read(model: type[Message], data: bytes) -> Message:
     try:
-        return model.model_validate(decode_cbor(data))
+        return model.model_validate(decode_cbor(data, BOUNDS))
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         place = ".".join(map(str, first["loc"]))
         raise LinkError(f"no message: {place[:100]}: {first['msg'][:200]}") from error
     except (ValueError, RecursionError) as error:
         raise LinkError(f"no message: {str(error)[:200]}") from error
-
-
-# --- errors, as they are answered -----------------------------------------------------------------
-
-
-def plain_error(error: EdgedError | OSError) -> dict[str, Any]:
-    """An error as CBOR takes it."""
-    if isinstance(error, OSError):
-        return {"kind": "OSError", "text": error.strerror or str(error), "number": error.errno or 0}
-    return {"kind": type(error).__name__, "text": str(error), "fields": dict(vars(error))}
-
-
-def error_of(plain: dict[str, Any]) -> EdgedError | OSError:
-    """The error again, as the cell has raised it."""
-    kind, text = plain["kind"], plain["text"]
-    if kind == "OSError":
-        return OSError(plain["number"], text)
-    found = getattr(errors, kind, None)
-    if not (isinstance(found, type) and issubclass(found, EdgedError)):
-        return EdgedError(text)
-    error = found.__new__(found, text)
-    error.args = (text,)
-    vars(error).update(plain["fields"])
-    return error

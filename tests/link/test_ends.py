@@ -14,6 +14,8 @@ from typing import Any
 
 import cbor2
 import pytest
+from helpers.linkmessages import EXAMPLES
+from helpers.mutations import mutated
 from helpers.scriptedhead import Ear, Head, make_setup
 from helpers.waiting import WHOLE_S, until
 
@@ -33,24 +35,8 @@ from edged.link.stream import framed
 from edged.link.summary import CellSummary, FilesInUse, PageTask
 
 FILES = FilesInUse("{}", {"rig.json": b"1"}, "f00d")
-EXAMPLES: tuple[ask.Asked, ...] = (
-    ask.EnterSetup(name="Anna"),
-    ask.RenewLease(token="t"),
-    ask.LeaveSetup(token="t"),
-    ask.EndSetup(name="Ben"),
-    ask.TakePair(token="t"),
-    ask.AdjustCamera(token="t", side="left", exposure_us=500.0),
-    ask.ReadLimits(token="t", side="right"),
-    ask.TryCameras(token="t", changes={}),
-    ask.InstallRelease(author="Anna", note="another rig"),
-    ask.TakeJob(number=1),
-    ask.AskRegisters(),
-    ask.AskExchanges(),
-    ask.AskMetrics(),
-    ask.OnStage(route="PUT /stage", body={"showing": "part", "rings": {"left": 0.5}}),
-)
-
-
+LONG = ask.OnStage(route="PUT /stage", body={f"k{number}": [1.5] * 8 for number in range(190)})
+LONG_BYTES = len(encoded(Envelope(number=1, request=LONG)))
 NEVER_READ: list[socket.socket] = []
 """Ends of connections that stay open, and full."""
 
@@ -155,25 +141,6 @@ def play(test: Callable[[Scene], Awaitable[None]]) -> None:
     asyncio.run(main())
 
 
-def mutated(message: bytes, chance: random.Random) -> bytes:
-    """A few of its bytes are others, missing, or there twice."""
-    data = bytearray(message)
-    for _ in range(chance.randint(1, 4)):
-        at = chance.randrange(len(data))
-        match chance.randrange(4):
-            case 0:
-                data[at] ^= 1 << chance.randrange(8)
-            case 1:
-                data[at:at] = chance.randbytes(chance.randint(1, 8))
-            case 2:
-                del data[at : at + chance.randint(1, 8)]
-            case _:
-                data[at] = chance.randrange(256)
-        if not data:
-            return b"\0"
-    return bytes(data)
-
-
 @pytest.mark.slow
 def test_what_is_no_request_is_refused_and_never_more_than_read() -> None:
     """A hundred thousand messages, random or of a real one with other bytes: read, or a `LinkError`."""
@@ -270,7 +237,9 @@ def test_who_says_nothing_loses_the_link_and_who_greets_keeps_it(monkeypatch: py
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("request_", "price"), [(ask.RenewLease(token="x"), 1), (ask.AskMetrics(), 1 + cellend.DEAR)]
+    ("request_", "price"),
+    [(ask.RenewLease(token="x"), 1), (ask.AskMetrics(), 1 + cellend.DEAR), (LONG, 1 + LONG_BYTES // 1024)],
+    ids=["plain", "dear", "long"],
 )
 def test_a_flood_is_read_no_faster_than_allowed(request_: ask.Asked, price: int) -> None:
     """Its sender waits; what is read is carried out at the rate that a page may have, and cycles come.

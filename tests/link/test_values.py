@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import enum
 import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,20 +10,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.fieldtypes import reachable
 from helpers.ports import free_port
 from helpers.smallcell import SmallCell
 from helpers.snapshots import make_snapshot
 from helpers.webcell import HASH
-from pydantic import BaseModel
 
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Event, ExposureDone
 from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Match, Nearest, NearMiss
 from edged.identity.passwords import hash_password
-from edged.link import values
 from edged.link.pictures import PictureRing, SharedPictures
 from edged.link.summary import CellSummary, FilesInUse, PageTask, ProgramStep
+from edged.link.values import CODEC, TYPES
 from edged.payload import snapshot_to_json
 from edged.setup.cellfiles import HIDDEN_HASH, CellFiles, cell_of, files_in_use, read_any_cell, read_cell
 
@@ -34,21 +33,7 @@ ROOTS = (*typing.get_args(Event), CellSummary, FilesInUse, PageTask, ProgramStep
 def carried(value: object) -> Any:
     """A value as the other process has it."""
     images: list[Any] = []
-    return values.loads(values.dumps(value, images), images)
-
-
-def reachable(kind: Any, found: set[type]) -> None:
-    """Every class that a value of a type may hold."""
-    for part in typing.get_args(kind):
-        reachable(part, found)
-    if not isinstance(kind, type) or kind in found:
-        return
-    if issubclass(kind, enum.Enum | BaseModel):
-        found.add(kind)
-    elif dataclasses.is_dataclass(kind):
-        found.add(kind)
-        for hint in typing.get_type_hints(kind).values():
-            reachable(hint, found)
+    return CODEC.decode(CODEC.encode(value, images), images)
 
 
 def test_every_type_of_an_event_may_cross() -> None:
@@ -56,7 +41,7 @@ def test_every_type_of_an_event_may_cross() -> None:
     found: set[type] = set()
     for root in ROOTS:
         reachable(root, found)
-    assert set() == found - set(values.TYPES)
+    assert set() == found - set(TYPES)
 
 
 def test_a_result_is_the_same_in_every_digit() -> None:
@@ -81,16 +66,6 @@ def test_a_near_miss_that_is_known_need_not_be_asked_for() -> None:
     assert told.answered
     assert 0.4 == told.answer.match.score
     assert not carried(dataclasses.replace(make_snapshot(), nearest=Nearest(lambda: miss))).nearest.answered
-
-
-def test_what_has_no_place_here_is_refused() -> None:
-    """Neither an unknown class nor a function; nor bytes that are no message."""
-    for value in (object(), print, SmallCell):
-        with pytest.raises(TypeError, match="does not cross the link"):
-            values.dumps(value, [])
-    for data in (b"", b"\xff", b"\x9f\xff", values.dumps({"~": "os"}, []), values.dumps({"~": "Match"}, [])):
-        with pytest.raises(ValueError, match="no message"):
-            values.loads(data, [])
 
 
 @pytest.mark.slow
@@ -145,11 +120,11 @@ def pair(value: int, size: tuple[int, int] = (40, 60)) -> FramePair:
 def sent(ring: PictureRing, shared: SharedPictures, event: object) -> Callable[[], Any]:
     """An event on its way; called, it arrives."""
     images: list[Any] = []
-    data = values.dumps(event, images)
+    data = CODEC.encode(event, images)
     placed, memory = ring.place(images)
     if memory is not None:
         shared.map(memory)
-    return lambda: values.loads(data, shared.copy(placed))
+    return lambda: CODEC.decode(data, shared.copy(placed))
 
 
 def test_pictures_go_through_shared_memory() -> None:

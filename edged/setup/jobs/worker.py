@@ -17,8 +17,8 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any
 
-from edged.errors import TaskFailed, TaskTooLarge, UserError
-from edged.setup.jobs.messages import decode_message, encode_message
+from edged.errors import TaskFailed, TaskTooLarge
+from edged.setup.jobs.messages import MOST_BYTES, decode_message, encode_message
 from edged.setup.jobs.workerprocess import (
     OutOfMemory,
     TaskAnswer,
@@ -35,8 +35,6 @@ from edged.setup.pairs import Progress, silent
 
 log = logging.getLogger(__name__)
 
-MOST_ANSWER_BYTES = 256 << 20
-"""Several pictures of the largest sensors; a process that answers more is ended."""
 IDLE_S = 300.0
 """Without a task for so long, the process ends: it holds the memory of a second Python."""
 
@@ -215,16 +213,9 @@ def _too_large(name: str, most: str) -> TaskTooLarge:
 
 def _received(connection: Connection) -> TaskAnswer:
     """The next answer. Raises `EOFError`, `OSError` for one too long, `ValueError` for what is none."""
-    answer = decode_message(connection.recv_bytes(MOST_ANSWER_BYTES))
-    if isinstance(answer, TaskProgress):
-        whole = (answer.done, answer.total)
-        if type(answer.stage) is str and all(type(number) is int for number in whole):
-            return answer
-    elif isinstance(answer, OutOfMemory | TaskBug):
-        if type(answer.trace) is str and answer.trace.strip():
-            return answer
-    elif isinstance(answer, TaskResult) or (
-        isinstance(answer, TaskRefused) and isinstance(answer.error, UserError)
-    ):
+    answer = decode_message(connection.recv_bytes(MOST_BYTES))
+    if isinstance(answer, TaskProgress | TaskResult | TaskRefused):
+        return answer
+    if isinstance(answer, OutOfMemory | TaskBug) and answer.trace.strip():
         return answer
     raise ValueError(f"{type(answer).__name__} is no answer of a worker")

@@ -45,6 +45,7 @@ from edged.files.rig import read_rig
 from edged.owners import as_owner, by_name, unlinked
 from edged.setup.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
 from edged.setup.releases.jobsfolder import Jobs, jobs_in, without_pictures
+from edged.setup.releases.signing import check_signature
 
 FORMAT = "edged-backup"
 VERSION = 1
@@ -189,9 +190,16 @@ def jobs_of(taken: Backup) -> dict[str, bytes]:
     return {name.removeprefix(inside): data for name, data in taken.files.items() if name.startswith(inside)}
 
 
-def read(archive: Path) -> Backup:
-    """What an archive holds, every checksum checked. Raises `FileFormatError`."""
-    return unpack(read_bytes(archive, "a backup", MAX_BYTES), str(archive))
+def read(archive: Path, signed_by: Path | None = None) -> Backup:
+    """What an archive holds, every checksum checked. Raises `FileFormatError`.
+
+    signed_by : a public key; nothing of the archive is read before its signature by that key holds. Raises
+    `UserError` where it does not.
+    """
+    data = read_bytes(archive, "a backup", MAX_BYTES)
+    if signed_by is not None:
+        check_signature(data, archive, signed_by)
+    return unpack(data, str(archive))
 
 
 def fits_map(taken: Backup) -> bool:

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from queue import SimpleQueue
 
+from edged.codec.plainerrors import plain_error
 from edged.config.chosencameras import chosen_file
 from edged.config.chosenconnections import connections_file
 from edged.config.reading import load
@@ -29,7 +30,6 @@ from edged.errors import EdgedError, FileFormatError, UserError
 from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
 from edged.files.statefolder import state_folder
 from edged.link.memory import sealed_bytes
-from edged.link.requests import plain_error
 from edged.setup.releases.archive import MAX_BYTES, Parts, pack, parts_at, parts_of, unpack, with_parts
 from edged.setup.releases.jobsfolder import write_jobs
 

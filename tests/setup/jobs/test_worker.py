@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import os
 import pickle
 import signal
@@ -16,18 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import cbor2
-import numpy as np
 import pytest
 from helpers.waiting import WHOLE_S, until
 
-from edged.domain.measurement import Status
+from edged.codec.codec import FORMAT
 from edged.errors import CalibrationError, TaskFailed, TaskTooLarge
 from edged.setup.jobs import worker as workers
-from edged.setup.jobs.messages import decode_message, encode_message
 from edged.setup.jobs.worker import Worker
 from edged.setup.jobs.workerprocess import MIB, NICENESS, OOM_SCORE, TaskLimits, limits_here
-from edged.sim.cell import demo_rig
-from edged.vision.geometry.camera import calibration_identity
 
 TASKS = {
     name: f"helpers.workertasks:{name}"
@@ -275,80 +270,19 @@ class Harm:
         return os.mkdir, (str(self.file),)
 
 
-def forged(kind: str, file: Path) -> bytes:
-    """What a process that was taken over might send."""
-    result = "edged.setup.jobs.workerprocess"
-    match kind:
-        case "pickle":
-            return pickle.dumps(Harm(file))
-        case "nothing":
-            return b""
-        case "a function":
-            return cbor2.dumps(["fields", "edged.files.atomic", "make_folders", str(file)])
-        case "another module":
-            return cbor2.dumps(["fields", "os", "system", f"mkdir {file}"])
-        case "an alias":
-            return cbor2.dumps(["fields", "edged.files.atomic", "Path", str(file)])
-        case "no class of values":
-            return cbor2.dumps(["fields", "edged.setup.jobs.worker", "Worker", {}])
-        case "too few fields":
-            return cbor2.dumps(["fields", result, "TaskProgress", "a"])
-        case "other kinds":
-            return cbor2.dumps(["fields", result, "TaskProgress", 1, "2", []])
-        case "a class by name":
-            return cbor2.dumps(["fields", result, "TaskRefused", ["error", "printable", 1, "", ["dict"]]])
-        case "other params":
-            return cbor2.dumps(["fields", result, "TaskRefused", ["error", "UserError", "a", "", "ab"]])
-        case "an object array":
-            return cbor2.dumps(["fields", result, "TaskResult", ["array", "|O", [1], bytes(8)]])
-        case "a tag":
-            return cbor2.dumps(["fields", result, "TaskResult", cbor2.CBORTag(35, "(a+)+$")])
-        case "a structure in itself":
-            return bytes.fromhex("d81c81d81d00")
-        case "depth":
-            return b"\x81" * 100_000 + b"\x00"
-    return cbor2.dumps(["fields", result, "TaskResult", 1]) + b"\x00"
-
-
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "pickle", "nothing", "a function", "another module", "an alias", "no class of values",
-        "too few fields", "other kinds", "a class by name", "other params", "an object array", "a tag",
-        "a structure in itself", "depth", "more",
-    ],
-)  # fmt: skip
-def test_what_it_sends_is_never_run(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_pickle", [True, False])
+def test_what_it_sends_is_never_run(is_pickle: bool, tmp_path: Path) -> None:
     """A process that was taken over is ended, and costs one task."""
     file = tmp_path / "harm"
+    forged = pickle.dumps(Harm(file)) if is_pickle else cbor2.dumps([FORMAT, ["make_folders", str(file)]])
 
     async def test(worker: Worker) -> None:
         with pytest.raises(TaskFailed, match="answered nonsense"):
-            await worker.run("forge", forged(kind, file))
+            await worker.run("forge", forged)
         assert not file.exists()
         assert [0, 1] == await worker.run("count", 2)
 
     run(test)
-
-
-def test_an_answer_comes_back_as_it_was() -> None:
-    """Bit by bit: results of this method are compared so."""
-    rig = demo_rig()
-    found = {
-        "rig": rig,
-        (1, "a"): [Status.OK, np.float32(0.1), math.inf, -0.0, 2**60, b"\x00", Path("/a"), frozenset({1})],
-        "arrays": (np.arange(6.0).reshape(2, 3).T, np.zeros((0, 3), np.uint8), np.array(True), np.array("a")),
-    }
-    again = decode_message(encode_message(found))
-    assert found.keys() == again.keys()
-    assert found[1, "a"] == again[1, "a"]
-    assert [type(one) for one in found[1, "a"]] == [type(one) for one in again[1, "a"]]
-    for before, after in zip(found["arrays"], again["arrays"], strict=True):
-        np.testing.assert_array_equal(before, after, strict=True)
-        assert after.flags.writeable
-    assert calibration_identity(rig.left, rig.right, rig.right_from_left) == calibration_identity(
-        again["rig"].left, again["rig"].right, again["rig"].right_from_left
-    )
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user with a capability")

@@ -1,0 +1,22 @@
+"""What a page may ask the cell: one request of each kind."""
+
+from __future__ import annotations
+
+from edged.link import requests as ask
+
+EXAMPLES: tuple[ask.Asked, ...] = (
+    ask.EnterSetup(name="Anna"),
+    ask.RenewLease(token="t"),
+    ask.LeaveSetup(token="t"),
+    ask.EndSetup(name="Ben"),
+    ask.TakePair(token="t"),
+    ask.AdjustCamera(token="t", side="left", exposure_us=500.0),
+    ask.ReadLimits(token="t", side="right"),
+    ask.TryCameras(token="t", changes={}),
+    ask.InstallRelease(author="Anna", note="another rig"),
+    ask.TakeJob(number=1),
+    ask.AskRegisters(),
+    ask.AskExchanges(),
+    ask.AskMetrics(),
+    ask.OnStage(route="PUT /stage", body={"showing": "part", "rings": {"left": 0.5}}),
+)
