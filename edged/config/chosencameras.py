@@ -20,6 +20,8 @@ from edged.errors import ConfigError
 from edged.owners import file_to_read
 
 MAX_BYTES = 64 * 1024
+UNCHOSEN: Mapping[Side, str] = {"left": "to-be-chosen-left", "right": "to-be-chosen-right"}
+"""Devices of a cell whose cameras nobody has chosen yet: no camera answers to them."""
 NAME = "rig.cameras.json"
 """In recordings, whatever the rig's file is called."""
 
