@@ -62,7 +62,9 @@ def config_in(place: Path) -> Path:
 
 
 def new_cell(cameras: list[CameraInfo], recordings: str = "recordings") -> str:
-    """The file's text (`tools/install` asks for it, too). Of two cameras the first is left until a hand waves; else a person chooses.
+    """The file's text. Of two cameras the first is left until a hand waves; else a person chooses.
+
+    recordings : their folder; `tools/install` asks for another one.
 
     >>> 'device = "to-be-chosen-left"' in new_cell([])
     True

@@ -242,6 +242,9 @@ def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> None:
         for screen in SCREENS:
             await page.resize(*screen)
             assert (0, []) == (await page.value(TOO_WIDE), await page.value(CUT_OFF)), screen
+        await page.value('document.querySelector(".stage details").open = true')
+        assert [] == await page.value(CUT_OFF), "beside the stage"
+        await page.value('document.querySelector(".stage details").open = false')
         await page.resize(*SCREENS[0])
         assert ([], []) == (await page.violations(), await page.value(SMALL_TARGETS))
         assert [] == await page.value(
