@@ -147,11 +147,6 @@ teach-number = Nummer an der SPS
 teach-activate = Diesen Auftrag benutzen
 teach-try = Erst ausprobieren
 teach-activate-title = { $name } benutzen?
-teach-note =
-    { $name }, { $count ->
-        [one] { $count } Merkmal
-       *[other] { $count } Merkmale
-    }
 teach-activate-what = Er wird eine eigene Freigabe. Was auch schiefgeht, die alten bleiben; zurück geht es mit einem Schritt in der Liste der Freigaben.
 teach-activated = { $name } ist in Gebrauch, als Freigabe { $number }.
 

@@ -147,11 +147,6 @@ teach-number = Number on the PLC
 teach-activate = Use this job
 teach-try = Try it first
 teach-activate-title = Use { $name }?
-teach-note =
-    { $name }, { $count ->
-        [one] { $count } feature
-       *[other] { $count } features
-    }
 teach-activate-what = It becomes a release of its own. If anything fails, the old one stays; you can return to it in the list of releases.
 teach-activated = { $name } is in use, as release { $number }.
 

@@ -214,7 +214,7 @@ function Activate() {
       isAsked &&
       html`<${Releasing}
         title=${t("teach-activate-title", { name })} label=${t("teach-activate")}
-        suggested=${t("teach-note", { name, count: features.filter(({ taken }) => taken).length })}
+        suggested=${name}
         test=${() => startRegression({ teaching: id })}
         send=${(body) => ask("POST", `teachings/${id}/activate`, body)} onDone=${done}
         onClose=${() => setAsked(false)}
