@@ -6,8 +6,9 @@
 An empty folder, a hand that trembles and misses. It brings the board to the outline that the cell draws, and
 pictures are taken when it is still; when the goal is reached the calibration is solved and activated. Then a
 job is taught from one pair, and a part is laid at N places: each result beside the exact truth. Needs Aravis.
-With --browser all of it is done on the page, in chromium, by clicks and digits alone: left and right by a
-wave, the calibration by the drawn outline, a check, a job by taps, a trial; without Aravis.
+With --browser all of it is done on the page, in chromium, by clicks and digits alone, and clicks are counted
+(also those of the stage's hands): left and right by a wave, light, the calibration by the drawn outline, a
+check, a job, a trial, the robot by touch, until a PLC reads a VALID result; without Aravis.
 """
 
 from __future__ import annotations
@@ -215,7 +216,8 @@ async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, An
         async with stage(folder, world, gige=gige) as (newcomer, _daemon):
             if options.browser:
                 await newcomer.ask("DELETE", "setup", newcomer.token)  # the page takes it
-                found = await set_up(newcomer.origin, (USER, PASSWORD), newcomer.ask, options.goal, TRIED)
+                port = (await newcomer.ask("GET", "plc"))["port"]
+                found = await set_up(newcomer.origin, (USER, PASSWORD), port, options.goal, TRIED)
             else:
                 found = await calibrate(newcomer, options.goal, options.lens)
             error_um = true_error_um(folder / "rig.json", world)

@@ -1,41 +1,56 @@
 """The way of a newcomer on the page, by clicks and digits alone, in a real browser (`tools/bench newcomer`).
 
-What hands do in a cell, those of the stage do: they wave, hold the board where the page draws it, lay parts.
+Hands are those of the stage, at the foot of each page, and their clicks count as all others do.
 """
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 import time
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
+
+from pymodbus.client import ModbusTcpClient
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from helpers.browser import Browser, browser
-from helpers.setuppage import DIALOG, STATE, go, log_in, press, said
+from helpers.setuppage import DIALOG, STATE, press, said
 
-Ask = Callable[..., Awaitable[Any]]
+from edged.plc.registers import RESULT, Flag, decode
+
 SIZE = (1280, 900)
 SQUARE_MM = "4.0"
 LEAST_S = 4.0
-"""Who sees that the board is not where it should be moves it."""
+"""Who sees that nothing came of a press presses once more."""
 LIMIT_S = 900.0
-GHOSTS = """[...document.querySelectorAll(".pair .view svg")].map((view) =>
-  view.querySelector(".ghost polygon")?.getAttribute("points").trim().split(" ")
-    .map((point) => point.split(",").map((value) => Number(value) - 0.5)) ?? [])"""
-"""As drawn: four corners in each picture, raw px; a pixel's middle is half a unit inside the drawing."""
+TOUCHES = 6
 PLACES = 'document.querySelectorAll(".covered").length'
 VIEWS = 'document.querySelectorAll(".strip li").length'
+REACHED = '/reached/.test(document.querySelector(".big.figure")?.innerText ?? "")'
+BORROWED = """document.querySelector("[name=pasted]").value"""
 
 
-async def set_up(origin: str, user: tuple[str, str], ask: Ask, goal_um: float, tried: int) -> dict[str, Any]:
-    """From an empty folder to a cell that is READY with a job; figures by their names.
+class Clicks:
+    """Clicks of each step; a field that is typed into counts as one, for it is clicked first."""
 
-    user : name and password. ask : the stage's hands. goal_um : of the calibration. tried : places.
+    def __init__(self, page: Browser) -> None:
+        self._page, self.by_step = page, dict[str, int]()
+        self._before = 0
+
+    def end(self, step: str) -> None:
+        """A step is done."""
+        self.by_step[step] = self._page.clicks - self._before
+        self._before = self._page.clicks
+
+
+async def set_up(
+    origin: str, user: tuple[str, str], modbus: int, goal_um: float, tried: int
+) -> dict[str, Any]:
+    """From an empty folder to a cell that a PLC reads a VALID result from; figures by their names.
+
+    user : name and password. modbus : the cell's port. goal_um : of the calibration. tried : places.
 
     Raises RuntimeError where there is no chromium.
     """
@@ -43,21 +58,36 @@ async def set_up(origin: str, user: tuple[str, str], ask: Ask, goal_um: float, t
         raise RuntimeError("no chromium")
     begun_s = time.monotonic()
     async with browser() as page:
-        await log_in(page, origin, *user, "/setup", SIZE)
-        await page.click(".lease .primary")
+        clicks = Clicks(page)
+        await log_in(page, origin, *user)
+        clicks.end("log in")
+        await press(page, "Take the cell")
         await page.until('document.querySelector(".lease.mine")')
-        await wave(page, ask)
-        views = await calibrate(page, ask, goal_um)
+        clicks.end("take the cell")
+        await page.click(".stage summary")
+        clicks.end("open the stage")
+        await wave(page)
+        clicks.end("cameras")
+        await light(page)
+        clicks.end("light")
+        views = await calibrate(page, goal_um)
+        clicks.end("calibrate")
         calibrated_s = time.monotonic() - begun_s
-        await check(page, ask)
-        await teach(page, ask)
-        good = await try_out(page, ask, tried)
-        await page.click(".lease button")
-        await confirm(page)
-        await page.until(f'["READY", "BUSY"].includes({STATE})')
+        await check(page)
+        clicks.end("check")
+        await teach(page)
+        clicks.end("teach")
+        good = await try_out(page, tried)
+        clicks.end("try")
+        await register(page)
+        clicks.end("robot")
+        await go_live(page, modbus)
+        clicks.end("go live")
         complaints = len(page.complaints)
     whole_s = time.monotonic() - begun_s
     return {
+        "clicks": sum(clicks.by_step.values()),
+        "clicks_of": clicks.by_step,
         "views": views,
         "calibrated_s": round(calibrated_s, 1),
         "tried_good": good,
@@ -66,53 +96,72 @@ async def set_up(origin: str, user: tuple[str, str], ask: Ask, goal_um: float, t
     }
 
 
-async def confirm(page: Browser, text: str = "") -> None:
-    """Answer a question with yes, and a note where it wants one."""
+async def log_in(page: Browser, origin: str, name: str, password: str) -> None:
+    """By the form, which the page leads to."""
+    await page.open(f"{origin}/setup", *SIZE)
+    await page.until('document.querySelector("#password")')
+    await page.type("#name", name)
+    await page.type("#password", password)
+    await page.click("button")
+    await page.until('document.querySelector("main h1")')
+    page.complaints.clear()  # of the form: that it was typed into before it had the focus
+
+
+async def follow(page: Browser, step: str) -> None:
+    """To a step, by its link."""
+    await page.click(f'.steps a[href="#/{step}"]')
+    await page.until(f"""document.querySelector('main[data-page="{step}"] h1')""")
+
+
+async def release(page: Browser) -> None:
+    """Answer the question of a release with yes, and with the note that stands there, or one word."""
     await page.until(DIALOG)
-    if text:
-        await page.type("dialog[open] input", text)
+    if not await page.value('document.querySelector("dialog[open] [name=note]").value'):
+        await page.type("dialog[open] [name=note]", "first")
     await page.click("dialog[open] .primary")
     await page.until(f"!{DIALOG}")
 
 
-async def wave(page: Browser, ask: Ask) -> None:
+async def wave(page: Browser) -> None:
     """Before the left camera, and only there."""
-    await go(page, "cameras")
-    await ask("PUT", "stage", {"showing": "nothing"})
+    await follow(page, "cameras")
     await press(page, "I wave now")
     await page.until('document.querySelector(".pulse")')
-    await ask("PUT", "stage", {"waving": "left"})
-    await page.until('document.querySelector("#wave").parentElement.querySelector("button:enabled")')
-    await ask("PUT", "stage", {"waving": "none"})
-    if not await page.value(said("The left picture moved")):
-        raise RuntimeError(await page.value('document.querySelector("#wave").parentElement.innerText'))
-
-
-async def calibrate(page: Browser, ask: Ask, goal_um: float) -> int:
-    """Hold the board where it is drawn until the goal is reached, solve, use it; the number of views."""
-    await ask("PUT", "stage", {"showing": "board"})
-    await go(page, "calibrate")
-    await page.type("[name=mm]", SQUARE_MM)
-    await page.type("[name=goal]", f"{goal_um:g}")
-    await press(page, "Begin")
-    await press(page, "Take views automatically")
     begun_s = time.monotonic()
-    last, held_s = "", 0.0
-    while not await page.value('/reached/.test(document.querySelector(".big.figure")?.innerText ?? "")'):
+    while not await page.value(said("The left picture moved")):
+        if time.monotonic() - begun_s > LIMIT_S:
+            raise RuntimeError(await page.value('document.querySelector("#wave").parentElement.innerText'))
+        await press(page, "Wave before the left camera")
+        await page.value(f"new Promise((done) => setTimeout(done, {1e3 * LEAST_S}))")
+
+
+async def light(page: Browser) -> None:
+    """By the board, and as the page advises."""
+    await press(page, "Hold the board")
+    await follow(page, "light")
+    if await page.value(said("It is there")):
+        await press(page, "It is there")
+    await long(page, 'document.querySelectorAll(".quality").length === 2')
+
+
+async def calibrate(page: Browser, goal_um: float) -> int:
+    """Hold the board where it is drawn until the goal is reached, solve, use it; the number of views."""
+    await follow(page, "calibrate")
+    await page.type("[name=mm]", SQUARE_MM)
+    if goal_um != float(await page.value('document.querySelector("[name=goal]").value')):
+        await page.type("[name=goal]", f"{goal_um:g}")
+    await press(page, "Begin, and take views automatically")
+    await press(page, "Follow the dashed place")
+    begun_s = time.monotonic()
+    while not await page.value(REACHED):
         if time.monotonic() - begun_s > LIMIT_S:
             raise RuntimeError(await page.value("document.querySelector('main').innerText"))
-        left, right = await page.value(GHOSTS)
-        drawn = json.dumps(left)
-        is_due = drawn != last or time.monotonic() - held_s > LEAST_S
-        if len(left) == 4 and is_due and not (await ask("GET", "stage"))["moving"]:
-            last, held_s = drawn, time.monotonic()
-            await ask("PUT", "stage/hand", {"left": left, "right": right})
         await page.value("new Promise((done) => setTimeout(done, 100))")
     views = int(await page.value(VIEWS))
     await press(page, "Solve")
     await long(page, 'document.querySelector("#solve").parentElement.querySelector("dl")')
     await press(page, "Use this calibration")
-    await confirm(page, "the first")
+    await release(page)
     await long(page, said("In use, as release"))
     return views
 
@@ -122,25 +171,24 @@ async def long(page: Browser, expression: str) -> None:
     begun_s = time.monotonic()
     while not await page.value(f"Boolean({expression})"):
         if time.monotonic() - begun_s > LIMIT_S:
-            raise RuntimeError(f"never true: {expression}")
+            raise RuntimeError(f"never true: {expression}: {await page.value('document.body.innerText')}")
         await page.value("new Promise((done) => setTimeout(done, 200))")
 
 
-async def check(page: Browser, ask: Ask) -> None:
-    """This board once more, held still."""
-    await ask("PUT", "stage/hand", {})
-    await ask("PUT", "stage", {"still": True})
-    await go(page, "check")
+async def check(page: Browser) -> None:
+    """This board once more."""
+    await press(page, "Lay the board down")
+    await follow(page, "check")
     await press(page, "Check now")
     await long(page, 'document.querySelector(".checked .big.figure strong")')
     if not await page.value(said("The calibration holds")):
         raise RuntimeError(await page.value('document.querySelector(".checked").innerText'))
 
 
-async def teach(page: Browser, ask: Ask) -> None:
-    """One pair; the part is tapped where it is drawn, and what is proposed is taken."""
-    await ask("PUT", "stage", {"showing": "part"})
-    await go(page, "teach")
+async def teach(page: Browser) -> None:
+    """One pair; what is proposed is taken."""
+    await press(page, "Lay the part")
+    await follow(page, "teach")
     await press(page, "Take the pair")
     await long(page, 'document.querySelectorAll("[data-side=left] .feature.taken").length > 3')
     await press(page, "Where the part is")
@@ -148,20 +196,63 @@ async def teach(page: Browser, ask: Ask) -> None:
     await page.click("[data-side=left] .feature[data-key=c0]")
     await long(page, '!document.querySelector("progress") && document.querySelector(".feature.taken")')
     await press(page, "Use this job")
-    await confirm(page, "the first part")
+    await release(page)
     await long(page, said("is in use, as release"))
 
 
-async def try_out(page: Browser, ask: Ask, tried: int) -> int:
+async def try_out(page: Browser, tried: int) -> int:
     """The part at several places; at how many of them the page draws that it was good."""
-    await go(page, "try")
+    await follow(page, "try")
     await press(page, "Try it live")
     await long(page, f"{PLACES} > 0")
     for _ in range(tried):
         before, begun_s = await page.value(PLACES), time.monotonic()
-        await ask("POST", "stage/lay", {})
+        await press(page, "Lay the part somewhere else")
         while await page.value(PLACES) == before and time.monotonic() - begun_s < LEAST_S:
             await page.value("new Promise((done) => setTimeout(done, 100))")
     good = int(await page.value(PLACES)) - 1
-    await press(page, "Stop")
+    await press(page, "Hold still, 30 pictures")
+    await long(page, 'document.querySelector("main .verdict .shape")')
     return good
+
+
+async def register(page: Browser) -> None:
+    """By touching points of the board, proved by one more."""
+    await press(page, "Hold the board")
+    await follow(page, "robot")
+    await press(page, "Begin")
+    await press(page, "Take a picture of it")
+    await page.until('document.querySelectorAll(".robot-look .place").length > 5')
+    for count in range(1, TOUCHES + 1):
+        await press(page, "Stage: what the virtual robot shows")
+        await page.until(BORROWED)
+        await press(page, "Add this point")
+        await page.until(f"{BORROWED} === '' && {said(f'Points and poses ({count})')}")
+        if await page.value(said("All of them agree.")) and count >= TOUCHES - 1:
+            break
+    await press(page, "Keep this registration")
+    await page.until(said("The check: go to this place"))
+    await press(page, "Stage: what the virtual robot shows")
+    await press(page, "How far was it off?")
+    await page.until(said("Off by "))
+    await press(page, "Use this registration")
+    await release(page)
+    await long(page, said("In use, as release"))
+
+
+async def go_live(page: Browser, modbus: int) -> None:
+    """Give the cell back, and let a PLC read."""
+    await press(page, "Lay the part")
+    await follow(page, "plc")
+    await page.click("main .primary.big")
+    await page.until(DIALOG)
+    await page.click("dialog[open] .primary")
+    await long(page, f'["READY", "BUSY"].includes({STATE})')
+    begun_s = time.monotonic()
+    with ModbusTcpClient("127.0.0.1", port=modbus, timeout=5) as plc:
+        while time.monotonic() - begun_s < LIMIT_S:
+            read = plc.read_input_registers(RESULT.address, count=RESULT.words)
+            if int(decode(RESULT, read.registers)["FLAGS"]) & Flag.VALID:
+                return
+            await page.value("new Promise((done) => setTimeout(done, 100))")
+    raise RuntimeError("no VALID result over Modbus")

@@ -40,7 +40,12 @@ def doctor(
 
 @app.command()
 def run(
-    config: Annotated[Path, typer.Argument(help="configuration file, see config/cell.toml")],
+    config: Annotated[
+        Path,
+        typer.Argument(
+            help="configuration file, see config/cell.toml; or a folder: a cell.toml is made there"
+        ),
+    ],
     page_user: Annotated[
         str | None,
         typer.Option(

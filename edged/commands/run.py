@@ -13,19 +13,21 @@ from edged.app.daemon import Daemon
 from edged.app.pagesource import awaited_page
 from edged.app.process import log_as, serve, set_up_process
 from edged.app.servers import import_servers
+from edged.commands.newcell import config_in
 from edged.setup.releases.installing import finish_installation
 
 log = logging.getLogger(__name__)
 
 
 def run(path: Path, page_user: str | None = None) -> int:
-    """Run the daemon of a configuration file until SIGTERM or SIGINT.
+    """Run the daemon of a configuration file, or of a folder with one, until SIGTERM or SIGINT.
 
     page_user : of the page, where it is a service of its own; None: the daemon starts it. Raises `UserError`.
     """
     set_up_process()
     awaited = None if page_user is None else awaited_page(page_user)
     faulthandler.enable()  # the watchdog's SIGABRT, as any crash, leaves every thread's stack in the log
+    path = config_in(path)
     finish_installation(path)
     loaded = load_any_cell(path)
     log_as(loaded.cell.config.cell.name)

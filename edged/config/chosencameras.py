@@ -18,6 +18,8 @@ from edged.config.chosen import choice_of, read_choice
 from edged.config.fields import Section
 from edged.domain.arrays import SIDES, Side
 
+UNCHOSEN: Mapping[Side, str] = {"left": "to-be-chosen-left", "right": "to-be-chosen-right"}
+"""Devices of a cell whose cameras nobody has chosen yet: no camera answers to them."""
 NAME = "rig.cameras.json"
 """In recordings, whatever the rig's file is called."""
 

@@ -48,12 +48,16 @@ class Gone(Exception):
 
 
 class Browser:
-    """One page. complaints : what its console said: errors, and what the security policy forbade."""
+    """One page.
+
+    complaints : what its console said: errors, and what the security policy forbade. clicks : made so far.
+    """
 
     def __init__(self, devtools: aiohttp.ClientWebSocketResponse) -> None:
         self._devtools = devtools
         self._number = 0
         self.complaints: list[str] = []
+        self.clicks = 0
 
     async def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
         """One command of the protocol, and its result."""
@@ -128,6 +132,7 @@ class Browser:
 
     async def click_on(self, element: str) -> None:
         """The same for an expression; once more where the page moved it away under the pointer."""
+        self.clicks += 1
         while True:
             x, y = await self._middle(element)
             await self.value(f"({GUARD})(document.elementFromPoint({x}, {y}))")

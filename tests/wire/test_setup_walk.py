@@ -53,6 +53,9 @@ ENTERED = {
     "plc": said("Modbus TCP 127.0.0.1:"),
 }
 """What shows that the cell has kept what was done on a page; without a line here: its heading."""
+BESIDE_STAGE = """(document.querySelector(".foot")?.getBoundingClientRect().top ?? innerHeight)
+  - document.querySelector(".stage").getBoundingClientRect().bottom"""
+"""Height of the slit between the stage, where it is pinned, and what is below it."""
 OTHERS = ["viewer", "operator"]
 """Who may not set the cell up."""
 ALONE = {"light"}
@@ -242,6 +245,13 @@ def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> None:
         for screen in SCREENS:
             await page.resize(*screen)
             assert (0, []) == (await page.value(TOO_WIDE), await page.value(CUT_OFF)), screen
+        await page.resize(360, 740)
+        await page.value("scrollTo(0, 0)")
+        assert await page.value(BESIDE_STAGE) < 1, "something shows below the stage"
+        await page.resize(1280, 900)
+        await page.value('document.querySelector(".stage details").open = true')
+        assert [] == await page.value(CUT_OFF), "beside the stage"
+        await page.value('document.querySelector(".stage details").open = false')
         await page.resize(*SCREENS[0])
         assert ([], []) == (await page.violations(), await page.value(SMALL_TARGETS))
         assert [] == await page.value(

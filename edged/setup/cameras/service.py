@@ -10,7 +10,7 @@ from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
 from edged.config.cameras import CameraSection
-from edged.config.chosencameras import ChosenCamera
+from edged.config.chosencameras import UNCHOSEN, ChosenCamera
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import UserError
@@ -119,6 +119,14 @@ class CameraService:
             changes[other] = _with_camera(before)
         elif (kept := self._cell.session.camera_changes.get(other)) is not None and kept.device is not None:
             changes[other] = ChosenCamera(device=kept.device, serial=kept.serial)
+        elif devices[other] == UNCHOSEN[other]:
+            # neither can be tried alone: the other one is the only one left, or it takes a second camera
+            rest = [info for info in cameras if info is not wanted and info.control in ("", "free")]
+            if len(rest) != 1:
+                raise UserError(
+                    f"two free cameras are needed, and {len(rest) + 1} answer: unplug the others for a moment"
+                )
+            changes[other] = _with_camera(rest[0])
         await self._try(token, changes)
 
     async def keep(self, token: str) -> None:

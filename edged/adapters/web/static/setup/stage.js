@@ -18,6 +18,25 @@ const compare = () =>
     () => {},
   );
 const WAVE_MS = 4000;
+// The hand brings the board to each new dashed place by itself, and looks again whether it is there.
+const isFollowing = signal(false);
+const LOOK_MS = 4000;
+const THERE = 0.8; // moved again, it would not come to rest
+const bring = ({ left, right }) => tell("PUT", "stage/hand", { left, right });
+function useFollowing(ghost) {
+  const isDue = isFollowing.value && ghost;
+  const place = isDue ? ghost.left.join() : "";
+  useEffect(() => {
+    if (!place) return undefined;
+    const look = () => {
+      const { suggestion, in_ghost } = draft.value ?? {};
+      if (suggestion && (in_ghost ?? 0) < THERE) bring(suggestion);
+    };
+    bring(draft.value.suggestion);
+    const timer = setInterval(look, LOOK_MS);
+    return () => clearInterval(timer);
+  }, [place]);
+}
 async function wave(side) {
   await tell("PUT", "stage", { waving: side });
   setTimeout(() => tell("PUT", "stage", { waving: "none" }), WAVE_MS);
@@ -37,11 +56,12 @@ export function Stage() {
     const timer = setInterval(compare, TRUTH_MS);
     return () => clearInterval(timer);
   }, []);
+  const ghost = draft.value?.suggestion;
+  useFollowing(ghost);
   if (!stage.value) return null;
-  const { showing, waving, rings, board } = stage.value;
+  const { showing, waving, rings, board, still } = stage.value;
   const [, size, mm] = board.split(":");
   const [columns, rows] = size.split("x");
-  const ghost = draft.value?.suggestion;
   return html`<aside class="stage" aria-label=${t("stage-title")}>
     <details>
       <summary>${t("stage-title")}</summary>
@@ -56,10 +76,16 @@ export function Stage() {
         )}
         <button onClick=${() => tell("POST", "stage/lay", {})}>${t("stage-lay")}</button>
         <button
-          disabled=${!ghost}
-          onClick=${() => tell("PUT", "stage/hand", { left: ghost.left, right: ghost.right })}
+          aria-pressed=${still} disabled=${showing !== "board"}
+          onClick=${() => tell("PUT", "stage", { still: !still })}
         >
-          ${t("stage-hand")}
+          ${t("stage-still")}
+        </button>
+        <button disabled=${!ghost} onClick=${() => bring(ghost)}>${t("stage-hand")}</button>
+        <button
+          aria-pressed=${isFollowing.value} onClick=${() => (isFollowing.value = !isFollowing.value)}
+        >
+          ${t("stage-follow")}
         </button>
         ${SIDES.map(
           (side) => html`<button aria-pressed=${waving === side} onClick=${() => wave(side)}>

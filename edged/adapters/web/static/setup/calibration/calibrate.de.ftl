@@ -110,6 +110,7 @@ solved-moved = Punkte verschoben gegen die Kalibrierung davor um
 solved-report = Bericht (neues Fenster)
 activate = Diese Kalibrierung benutzen
 activate-title = Diese Kalibrierung benutzen?
+activate-note = Kalibrierung, ± { $sigma } µm
 activate-what = Sie wird eine eigene Freigabe. Was auch schiefgeht, die alte bleibt; zurück geht es mit einem Schritt in der Liste der Freigaben.
 activated = In Gebrauch, als Freigabe { $number }.
 other-board = Die Bilder zeigen eine andere Tafel als die angegebene: { $board }. Zählen Sie, wo vier Felder sich treffen, nicht die Felder; beginnen Sie mit der richtigen neu.

@@ -110,6 +110,7 @@ solved-moved = Points moved against the previous rig by
 solved-report = Report (new tab)
 activate = Use this calibration
 activate-title = Use this calibration?
+activate-note = Calibration, ± { $sigma } µm
 activate-what = It becomes a release of its own. If anything fails, the old one stays; you can return to it in the list of releases.
 activated = In use, as release { $number }.
 other-board = The pictures show another board than the one stated: { $board }. Count where four squares meet, not the squares; begin again with the right one.

@@ -86,7 +86,7 @@ function Board() {
   const [mm, setMm] = useKept("calibrate-mm", null);
   const [goal, setGoal] = useKept("calibrate-goal", GOAL_UM);
   const [size, setSize] = useKept("calibrate-size", SIZE);
-  const begin = () =>
+  const begin = (isAuto) =>
     attempt(async () => {
       draft.value = await newest(
         draft,
@@ -95,6 +95,7 @@ function Board() {
           goal_um: goal,
         }),
       );
+      if (isAuto) await change("PUT", "/auto", { token: token.value, on: true });
     });
   return html`<section aria-labelledby="board">
     <h2 id="board">${t("board-title")}</h2>
@@ -117,7 +118,10 @@ function Board() {
     </div>
     <p class="hint"><${Shape} is="doubt" /> ${t("board-proof")}</p>
     <div class="actions">
-      <button class="primary" disabled=${mm === null || !mayTake.value} onClick=${begin}>
+      <button class="primary" disabled=${mm === null || !holds.value} onClick=${() => begin(true)}>
+        ${t("board-begin-auto")}
+      </button>
+      <button disabled=${mm === null || !mayTake.value} onClick=${() => begin(false)}>
         ${t("board-begin")}
       </button>
     </div>
@@ -408,6 +412,7 @@ function Solved({ rms_px, heldout_px, sigma_um, moved_um, verdict, figures }) {
       isAsked &&
       html`<${Releasing}
         title=${t("activate-title")} label=${t("activate")}
+        suggested=${t("activate-note", { sigma: micrometres(worst(sigma_um)) })}
         test=${() => startRegression({ calibration: draft.value.id })}
         send=${(body) => ask("POST", `${place()}/activate`, body)} onDone=${done}
         onClose=${() => setAsked(false)}

@@ -177,6 +177,11 @@ robot-off-by = { $mm } mm daneben.
 robot-off-more = Das ist viel: tasten Sie mehr Stellen an, oder sehen Sie nach, ob der TCP stimmt.
 robot-activate = Diese Registrierung verwenden
 robot-activate-title = Diese Registrierung verwenden?
+robot-note =
+    { $brand }, { $count ->
+        [one] { $count } Messung
+       *[other] { $count } Messungen
+    }
 robot-activate-what = Von da an gibt die Zelle alle Ergebnisse in den Koordinaten des Roboters. Es wird ein eigenes Release; zurück geht es mit einem Tippen auf der Seite System.
 robot-activated = In Gebrauch, als Release { $number }.
 robot-active = In Gebrauch.

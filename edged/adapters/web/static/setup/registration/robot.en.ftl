@@ -177,6 +177,11 @@ robot-off-by = Off by { $mm } mm.
 robot-off-more = That is a lot: touch more places, or check the TCP.
 robot-activate = Use this registration
 robot-activate-title = Use this registration?
+robot-note =
+    { $brand }, { $count ->
+        [one] { $count } sample
+       *[other] { $count } samples
+    }
 robot-activate-what = The cell gives all results in the robot's coordinates from then on. It becomes a release of its own; going back is one tap on the System page.
 robot-activated = In use, as release { $number }.
 robot-active = In use.

@@ -311,7 +311,8 @@ function Keep() {
   const { good, solved, active, judging } = current.draft.value;
   const [isAsked, setAsked] = useState(false);
   const [release, setRelease] = useState(null);
-  const { id } = current.draft.value;
+  const { id, brand, samples } = current.draft.value;
+  const note = { brand: BRANDS[brand] ?? "", count: samples.filter(({ used }) => used).length };
   const done = async (made) => {
     setRelease(made);
     await find(id);
@@ -348,7 +349,7 @@ function Keep() {
     ${
       isAsked &&
       html`<${Releasing}
-        title=${t("robot-activate-title")} label=${t("robot-activate")}
+        title=${t("robot-activate-title")} label=${t("robot-activate")} suggested=${t("robot-note", note)}
         send=${(body) => ask("POST", `registrations/${id}/activate`, body)} onDone=${done}
         onClose=${() => setAsked(false)}
       >

@@ -38,19 +38,20 @@ function Signature({ barred, test, reason, onReason, onClose }) {
   </div>`;
 }
 
-// send(body): the request; onDone(answer). label: of the button.
+// send(body): the request; onDone(answer). label: of the button. suggested: a note, to be changed or taken.
 export function Releasing({
   title,
   label,
   isReady = true,
   barred: known = null,
+  suggested = "",
   test,
   send,
   onDone,
   onClose,
   children,
 }) {
-  const [note, setNote] = useState("");
+  const [note, setNote] = useState(suggested);
   const [reason, setReason] = useState("");
   const [barred, setBarred] = useState(known);
   const [failed, setFailed] = useState(null);

@@ -6,7 +6,7 @@ import { ask, attempt, glance, sentence } from "../shared/api.js";
 import { Begun, Discard, discard } from "../shared/drafts.js";
 import { cell, holds, look, mayTake, newest, SIDES, sign, token, useFresh } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
-import { Shape, say } from "../shared/pieces.js";
+import { Shape, say, useMainAction } from "../shared/pieces.js";
 import { moment, t } from "../shared/texts.js";
 import { Drawing } from "./drawing.js";
 import {
@@ -48,6 +48,7 @@ function Begin() {
   const goOn = (id) => attempt(async () => open(await newest(pushed, ask("GET", `teachings/${id}`))));
   const known = (jobs.value ?? []).filter(({ retired }) => !retired);
   const fresh = { token: token.value };
+  useMainAction(holds.value && !isTaking && t("teach-take"), () => begin(fresh));
   return html`<h1>${t("teach-title")}</h1>
     <p class="lead">${t("teach-what")}</p>
     <${Pair} />
@@ -213,6 +214,7 @@ function Activate() {
       isAsked &&
       html`<${Releasing}
         title=${t("teach-activate-title", { name })} label=${t("teach-activate")}
+        suggested=${name}
         test=${() => startRegression({ teaching: id })}
         send=${(body) => ask("POST", `teachings/${id}/activate`, body)} onDone=${done}
         onClose=${() => setAsked(false)}

@@ -1,0 +1,57 @@
+"""The pages in another browser than Chromium."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from helpers.browsersession import PASSWORD
+from helpers.firefox import PROGRAM, firefox
+from helpers.setuppage import DIALOG, STEPS, TOO_WIDE, log_in, press, said
+from helpers.stagecell import Newcomer, run
+
+from edged.commands.stage import USER
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which(PROGRAM) is None, reason=f"no {PROGRAM}"),
+]
+OUTLINED = (
+    'document.querySelectorAll(".seen polygon").length === 2 && document.querySelector(".ghost polygon")'
+)
+LIVE = 'document.querySelectorAll(".view canvas:not([hidden])").length === 2'
+
+
+def test_firefox_logs_in_takes_the_cell_and_sees_every_page(tmp_path: Path) -> None:
+    """Live pictures come, a view is taken, no page is too wide for a phone, and its console says nothing."""
+
+    async def test(newcomer: Newcomer) -> None:
+        await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
+        async with firefox() as page:
+            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+            await press(page, "Take over")
+            await page.until(DIALOG)
+            await page.click("dialog[open] .primary")
+            await page.until('document.querySelector(".lease.mine")')
+            for step in STEPS:
+                await page.value(f'location.hash = "#/{step}"')
+                await page.until(f"""document.querySelector('main[data-page="{step}"] h1')""")
+                await page.resize(360, 740)
+                assert 0 == await page.value(TOO_WIDE), step
+                await page.resize(1280, 900)
+            await page.click('.steps a[href="#/welcome"], header a[href="#/welcome"]')
+            await page.click('.steps a[href="#/calibrate"]')
+            await page.until(said("Which board?"))
+            await page.until(LIVE)
+            await page.type("[name=mm]", "4,0")
+            await press(page, "Begin")
+            await page.until(OUTLINED)
+            await press(page, "Take this view now")
+            await page.until('document.querySelectorAll(".strip li").length === 1')
+            await page.until(
+                '[...document.querySelectorAll(".strip img")].every((image) => image.naturalWidth)'
+            )
+            assert [] == page.complaints
+
+    run(tmp_path, test, gige=False)
