@@ -38,7 +38,7 @@ class Losses:
 def test_a_lost_frame_costs_no_action_of_a_second_pass(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Test pair, part, other part, board, other board, check, touch, other robot, trial: each with a loss."""
+    """Test pair, part, other part, board, other board, check, touch, other robot: each with a loss."""
     save_rig(tmp_path / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": BOARD})
 
     async def test(newcomer: Newcomer) -> None:
