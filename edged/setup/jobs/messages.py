@@ -17,7 +17,7 @@ _KINDS = {
     "edged.domain.measurement": "Status",
     "edged.domain.picking": "Bounds Box Grasp Order Picking",
     "edged.files.recording": "Entry",
-    "edged.robot.orientations": "Convention",
+    "edged.robot.orientations": "Brand Convention",
     "edged.robot.readings": "PoseReading",
     "edged.setup.calibration.checking": "Finding Limits",
     "edged.setup.calibration.drafts": "Solution",
@@ -58,6 +58,7 @@ _KINDS = {
     "edged.vision.part.job": (
         "CircleFeature CornerFeature EdgeFeature Job MeasurementSpec ModelPoint ResultLimits SlotFeature"
     ),
+    "edged.vision.part.traced": "TracedCurve",
     "edged.vision.shape.model": "ShapeLevel ShapeModel",
     "edged.vision.shape.params": "SearchParams",
 }

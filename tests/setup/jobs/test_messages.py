@@ -28,6 +28,7 @@ from edged.domain.measurement import Status
 from edged.errors import CalibrationError, ConfigError
 from edged.files.recording import Entry
 from edged.link.values import CODEC as LINK
+from edged.robot.orientations import Brand
 from edged.setup.calibration import service as calibration
 from edged.setup.jobs import workerprocess
 from edged.setup.jobs.messages import CODEC, decode_message, encode_message
@@ -41,8 +42,8 @@ from edged.sim.cell import demo_rig
 from edged.vision.geometry.camera import calibration_identity
 
 SERVICES = (calibration, registration, teaching, trials, recordings, regressions)
-NOT_DECLARED = {Status}
-"""In fields that may hold anything: the status of a cycle that was tried again."""
+NOT_DECLARED = {Brand, Status}
+"""In fields that may hold anything: a reading's robot, and the status of a cycle that was tried again."""
 
 
 def test_the_list_has_what_the_tasks_take_and_give_and_no_more() -> None:
