@@ -114,11 +114,11 @@ def test_a_head_beyond_all_numbers_is_no_head() -> None:
         assert None is head_in(f'{{"number": {value}, "hash": "x"}}'.encode())
 
 
-@pytest.mark.parametrize("source", sorted((Path(__file__).parents[1] / "edged").rglob("*.py")), ids=str)
-def test_digits_are_those_of_ascii(source: Path) -> None:
+def test_digits_are_those_of_ascii() -> None:
     r"""`\d`, isdigit and isdecimal take digits of every alphabet, and `int` then reads them."""
-    found = re.findall(r"\\d\b|\\d[+*{?)\]]|\.is(?:digit|decimal|numeric)\(", source.read_text())
-    assert [] == found
+    any_digit = re.compile(r"\\d\b|\\d[+*{?)\]]|\.is(?:digit|decimal|numeric)\(")
+    sources = (Path(__file__).parents[1] / "edged").rglob("*.py")
+    assert [] == [(source, found) for source in sources if (found := any_digit.findall(source.read_text()))]
 
 
 def test_a_picture_numbered_in_another_alphabet_counts_for_nothing(tmp_path: Path) -> None:

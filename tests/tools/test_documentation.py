@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 DOCS = ROOT / "docs"
 PAGES = [README, ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+TEXTS = {page: page.read_text() for page in PAGES}
 COMMAND = re.compile(r"(?<![\w/.-])edged (?P<name>[a-z][a-z-]*)(?P<rest>[^\n`|;&>#]*)")
 TOOL = re.compile(r"(?<![\w./-])tools/(?P<name>[\w.]+)(?P<rest>[^\n`|;&>#]*)")
 FILE = re.compile(r"(?<![\w./<-])(?:(?:tools|tests|config|systemd)/[\w./-]*\w|edged/[\w/]+\.py)")
@@ -70,25 +71,26 @@ def _anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_every_option_in_the_documentation_exists(page: Path) -> None:
+@pytest.mark.slow
+def test_every_option_in_the_documentation_exists() -> None:
     """Of every command line on every page."""
-    for line, given, takes in _commands(page.read_text()):
-        assert set(given) <= takes, line
+    for page, text in TEXTS.items():
+        for line, given, takes in _commands(text):
+            assert set(given) <= takes, (page, line)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_every_tool_in_the_documentation_exists(page: Path) -> None:
+def test_every_tool_in_the_documentation_exists() -> None:
     """And its options stand in its source."""
-    for tool, given in _tools(page.read_text()):
-        assert tool.is_file(), tool
-        assert [] == [option for option in given if option not in tool.read_text()], tool
+    for page, text in TEXTS.items():
+        for tool, given in _tools(text):
+            assert tool.is_file(), (page, tool)
+            assert [] == [option for option in given if option not in tool.read_text()], (page, tool)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_every_file_in_the_documentation_exists(page: Path) -> None:
+def test_every_file_in_the_documentation_exists() -> None:
     """Tests, tools, sources and examples that are named by their path."""
-    assert [] == [file for file in FILE.findall(page.read_text()) if not (ROOT / file).exists()]
+    named = [(page, file) for page, text in TEXTS.items() for file in FILE.findall(text)]
+    assert [] == [(page, file) for page, file in named if not (ROOT / file).exists()]
 
 
 def test_every_link_leads_somewhere() -> None:
@@ -133,27 +135,25 @@ REGISTERS = re.compile(
 """A register, a block, or several, and in brackets where: "START_EPOCH (344", "SIGMA_X, SIGMA_Y (324-325"."""
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_each_register_that_the_documents_name_lies_where_they_say(page: Path) -> None:
+def test_each_register_that_the_documents_name_lies_where_they_say() -> None:
     """Its first word; of several, and of a block, the first and the last one."""
     places = defaultdict[str, set[tuple[int, int]]](set)
     for block in BLOCKS:
         places[block.name.upper()].add((block.address, block.address + block.words - 1))
         for register in block.registers:
             places[register.name].add((register.address, register.address + register.kind.words - 1))
-    for found in REGISTERS.finditer(page.read_text()):
+    for found in (found for text in TEXTS.values() for found in REGISTERS.finditer(text)):
         names = found["names"].split(", ")
         if set(names) <= places.keys():
             assert int(found["first"]) in {first for first, _ in places[names[0]]}, found[0]
-            assert not found["last"] or int(found["last"]) in {last for _, last in places[names[-1]]}, found[
-                0
-            ]
+            lasts = {last for _, last in places[names[-1]]}
+            assert not found["last"] or int(found["last"]) in lasts, found[0]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_each_bit_of_the_status_that_the_documents_name_is_the_one_they_say(page: Path) -> None:
+def test_each_bit_of_the_status_that_the_documents_name_is_the_one_they_say() -> None:
     """ "READY (201, bit 0)"; "ACK (bit 1)" is a bit of the same word."""
-    for name, number in re.findall(r"([A-Z_]{2,}) \((?:201, )?bit (\d+)\)", page.read_text()):
+    named = re.compile(r"([A-Z_]{2,}) \((?:201, )?bit (\d+)\)")
+    for name, number in (found for text in TEXTS.values() for found in named.findall(text)):
         if name in StatusBit.__members__:
             assert 1 << int(number) == StatusBit[name], name
 
@@ -199,10 +199,9 @@ CAPITALS = re.compile(r"\b(?:[A-Z]+[a-z]+){2,}\b|\b[A-Z]{2,}(?:_[A-Z0-9]+)+\b")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_every_name_in_the_documentation_exists(page: Path) -> None:
+def test_every_name_in_the_documentation_exists() -> None:
     """Classes and constants in code, and options that a sentence names without their command."""
-    spans = SPAN.findall(FENCED.sub("", page.read_text()))
+    spans = [span for text in TEXTS.values() for span in SPAN.findall(FENCED.sub("", text))]
     named = [name for span in spans for name in CAPITALS.findall(span)]
     named += [span.split()[0].partition("=")[0] for span in spans if span.startswith("--")]
 
@@ -210,10 +209,10 @@ def test_every_name_in_the_documentation_exists(page: Path) -> None:
     assert [] == [name for name in named if name not in known]
 
 
-@pytest.mark.parametrize("page", [ROOT / "CONTRIBUTING.md", *(DOCS / "explanation").glob("*.md")], ids=_name)
-def test_every_folder_that_is_explained_exists(page: Path) -> None:
+def test_every_folder_that_is_explained_exists() -> None:
     """Packages by path, and modules by name: `edged/cell`, `edged.vision.part`."""
-    text = page.read_text()
+    about = (ROOT / "CONTRIBUTING.md", *(DOCS / "explanation").glob("*.md"))
+    text = "\n".join(TEXTS[page] for page in about)
     places = [*FOLDER.findall(text), *(module.replace(".", "/") for module in MODULE.findall(text))]
     places = [re.sub("/[A-Z]+(?=[./]|$).*", "", place) for place in places]  # FORMAT stands for any
 
@@ -225,10 +224,9 @@ def test_every_folder_that_is_explained_exists(page: Path) -> None:
 MODULE = re.compile(r"(?<=`)edged(?:\.[a-z]+)+(?=`)")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_each_number_that_is_marked_is_that_of_the_code(page: Path) -> None:
+def test_each_number_that_is_marked_is_that_of_the_code() -> None:
     """Limits and times, in the unit of the sentence."""
-    for found in MARKED.finditer(page.read_text()):
+    for found in (found for text in TEXTS.values() for found in MARKED.finditer(text)):
         value = getattr(importlib.import_module(found["module"]), found["name"])
         factor = float((found["scale"] or "* 1").split()[1])
         expected = value / factor if "/" in (found["scale"] or "") else value * factor
