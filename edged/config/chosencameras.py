@@ -12,14 +12,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
+from edged.config.chosen import choice_of, read_choice
 from edged.config.fields import Section
 from edged.domain.arrays import SIDES, Side
-from edged.errors import ConfigError
-from edged.owners import file_to_read
 
-MAX_BYTES = 64 * 1024
 NAME = "rig.cameras.json"
 """In recordings, whatever the rig's file is called."""
 
@@ -64,28 +62,12 @@ def chosen_file(rig: Path) -> Path:
 
 def read_chosen(rig: Path) -> bytes | None:
     """Read the choice; None without one. Raises `ConfigError`."""
-    file = chosen_file(rig)
-    try:
-        with file_to_read(file) as opened:
-            content = opened.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise ConfigError(str(file), [f"{file.name}: cannot be read: {error.strerror or error}"]) from error
-    if len(content) > MAX_BYTES:
-        raise ConfigError(str(file), [f"{file.name}: larger than 64 KiB: no chosen cameras"])
-    return content
+    return read_choice(chosen_file(rig), "cameras")
 
 
 def chosen_of(content: bytes, file: Path) -> ChosenCameras:
     """Parse a choice. Raises `ConfigError`."""
-    try:
-        return ChosenCameras.model_validate(json.loads(content))
-    except (ValueError, RecursionError) as error:
-        # written by the daemon: an error means a damaged file, not a typing error
-        why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "not JSON"
-        remedy = "remove it, and the cameras are as they are configured"
-        raise ConfigError(str(file), [f"{file.name}: no chosen cameras: {why}; {remedy}"]) from error
+    return choice_of(ChosenCameras, content, file, "cameras", "the cameras are as they are configured")
 
 
 def with_changes(before: bytes | None, file: Path, changes: Mapping[Side, Mapping[str, Any]]) -> bytes:

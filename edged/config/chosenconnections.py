@@ -6,18 +6,12 @@ The configuration is the administrator's, and the page cannot write it. What was
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
+from edged.config.chosen import choice_of, read_choice
 from edged.config.fields import Section
-from edged.errors import ConfigError
-from edged.owners import file_to_read
-
-MAX_BYTES = 64 * 1024
 
 
 class ChosenConnections(Section):
@@ -52,25 +46,10 @@ def connections_file(rig: Path) -> Path:
 
 def read_connections(rig: Path) -> bytes | None:
     """Read the choice; None without one. Raises `ConfigError`."""
-    file = connections_file(rig)
-    try:
-        with file_to_read(file) as opened:
-            content = opened.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise ConfigError(str(file), [f"{file.name}: cannot be read: {error.strerror or error}"]) from error
-    if len(content) > MAX_BYTES:
-        raise ConfigError(str(file), [f"{file.name}: larger than 64 KiB: no chosen connections"])
-    return content
+    return read_choice(connections_file(rig), "connections")
 
 
 def connections_of(content: bytes, file: Path) -> ChosenConnections:
     """Parse a choice. Raises `ConfigError`."""
-    try:
-        return ChosenConnections.model_validate(json.loads(content))
-    except (ValueError, RecursionError) as error:
-        # written by the page: an error means a damaged file, not a typing error
-        why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "not JSON"
-        remedy = "remove it, and PLCs and robots connect as configured"
-        raise ConfigError(str(file), [f"{file.name}: no chosen connections: {why}; {remedy}"]) from error
+    without = "PLCs and robots connect as configured"
+    return choice_of(ChosenConnections, content, file, "connections", without)
