@@ -38,7 +38,7 @@ TEXT, SHAPE = "job.toml", "shape.npz"
 BODY = "body_"
 """Before the names of the arrays of the part's surface, beside those of its shape."""
 TRACED = "traced_"
-"""The same of its outlines that are no features."""
+"""Before the names of the arrays of its outlines that are no features."""
 REPLACED = ".old"
 """Ends the name of each folder with a job that was replaced: a cell passes over it."""
 

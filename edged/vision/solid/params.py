@@ -313,11 +313,11 @@ class BreaksParams:
     apart_px: float = 3.0  # between both edges of a break that a picture keeps apart
     widest_mm: float = 0.85  # that is looked for in a pair without a model
     shown: tuple[float, ...] = (0.35, 0.5, 0.7, 0.85)
-    """Of the second edges: with fewer, either end may be the taught one, and the width is not known."""
+    """Shares of the second edges: with fewer either end may be the taught one, and the width is not known."""
     shown_far: float = 0.1  # of those where the wall looks away
     unknown_mm: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6)  # tried where no picture has told
     looked_mm: float = 0.3
-    """Of these, to look for a part by: of broken edges either end shows, and coarsely both are one of a sharp
+    """The one to look for a part by: of broken edges either end shows, and coarsely both are one of a sharp
     one."""
     unknown_sigma_mm: float = 0.08  # of these: half of what lies between them
     taught_sigma_mm: float = 0.03  # of a width that a pair alone shows

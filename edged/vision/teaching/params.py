@@ -184,7 +184,7 @@ class TracingParams:
     level_mm: float = 0.15  # between heights of one face, broken edges among them
     level_share: float = 0.2  # of the fullest level: what is less by itself may be seen by one camera alone
     on_level: int = 3  # stretches as high as each other, which is no chance either
-    one_level_mm: float = 0.03  # between these
+    alike_mm: float = 0.03  # between these
     same_mm: float = 0.3  # between two curves that are one
     on_hull_mm: float = 1.0  # from an outline's convex hull
     claim_px: float = 2.5  # between two curves that stand for one edge of the right image

@@ -65,10 +65,10 @@ def trace(
         for piece in split(contour)
         if len(piece.indices) >= TRACING.least_px
     ]
-    found = [tracer.with_height(one) for one in stretches]
-    found = [tracer.as_beside(one, found) for one in found]
-    curves = [tracer.curve(one) for one in found if math.isfinite(one.height_mm)]
-    return _distinct(tracer, [one for one in curves if one is not None], features)
+    found = [tracer.with_height(stretch) for stretch in stretches]
+    found = [tracer.as_beside(stretch, found) for stretch in found]
+    curves = [tracer.curve(stretch) for stretch in found if math.isfinite(stretch.height_mm)]
+    return _distinct(tracer, [stretch for stretch in curves if stretch is not None], features)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,34 +97,34 @@ class _Tracer:
         starts = np.searchsorted(rows[order], np.arange(images.rectified_right.shape[0] + 1))
         return _Tracer(view, rig_from_part, points[order, 0], points[order, 1], normals[order], starts)
 
-    def with_height(self, one: _Stretch) -> _Stretch:
+    def with_height(self, stretch: _Stretch) -> _Stretch:
         """A stretch at the height in which most of its points are seen by both cameras."""
-        tells = np.abs(one.normals[:, 0]) > TRACING.least_sine
+        tells = np.abs(stretch.normals[:, 0]) > TRACING.least_sine
         if tells.mean() < TRACING.least_share:
-            return one
-        number, heights = self._heights(one.points[tells], one.normals[tells])
+            return stretch
+        number, heights = self._heights(stretch.points[tells], stretch.normals[tells])
         best, most = math.nan, 0
         for height in np.unique(np.round(heights / TRACING.step_mm) * TRACING.step_mm):
             count = len(np.unique(number[np.abs(heights - height) < TRACING.width_mm]))
             if count > most:
                 best, most = float(height), count
         if most < TRACING.least_share * tells.sum():
-            return one
+            return stretch
         for _ in range(TRACING.rounds):
-            offsets, alike, by_height = self._in_right(one, best)
+            offsets, alike, by_height = self._in_right(stretch, best)
             used = alike & (np.abs(offsets) < TRACING.agree_px)
             power = float(by_height[used] @ by_height[used])
             if used.mean() < TRACING.least_share or not power > 0:
-                return one
+                return stretch
             best += float(by_height[used] @ offsets[used]) / power
-        return replace(one, height_mm=best)
+        return replace(stretch, height_mm=best)
 
-    def as_beside(self, one: _Stretch, others: Sequence[_Stretch]) -> _Stretch:
+    def as_beside(self, stretch: _Stretch, others: Sequence[_Stretch]) -> _Stretch:
         """A stretch that tells no height, at that of those it joins, if they agree."""
-        if math.isfinite(one.height_mm):
-            return one
+        if math.isfinite(stretch.height_mm):
+            return stretch
         heights = []
-        for end in (one.points[0], one.points[-1]):
+        for end in (stretch.points[0], stretch.points[-1]):
             near = [
                 (float(np.linalg.norm(other.points[[0, -1]] - end, axis=1).min()), other.height_mm)
                 for other in others
@@ -134,20 +134,20 @@ class _Tracer:
             if gap < TRACING.join_px:
                 heights.append(height)
         if not heights or max(heights) - min(heights) > TEACHING.apart_mm:
-            return one
+            return stretch
         height = float(np.mean(heights))
-        offsets, alike, _ = self._in_right(one, height)
+        offsets, alike, _ = self._in_right(stretch, height)
         agrees = alike & (np.abs(offsets) < TRACING.agree_px)
-        return replace(one, height_mm=height) if agrees.mean() >= TRACING.least_share else one
+        return replace(stretch, height_mm=height) if agrees.mean() >= TRACING.least_share else stretch
 
-    def curve(self, one: _Stretch) -> TracedCurve | None:
+    def curve(self, stretch: _Stretch) -> TracedCurve | None:
         """A stretch with a height as a curve of the part; its ends belong to the corners."""
         into = invert(self.rig_from_part)
         flat, ahead = (
-            apply(into, self._space(points[1:-1], one.height_mm))[:, :2]
-            for points in (one.points, one.points + one.normals)
+            apply(into, self._space(points[1:-1], stretch.height_mm))[:, :2]
+            for points in (stretch.points, stretch.points + stretch.normals)
         )
-        if one.kind == "line":
+        if stretch.kind == "line":
             line = fit_line(flat)
             if line is None:
                 return None
@@ -164,7 +164,7 @@ class _Tracer:
             drawn = circle.centre + circle.radius * np.column_stack([np.cos(turns), np.sin(turns)])
         along = np.gradient(flat, axis=0)
         bright = float(np.sum((ahead - flat) * np.column_stack([-along[:, 1], along[:, 0]])))
-        points = np.column_stack([drawn, np.full(len(drawn), one.height_mm)])
+        points = np.column_stack([drawn, np.full(len(drawn), stretch.height_mm)])
         return TracedCurve(points, 1 if bright > 0 else -1)
 
     def right_px(self, points: FloatArray) -> FloatArray:
@@ -189,11 +189,11 @@ class _Tracer:
         near = np.abs(heights) < TEACHING.height_share * self.rig_from_part[2, 3]
         return mine[near], heights[near]
 
-    def _in_right(self, one: _Stretch, height_mm: float) -> tuple[FloatArray, B64, FloatArray]:
-        """Of each point of a stretch, seen in the right image at a height: offset px, alike, px by mm."""
-        along = np.column_stack([-one.normals[:, 1], one.normals[:, 0]])
+    def _in_right(self, stretch: _Stretch, height_mm: float) -> tuple[FloatArray, B64, FloatArray]:
+        """Each point of a stretch, seen in the right image at a height: offset px, alike, px by mm."""
+        along = np.column_stack([-stretch.normals[:, 1], stretch.normals[:, 0]])
         behind, ahead, lower = (
-            self._right_of(one.points + shift * along, height)
+            self._right_of(stretch.points + shift * along, height)
             for shift, height in ((-0.5, height_mm), (0.5, height_mm), (-0.5, height_mm + TRACING.step_mm))
         )
         along_right = ahead - behind
@@ -202,7 +202,7 @@ class _Tracer:
         offsets, slopes = edges_along_normals(
             self.view.images.rectified_right, 0.5 * (behind + ahead), normals, 2 * TRACING.agree_px, 1
         )
-        ratio = slopes / np.maximum(one.slopes, 1e-9)
+        ratio = slopes / np.maximum(stretch.slopes, 1e-9)
         with np.errstate(invalid="ignore"):
             alike = (ratio < TRACING.slope_ratio) & (ratio > 1 / TRACING.slope_ratio)
         by_height = np.einsum("nj,nj->n", lower - behind, normals) / TRACING.step_mm
@@ -230,10 +230,10 @@ def _distinct(
     edge that is a feature's, or another curve's.
     """
     curves = _above_table(curves, features)
-    heights = np.array([one.points_mm[0, 2] for one in curves])
-    lengths = np.array([one.length_mm for one in curves])
-    levels = np.array([one[0, 2] for one in features])
-    around = np.array([float(np.linalg.norm(np.diff(one, axis=0), axis=1).sum()) for one in features])
+    heights = np.array([curve.points_mm[0, 2] for curve in curves])
+    lengths = np.array([curve.length_mm for curve in curves])
+    levels = np.array([line[0, 2] for line in features])
+    around = np.array([float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in features])
 
     def on_level(height: float) -> float:
         """Length of all at a height, mm."""
@@ -248,7 +248,7 @@ def _distinct(
     for k in sorted(range(len(curves)), key=lambda k: (-full[k], -lengths[k])):
         points = curves[k].points_mm
         of_feature = bool((np.abs(levels - heights[k]) < TRACING.level_mm).any())
-        together = np.count_nonzero(np.abs(heights - heights[k]) < TRACING.one_level_mm)
+        together = np.count_nonzero(np.abs(heights - heights[k]) < TRACING.alike_mm)
         is_level = of_feature or full[k] > TRACING.level_share * max(full) or together >= TRACING.on_level
         if (
             not is_level
@@ -260,7 +260,7 @@ def _distinct(
         fine = _finely(points, pixel_mm)
         known = np.concatenate([known, fine])
         taken = np.concatenate([taken, tracer.right_px(fine)])
-    return tuple(sorted(kept, key=lambda one: -one.length_mm))
+    return tuple(sorted(kept, key=lambda curve: -curve.length_mm))
 
 
 def _above_table(curves: Sequence[TracedCurve], features: Sequence[FloatArray]) -> list[TracedCurve]:
@@ -268,24 +268,30 @@ def _above_table(curves: Sequence[TracedCurve], features: Sequence[FloatArray]) 
 
     Most of an outline lies on its own convex hull; grain and scratches do not.
     """
-    levels = np.array([one[0, 2] for one in features])
+    levels = np.array([curve[0, 2] for curve in features])
     lowest = float(levels.max()) + TEACHING.apart_mm
     of_faces = [
-        one.points_mm for one in curves if np.abs(levels - one.points_mm[0, 2]).min() < TEACHING.apart_mm
+        curve.points_mm
+        for curve in curves
+        if np.abs(levels - curve.points_mm[0, 2]).min() < TEACHING.apart_mm
     ]
     part = _hull([*features, *of_faces])
-    low = [one for one in curves if one.points_mm[0, 2] > lowest and (_within(part, one.points_mm) < 0).any()]
+    low = [
+        curve
+        for curve in curves
+        if curve.points_mm[0, 2] > lowest and (_within(part, curve.points_mm) < 0).any()
+    ]
     of_table = set()
-    for one in low:
+    for curve in low:
         beside = [
-            other for other in low if abs(other.points_mm[0, 2] - one.points_mm[0, 2]) < TRACING.level_mm
+            other for other in low if abs(other.points_mm[0, 2] - curve.points_mm[0, 2]) < TRACING.level_mm
         ]
         hull = _hull([other.points_mm for other in beside])
         on_hull = [_within(hull, other.points_mm).max() < TRACING.on_hull_mm for other in beside]
         length = np.array([other.length_mm for other in beside])
         if length[on_hull].sum() < 0.5 * length.sum():
-            of_table.add(id(one))
-    return [one for one in curves if id(one) not in of_table]
+            of_table.add(id(curve))
+    return [curve for curve in curves if id(curve) not in of_table]
 
 
 def _hull(lines: Sequence[FloatArray]) -> npt.NDArray[np.float32]:
