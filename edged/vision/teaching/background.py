@@ -45,7 +45,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
 def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> npt.NDArray[np.bool_]:
     """(N,) whether the right image shows the same edge where a contour's point would be in the face."""
     along = np.column_stack([-contour.normals[:, 1], contour.normals[:, 0]])
-    there, beside = (_in_right(view, face, contour.points + shift) for shift in (-0.5 * along, 0.5 * along))
+    there, beside = (in_right(view, face, contour.points + shift) for shift in (-0.5 * along, 0.5 * along))
     along_right = beside - there
     lengths = np.linalg.norm(along_right, axis=1, keepdims=True)
     along_right = along_right / np.maximum(lengths, 1e-9)
@@ -59,7 +59,7 @@ def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> npt.NDAr
         return np.asarray((np.abs(offsets) <= TEACHING.max_mismatch_px) & alike)
 
 
-def _in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> FloatArray:
+def in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> FloatArray:
     """(N, 2) of the rectified right image: where points of the left one are, if they lie in the face."""
     rig = view.images.rig
     space = face.meet(view.images.rays("left", rectified_px))
