@@ -19,11 +19,10 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray
 from edged.vision.edges.contours import find_contours, split
 from edged.vision.edges.fitting import fit_circle, fit_line
-from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import Plane, apply, invert
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.part.traced import TracedCurve
-from edged.vision.teaching.background import in_right
+from edged.vision.teaching.background import edges_in_right, in_right
 from edged.vision.teaching.features import TeachingView, strong_contours
 from edged.vision.teaching.params import TEACHING, TRACING
 
@@ -192,21 +191,15 @@ class _Tracer:
 
     def _seen_right(self, stretch: _Stretch, height_mm: float) -> tuple[FloatArray, B64, FloatArray]:
         """Each point of a stretch, seen in the right image at a height: offset px, alike, px by mm."""
-        along = np.column_stack([-stretch.normals[:, 1], stretch.normals[:, 0]])
-        behind, ahead, lower = (
-            in_right(self.view, self._plane(height), stretch.points + shift * along)
-            for shift, height in ((-0.5, height_mm), (0.5, height_mm), (-0.5, height_mm + TRACING.step_mm))
-        )
-        along_right = ahead - behind
-        along_right = along_right / np.maximum(np.linalg.norm(along_right, axis=1, keepdims=True), 1e-9)
-        normals = np.column_stack([along_right[:, 1], -along_right[:, 0]])
-        offsets, slopes = edges_along_normals(
-            self.view.images.rectified_right, 0.5 * (behind + ahead), normals, 2 * TRACING.agree_px, 1
+        here, lower = self._plane(height_mm), self._plane(height_mm + TRACING.step_mm)
+        offsets, slopes, normals = edges_in_right(
+            self.view, here, stretch.points, stretch.normals, 2 * TRACING.agree_px
         )
         ratio = slopes / np.maximum(stretch.slopes, 1e-9)
         with np.errstate(invalid="ignore"):
             alike = (ratio < TRACING.slope_ratio) & (ratio > 1 / TRACING.slope_ratio)
-        by_height = np.einsum("nj,nj->n", lower - behind, normals) / TRACING.step_mm
+        moved = in_right(self.view, lower, stretch.points) - in_right(self.view, here, stretch.points)
+        by_height = np.einsum("nj,nj->n", moved, normals) / TRACING.step_mm
         return np.nan_to_num(offsets), np.asarray(alike & np.isfinite(offsets)), by_height
 
     def _space(self, left_px: FloatArray, height_mm: float) -> FloatArray:
