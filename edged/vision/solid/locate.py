@@ -84,9 +84,9 @@ def locate_solid(
 def all_edges_agree(images: StereoImages, job: Job, targets: Sequence[Target]) -> bool:
     """Whether all taught curves of a job lie where targets say that were measured by some of them."""
     models = models_of(job)
-    as_taught = next((model for model in models if not model.breaks_mm.any()), models[0])
+    sharpest_first = sorted(models, key=lambda model: bool(model.breaks_mm.any()))
     pyramids = Pyramids(images.rig, images.raw, 1)
-    return all(_agrees(job, (as_taught, *models), pyramids, target) for target in targets)
+    return all(_agrees(job, sharpest_first, pyramids, target) for target in targets)
 
 
 def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: Target) -> bool:

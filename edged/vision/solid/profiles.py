@@ -194,9 +194,8 @@ def _fitted(
     edges += moves @ moves.T
     units = np.outer(scale, scale)
     calibration = _by_calibration(images, pose, profiles, response)
-    unknown = (
-        by_breaks if model.sigma_own_mm else by_breaks[:0]
-    )  # a width that a pair showed explains no growth
+    # a width that a pair has shown explains no growth
+    unknown = by_breaks if model.sigma_own_mm else by_breaks[:0]
     extra = _extra(_added(model, images, profiles), design, left, weights, excess, inverse, unknown)
     return ProfileFit(
         moved(model, pose, delta / scale), edges / units, calibration / units,

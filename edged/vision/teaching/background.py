@@ -44,22 +44,33 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
 
 def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> npt.NDArray[np.bool_]:
     """(N,) whether the right image shows the same edge where a contour's point would be in the face."""
-    along = np.column_stack([-contour.normals[:, 1], contour.normals[:, 0]])
-    there, beside = (_in_right(view, face, contour.points + shift) for shift in (-0.5 * along, 0.5 * along))
-    along_right = beside - there
-    lengths = np.linalg.norm(along_right, axis=1, keepdims=True)
-    along_right = along_right / np.maximum(lengths, 1e-9)
-    normals = np.column_stack([along_right[:, 1], -along_right[:, 0]])
-    offsets, slopes = edges_along_normals(
-        view.images.rectified_right, 0.5 * (there + beside), normals, 2.0, 1
-    )
+    offsets, slopes, _ = edges_in_right(view, face, contour.points, contour.normals, 2.0)
     ratio = slopes / np.maximum(contour.slopes, 1e-9)
     with np.errstate(invalid="ignore"):
         alike = (ratio < TEACHING.max_slope_ratio) & (ratio > 1 / TEACHING.max_slope_ratio)
         return np.asarray((np.abs(offsets) <= TEACHING.max_mismatch_px) & alike)
 
 
-def _in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> FloatArray:
+def edges_in_right(
+    view: TeachingView, face: Plane, points_px: FloatArray, normals: FloatArray, reach_px: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The right image's edges where those of the rectified left one (N, 2) would be, if they lay in a face.
+
+    Returns offsets (N,) px and slopes (N,) as `edges_along_normals`, and the normals (N, 2) there.
+    """
+    along = np.column_stack([-normals[:, 1], normals[:, 0]])
+    there, beside = (in_right(view, face, points_px + shift) for shift in (-0.5 * along, 0.5 * along))
+    along_right = beside - there
+    lengths = np.linalg.norm(along_right, axis=1, keepdims=True)
+    along_right = along_right / np.maximum(lengths, 1e-9)
+    across = np.column_stack([along_right[:, 1], -along_right[:, 0]])
+    offsets, slopes = edges_along_normals(
+        view.images.rectified_right, 0.5 * (there + beside), across, reach_px, 1
+    )
+    return offsets, slopes, across
+
+
+def in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> FloatArray:
     """(N, 2) of the rectified right image: where points of the left one are, if they lie in the face."""
     rig = view.images.rig
     space = face.meet(view.images.rays("left", rectified_px))

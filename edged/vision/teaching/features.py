@@ -72,7 +72,7 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
 
     depth_mm : range of the rectified depth.  x is the rig's x axis projected into the face.
     """
-    contours = _strong(view, find_contours(view.images.rectified_left, view.mask))
+    contours = strong_contours(view)
     if not contours:
         return None
     points = np.concatenate([contour.points for contour in contours])
@@ -94,7 +94,7 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
 def outline_mask(view: TeachingView) -> Image:
     """The region (h, w) uint8 reduced to the neighbourhood of its outlines, without table and texture."""
     mask = np.zeros_like(view.mask)
-    for contour in _strong(view, find_contours(view.images.rectified_left, view.mask)):
+    for contour in strong_contours(view):
         pixels = np.rint(contour.points).astype(np.int32)
         cv2.polylines(mask, [pixels], contour.closed, 255, 2 * TEACHING.feature_band_px + 1)
     return np.asarray(np.minimum(mask, view.mask))

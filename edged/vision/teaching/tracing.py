@@ -19,10 +19,10 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray
 from edged.vision.edges.contours import find_contours, split
 from edged.vision.edges.fitting import fit_circle, fit_line
-from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import Plane, apply, invert
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.part.traced import TracedCurve
+from edged.vision.teaching.background import edges_in_right, in_right
 from edged.vision.teaching.features import TeachingView, strong_contours
 from edged.vision.teaching.params import TEACHING, TRACING
 
@@ -111,7 +111,7 @@ class _Tracer:
         if most < TRACING.least_share * tells.sum():
             return stretch
         for _ in range(TRACING.rounds):
-            offsets, alike, by_height = self._in_right(stretch, best)
+            offsets, alike, by_height = self._seen_right(stretch, best)
             used = alike & (np.abs(offsets) < TRACING.agree_px)
             power = float(by_height[used] @ by_height[used])
             if used.mean() < TRACING.least_share or not power > 0:
@@ -136,7 +136,7 @@ class _Tracer:
         if not heights or max(heights) - min(heights) > TEACHING.apart_mm:
             return stretch
         height = float(np.mean(heights))
-        offsets, alike, _ = self._in_right(stretch, height)
+        offsets, alike, _ = self._seen_right(stretch, height)
         agrees = alike & (np.abs(offsets) < TRACING.agree_px)
         return replace(stretch, height_mm=height) if agrees.mean() >= TRACING.least_share else stretch
 
@@ -189,36 +189,27 @@ class _Tracer:
         near = np.abs(heights) < TEACHING.height_share * self.rig_from_part[2, 3]
         return mine[near], heights[near]
 
-    def _in_right(self, stretch: _Stretch, height_mm: float) -> tuple[FloatArray, B64, FloatArray]:
+    def _seen_right(self, stretch: _Stretch, height_mm: float) -> tuple[FloatArray, B64, FloatArray]:
         """Each point of a stretch, seen in the right image at a height: offset px, alike, px by mm."""
-        along = np.column_stack([-stretch.normals[:, 1], stretch.normals[:, 0]])
-        behind, ahead, lower = (
-            self._right_of(stretch.points + shift * along, height)
-            for shift, height in ((-0.5, height_mm), (0.5, height_mm), (-0.5, height_mm + TRACING.step_mm))
-        )
-        along_right = ahead - behind
-        along_right = along_right / np.maximum(np.linalg.norm(along_right, axis=1, keepdims=True), 1e-9)
-        normals = np.column_stack([along_right[:, 1], -along_right[:, 0]])
-        offsets, slopes = edges_along_normals(
-            self.view.images.rectified_right, 0.5 * (behind + ahead), normals, 2 * TRACING.agree_px, 1
+        here, lower = self._plane(height_mm), self._plane(height_mm + TRACING.step_mm)
+        offsets, slopes, normals = edges_in_right(
+            self.view, here, stretch.points, stretch.normals, 2 * TRACING.agree_px
         )
         ratio = slopes / np.maximum(stretch.slopes, 1e-9)
         with np.errstate(invalid="ignore"):
             alike = (ratio < TRACING.slope_ratio) & (ratio > 1 / TRACING.slope_ratio)
-        by_height = np.einsum("nj,nj->n", lower - behind, normals) / TRACING.step_mm
+        moved = in_right(self.view, lower, stretch.points) - in_right(self.view, here, stretch.points)
+        by_height = np.einsum("nj,nj->n", moved, normals) / TRACING.step_mm
         return np.nan_to_num(offsets), np.asarray(alike & np.isfinite(offsets)), by_height
-
-    def _right_of(self, left_px: FloatArray, height_mm: float) -> FloatArray:
-        """(N, 2) of the rectified right image: where points of the left one are, if they lie at a height."""
-        images = self.view.images
-        seen = images.rig.right.project(apply(images.rig.right_from_left, self._space(left_px, height_mm)))
-        return np.asarray(images.rectification.rectify_points("right", seen))
 
     def _space(self, left_px: FloatArray, height_mm: float) -> FloatArray:
         """(N, 3) in the rig frame of points (N, 2) of the rectified left image at a height."""
+        return self._plane(height_mm).meet(self.view.images.rays("left", left_px))
+
+    def _plane(self, height_mm: float) -> Plane:
+        """The part's face, moved by a height."""
         normal = self.rig_from_part[:3, 2]
-        plane = Plane(normal, float(normal @ self.rig_from_part[:3, 3]) + height_mm)
-        return plane.meet(self.view.images.rays("left", left_px))
+        return Plane(normal, float(normal @ self.rig_from_part[:3, 3]) + height_mm)
 
 
 def _distinct(
