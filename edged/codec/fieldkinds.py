@@ -11,6 +11,7 @@ from types import UnionType
 from typing import Any, Literal, Union
 
 import numpy as np
+from pydantic import JsonValue
 
 Check = Callable[[Any], bool]
 _NUMBERS: dict[type, tuple[type, ...]] = {
@@ -29,10 +30,15 @@ def checks_of(kind: type) -> dict[str, Check]:
 
 @cache
 def check_of(hint: Any) -> Check:
-    """Whether a value is of a kind. A list counts as a tuple of one kind, and the other way round."""
+    """Whether a value is of a kind. A list counts as a tuple of one kind, and the other way round.
+
+    Raises `TypeError` for a kind that nothing here can check.
+    """
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if hint in (Any, object):
         return lambda _value: True
+    if hint is JsonValue:
+        return _is_json
     if hint is None or hint is type(None):
         return lambda value: value is None
     if origin in (Union, UnionType):
@@ -59,9 +65,19 @@ def check_of(hint: Any) -> Check:
         part_check = check_of(parts[0])
         sets = frozenset if origin in (frozenset, abc.Set) else (tuple, list)
         return lambda value: isinstance(value, sets) and all(map(part_check, value))
+    if not isinstance(origin or hint, type):
+        raise TypeError(f"a field of {hint}: nothing here checks such a kind")
     wanted: type | tuple[type, ...] = _NUMBERS.get(hint, origin or hint)
     no_bool = bool if hint in (int, float) else ()
     return lambda value: isinstance(value, wanted) and not isinstance(value, no_bool)
+
+
+def _is_json(value: Any) -> bool:
+    if isinstance(value, dict):
+        return all(isinstance(key, str) and _is_json(part) for key, part in value.items())
+    if isinstance(value, list):
+        return all(map(_is_json, value))
+    return value is None or type(value) in (bool, int, float, str)
 
 
 def _array_check(dtype_hint: Any) -> Check:

@@ -20,6 +20,7 @@ import pytest
 from helpers.fieldtypes import reachable
 from helpers.mutations import mutated
 from helpers.snapshots import make_snapshot
+from pydantic import JsonValue
 
 from edged.codec.codec import FORMAT, Codec
 from edged.codec.fieldkinds import check_of, checks_of
@@ -216,6 +217,7 @@ def test_the_fields_of_every_kind_can_be_checked(codec: Codec) -> None:
         (Sequence[str], [["a"], ()], ["a", [1]]),
         (Mapping[str, int], [{"a": 1}, {}], [{1: 1}, {"a": "b"}, []]),
         (frozenset[int], [frozenset({1})], [{1}, frozenset({"a"})]),
+        (JsonValue, [{"a": [1, None]}, 1.5, True], [(1,), {1: 2}, [b"a"]]),
         (FloatArray, [np.zeros(2)], [np.zeros(2, np.int32), [0.0], None]),
         (Status, [Status.OK], ["OK", 1]),
     ],
