@@ -157,7 +157,7 @@ class Worker:
             raise TaskFailed(f"the worker process {ended}; ask again") from error
         except ValueError as error:
             self._clear()
-            log.error("the worker process answered %s with nonsense: %s", order.function, error)
+            log.warning("the worker process answered %s with nonsense: %s", order.function, error)
             raise TaskFailed("the worker process answered nonsense and was ended; ask again") from error
         if isinstance(answer, OutOfMemory):
             self._clear()
