@@ -62,6 +62,8 @@ INPUTS = {
     ("register touch", "points"),
     ("replay", "path"),
     ("restore", "archive"),
+    ("restore", "verify"),
+    ("backup", "sign"),
     ("rig convert", "source"),
 }
 """Every other path that a command takes: it is only read."""

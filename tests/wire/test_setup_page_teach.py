@@ -28,7 +28,6 @@ from helpers.setuppage import (
     log_in,
     press,
     said,
-    take,
     take_over,
 )
 from helpers.stagecell import Newcomer, staged
@@ -475,7 +474,7 @@ def test_another_part_is_taught_after_one_is_in_use_and_after_one_is_discarded(s
     async def test() -> None:
         page = stand.page
         await stand.open()
-        await take(page)
+        await stand.take()
         await press(page, "Another part")
         await press(page, "Take the pair")
         await page.until(PROPOSED)

@@ -53,9 +53,10 @@ ENTERED = {
     "plc": said("Modbus TCP 127.0.0.1:"),
 }
 """What shows that the cell has kept what was done on a page; without a line here: its heading."""
-BESIDE_STAGE = """(document.querySelector(".foot")?.getBoundingClientRect().top ?? innerHeight)
-  - document.querySelector(".stage").getBoundingClientRect().bottom"""
-"""Height of the slit between the stage, where it is pinned, and what is below it."""
+BESIDE_STAGE = """document.documentElement.scrollHeight > innerHeight
+  ? (document.querySelector(".foot")?.getBoundingClientRect().top ?? innerHeight)
+    - document.querySelector(".stage").getBoundingClientRect().bottom : 0"""
+"""Height of the slit between the stage, where it is pinned, and what is below it; 0 where the page ends."""
 OTHERS = ["viewer", "operator"]
 """Who may not set the cell up."""
 ALONE = {"light"}
