@@ -18,6 +18,7 @@ MAX_TRIANGLES = 40_000
 MAX_SIZE_MM = 1e4  # limit of a job file
 MAX_BREAK_MM = 10.0  # the same
 BREAKS = ("breaks_mm", "sigma_break_mm")
+MERGED = "merged_mm"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +29,7 @@ class PartBody:
     lines (L, 4) : the sharp edges: both ends, as points, and the triangles on both sides.
     breaks_mm (L,) : width of the edge break that the real part has there and the surface has not; None: none.
     sigma_break_mm : of these widths.
+    merged_mm : narrower ones show no form: a chamfer and a rounding look alike.
     """
 
     points_mm: FloatArray
@@ -35,6 +37,7 @@ class PartBody:
     lines: I64
     breaks_mm: FloatArray | None = None
     sigma_break_mm: float = 0.0
+    merged_mm: float = 0.0
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """For a file; single precision is a nanometre of a part of a centimetre."""
@@ -46,6 +49,8 @@ class PartBody:
         if self.breaks_mm is not None:
             arrays["breaks_mm"] = self.breaks_mm.astype(np.float32)[:, None]
             arrays["sigma_break_mm"] = np.full((1, 1), self.sigma_break_mm, np.float32)
+            if self.merged_mm > 0:
+                arrays[MERGED] = np.full((1, 1), self.merged_mm, np.float32)
         return arrays
 
     @staticmethod
@@ -67,12 +72,16 @@ class PartBody:
         if "breaks_mm" not in arrays:
             return PartBody(points, triangles, lines)
         breaks, sigma = (checked(arrays, name, 1, np.dtype(np.float32)) for name in BREAKS)
-        if len(breaks) != len(lines) or len(sigma) != 1:
+        merged = np.zeros((1, 1))
+        if MERGED in arrays:
+            merged = checked(arrays, MERGED, 1, np.dtype(np.float32))
+        if len(breaks) != len(lines) or len(sigma) != 1 or len(merged) != 1:
             raise ValueError(f"breaks_mm: {len(breaks)} of {len(lines)} lines, expected one each")
-        widths = np.append(breaks, sigma)
+        widths = np.concatenate([breaks, sigma, merged])
         if not ((widths >= 0) & (widths < MAX_BREAK_MM)).all():
             raise ValueError(f"breaks_mm: expected widths of 0 to {MAX_BREAK_MM:g} mm")
-        return PartBody(points, triangles, lines, breaks[:, 0].astype(np.float64), float(sigma[0, 0]))
+        own = breaks[:, 0].astype(np.float64)
+        return PartBody(points, triangles, lines, own, float(sigma[0, 0]), float(merged[0, 0]))
 
     @property
     def sides(self) -> tuple[I64, I64]:

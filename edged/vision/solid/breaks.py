@@ -21,7 +21,7 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import Job
 from edged.vision.solid.curvemodel import curve_model, has_enough_curves
-from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.edgemodel import EdgeModel, with_open_forms
 from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over, sigmas_of
 from edged.vision.solid.lock import Pyramids, lay, scale_at
 from edged.vision.solid.params import BREAKS, DECISION, PROFILE
@@ -32,12 +32,14 @@ from edged.vision.solid.profiles import ProfileFit, best_fit, fit_profiles, prof
 class LaidBody:
     """A body on a pair: the model with its breaks, and its fit.
 
-    sigma_break_mm : of the widths.  evidence : what the pair says for it.
+    sigma_break_mm : of the widths.  merged_mm : of narrower ones the pair does not show the form.
+    evidence : what the pair says for it.
     """
 
     model: EdgeModel
     fit: ProfileFit
     sigma_break_mm: float
+    merged_mm: float
     evidence: PoseEvidence
 
 
@@ -63,13 +65,16 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     found = best[1]
     if found.model.breaks_mm.any():
         found = _each_by_itself(found, pyramids, images)
-    fit = best_fit(found.model, pyramids, images, found.pose)
+    merged_mm = BREAKS.form_px / scale_at(images.rig, found.pose, model)
+    laid_model = with_open_forms(found.model, merged_mm)
+    fit = best_fit(laid_model, pyramids, images, found.pose)
     if fit is None:
         return None
-    evidence = evidence_of(found.model, pyramids, fit.pose)
+    evidence = evidence_of(laid_model, pyramids, fit.pose)
     # another light moves the seen ends of a break against each other
     by_light_mm = PROFILE.light_px / scale_at(images.rig, fit.pose, model) if found.sigma_break_mm else 0.0
-    return LaidBody(found.model, fit, math.hypot(found.sigma_break_mm, 2 * by_light_mm), evidence)
+    sigma_break_mm = math.hypot(found.sigma_break_mm, 2 * by_light_mm)
+    return LaidBody(laid_model, fit, sigma_break_mm, merged_mm, evidence)
 
 
 def shown_break(images: StereoImages, job: Job) -> float | None:

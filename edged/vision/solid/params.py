@@ -19,6 +19,9 @@ class EdgeModelParams:
     smooth: float = 0.8  # cosine between two sides of one curve: arcs have at least ten chords
     convex: float = -0.2  # cosine between a face and the way into the other one
     steep: float = 0.5  # cosine between two faces: with more the edge is an end of a chamfer of 45 degrees
+    deeper: float = 0.25
+    """Of its width, by which the lower edge of a break of open form is taken to lie deeper: half way from a
+    chamfer to a rounding, which looks half to two thirds as wide as it is (docs/explanation/accuracy.md)."""
     tiny_mm: float = 1e-9  # against a division by 0
 
 
@@ -311,6 +314,7 @@ class BreaksParams:
     correlated: float = 4.0  # profiles that err alike
     alike_mm: float = 0.1  # spread of the breaks of one part
     apart_px: float = 3.0  # between both edges of a break that a picture keeps apart
+    form_px: float = 5.0  # the same, and something between them: two edges of 2.5 px
     widest_mm: float = 0.85  # that is looked for in a pair without a model
     shown: tuple[float, ...] = (0.35, 0.5, 0.7, 0.85)
     """Shares of the second edges: with fewer either end may be the taught one, and the width is not known."""

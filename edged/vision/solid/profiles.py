@@ -22,7 +22,7 @@ from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, mad_sigma, tukey_weights
-from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.edgemodel import EdgeModel, EdgePoints
 from edged.vision.solid.lock import Pyramids, scale_at
 from edged.vision.solid.params import PROFILE, VISIBILITY
 from edged.vision.solid.visible import VisibleSamples, find_neighbours, moved, samples_at, see
@@ -78,12 +78,18 @@ class ProfileFit:
 
 
 def profiles_of(
-    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float
-) -> Profiles:
-    """Shifts of the profiles in both pictures at a pose."""
+    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
+    forms: float = 0.0,
+) -> Profiles:  # fmt: skip
+    """Shifts of the profiles in both pictures at a pose.
+
+    forms : sigmas by which the edges of breaks of open form are laid deeper.
+    """
     by_camera: list[VisibleSamples] = []
     measured: list[list[FloatArray]] = []
     samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
+    if forms:
+        samples = samples._replace(points=samples.points + forms * _by_form(model, samples))
     for k, image in enumerate(images.raw):
         dense = see(model, samples, pyramids.cameras[0].view(k, model, pose), VISIBILITY.buffer_px[0])
         near = np.empty((len(dense.row), EDGES - 1))
@@ -110,6 +116,31 @@ def profiles_of(
     return Profiles(both, camera, samples.points[both.row], shift, weight, height)
 
 
+def _by_form(model: EdgeModel, samples: EdgePoints) -> FloatArray:
+    """(N, 3) mm: how samples move by a sigma of the form of their breaks."""
+    curves = np.zeros((int(model.chain.max()) + 1, 3))  # as `EdgePoints` numbers them
+    if model.sigma_form_mm is not None:
+        curves[model.chain, 1:] = model.sigma_form_mm
+    length = np.maximum(np.linalg.norm(samples.by_break, axis=1), 1e-9)
+    return np.asarray(samples.by_break * (curves.reshape(-1)[samples.curve] / length)[:, None])
+
+
+def _moved_by_form(
+    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
+    profiles: Profiles,
+) -> FloatArray | None:  # fmt: skip
+    """(M,) px by which profiles shift for a sigma of the form of the breaks; 0 where one says nothing."""
+    if model.sigma_form_mm is None or not model.sigma_form_mm.any():
+        return None
+    other = profiles_of(model, pyramids, images, pose, blur_px, 1.0)
+    own, others = (2 * one.seen.row + one.camera for one in (profiles, other))
+    _, mine, theirs = np.intersect1d(own, others, assume_unique=True, return_indices=True)
+    both = (profiles.weight[mine] > PROFILE.min_weight) & (other.weight[theirs] > PROFILE.min_weight)
+    moved = np.zeros(len(profiles.shift_px))
+    moved[mine[both]] = (other.shift_px[theirs] - profiles.shift_px[mine])[both]
+    return moved
+
+
 def fit_profiles(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
     held: FloatArray | None = None, *, alike: bool = False,
@@ -122,7 +153,10 @@ def fit_profiles(
     fit: ProfileFit | None = None
     for first_sigma_px in PROFILE.first_sigmas_px:
         profiles = profiles_of(model, pyramids, images, pose, blur_px)
-        fit = _fitted(model, images, pose, profiles, first_sigma_px, held, alike)
+        by_form = None
+        if first_sigma_px == PROFILE.first_sigmas_px[-1]:
+            by_form = _moved_by_form(model, pyramids, images, pose, blur_px, profiles)
+        fit = _fitted(model, images, pose, profiles, first_sigma_px, held, alike, by_form)
         if fit is None:
             return None
         pose = fit.pose
@@ -148,7 +182,7 @@ def best_fit(
 
 def _fitted(
     model: EdgeModel, images: StereoImages, pose: FloatArray, profiles: Profiles, first_sigma_px: float,
-    held: FloatArray | None, alike: bool,
+    held: FloatArray | None, alike: bool, by_form: FloatArray | None,
 ) -> ProfileFit | None:  # fmt: skip
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
     design = profiles.seen.design / scale
@@ -190,12 +224,14 @@ def _fitted(
     by_own = np.zeros((int(curve.max()) + 1, len(left)))
     by_own[curve, np.arange(len(left))] = profiles.seen.by_break
     by_breaks = np.vstack([model.sigma_break_mm * profiles.seen.by_break, model.sigma_own_mm * by_own])
+    if by_form is not None:
+        by_breaks = np.vstack([by_breaks, by_form])
     moves = response @ by_breaks.T
     edges += moves @ moves.T
     units = np.outer(scale, scale)
     calibration = _by_calibration(images, pose, profiles, response)
     # a width that a pair has shown explains no growth
-    unknown = by_breaks if model.sigma_own_mm else by_breaks[:0]
+    unknown = by_breaks if model.sigma_own_mm or by_form is not None else by_breaks[:0]
     extra = _extra(_added(model, images, profiles), design, left, weights, excess, inverse, unknown)
     return ProfileFit(
         moved(model, pose, delta / scale), edges / units, calibration / units,

@@ -113,7 +113,7 @@ def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[s
             "not_shown",
         )
     widths = widths_of(job.body.lines[:, :2], laid.model.sides, laid.model.breaks_mm)
-    body = replace(job.body, breaks_mm=widths, sigma_break_mm=laid.sigma_break_mm)
+    body = replace(job.body, breaks_mm=widths, sigma_break_mm=laid.sigma_break_mm, merged_mm=laid.merged_mm)
     limits, widest = job.limits, float(widths.max(initial=0.0))
     if limits.radius_tolerance_mm is not None:  # another light may show a rim's other end
         limits = replace(limits, radius_tolerance_mm=round(limits.radius_tolerance_mm + widest, 4))
