@@ -1,0 +1,323 @@
+"""kill -9 of the page, its worker and their link at every step of setting up: cell and PLC never notice.
+
+What was answered is there, half of anything is not, and the next page shows what is.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import signal
+import socket
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+from helpers.browsersession import PASSWORD
+from helpers.cells import small_rig
+from helpers.plcwitness import Witness
+from helpers.stagecell import Newcomer, staged
+from helpers.waiting import WHOLE_S, until
+
+from edged.commands.stage import USER
+from edged.files.rig import load_rig, save_rig
+from edged.link.cellend import CellEnd
+from edged.plc.registers import StatusBit
+from edged.sim.cell import calibration_poses
+from edged.sim.stage import stage_board
+
+pytestmark = pytest.mark.slow
+BOARD = "chessboard:11x8:4"
+POSES = list(calibration_poses(small_rig(), stage_board(), 5))
+
+
+def processes(module: str, parent: int | str = "self") -> list[int]:
+    """Descendants of a process that run a module of edged."""
+    found: list[int] = []
+    for task in Path(f"/proc/{parent}/task").glob("*/children"):
+        with suppress(OSError):
+            for child in task.read_text().split():
+                if module.encode() in Path(f"/proc/{child}/cmdline").read_bytes():
+                    found.append(int(child))
+                found += processes(module, child)
+    return found
+
+
+@dataclass
+class Cell:
+    """A stage, and somebody who sets it up.
+
+    setups : times of SETUP, in which nothing may be VALID. measuring : times in which no cycle may be lost.
+    kept : drafts that steps share.
+    """
+
+    folder: Path
+    runner: asyncio.Runner
+    newcomer: Newcomer
+    setups: list[list[float]] = field(default_factory=list)
+    measuring: list[list[float]] = field(default_factory=list)
+    kept: dict[str, str] = field(default_factory=dict)
+
+    def run(self, test: Callable[[], Awaitable[None]]) -> None:
+        """A test's coroutine, bounded."""
+
+        async def bounded() -> None:
+            async with asyncio.timeout(WHOLE_S):
+                await test()
+
+        self.runner.run(bounded())
+
+    async def ask(self, method: str, path: str, document: Any = None, expected: int = 200) -> Any:
+        """Of the page that there is."""
+        return await self.newcomer.ask(method, path, document, expected)
+
+    async def take(self) -> None:
+        """Have the cell in SETUP: the lease belongs to a session, and sessions to a page."""
+        await self.newcomer.take()
+        if not self.setups or self.setups[-1][1]:
+            self.setups.append([time.monotonic(), 0.0])
+
+    async def give_back(self) -> None:
+        """End SETUP; its time ends before."""
+        self.setups[-1][1] = time.monotonic()
+        await self.ask("DELETE", "setup", self.newcomer.token, 204)
+
+    async def kill(self, victim: str) -> None:
+        """Kill it, and wait for what takes its place; a worker comes when it is needed."""
+        if victim == "worker":
+            for worker in processes("edged.setup.jobs.workerprocess"):
+                os.kill(worker, signal.SIGKILL)
+            return
+        (before,) = processes("edged.app.page")
+        if victim == "page":
+            os.kill(before, signal.SIGKILL)
+        else:
+            for end in [found for found in gc.get_objects() if isinstance(found, CellEnd)]:
+                with suppress(OSError):  # one that has ended
+                    end._connection.shutdown(socket.SHUT_RDWR)  # noqa: SLF001  (as a kernel that closes it)
+        await until(lambda: processes("edged.app.page") not in ([], [before]))
+        await self.newcomer.browser.log_in_once_it_listens(USER, PASSWORD, lambda: True)
+
+    async def asked_while_killed(self, victim: str, *request: Any) -> tuple[int, Any]:
+        """The answer to a request that is under way when something is killed; 0 without one."""
+        asking = asyncio.create_task(self.newcomer.browser.ask(*request))
+        await asyncio.sleep(0.05)
+        await self.kill(victim)
+        with suppress(aiohttp.ClientError):
+            return await asking
+        return 0, None
+
+    async def status(self) -> Any:
+        """What the page shows."""
+        return (await self.newcomer.browser.ask("GET", "/status.json"))[1]
+
+    async def task_of(self, place: str, document: Any) -> Any:
+        """A task that has ended."""
+        task = (await self.ask("POST", place, document, 202))["task"]
+        return await self.newcomer.until(f"tasks/{task}", lambda told: told["state"] != "running")
+
+    def rig_on_disc(self) -> str:
+        """Which calibration the cell would start with."""
+        return load_rig(self.folder / "rig.json").calibration_id
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    """One for all, and a PLC that reads all the time; at the end, what it has seen is judged."""
+    folder = tmp_path_factory.mktemp("killed")
+    save_rig(folder / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": BOARD})
+    with asyncio.Runner() as runner:
+        stack = AsyncExitStack()
+        newcomer = runner.run(stack.enter_async_context(staged(folder, gige=False)))
+        plc = newcomer.daemon.loaded.cell.config.modbus
+        assert plc is not None
+        made = Cell(folder, runner, newcomer)
+        with Witness(plc.port) as witness:
+            runner.run(made.take())
+            yield made
+        runner.run(stack.aclose())
+    assert {} == witness.report.wrong
+    for start_s, end_s in made.setups:
+        sights = witness.report.between(start_s, end_s or time.monotonic())
+        assert not any(sight.valid for sight in sights)
+    for start_s, end_s in made.measuring:
+        sights = witness.report.between(start_s, end_s)
+        assert all(StatusBit.READY in sight.bits for sight in sights)
+        cycles = sorted({sight.cycle for sight in sights if sight.exposed_ns})
+        assert [*range(cycles[0], cycles[-1] + 1)] == cycles
+
+
+async def view(cell: Cell, draft: str, number: int) -> list[Any]:
+    """The request that takes a view of the board, which is held at one of a careful person's poses."""
+    await cell.ask("PUT", "stage", {"showing": "board", "still": True})
+    await cell.ask("PUT", "stage/hand", {"rig_from_board": POSES[number].tolist()})
+    await cell.newcomer.until("stage", lambda told: not told["moving"])
+    return ["POST", f"/api/v1/{draft}/views", cell.newcomer.token]
+
+
+async def taken(cell: Cell, *request: Any) -> None:
+    """Take a view; a picture that a busy machine has not drawn in time is taken again."""
+    status = 503
+    while status == 503:
+        status, answer = await cell.newcomer.browser.ask(*request)
+    assert 201 == status, answer
+
+
+async def calibration(cell: Cell) -> str:
+    """A draft with views enough to solve, the same each time."""
+    if "calibration" not in cell.kept:
+        begun = await cell.ask("POST", "calibrations", {"boards": [BOARD], "lens": "division"}, 201)
+        draft = cell.kept["calibration"] = f"calibrations/{begun['id']}"
+        for number in range(len(POSES)):
+            await taken(cell, *await view(cell, draft, number))
+    return cell.kept["calibration"]
+
+
+async def teaching(cell: Cell) -> str:
+    """A draft of a job, the same each time."""
+    if "teaching" not in cell.kept:
+        await cell.ask("PUT", "stage", {"showing": "part"})
+        draft = f"teachings/{(await cell.ask('POST', 'teachings', cell.newcomer.token, 201))['id']}"
+        await cell.newcomer.until(draft, lambda told: told["proposing"] is None)
+        cell.kept["teaching"] = draft
+    return cell.kept["teaching"]
+
+
+@pytest.mark.parametrize("victim", ["page", "link"])
+def test_a_view_is_taken_or_is_not(cell: Cell, victim: str) -> None:
+    """Never half: each that the next page lists has both its pictures."""
+
+    async def test() -> None:
+        await cell.take()
+        draft = f"calibrations/{(await cell.ask('POST', 'calibrations', {'boards': [BOARD]}, 201))['id']}"
+        await taken(cell, *await view(cell, draft, 0))
+        status, _ = await cell.asked_while_killed(victim, *await view(cell, draft, 1))
+        views = (await cell.ask("GET", draft))["views"]
+        assert len(views) in ((2,) if status == 201 else (1, 2))
+        for each in views:
+            for place in each["thumbnails"].values():
+                assert 200 == (await cell.newcomer.browser.ask("GET", place))[0]
+        assert "SETUP" == (await cell.ask("GET", "cell"))["state"]
+
+    cell.run(test)
+
+
+@pytest.mark.parametrize("victim", ["worker", "page"])
+def test_a_calibration_that_was_not_solved_is_not(cell: Cell, victim: str) -> None:
+    """The draft has its views and no result, and says so; the person asks again."""
+
+    async def test() -> None:
+        await cell.take()
+        draft = await calibration(cell)
+        before = await cell.ask("GET", draft)
+        task = (await cell.ask("POST", f"{draft}/solve", {}, 202))["task"]
+        await cell.newcomer.until(f"tasks/{task}", lambda told: told["text"] != "waits for its turn")
+        await cell.kill(victim)
+        if victim == "worker":
+            ended = await cell.newcomer.until(f"tasks/{task}", lambda told: told["state"] != "running")
+            assert "SIGKILL" in ended["problem"]["detail"]
+        told = await cell.newcomer.until(draft, lambda draft: draft["task"] is None)
+        assert (None, before["views"]) == (told["solved"], told["views"])
+
+    cell.run(test)
+
+
+@pytest.mark.parametrize("victim", ["page", "link"])
+def test_a_rig_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
+    """The page that comes says of the rig what the cell has on disc, and runs by."""
+
+    async def test() -> None:
+        draft = await calibration(cell)
+        await cell.take()
+        if (await cell.ask("GET", draft))["solved"] is None:
+            assert "done" == (await cell.task_of(f"{draft}/solve", {}))["state"]
+        note = {**cell.newcomer.token, "note": "killed"}
+        status, answer = await cell.asked_while_killed(victim, "POST", f"/api/v1/{draft}/activate", note)
+        told = await cell.newcomer.until("cell", lambda told: told["rig"]["id"] == cell.rig_on_disc())
+        assert status != 200 or answer["rig"] == told["rig"]["id"]
+        await active_release_is_the_cells(cell)
+
+    cell.run(test)
+
+
+@pytest.mark.parametrize("victim", ["worker", "page"])
+def test_a_part_that_is_being_looked_at_is_looked_at_again(cell: Cell, victim: str) -> None:
+    """A draft whose proposal was lost says why, or has it; none waits for ever."""
+
+    async def test() -> None:
+        await cell.take()
+        await cell.ask("PUT", "stage", {"showing": "part"})
+        draft = f"teachings/{(await cell.ask('POST', 'teachings', cell.newcomer.token, 201))['id']}"
+        await cell.kill(victim)
+        told = await cell.newcomer.until(draft, lambda told: told["proposing"] is None)
+        assert told["features"] or told["trouble"]
+
+    cell.run(test)
+
+
+@pytest.mark.parametrize("victim", ["worker", "page"])
+def test_a_trial_goes_on_or_is_off(cell: Cell, victim: str) -> None:
+    """A worker is replaced; a page that comes tries nothing that nobody has asked it for."""
+
+    async def test() -> None:
+        await cell.take()
+        draft = (await teaching(cell)).removeprefix("teachings/")
+        await cell.ask("PUT", "trials", {**cell.newcomer.token, "teaching": draft, "on": True})
+        await cell.kill(victim)
+        assert (victim == "worker") == (await cell.ask("GET", "trials"))["on"]
+        await cell.ask("PUT", "trials", {**cell.newcomer.token, "on": False})
+
+    cell.run(test)
+
+
+@pytest.mark.parametrize("victim", ["page", "link"])
+def test_a_job_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
+    """The page that comes lists the jobs that the cell has, and its active release has them."""
+
+    async def test() -> None:
+        await cell.take()
+        draft = await teaching(cell)
+        note = {**cell.newcomer.token, "note": "killed"}
+        status, _ = await cell.asked_while_killed(victim, "POST", f"/api/v1/{draft}/activate", note)
+        jobs = sorted(file.name for file in cell.folder.glob("jobs/*"))
+        assert status != 200 or jobs
+        await active_release_is_the_cells(cell)
+        if not jobs:
+            await cell.take()
+            await cell.ask("POST", f"{draft}/activate", {**cell.newcomer.token, "note": "again"})
+
+    cell.run(test)
+
+
+@pytest.mark.parametrize("victim", ["page", "link"])
+def test_a_cell_that_measures_measures_on(cell: Cell, victim: str) -> None:
+    """Every cycle has its result; the page that comes shows the newest."""
+
+    async def test() -> None:
+        await cell.take()
+        await cell.ask("PUT", "stage", {"showing": "part"})
+        await cell.give_back()
+        await cell.newcomer.until("cell", lambda told: told["state"] == "READY")
+        cell.measuring.append([time.monotonic(), 0.0])
+        cycle = (await cell.status())["result"]["cycle"]
+        await cell.kill(victim)
+        while (await cell.status())["result"]["cycle"] < cycle + 3:  # noqa: ASYNC110  (nothing else tells)
+            await asyncio.sleep(0.1)
+        cell.measuring[-1][1] = time.monotonic()
+
+    cell.run(test)
+
+
+async def active_release_is_the_cells(cell: Cell) -> None:
+    """What the page says is active has the rig on disc."""
+    listed = (await cell.ask("GET", "releases"))["releases"]
+    active = [release for release in listed if release["active"]]
+    assert len(active) <= 1
+    for release in active:
+        assert cell.rig_on_disc() == release["rig"]
