@@ -133,7 +133,7 @@ def _moved_by_form(
     if model.sigma_form_mm is None or not model.sigma_form_mm.any():
         return None
     other = profiles_of(model, pyramids, images, pose, blur_px, 1.0)
-    own, others = (2 * one.seen.row + one.camera for one in (profiles, other))
+    own, others = (2 * found.seen.row + found.camera for found in (profiles, other))
     _, mine, theirs = np.intersect1d(own, others, assume_unique=True, return_indices=True)
     both = (profiles.weight[mine] > PROFILE.min_weight) & (other.weight[theirs] > PROFILE.min_weight)
     moved = np.zeros(len(profiles.shift_px))
