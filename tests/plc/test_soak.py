@@ -25,10 +25,9 @@ def _quiet(caplog: pytest.LogCaptureFixture) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 3])
-def test_ten_minutes_of_handshakes_without_a_violation(seed: int) -> None:
+def test_ten_minutes_of_handshakes_without_a_violation() -> None:
     """Dead cameras, a clock that is set, restarts, reloads, three clients and triggers: every rule holds."""
-    book = Soak(seed).run(600.0)
+    book = Soak(3).run(600.0)
     assert [] == book.violations
     for event in (
         "parts picked",
@@ -74,7 +73,7 @@ def test_a_cell_that_leaves_the_old_result_up_is_caught(monkeypatch: pytest.Monk
         return new, effects
 
     monkeypatch.setattr(hs, "step", sticky)
-    assert any("not the newest command" in violation for violation in Soak(1).run(600.0).violations)
+    assert found("not the newest command")
 
 
 @pytest.mark.slow
@@ -87,7 +86,7 @@ def test_a_cell_that_answers_twice_is_caught(monkeypatch: pytest.MonkeyPatch) ->
         return new, (*effects, *(effect for effect in effects if isinstance(effect, ev.Answered)))
 
     monkeypatch.setattr(hs, "step", twice)
-    assert any("second answer" in violation for violation in Soak(1).run(60.0).violations)
+    assert found("second answer")
 
 
 @pytest.mark.slow
