@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import Size, head_of
-from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_registration
+from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_golden, with_registration
 from edged.app.cellservice import CellService
 from edged.app.installer import Installer
 from edged.app.pageserver import PageServer, PageWitness
@@ -26,6 +26,7 @@ from edged.config.cameras import CameraSection
 from edged.config.chosencameras import ChosenCamera
 from edged.config.servers import WebSection
 from edged.domain.arrays import Side
+from edged.domain.events import Snapshot
 from edged.errors import EdgedError, TookTooLong, UserError
 from edged.files.statefolder import SetupNote, setup_note
 from edged.link.summary import PageTask
@@ -99,6 +100,7 @@ class Daemon:
             loaded.setup,
             notebook=SetupNote(setup_note(path)),
             registrar=self._registrar,
+            keeper=self,
         )
         staged = world is not None and world.stage is not None
         self._running = Running(path.resolve(), loaded, self._cycle, head, self._read_again, staged)
@@ -210,6 +212,12 @@ class Daemon:
 
             self._running.loaded = await asyncio.to_thread(save_and_load)
             log.info("registered, fingerprint %s", self._running.fingerprint())
+            return self._running.loaded.setup
+
+    async def keep(self, snapshot: Snapshot) -> Setup:
+        """Keep a golden part, and measure with it. Raises `EdgedError`."""
+        async with self._reloading:
+            self._running.loaded = await asyncio.to_thread(with_golden, self._running.loaded, snapshot)
             return self._running.loaded.setup
 
     def _warn(self) -> None:

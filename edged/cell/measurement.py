@@ -11,7 +11,7 @@ from edged.cell.context import CellContext
 from edged.cell.drift import refused
 from edged.cell.loaded import LoadedJob
 from edged.domain.cell import CalibrationHealth
-from edged.domain.events import Command, Snapshot
+from edged.domain.events import Command, CommandKind, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status
 from edged.domain.stopwatch import Stopwatch
@@ -97,7 +97,7 @@ class CycleRun:
         return refused(outcome) if self.cell.drift.state().verdict is CalibrationHealth.INVALID else outcome
 
     def _exposed(self, job: LoadedJob, pair: FramePair, outcome: Outcome) -> Snapshot:
-        return replace(
+        snapshot = replace(
             self._blank(job, outcome.status),
             exposed_ns=pair.exposed_ns,
             exposed_bound_ns=pair.exposed_bound_ns,
@@ -105,6 +105,8 @@ class CycleRun:
             dismissed=outcome.dismissed,
             nearest=outcome.nearest,
         )
+        is_golden = self.command is not None and self.command.kind is CommandKind.GOLDEN
+        return snapshot if job.golden is None or is_golden else job.golden.applied(snapshot)
 
     def _blank(self, job: LoadedJob, status: Status) -> Snapshot:
         """A snapshot without exposure and result."""
