@@ -19,6 +19,7 @@ from edged.app.pageserver import PageServer, PageWitness
 from edged.app.pagesource import AwaitedPage, StartedPage
 from edged.app.running import Running
 from edged.app.servers import START_S, Servers, close_within, start_within
+from edged.cell.commandends import CommandEnds
 from edged.cell.cycle import Cycle
 from edged.cell.loaded import Setup
 from edged.cell.stereohead import StereoHead
@@ -107,7 +108,9 @@ class Daemon:
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, self._running.figures)
         self._job_use = JobUse()
-        self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, self._job_use, *observers)
+        self._ends = CommandEnds()
+        own: tuple[Publisher, ...] = (self._notifier, self._metrics, self._job_use, self._ends)
+        self._observers: tuple[Publisher, ...] = (*own, *observers)
         self._servers = Servers(self._running, self._tell_cycle, self._page)
         self._reloading = asyncio.Lock()
 
@@ -254,7 +257,14 @@ class Daemon:
         )
         installer = Installer(self._path, self._read_again)
         service = CellService(
-            self._running, task, self._job_use, installer, self._metrics.render, self._head_with, stage
+            self._running,
+            task,
+            self._job_use,
+            self._ends,
+            installer,
+            self._metrics.render,
+            self._head_with,
+            stage,
         )
         source = StartedPage() if self._awaited is None else self._awaited
         page = PageServer(section.host, section.port, service, source)

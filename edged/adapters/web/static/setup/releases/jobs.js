@@ -26,6 +26,11 @@ const use = (job) =>
     await ask("POST", `${at(job)}/use`, {});
     await changed(t("jobs-used", { name: job.name }));
   });
+const golden = (job) =>
+  attempt(async () => {
+    await ask("POST", `${at(job)}/golden`, {});
+    await changed(t("jobs-golden-done", { name: job.name }));
+  });
 
 const GOOD = 0.95;
 function Share({ share, cycles }) {
@@ -81,6 +86,14 @@ function Job({ job, onAsk }) {
       ${
         !retired &&
         button("use", () => use(job), active || Boolean(owner) || cell.value.state === "SETUP" || !mayUse())
+      }
+      ${
+        !retired &&
+        button(
+          "golden",
+          () => golden(job),
+          Boolean(owner) || cell.value.state === "SETUP" || me.value?.role !== "engineer",
+        )
       }
       ${!retired && button("edit", () => teachFrom({ job: job.folder }), !mayTake.value || !job.editable)}
       ${!retired && button("duplicate", () => onAsk("duplicate", job), !mayTake.value)}
