@@ -263,8 +263,8 @@ def test_only_a_single_good_part_in_the_robots_frame_becomes_the_golden_one() ->
 def test_a_path_lands_within_repeatability_where_the_robots_absolute_error_is_half_a_millimetre() -> None:
     """A robot with a smooth error field: parts up to 20 mm beside the golden one, turned by up to 10 degrees.
 
-    Registered over half a metre it misses by tenths; a path that was taught on the golden part and is shifted, by
-    what the field changes on the way: within a repeatability of 0.02 to 0.05 mm.
+    Registered over half a metre it misses by tenths; a path that was taught on the golden part and is shifted
+    misses by what the field changes on the way: within a repeatability of 0.02 to 0.05 mm.
     """
     generator = np.random.default_rng(5)
     wave = generator.uniform(-1, 1, (3, 3)) / 200.0  # a period of about 1.2 metres
