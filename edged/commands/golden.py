@@ -13,6 +13,7 @@ from edged.errors import UserError
 from edged.files.golden import golden_file, save_golden
 from edged.files.images import load_image
 from edged.files.jobs import load_job
+from edged.files.outputs import check_folder
 from edged.files.rig import load_rig
 from edged.owners import as_owner
 from edged.pipeline import locate, prepare
@@ -28,6 +29,7 @@ def golden(rig: Path, job: Path, left: Path, right: Path, console: Console) -> i
     if loaded.robot_from_rig is None:
         how = "the robot carries it: let its program say GOLDEN" if loaded.flange_from_rig is not None else ""
         raise UserError(f"--rig {rig}: {how or 'not registered to a robot (edged register)'}")
+    check_folder(golden_file(rig.resolve(), taught.number).parent)
     pair, prepared = FramePair.of_images(load_image(left), load_image(right)), prepare(loaded)
     outcome = picked(locate(pair, taught, prepared), taught.picking, frame_of(loaded))
     snapshot = Snapshot(
