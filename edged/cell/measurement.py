@@ -53,7 +53,16 @@ class CycleRun:
             job, outcome = await self._best(pair)
         else:
             job, outcome = self._job, await self._located(self._job, pair)
-        return self._exposed(job, pair, self._picked(job, self._watched(job, outcome)))
+        outcome = self._picked(job, self._watched(job, outcome))
+        golden = job.golden
+        if golden is None or (self.command is not None and self.command.kind is CommandKind.GOLDEN):
+            return self._exposed(job, pair, outcome)
+        frame, registration = self.cell.setup.frame(self.command)
+        outcome = await self.cell.on_vision_thread(
+            golden.applied, outcome, frame.robot_from_rig, registration
+        )
+        exposed = self._exposed(job, pair, outcome)
+        return replace(exposed, golden=golden.state, golden_ns=golden.exposed_ns)
 
     @property
     def _job(self) -> LoadedJob:
@@ -97,7 +106,7 @@ class CycleRun:
         return refused(outcome) if self.cell.drift.state().verdict is CalibrationHealth.INVALID else outcome
 
     def _exposed(self, job: LoadedJob, pair: FramePair, outcome: Outcome) -> Snapshot:
-        snapshot = replace(
+        return replace(
             self._blank(job, outcome.status),
             exposed_ns=pair.exposed_ns,
             exposed_bound_ns=pair.exposed_bound_ns,
@@ -105,8 +114,6 @@ class CycleRun:
             dismissed=outcome.dismissed,
             nearest=outcome.nearest,
         )
-        is_golden = self.command is not None and self.command.kind is CommandKind.GOLDEN
-        return snapshot if job.golden is None or is_golden else job.golden.applied(snapshot)
 
     def _blank(self, job: LoadedJob, status: Status) -> Snapshot:
         """A snapshot without exposure and result."""

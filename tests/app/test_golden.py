@@ -18,7 +18,7 @@ from edged.app.cell import LoadedCell, load_cell, with_golden, with_registration
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.events import Snapshot
 from edged.domain.golden import GoldenState
-from edged.domain.measurement import Status
+from edged.domain.measurement import Outcome, Status
 from edged.errors import UserError
 from edged.files.golden import golden_file, load_golden
 from edged.files.rig import load_rig, save_rig
@@ -82,7 +82,8 @@ def test_a_kept_part_is_in_use_at_once_and_after_a_restart(cell: Path) -> None:
     for one in (kept, again):
         golden = one.setup.jobs[1].golden
         assert golden is not None
-        found = golden.applied(replace(snapshot, targets=(moved,))).targets[0].offset
+        outcome = golden.applied(Outcome(Status.OK, (moved,)), snapshot.robot_from_rig, None)
+        found = outcome.targets[0].offset
         assert found is not None
         offsets.append(found)
     np.testing.assert_array_equal(offsets[0].robot, offsets[1].robot)

@@ -8,10 +8,10 @@ import numpy as np
 
 from edged.cell.loaded import Setup
 from edged.domain.events import Snapshot
-from edged.domain.golden import Golden, GoldenState
+from edged.domain.golden import Golden
 from edged.errors import UserError
 from edged.robot.covariance import robot_covariance
-from edged.robot.golden import GoldenPart, golden_target
+from edged.robot.golden import golden_target, held
 from helpers.livecell import LiveCell
 from helpers.rigs import make_rig
 
@@ -44,7 +44,7 @@ class MemoryKeeper:
             np.zeros((0, 3)),
         )
         jobs = dict(self.cell.setup.jobs)
-        part = GoldenPart(GoldenState.HELD, golden, make_rig())
+        part = held(golden, make_rig())
         jobs[snapshot.job_number] = replace(jobs[snapshot.job_number], golden=part)
         self.cell.setup = replace(self.cell.setup, jobs=jobs)
         self.kept += 1

@@ -12,8 +12,8 @@ from helpers.snapshots import make_snapshot, make_target, make_transform
 
 from edged.domain.arrays import FloatArray
 from edged.domain.golden import Golden, Offset
-from edged.domain.measurement import Circle3D, Reject, Status, Target
-from edged.robot.golden import golden_target, offset_of
+from edged.domain.measurement import Circle3D, Outcome, Reject, Status, Target
+from edged.robot.golden import golden_target, held, motion_by_parameters, offset_of
 from edged.robot.touch import register_points
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, rotation_vector, transform
@@ -155,7 +155,9 @@ def stated(now: FloatArray, frames: tuple[FloatArray, FloatArray], registration:
     """What is published of it."""
     rig = uncertain_rig()
     golden = golden_at(target_at(AT_GOLDEN, rig), frames[0])
-    return offset_of(target_at(now, rig), golden, frames[1], registration, rig)
+    return offset_of(
+        target_at(now, rig), golden, frames[1], registration, rig, motion_by_parameters(rig, golden)
+    )
 
 
 def agreement(errors: FloatArray, covariance: FloatArray) -> float:
@@ -228,18 +230,41 @@ def test_a_part_without_a_front_is_turned_about_its_axis_as_little_as_can_be() -
     """Whatever turn the picture gave it; and that turn widens nothing."""
     rig = uncertain_rig()
     golden = golden_at(target_at(AT_GOLDEN, rig, is_round=True), ROBOT_FROM_RIG)
+    moved = motion_by_parameters(rig, golden)
     found = []
     for turn_rad in (0.0, 1.0, 3.0):
         spun = make_transform((0.0, 0.0, turn_rad), (0.0, 0.0, 0.0))
         target = target_at(make_transform((0.1, -0.1, 0.5), (9.0, 1.0, 250.0)) @ spun, rig, is_round=True)
         unknown = 25.0 * np.outer(target.rig_from_part[:3, 2], target.rig_from_part[:3, 2])
         vague = OWN + np.block([[np.zeros((3, 6))], [np.zeros((3, 3)), unknown]])
-        found.append(offset_of(replace(target, by_edges=vague), golden, ROBOT_FROM_RIG, None, rig))
+        found.append(offset_of(replace(target, by_edges=vague), golden, ROBOT_FROM_RIG, None, rig, moved))
     turns = [np.linalg.norm(rotation_vector(offset.robot[:3, :3])) for offset in found]
     assert max(turns) < 0.1
     for offset in found[1:]:
         np.testing.assert_allclose(offset.robot, found[0].robot, atol=1e-9)
     assert np.sqrt(np.diag(found[0].covariance)).max() < 0.1
+
+
+def test_a_part_that_is_not_finite_has_no_offset_and_ends_nothing() -> None:
+    """Neither its pose, nor its covariance, nor its features."""
+    rig = uncertain_rig()
+    good = target_at(AT_GOLDEN, rig)
+    part = held(golden_at(good, ROBOT_FROM_RIG), rig)
+    odd = good.circles[0], replace(good.circles[1], centre_mm=np.full(3, np.nan))
+    bad = (
+        replace(good, circles=odd),
+        replace(good, covariance=np.full((6, 6), np.inf)),
+        replace(good, rig_from_part=np.full((4, 4), np.nan)),
+    )
+    found = part.applied(Outcome(Status.OK, (good, *bad)), ROBOT_FROM_RIG, None).targets
+    assert [True, False, False, False] == [target.offset is not None for target in found]
+    rejected = replace(good, reject=Reject.RESIDUAL)
+    for outcome, robot in (
+        (Outcome(Status.OK, (rejected,)), ROBOT_FROM_RIG),
+        (Outcome(Status.LOW_QUALITY, (good,)), ROBOT_FROM_RIG),
+        (Outcome(Status.OK, (good,)), None),
+    ):
+        assert part.applied(outcome, robot, None).targets[0].offset is None
 
 
 def test_only_a_single_good_part_in_the_robots_frame_becomes_the_golden_one() -> None:
@@ -291,13 +316,14 @@ def test_a_path_lands_within_repeatability_where_the_robots_absolute_error_is_ha
     registered = register_points(apply(invert(world), touched), shown).robot_from_rig
     rig = replace(uncertain_rig(), covariance=None)
     golden = golden_at(target_at(AT_GOLDEN, rig), registered)
+    moved = motion_by_parameters(rig, golden)
     taught = command_for(world @ AT_GOLDEN @ on_part)
     by_numbers, shifted = [], []
     for _ in range(200):
         turn = generator.uniform(-0.1, 0.1, 3)
         now = AT_GOLDEN @ transform(rotation_matrix(turn), generator.uniform(-20, 20, 3))
         wanted = world @ now @ on_part
-        offset = offset_of(target_at(now, rig), golden, registered, None, rig)
+        offset = offset_of(target_at(now, rig), golden, registered, None, rig, moved)
         for commanded, misses_mm in (
             (registered @ now @ on_part, by_numbers),
             (offset.robot @ taught, shifted),

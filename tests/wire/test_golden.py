@@ -100,6 +100,26 @@ def test_registers_have_the_offset_and_its_sigma(convention: Convention) -> None
         assert all(0 < now[f"{block}SIGMA_{axis}"] < 65535 for block in ("O_", "OP_") for axis in "XYZABC")
 
 
+def test_a_rig_on_the_flange_is_seen_from_two_places_of_it() -> None:
+    """GOLDEN and LOCATE each say where the flange is; the offset is between the two in the robot's base."""
+    with cell_with() as (cell, _, robot):
+        flange_from_rig = make_transform((0.1, 0.0, 1.5), (40.0, 5.0, 90.0))
+        cell.reload(robot_from_rig=None, flange_from_rig=flange_from_rig)
+        flanges = [(500.0, -100.0, 600.0, 10.0, 20.0, 170.0), (560.0, -40.0, 580.0, -15.0, 5.0, 175.0)]
+        parts = [
+            flange @ flange_from_rig @ WAS for flange in (transform_of(Brand.KUKA, one) for one in flanges)
+        ]
+        for number, (command, one) in enumerate(zip(("GOLDEN", "LOCATE"), flanges, strict=True), 1):
+            cell.targets = (at(WAS),)
+            place = ",".join(map(str, one))
+            assert LineStatus.OK == robot.ask(f"{number},{command},0,{place}")[1]
+        numbers = robot.ask("3,OFFSET")[3]
+        expected = parts[1] @ invert(parts[0])
+        found = transform_of(Brand.KUKA, tuple(numbers[:6]))
+        np.testing.assert_allclose(found[:3, 3], expected[:3, 3], atol=0.05)
+        np.testing.assert_allclose(found[:3, :3], expected[:3, :3], atol=4e-5)
+
+
 def test_without_a_golden_part_nothing_is_valid_in_the_block() -> None:
     """A robot that asks is told so, and the result is what it always was."""
     with cell_with() as (cell, _, robot):
