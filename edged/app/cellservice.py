@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # a cell without a stage does not load what its routes need
 
 INSTALL_S, INSTALLS_AT_ONCE = 2.0, 5.0
 """A page may ask for so many releases at once, and then for one in so long."""
+LOCKED = "the plant runs: its PLC forbids changes (AUTO_LOCK is 1)"
 GOLDEN_S = 10.0
 """A cycle takes a second or two; one that is slower may still be kept, which the page then shows."""
 log = logging.getLogger(__name__)
@@ -145,7 +146,7 @@ class CellService:
         elif session.holder:
             raise SetupRefused(f"{session.holder} has the cell")
         if session.is_locked:
-            raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
+            raise SetupRefused(LOCKED)
         await self._installer.install(memory)
         log.info("%s has let the cell run by other files: %s", request.author, request.note)
 
@@ -168,7 +169,9 @@ class CellService:
         self._running.cycle.submit(self._command(CommandKind.CHANGE_JOB, number, "it changes the job itself"))
 
     async def _keep_golden(self, number: int) -> None:
-        """Raises `CommandRefused` that says why nothing was kept."""
+        """Raises `SetupRefused`, `CommandRefused` that say why nothing was kept."""
+        if self._running.session.is_locked:
+            raise SetupRefused(LOCKED)
         command = self._command(CommandKind.GOLDEN, number, "it commands GOLDEN itself")
         end = await self._ends.of(command, self._running.cycle.submit, GOLDEN_S)
         if isinstance(end, CommandFailed):

@@ -144,7 +144,7 @@ def test_a_job_is_used_as_a_plc_would_change_it(tmp_path: Path, monkeypatch: pyt
 def test_where_the_part_of_a_job_lies_is_kept_as_the_golden_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The answer says whether it was; not in SETUP, nor while a PLC has the right to write."""
+    """The answer says whether it was; not in SETUP, under AUTO_LOCK or while a PLC has the right to write."""
     cell = cell_with_jobs(tmp_path)
     place = golden_file(cell.config.with_name("rig.json"), 1)
 
@@ -158,6 +158,10 @@ def test_where_the_part_of_a_job_lies_is_kept_as_the_golden_one(
             patch.setattr(type(modbus), "owner", "192.0.2.7")
             status, problem = await cell.ask("POST", "/jobs/flange/golden", {})
             assert (409, "setup_refused") == (status, problem["code"])
+        cell.daemon._cycle.lock_setup(locked=True)  # noqa: SLF001  (as a PLC's AUTO_LOCK)
+        status, problem = await cell.ask("POST", "/jobs/flange/golden", {})
+        assert (409, "setup_refused") == (status, problem["code"])
+        cell.daemon._cycle.lock_setup(locked=False)  # noqa: SLF001
         place.unlink()
         place.parent.rmdir()
         place.parent.write_text("in the way")
