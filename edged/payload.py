@@ -19,6 +19,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellState, SetupSource
 from edged.domain.events import Command, Registered, Snapshot
+from edged.domain.golden import GoldenState, Offset
 from edged.domain.measurement import (
     Circle3D,
     Corner3D,
@@ -49,7 +50,7 @@ def target_to_json(
 ) -> Json:
     """One located part, rig frame; with `pose_robot` where the rig is registered to a robot.
 
-    With `rig_from_model` where the job was taught with a CAD model.
+    With `rig_from_model` where the job was taught with a CAD model, with `offset` where it has a golden part.
 
     `covariance_6x6` is of (x, y, z in mm, rotation vector in rad) in the axes of the frame the pose
     is given in, the small rotation applied on the left.
@@ -71,6 +72,8 @@ def target_to_json(
         "reject": reject_names(target.reject),
         "reject_bits": int(target.reject),
     }
+    if target.offset is not None:
+        document["offset"] = _offset(target.offset)
     if target.rig_from_model is not None:
         document["rig_from_model"] = _numbers(target.rig_from_model)
     if robot_from_rig is not None:
@@ -124,6 +127,9 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
     ]
     rejected = [target for target in snapshot.targets if target not in usable]
     robot, registration = snapshot.robot_from_rig, snapshot.registration_covariance
+    golden: Json = {}
+    if snapshot.golden is not GoldenState.NONE:
+        golden["golden"] = {"state": snapshot.golden.name, "exposed_ns": snapshot.golden_ns or None}
     return {
         "status": str(snapshot.status),
         "cycle": snapshot.cycle,
@@ -148,6 +154,7 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         },
         "error": snapshot.error,
         "error_code": snapshot.error_code,
+        **golden,
     }
 
 
@@ -242,6 +249,11 @@ def _pose(pose: FloatArray, covariance: FloatArray) -> Json:
         "rotation": _numbers(pose[:3, :3]),
         "covariance_6x6": _numbers(covariance),
     }
+
+
+def _offset(offset: Offset) -> Json:
+    """How a part lies against the golden one; sigmas are of where the offset lays the part."""
+    return {**_pose(offset.robot, offset.covariance), "part": _pose(offset.part, offset.part_covariance)}
 
 
 def _grasp(

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Command, CommandKind
+from edged.domain.golden import GoldenState, Offset
 from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
 from edged.domain.picking import GraspPose
 from edged.payload import (
@@ -212,3 +213,32 @@ def test_reject_reasons_are_named_one_by_one(bits):
     for bit in bits:
         combined |= bit
     assert {str(bit.name) for bit in bits} == set(reject_names(combined))
+
+
+@pytest.mark.parametrize("state", GoldenState)
+def test_an_offset_is_published_beside_the_pose_and_without_golden_nothing_changes(
+    state: GoldenState,
+) -> None:
+    """As the schema says; a golden part that no longer holds is named; without one no key is there."""
+    offset = Offset(
+        ROBOT_FROM_RIG, np.eye(6), make_transform((0.1, 0.0, 0.0), (1.0, 2.0, 3.0)), 4 * np.eye(6)
+    )
+    target = replace(make_target(), offset=offset if state is GoldenState.HELD else None)
+    snapshot = replace(make_snapshot(targets=(target,), robot_from_rig=ROBOT_FROM_RIG), golden=state)
+    if state is GoldenState.HELD:
+        snapshot = replace(snapshot, golden_ns=5)
+    document = publish(snapshot_to_json(snapshot), "target")
+    assert [] == violations(document, SCHEMA, SCHEMA)
+    plain = publish(snapshot_to_json(make_snapshot(robot_from_rig=ROBOT_FROM_RIG)), "target")
+    added = document.keys() - plain.keys(), document["targets"][0].keys() - plain["targets"][0].keys()
+    if state is GoldenState.NONE:
+        assert (set(), set(), plain) == (*added, document)
+    elif state is GoldenState.HELD:
+        assert ({"golden"}, {"offset"}) == added
+        assert {"state": "HELD", "exposed_ns": 5} == document["golden"]
+        found = document["targets"][0]["offset"]
+        assert ROBOT_FROM_RIG[:3, 3].tolist() == found["position_mm"]
+        assert ([1.0, 1.0, 1.0], [2.0, 2.0, 2.0]) == (found["sigma_mm"], found["part"]["sigma_mm"])
+    else:
+        assert ({"golden"}, set()) == added
+        assert {"state": state.name, "exposed_ns": None} == document["golden"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,12 +10,22 @@ import numpy as np
 
 from edged.cell.drift import DriftLimits
 from edged.cell.loaded import LoadedJob, Setup
+from edged.domain.events import Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome
 from edged.errors import UserError
+from edged.files.golden import golden_file, save_golden
 from edged.files.rig import read_rig, rig_of
 from edged.pipeline import PreparedRig, locate
-from edged.setup.cellfiles import CellFiles, UnfinishedCell, fingerprint, read_any_cell, read_cell
+from edged.robot.golden import GoldenPart, golden_of, golden_part, golden_target
+from edged.setup.cellfiles import (
+    CellFiles,
+    UnfinishedCell,
+    fingerprint,
+    golden_parts,
+    read_any_cell,
+    read_cell,
+)
 from edged.vision.kernels.jit import load_called
 from edged.vision.part.job import Job
 
@@ -61,7 +71,12 @@ def load_cell(path: Path) -> LoadedCell:
 
 def _loaded(cell: CellFiles) -> LoadedCell:
     config, rig = cell.config, PreparedRig(cell.rig, cell.rectification)
-    jobs = [LoadedJob(job.name, job.number, _bind(job, rig), job.witness, job.picking) for job in cell.jobs]
+    jobs = [
+        LoadedJob(
+            job.name, job.number, _bind(job, rig), job.witness, job.picking, cell.golden.get(job.number)
+        )
+        for job in cell.jobs
+    ]
     setup = Setup(
         jobs={job.number: job for job in jobs},
         active_job=min(job.number for job in jobs if config.cell.job in {None, job.name}),
@@ -101,7 +116,30 @@ def with_registration(loaded: LoadedCell) -> LoadedCell:
         flange_from_rig=rig.flange_from_rig,
     )
     registered = replace(cell, rig=rig, fingerprint=identity, contents=contents)
-    return LoadedCell(registered, replace(prepared, rig=rig), setup)
+    golden = golden_parts(path, rig, cell.jobs)
+    return _with_golden_parts(LoadedCell(registered, replace(prepared, rig=rig), setup), golden)
+
+
+def with_golden(loaded: LoadedCell, snapshot: Snapshot) -> LoadedCell:
+    """The cell with the one good part of a snapshot as the golden one of its job, which is saved.
+
+    Raises `UserError`; then nothing has changed.
+    """
+    cell, target = loaded.cell, golden_target(snapshot)
+    if not isinstance(cell, CellFiles) or snapshot.fingerprint != cell.fingerprint:
+        raise UserError("the cell's files were exchanged meanwhile: GOLDEN again")
+    if isinstance(target, str):
+        raise UserError(target)
+    job = next(job for job in cell.jobs if job.number == snapshot.job_number)
+    golden = golden_of(snapshot, target, job, cell.rig)
+    save_golden(golden_file(cell.config.cell.rig, job.number), golden)
+    return _with_golden_parts(loaded, {**cell.golden, job.number: golden_part(golden, job, cell.rig)})
+
+
+def _with_golden_parts(loaded: LoadedCell, golden: Mapping[int, GoldenPart]) -> LoadedCell:
+    assert isinstance(loaded.cell, CellFiles)
+    jobs = {n: replace(job, golden=golden.get(n)) for n, job in loaded.setup.jobs.items()}
+    return replace(loaded, cell=replace(loaded.cell, golden=golden), setup=replace(loaded.setup, jobs=jobs))
 
 
 def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], None]], Outcome]:

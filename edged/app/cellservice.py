@@ -12,11 +12,13 @@ from edged.adapters.modbus import ModbusPublisher
 from edged.app.cell import LoadedCell
 from edged.app.installer import Installer
 from edged.app.running import Running
+from edged.cell.commandends import CommandEnds
 from edged.config.chosencameras import ChosenCamera
 from edged.connections import Rate
 from edged.domain.arrays import Side
-from edged.domain.events import Command, CommandKind
+from edged.domain.events import Command, CommandFailed, CommandKind
 from edged.domain.exposure import CameraValues
+from edged.domain.golden import GoldenState
 from edged.errors import CommandRefused, SetupRefused
 from edged.link import requests as ask
 from edged.link.summary import CellSummary, FilesInUse, PageTask, PlcNow
@@ -29,6 +31,9 @@ if TYPE_CHECKING:  # a cell without a stage does not load what its routes need
 
 INSTALL_S, INSTALLS_AT_ONCE = 2.0, 5.0
 """A page may ask for so many releases at once, and then for one in so long."""
+LOCKED = "the plant runs: its PLC forbids changes (AUTO_LOCK is 1)"
+GOLDEN_S = 10.0
+"""A cycle takes a second or two; one that is slower may still be kept, which the page then shows."""
 log = logging.getLogger(__name__)
 
 PAGE = "page"
@@ -47,6 +52,7 @@ class CellService:
         running: Running,
         task: PageTask,
         use: JobUse,
+        ends: CommandEnds,
         installer: Installer,
         metrics: Callable[[], bytes],
         head_with: Callable[[Mapping[Side, ChosenCamera]], Head],
@@ -55,6 +61,7 @@ class CellService:
         self._running = running
         self._task = task
         self._use = use
+        self._ends = ends
         self._installer = installer
         self._metrics = metrics
         self._head_with = head_with
@@ -119,6 +126,8 @@ class CellService:
                 await self._install(request, memory)
             case ask.TakeJob():
                 self._take_job(request.number)
+            case ask.KeepGolden():
+                await self._keep_golden(request.number)
             case _:
                 return await self._looked_up(request)
         return None
@@ -137,7 +146,7 @@ class CellService:
         elif session.holder:
             raise SetupRefused(f"{session.holder} has the cell")
         if session.is_locked:
-            raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
+            raise SetupRefused(LOCKED)
         await self._installer.install(memory)
         log.info("%s has let the cell run by other files: %s", request.author, request.note)
 
@@ -157,11 +166,26 @@ class CellService:
         raise CommandRefused("this cell has no stage")
 
     def _take_job(self, number: int) -> None:
+        self._running.cycle.submit(self._command(CommandKind.CHANGE_JOB, number, "it changes the job itself"))
+
+    async def _keep_golden(self, number: int) -> None:
+        """Raises `SetupRefused`, `CommandRefused` that say why nothing was kept."""
+        if self._running.session.is_locked:
+            raise SetupRefused(LOCKED)
+        command = self._command(CommandKind.GOLDEN, number, "it commands GOLDEN itself")
+        end = await self._ends.of(command, self._running.cycle.submit, GOLDEN_S)
+        if isinstance(end, CommandFailed):
+            raise CommandRefused(end.reason)
+        if end.golden is not GoldenState.HELD:
+            raise CommandRefused(f"no good part: {end.error or end.status}")
+
+    def _command(self, kind: CommandKind, number: int, instead: str) -> Command:
+        """A command of the page. Raises `SetupRefused` while a PLC has the right to write."""
         modbus = self._running.modbus()
         if modbus is not None and modbus.owner:
-            raise SetupRefused(f"the PLC at {modbus.owner} has the right to write: it changes the job itself")
+            raise SetupRefused(f"the PLC at {modbus.owner} has the right to write: {instead}")
         self._commands += 1
-        self._running.cycle.submit(Command(CommandKind.CHANGE_JOB, PAGE, self._commands, job=number))
+        return Command(kind, PAGE, self._commands, job=number)
 
 
 def plc_now(modbus: ModbusPublisher) -> PlcNow:

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.systemd import SystemdNotifier
 from edged.app.cameras import Size, head_of
-from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_registration
+from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_golden, with_registration
 from edged.app.cellservice import CellService
 from edged.app.installer import Installer
 from edged.app.pageserver import PageServer, PageWitness
 from edged.app.pagesource import AwaitedPage, StartedPage
 from edged.app.running import Running
 from edged.app.servers import START_S, Servers, close_within, start_within
+from edged.cell.commandends import CommandEnds
 from edged.cell.cycle import Cycle
 from edged.cell.loaded import Setup
 from edged.cell.stereohead import StereoHead
@@ -26,6 +27,7 @@ from edged.config.cameras import CameraSection
 from edged.config.chosencameras import ChosenCamera
 from edged.config.servers import WebSection
 from edged.domain.arrays import Side
+from edged.domain.events import Snapshot
 from edged.errors import EdgedError, TookTooLong, UserError
 from edged.files.statefolder import SetupNote, setup_note
 from edged.link.summary import PageTask
@@ -99,13 +101,16 @@ class Daemon:
             loaded.setup,
             notebook=SetupNote(setup_note(path)),
             registrar=self._registrar,
+            keeper=self,
         )
         staged = world is not None and world.stage is not None
         self._running = Running(path.resolve(), loaded, self._cycle, head, self._read_again, staged)
         self._notifier = SystemdNotifier()
         self._metrics = MetricsPublisher(loaded.cell.config.cell.name, self._running.figures)
         self._job_use = JobUse()
-        self._observers: tuple[Publisher, ...] = (self._notifier, self._metrics, self._job_use, *observers)
+        self._ends = CommandEnds()
+        own: tuple[Publisher, ...] = (self._notifier, self._metrics, self._job_use, self._ends)
+        self._observers: tuple[Publisher, ...] = (*own, *observers)
         self._servers = Servers(self._running, self._tell_cycle, self._page)
         self._reloading = asyncio.Lock()
 
@@ -212,6 +217,12 @@ class Daemon:
             log.info("registered, fingerprint %s", self._running.fingerprint())
             return self._running.loaded.setup
 
+    async def keep(self, snapshot: Snapshot) -> Setup:
+        """Keep a golden part, and measure with it. Raises `EdgedError`."""
+        async with self._reloading:
+            self._running.loaded = await asyncio.to_thread(with_golden, self._running.loaded, snapshot)
+            return self._running.loaded.setup
+
     def _warn(self) -> None:
         cell = self._running.loaded.cell
         for secret in exposed_secrets(self._path, cell.config):
@@ -246,7 +257,14 @@ class Daemon:
         )
         installer = Installer(self._path, self._read_again)
         service = CellService(
-            self._running, task, self._job_use, installer, self._metrics.render, self._head_with, stage
+            self._running,
+            task,
+            self._job_use,
+            self._ends,
+            installer,
+            self._metrics.render,
+            self._head_with,
+            stage,
         )
         source = StartedPage() if self._awaited is None else self._awaited
         page = PageServer(section.host, section.port, service, source)

@@ -173,6 +173,10 @@ class RemoteCell:
         """Measure by a job. Raises `SetupRefused`, `CommandRefused`."""
         await self._link.ask(ask.TakeJob(number=number))
 
+    async def keep_golden(self, number: int) -> None:
+        """Keep where the part of a job lies. Raises `SetupRefused`, `CommandRefused`."""
+        await self._link.ask(ask.KeepGolden(number=number))
+
     async def exchanges(self) -> Sequence[Exchange]:
         """The last commands of a PLC and their outcome, newest first."""
         found: Sequence[Exchange] = await self._link.ask(ask.AskExchanges())

@@ -12,6 +12,8 @@ import asyncio
 import math
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Protocol
 
 from edged.cell.announcements import log
 from edged.cell.context import CellContext
@@ -24,6 +26,7 @@ from edged.domain.cell import CellPhase, DriftState, SetupSource
 from edged.domain.events import (
     REGISTERING,
     Command,
+    CommandFailed,
     CommandKind,
     ExposureDone,
     Idle,
@@ -31,6 +34,7 @@ from edged.domain.events import (
     Snapshot,
 )
 from edged.domain.frames import FramePair
+from edged.domain.golden import GoldenState
 from edged.domain.measurement import Status
 from edged.errors import (
     BeingSetUp,
@@ -39,6 +43,7 @@ from edged.errors import (
     CameraUnreachable,
     CaptureError,
     CommandRefused,
+    EdgedError,
 )
 from edged.logs import cycle_number, fields
 from edged.ports import Head, Publisher
@@ -47,12 +52,22 @@ FAULT_REST_S = 0.1
 """Pause after a fault in a cycle without a command: each one is announced, published and recorded."""
 
 
+class GoldenKeeper(Protocol):
+    """Keeps golden parts."""
+
+    async def keep(self, snapshot: Snapshot) -> Setup:
+        """Keep the one good part of a snapshot, and return the setup that has it.
+
+        Raises `EdgedError` that says why not; then nothing has changed.
+        """
+
+
 class Cycle:
     """The measuring loop of one cell; also the `Commander` of its publishers.
 
     session : where people take the cell for SETUP (`Commissioner`). stopping : set by `stop`.
     notebook : None: who holds the cell is forgotten with this process.
-    registrar : None: no robot's program registers the rig.
+    registrar : None: no robot's program registers the rig. keeper : None: GOLDEN is refused.
     """
 
     def __init__(
@@ -63,11 +78,13 @@ class Cycle:
         *,
         notebook: Notebook | None = None,
         registrar: Registrar | None = None,
+        keeper: GoldenKeeper | None = None,
     ) -> None:
         self._cell = CellContext(head, setup, was_taken=notebook is not None and notebook.is_taken())
         self._registration = RobotRegistration(self._cell, registrar)
         self.session = SetupSession(self._cell, self._registration, notebook)
         self.stopping = self._cell.stopping
+        self._keeper = keeper
         self._utc_ns = utc_ns
         self._rests_until_s = 0.0
 
@@ -145,6 +162,8 @@ class Cycle:
         problem = cell.setup.problem(command)
         if registers and not problem:
             problem = self._registration.problem(command)
+        if command.kind is CommandKind.GOLDEN and self._keeper is None:
+            problem = "this cell keeps no golden parts"
         if problem:
             raise CommandRefused(problem)
         try:
@@ -250,7 +269,10 @@ class Cycle:
         cycle_number.set(cell.number)
         cell.tell_state(CellPhase.BUSY, keep_error=True)
         snapshot = await self._measure(command, heard)
-        cell.announce(snapshot)
+        if command is not None and command.kind is CommandKind.GOLDEN and snapshot.status is Status.OK:
+            cell.announce(await self._keep_golden(command, snapshot))
+        else:
+            cell.announce(snapshot)
         cell.announcements.log_miss(snapshot)
         if snapshot.status is Status.CAPTURE_FAULT:
             if command is None:
@@ -275,6 +297,20 @@ class Cycle:
         if command is not None and command.kind is CommandKind.GRAB:
             return run.grabbed(pair)
         return await run.located(pair)
+
+    async def _keep_golden(self, command: Command, snapshot: Snapshot) -> Snapshot | CommandFailed:
+        """The event that ends GOLDEN on a good part."""
+        cell = self._cell
+        assert self._keeper is not None  # it is refused without
+        try:
+            setup = await self._keeper.keep(snapshot)
+        except EdgedError as error:
+            return CommandFailed(command, str(error))
+        if cell.pending is not None:  # a reload that changed nothing else came meanwhile, without the part
+            cell.pending = (setup, cell.pending[1])
+        cell.use(setup)
+        log.info("GOLDEN of job %d (%s) was kept", snapshot.job_number, snapshot.job)
+        return replace(snapshot, golden=GoldenState.HELD, golden_ns=snapshot.exposed_ns)
 
     def _change_job(self, command: Command) -> None:
         cell = self._cell

@@ -13,8 +13,10 @@ from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome
 from edged.domain.picking import Bounds, Picking
 from edged.robot.covariance import moved_frame
+from edged.robot.golden import GoldenPart
 from edged.robot.picking import RobotFrame, narrowed, within
 
+_IN_ROBOTS_FRAME = (CommandKind.LOCATE, CommandKind.GOLDEN)
 Locate = Callable[[FramePair, Callable[[str], None]], Outcome]
 """The pipeline with job and rig bound; calls the second argument at the end of each stage."""
 
@@ -24,6 +26,7 @@ class LoadedJob:
     """A job that is in memory and warm.
 
     witness : its measurement of known size, for the drift. picking : which parts a robot may pick, and how.
+    golden : the part that its offsets count from; None where none was kept.
     """
 
     name: str
@@ -31,6 +34,7 @@ class LoadedJob:
     locate: Locate
     witness: str | None = None
     picking: Picking = field(default_factory=Picking)
+    golden: GoldenPart | None = None
 
 
 def _no_job(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
@@ -78,9 +82,14 @@ class Setup:
             return "a job change needs a job number"
         if command.box > len(self.bounds.boxes):
             return f"no box {command.box}, the cell's limits have {len(self.bounds.boxes)}"
-        carried = self.flange_from_rig is not None and command.kind is CommandKind.LOCATE
-        if carried and command.robot_from_flange is None:
-            return "the robot carries the cameras: LOCATE needs the pose of the flange"
+        if command.kind is CommandKind.GOLDEN:
+            if self.robot_from_rig is None and self.flange_from_rig is None:
+                return "the rig is not registered to the robot: GOLDEN is kept in its frame"
+            if command.tries_all:
+                return "GOLDEN is of one job, not of all"
+        needs_place = self.flange_from_rig is not None and command.kind in _IN_ROBOTS_FRAME
+        if needs_place and command.robot_from_flange is None:
+            return f"the robot carries the cameras: {command.kind.name} needs the pose of the flange"
         return ""
 
     def frame(self, command: Command | None) -> tuple[RobotFrame, FloatArray | None]:

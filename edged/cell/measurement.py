@@ -11,7 +11,7 @@ from edged.cell.context import CellContext
 from edged.cell.drift import refused
 from edged.cell.loaded import LoadedJob
 from edged.domain.cell import CalibrationHealth
-from edged.domain.events import Command, Snapshot
+from edged.domain.events import Command, CommandKind, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status
 from edged.domain.stopwatch import Stopwatch
@@ -53,7 +53,16 @@ class CycleRun:
             job, outcome = await self._best(pair)
         else:
             job, outcome = self._job, await self._located(self._job, pair)
-        return self._exposed(job, pair, self._picked(job, self._watched(job, outcome)))
+        outcome = self._picked(job, self._watched(job, outcome))
+        golden = job.golden
+        if golden is None or (self.command is not None and self.command.kind is CommandKind.GOLDEN):
+            return self._exposed(job, pair, outcome)
+        frame, registration = self.cell.setup.frame(self.command)
+        outcome = await self.cell.on_vision_thread(
+            golden.applied, outcome, frame.robot_from_rig, registration
+        )
+        exposed = self._exposed(job, pair, outcome)
+        return replace(exposed, golden=golden.state, golden_ns=golden.exposed_ns)
 
     @property
     def _job(self) -> LoadedJob:

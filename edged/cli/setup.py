@@ -274,6 +274,25 @@ def locate(
     )
 
 
+@app.command()
+def golden(
+    rig: RigOption,
+    job: Annotated[Path, typer.Option(help="job folder, written by `edged teach`")],
+    left: Annotated[Path, typer.Argument(help="left image of the part as it lay when the path was taught")],
+    right: Annotated[Path, typer.Argument(help="right image")],
+) -> None:
+    """Keep where the part lay for which a path was taught; results then say how they lie against it.
+
+    Written beside the rig, as the command GOLDEN does; a running cell knows it after a reload. 0: kept, 1:
+    there is not one good part.
+    """
+    from rich.console import Console
+
+    from edged.commands.golden import golden as command
+
+    raise typer.Exit(command(rig, job, left, right, Console()))
+
+
 grasp = typer.Typer(help="How a tool takes a part.", no_args_is_help=True)
 app.add_typer(grasp, name="grasp")
 

@@ -11,6 +11,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellState, DriftState
 from edged.domain.frames import FramePair
+from edged.domain.golden import GoldenState
 from edged.domain.measurement import Nearest, NotMeasured, Status, Target
 from edged.domain.registration import Obstacle, Registration
 
@@ -36,6 +37,8 @@ class CommandKind(enum.IntEnum):
     """Take a picture for the pose that FLANGE says; a NACK added nothing."""
     REGISTER_SOLVE = 9
     """Solve, and register the rig if the result is good; a NACK changes nothing."""
+    GOLDEN = 10
+    """Measure, and keep where the one good part lies: later results say how they lie against it."""
 
 
 REGISTERING = frozenset(
@@ -126,6 +129,7 @@ class Snapshot:
     basis : number of the `Basis` it was measured on.
     robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
     of it, or None where it is not known.  drift : of the calibration, this cycle included.
+    golden : whether the job has a golden part; golden_ns : UTC ns of the golden part's exposure, 0 without.
     """
 
     cycle: int
@@ -149,6 +153,8 @@ class Snapshot:
     dismissed: tuple[NotMeasured, ...] = ()
     nearest: Nearest | None = None
     basis: int = 0
+    golden: GoldenState = GoldenState.NONE
+    golden_ns: int = 0
 
     def __post_init__(self) -> None:
         for part in (self.targets, self.robot_from_rig, self.registration_covariance):

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.domain.golden import Offset
 from edged.domain.picking import GraspPose
 
 
@@ -188,6 +189,7 @@ class Target:
     grasp : how a tool takes it; None where the job has none, or none that is allowed.
     rig_from_model (4, 4) : where the frame of the job's CAD model lies; None where it was taught without one.
     reported : what is published in place of the reference point's pose; None: that one.
+    offset : how it lies against the golden part; None where the job has none.
     doubt_mm : part of the distance's sigma, in every covariance, from evidence against the rig: rows that
     do not meet, sizes that are all wrong by one factor.
     by_edges, by_doubt (6, 6) : parts of the covariance from the edges and from the doubt; the rest is the
@@ -212,6 +214,7 @@ class Target:
     grasp: GraspPose | None = None
     rig_from_model: FloatArray | None = None
     reported: ReportedPose | None = None
+    offset: Offset | None = None
 
     @property
     def as_reported(self) -> Target:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import (
     MAX_DOCUMENT_BYTES,
@@ -21,6 +20,7 @@ from edged.files.atomic import (
     write_file,
 )
 from edged.files.imagesizes import MAX_PIXELS
+from edged.files.jsonfields import JsonFields
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRig
 
 RIG_FORMAT = "edged-rig"
@@ -106,7 +106,7 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
         raise FileFormatError(f'{path}: not a rig file (expected "format": "{RIG_FORMAT}")')
     if document.get("version") != RIG_VERSION:
         raise FileFormatError(f"{path}: version {document.get('version')!r}, this edged reads {RIG_VERSION}")
-    reader = _Fields(path, document)
+    reader = JsonFields(path, document)
     left, right = _camera_from_json(reader.sub("left")), _camera_from_json(reader.sub("right"))
     right_from_left = reader.transform("right_from_left")
     if float(np.linalg.norm(right_from_left[:3, 3])) <= 0:
@@ -120,17 +120,15 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
         raise FileFormatError(f"{path}: calibration_id: expected a name, got {identity!r}")
     registration = None
     if document.get("registration_covariance") is not None:
-        registration = reader.array("registration_covariance", (6, 6))
-        _check_covariance(registration, f"{path}: registration_covariance")
+        registration = reader.covariance("registration_covariance", 6)
     rig = StereoRig(left, right, right_from_left, identity, robot, None, registration, flange)
     stored = document.get("covariance")
     if stored is None:
         return rig
     size = len(rig.parameter_names)
-    covariance = reader.sub("covariance").array("matrix", (size, size))
+    covariance = reader.sub("covariance").covariance("matrix", size)
     if stored.get("parameters") != list(rig.parameter_names):
         raise FileFormatError(f"{path}: covariance.parameters: expected {list(rig.parameter_names)}")
-    _check_covariance(covariance, f"{path}: covariance.matrix")
     return replace(rig, covariance=covariance)
 
 
@@ -141,11 +139,6 @@ def load_rig_quality(path: Path) -> dict[str, Any]:
     except (ValueError, AttributeError, RecursionError) as error:
         raise FileFormatError(f"{path}: not a rig file: {error}") from error
     return quality if isinstance(quality, dict) else {}
-
-
-def _check_covariance(matrix: FloatArray, place: str) -> None:
-    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-30) or (np.diag(matrix) < 0).any():
-        raise FileFormatError(f"{place}: not a covariance (symmetric, positive)")
 
 
 def _camera_to_json(camera: CameraModel) -> dict[str, Any]:
@@ -162,7 +155,7 @@ def _camera_to_json(camera: CameraModel) -> dict[str, Any]:
     }
 
 
-def _camera_from_json(reader: _Fields) -> CameraModel:
+def _camera_from_json(reader: JsonFields) -> CameraModel:
     model = reader.document.get("model")
     if model not in DISTORTION_NAMES:
         raise reader.error("model", f"expected one of {sorted(DISTORTION_NAMES)}, got {model!r}")
@@ -187,51 +180,6 @@ def _camera_from_json(reader: _Fields) -> CameraModel:
         tuple(distortion.number(name) for name in DISTORTION_NAMES[model]),
         gamma,
     )
-
-
-class _Fields:
-    """Reads typed fields of a JSON object and names the place when one is wrong."""
-
-    def __init__(self, path: Path, document: dict[str, Any], prefix: str = "") -> None:
-        self.path, self.document, self.prefix = path, document, prefix
-
-    def error(self, name: str, problem: str) -> FileFormatError:
-        return FileFormatError(f"{self.path}: {self.prefix}{name}: {problem}")
-
-    def sub(self, name: str) -> _Fields:
-        value = self.document.get(name)
-        if not isinstance(value, dict):
-            raise self.error(name, f"expected an object, got {type(value).__name__}")
-        return _Fields(self.path, value, f"{self.prefix}{name}.")
-
-    def number(self, name: str) -> float:
-        value = self.document.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise self.error(name, f"expected a number, got {value!r}")
-        return float(value)
-
-    def integer(self, name: str) -> int:
-        value = self.document.get(name)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 < value < 100_000:
-            raise self.error(name, f"expected a size in pixels, got {value!r}")
-        return value
-
-    def array(self, name: str, shape: tuple[int, ...]) -> FloatArray:
-        try:
-            value = np.array(self.document.get(name), dtype=np.float64)
-        except (TypeError, ValueError):
-            raise self.error(name, f"expected numbers in the shape {shape}") from None
-        if value.shape != shape or not np.isfinite(value).all():
-            raise self.error(name, f"expected finite numbers in the shape {shape}, got {value.shape}")
-        return value
-
-    def transform(self, name: str) -> FloatArray:
-        value = self.array(name, (4, 4))
-        rotation = value[:3, :3]
-        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
-        if not rigid or not np.allclose(value[3], (0, 0, 0, 1)):
-            raise self.error(name, "expected a rigid 4x4 transform (rotation and translation)")
-        return value
 
 
 # --- array containers ---------------------------------------------------------------------------

@@ -111,6 +111,13 @@ class TakeJob(Request):
     number: Annotated[int, Field(ge=1, le=65535)]
 
 
+class KeepGolden(Request):
+    """Measure, and keep where the part of a job lies, where no PLC owns the right to write."""
+
+    ask: Literal["keep_golden"] = "keep_golden"
+    number: Annotated[int, Field(ge=1, le=65535)]
+
+
 class AskRegisters(Request):
     """Answered by the address and value of each register."""
 
@@ -151,6 +158,7 @@ Asked = (
     | TryCameras
     | InstallRelease
     | TakeJob
+    | KeepGolden
     | AskRegisters
     | AskExchanges
     | AskMetrics

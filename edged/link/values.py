@@ -15,7 +15,7 @@ from pydantic import BaseModel
 from edged.cbor import CborBounds
 from edged.codec.codec import FORMAT, Codec
 from edged.config.chosencameras import ChosenCamera
-from edged.domain import cell, events, exposure, frames, measurement, overview, picking, registration
+from edged.domain import cell, events, exposure, frames, golden, measurement, overview, picking, registration
 from edged.link import summary
 from edged.plc.ladder import Exchange, Rung
 
@@ -41,6 +41,8 @@ TYPES: tuple[type, ...] = (
     frames.Frame,
     frames.FramePair,
     frames.TimeBase,
+    golden.GoldenState,
+    golden.Offset,
     measurement.Circle3D,
     measurement.Corner3D,
     measurement.Edge3D,

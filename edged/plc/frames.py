@@ -53,7 +53,12 @@ ANSWER_ROWS = (
 """Names and types (as `struct` writes them), in their order."""
 REQUEST = struct.Struct(">" + "".join(kind for _, kind in REQUEST_ROWS))
 ANSWER = struct.Struct(">" + "".join(kind for _, kind in ANSWER_ROWS))
-QUERIES = {"GRASP": 100, "APPROACH": 101, "ACK": 102, "EXPOSE": 103, "RESULT": 104, "AUTO_LOCK": 105}
+QUERIES = {
+    name: number
+    for number, name in enumerate(
+        ("GRASP", "APPROACH", "ACK", "EXPOSE", "RESULT", "AUTO_LOCK", "OFFSET", "OFFSET_PART"), 100
+    )
+}
 COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, **QUERIES}
 """Values of COMMAND: commands of the registers, and what only lines and frames have."""
 BRANDS = {brand: number for number, brand in enumerate(Brand, 1)}

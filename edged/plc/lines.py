@@ -48,7 +48,7 @@ def answer_fields(brand: Brand) -> tuple[str, ...]:
 
 
 class LineStatus(enum.IntEnum):
-    """Second field of an answer. 1 to 99: a NACK_REASON; 102 to 108: a RESULT and 100; the rest is here."""
+    """Second field of an answer. 1 to 99: a NACK_REASON; 102 to 109: a RESULT and 100; the rest is here."""
 
     OK = 0
     """Carried out; after LOCATE and NEXT: the pose may be used."""
@@ -74,6 +74,8 @@ class LineStatus(enum.IntEnum):
     """GRASP or APPROACH, and the part that was given last has no grasp."""
     NO_SUCH_BRAND = 120
     """The request names a brand that this cell does not know."""
+    NO_OFFSET = 121
+    """OFFSET or OFFSET_PART, and the part that was given last has none: no GOLDEN, or it no longer holds."""
 
 
 class BadRequest(ValueError):

@@ -26,15 +26,21 @@ def robot_covariance(
 
 
 def moved_frame(registration: FloatArray, robot_from_flange: FloatArray) -> FloatArray:
-    """(6, 6) of robot_from_rig, from that of flange_from_rig; the flange's own pose is taken as exact.
+    """(6, 6) of robot_from_rig, from that of flange_from_rig; the flange's own pose is taken as exact."""
+    moved = adjoint(robot_from_flange)
+    return np.asarray(moved @ registration @ moved.T)
 
-    A small motion about the flange's origin, (shift v, rotation w), is (R v + t x R w, R w) about the base's.
+
+def adjoint(to_from_source: FloatArray) -> FloatArray:
+    """(6, 6): small motions about the source's origin as motions about the other frame's.
+
+    (shift v, rotation w) becomes (R v + t x R w, R w).
     """
-    R, t = robot_from_flange[:3, :3], robot_from_flange[:3, 3]
-    adjoint = np.zeros((6, 6))
-    adjoint[:3, :3] = adjoint[3:, 3:] = R
-    adjoint[:3, 3:] = skew(t) @ R
-    return np.asarray(adjoint @ registration @ adjoint.T)
+    R, t = to_from_source[:3, :3], to_from_source[:3, 3]
+    result = np.zeros((6, 6))
+    result[:3, :3] = result[3:, 3:] = R
+    result[:3, 3:] = skew(t) @ R
+    return result
 
 
 def rotate_covariance(covariance: FloatArray, to_from_source: FloatArray) -> FloatArray:

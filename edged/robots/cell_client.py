@@ -205,6 +205,18 @@ class EdgedCell:
         """Measure without asking for coordinates: the code is VERIFIED when the part is good."""
         return self._measure("VERIFY", job, timeout_s)
 
+    def golden(self, job: int = 0, timeout_s: float = 5.0) -> Result:
+        """Keep where the one good part lies: the code is KEPT, and later results have an offset from it."""
+        return self._measure("GOLDEN", job, timeout_s)
+
+    def offset(self, result: Result) -> dict[str, float] | None:
+        """The block `offset` of a result that is still on display; None: it has none, or another is shown."""
+        offset = self.read("offset")
+        ours = (result.sequence, result.values["SEQ_TAIL"], result.values["START_EPOCH"])
+        is_ours = ours == tuple(offset[f"O_{name}"] for name in ("SEQ_HEAD", "SEQ_TAIL", "START_EPOCH"))
+        is_valid = is_ours and result.ok and "VALID" in _names(FLAGS, int(offset["O_FLAGS"]))
+        return offset if is_valid else None
+
     def grab(self, timeout_s: float = 5.0) -> Result:
         """Take the picture only."""
         return self._measure("GRAB", 0, timeout_s)

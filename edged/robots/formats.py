@@ -129,6 +129,7 @@ FORMATS = {
                     *("nextNumber", "ask", "newField", "takeCode", "takeField", "openLink", "hangUp"),
                     *("send", "receive", "addPlace", "startClock", "readClock", "pause"),
                     *("locate", "expose", "result", "nextPart", "grasp", "perform", "start", "stop"),
+                    *("golden", "offset"),
                 )
             },
         },

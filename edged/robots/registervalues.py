@@ -23,6 +23,7 @@ from edged.plc.registers import (
     TABLE,
     UR,
     UR_GRASP,
+    UR_OFFSET,
     Block,
     Flag,
     Kind,
@@ -69,6 +70,7 @@ def register_values() -> dict[str, object]:
         "reason": _numbers(reason for reason in NackReason if reason),
         "flag": _numbers(Flag),
         "bit": _numbers(StatusBit),
+        "result": _numbers(ResultCode),
         "option": _numbers(Option),
         "convention": _numbers(Convention),
     }
@@ -76,6 +78,7 @@ def register_values() -> dict[str, object]:
         **numbers,
         **{name: _area(block) for name, block in used.items()},
         "UR_GRASP": _area(UR_GRASP),
+        "UR_OFFSET": _area(UR_OFFSET),
         "edged_version": __version__,
         "magic": MAGIC,
         "map_version": MAP_VERSION,

@@ -38,6 +38,7 @@ MEANINGS = {
     LineStatus.NO_FURTHER: "no further target",
     LineStatus.OUT_OF_LIMITS: "where the robot must not go",
     LineStatus.NO_GRASP: "the part has no grasp",
+    LineStatus.NO_OFFSET: "no golden part, or it no longer holds",
     LineStatus.NO_SUCH_BRAND: "a brand that the cell does not know",
     Failure.LATE: "no answer in time",
     Failure.NO_LINK: "no link",

@@ -9,8 +9,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from edged.config import chosencameras
@@ -18,13 +18,16 @@ from edged.config.configuration import Config
 from edged.config.reading import config_and_choice, read
 from edged.config.tomltext import toml_of
 from edged.domain.cell import SetupSource
+from edged.domain.golden import GoldenState
 from edged.domain.numerals import json_of
 from edged.errors import ConfigError, FileFormatError, UserError, printable
+from edged.files.golden import golden_file, load_golden
 from edged.files.jobs import job_folders, job_of, read_job
 from edged.files.private import closing, is_exposed, read_shared_key
 from edged.files.rig import read_rig, rig_of
 from edged.files.secrettext import without_secrets
 from edged.link.summary import FilesInUse
+from edged.robot.golden import GoldenPart, golden_part
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.part.job import Job
@@ -42,6 +45,7 @@ class CellFiles:
 
     fingerprint : changes with anything that a result stands on.
     contents : of each file that a result stands on, by its name in a recording; without secrets.
+    golden : golden parts, by the number of the job; beside all that, as no pose stands on them.
     """
 
     config: Config
@@ -50,6 +54,7 @@ class CellFiles:
     jobs: tuple[Job, ...]
     fingerprint: str
     contents: Mapping[str, bytes]
+    golden: Mapping[int, GoldenPart] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +109,8 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
         return UnfinishedCell(config, rig, identity, contents, lacking[0], tuple(problems))
     if rig is None or rectification is None or problems:
         raise ConfigError(str(path), problems)
-    return CellFiles(config, rig, rectification, tuple(jobs), identity, contents)
+    golden = golden_parts(config.cell.rig, rig, jobs)
+    return CellFiles(config, rig, rectification, tuple(jobs), identity, contents, golden)
 
 
 def files_in_use(cell: CellFiles | UnfinishedCell) -> FilesInUse:
@@ -140,6 +146,20 @@ def cell_of(files: FilesInUse) -> CellFiles | UnfinishedCell:
     read = tuple(job_of(contents, config.cell.jobs / folder) for folder, contents in jobs.items())
     rectification = make_rectification(rig)
     return CellFiles(config, rig, rectification, read, files.fingerprint, files.contents)
+
+
+def golden_parts(place: Path, rig: StereoRig, jobs: Iterable[Job]) -> dict[int, GoldenPart]:
+    """The golden part of each job that has one, also where it no longer holds. place : of the rig's file."""
+    found = dict[int, GoldenPart]()
+    for job in jobs:
+        path = golden_file(place, job.number)
+        if _is_missing(path):
+            continue
+        try:
+            found[job.number] = golden_part(load_golden(path), job, rig)
+        except FileFormatError as error:
+            found[job.number] = GoldenPart(GoldenState.DAMAGED, why=str(error))
+    return found
 
 
 def _is_missing(path: Path) -> bool:
@@ -186,7 +206,12 @@ def doubts(cell: CellFiles) -> list[str]:
             f"its cameras stand {rig.baseline_mm:.4g} mm apart: measure it; where that is wrong, the size of "
             "the board was stated wrongly, and each length is wrong by as much"
         )
-    return [f"{cell.config.cell.rig.name}: {printable(line)}" for line in said]
+    lines = [f"{cell.config.cell.rig.name}: {printable(line)}" for line in said]
+    for number, part in sorted(cell.golden.items()):
+        if part.why:
+            place = f"golden/{number}.json: {part.state.name}"
+            lines.append(f"{place}: {printable(part.why)}: results have no offset until GOLDEN is kept again")
+    return lines
 
 
 def exposed_secrets(path: Path, config: Config) -> list[ExposedSecret]:

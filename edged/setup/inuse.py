@@ -118,6 +118,9 @@ class RunningCell(Protocol):
     async def take_job(self, number: int) -> None:
         """Measure by a job. Raises `SetupRefused` where a PLC owns the right to write, `CommandRefused`."""
 
+    async def keep_golden(self, number: int) -> None:
+        """Measure, and keep where the part of a job lies. Raises as `take_job`; then nothing is kept."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellInUse:

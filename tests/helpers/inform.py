@@ -12,10 +12,12 @@ import re
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from edged.robot.orientations import Brand, pose_of
+from edged.domain.arrays import FloatArray
+from edged.robot.orientations import Brand, pose_of, transform_of
 from helpers.robotlink import Link
 from helpers.robotwords import Declared
 from helpers.waiting import LIMIT_S, WHOLE_S
@@ -119,6 +121,11 @@ class Controller:
                 self.call()
             elif found := re.match(r"MOVL P(\d{3}) V=\d+\.\d$", line):
                 self.moves.append(self.positions[int(found[1])])
+            elif found := re.match(r"MULMAT P(\d{3}) P(\d{3}) P(\d{3})$", line):
+                target, one, other = map(int, found.groups())
+                pose = self._matrix(self.positions[one]) @ self._matrix(self.positions[other])
+                numbers = np.array(pose_of(Brand.YASKAWA, pose))
+                self.positions[target] = np.rint(numbers * ([1e3] * 3 + [1e4] * 3))
             elif line == "TIMER T=0.010":
                 self._pause(0.01)
             elif found := re.match(r"GETS PX(\d{3}) \$PX001$", line):
@@ -127,6 +134,10 @@ class Controller:
                 found = re.match(r"SETE P(\d{3}) \(([1-6])\) (D\d{3})$", line)
                 assert found is not None, f"no instruction: {line}"
                 self.positions[int(found[1])][int(found[2]) - 1] = self.number(found[3])
+
+    @staticmethod
+    def _matrix(position: Any) -> FloatArray:
+        return transform_of(Brand.YASKAWA, tuple((np.asarray(position) / ([1e3] * 3 + [1e4] * 3)).tolist()))
 
     def _holds(self, left: str, mark: str, right: str) -> bool:
         one, other = self.number(left), self.number(right)

@@ -71,6 +71,8 @@ class _Syntax(Syntax):
             return Call(found[1], found[2] or "")
         if found := re.match(r"UTIMER (\"\w+\") = (.+)$", line):
             return Call("SET_UTIMER", f"{found[1]}, {found[2]}")
+        if found := re.match(r"LMOVE (\w+)\+(\w+)$", line):
+            return Call("LMOVE_COMPOUND", ", ".join(found.groups()))
         if found := re.match(r"POINT (\w+) = (\w+)-(\w+)$", line):
             return Call("SUBTRACT", ", ".join(found.groups()))
         if found := re.match(r"DECOMPOSE (\w+)\[1\] = (\w+)$", line):

@@ -89,6 +89,8 @@ class _Syntax(Syntax):
             rf"({NAME})=({NAME}(?:\[\d+\])?):\{{X (\S+),Y (\S+),Z (\S+),A (\S+),B (\S+),C (\S+)\}}$", line
         ):
             return Call("GEOMETRIC", ", ".join(found.groups()))
+        if found := re.match(rf"({NAME})=({NAME}(?:\[\d+\])?):({NAME}(?:\[\d+\])?)$", line):
+            return Call("GEOMETRIC_PRODUCT", ", ".join(found.groups()))
         if found := re.match(rf"((?:{NAME})(?:\.\w+|\[[^\]]*\])*)=(.+)$", line):
             return Assign(found[1], found[2])
         found = re.match(rf"({NAME})\((.*)\)$", line)
@@ -172,7 +174,7 @@ def _routine(program: Program, lines: list[str], at: int) -> int:
 BUILTINS = (
     *("EKI_INIT", "EKI_OPEN", "EKI_CLOSE", "EKI_CLEAR", "EKI_SEND", "EKI_CHECKBUFFER", "EKI_GETSTRING"),
     *("EKI_LOAD", "EKI_UNLOAD", "EKI_SETSTRING", "EKI_READNEXT"),
-    *("STRLEN", "WAIT_SEC", "LIN", "GEOMETRIC", "GEOMETRIC_INVERSE"),
+    *("STRLEN", "WAIT_SEC", "LIN", "GEOMETRIC", "GEOMETRIC_INVERSE", "GEOMETRIC_PRODUCT"),
 )
 
 
@@ -295,6 +297,10 @@ class Controller:
         """A place, and a frame in it."""
         frame = transform_of(Brand.KUKA, tuple(number.get() for number in numbers))
         _write(target, _matrix(place) @ frame)
+
+    def geometric_product(self, target: Any, place: Any, frame: Any) -> None:
+        """A frame in another one."""
+        _write(target, _matrix(place) @ _matrix(frame))
 
     def geometric_inverse(self, target: Any, place: Any, frame: Any) -> None:
         """A place, and the inverse of a frame in it."""

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
-from edged.cell.cycle import Cycle
+from edged.cell.cycle import Cycle, GoldenKeeper
 from edged.cell.loaded import LoadedJob, Setup
 from edged.cell.registering import Registrar
 from edged.domain.frames import Frame, FramePair
@@ -66,6 +66,7 @@ class LiveCell:
         self.targets: tuple[Target, ...] = (make_target(),)
         self.slow_s = 0.0
         self.registrar: Registrar | None = None
+        self.keeper: GoldenKeeper | None = None
         self.may_end = threading.Event()
         self.may_end.set()
         jobs = {number: LoadedJob(f"job{number}", number, self._locate) for number in (1, 2)}
@@ -120,7 +121,7 @@ class LiveCell:
 
     async def _run(self) -> None:
         self.loop = asyncio.get_running_loop()
-        self.cycle = Cycle(self.head, self.setup, registrar=self.registrar)
+        self.cycle = Cycle(self.head, self.setup, registrar=self.registrar, keeper=self.keeper)
         jobs = [(job.number, job.name) for job in self.setup.jobs.values()]
         self.server = ModbusPublisher(self.settings, self.cycle, jobs=lambda: jobs)
         await self.server.start()

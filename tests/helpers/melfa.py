@@ -170,6 +170,9 @@ class Slot:
             self.controller.close()
         elif found := re.match(r"M_Timer\((\d)\)=0$", line):
             self.controller.timers[int(found[1])] = self.controller.link.now_s()
+        elif found := re.match(r"(\w+)=(\w+(?:\[\d\])?)\*(\w+)$", line):
+            one, other = (_matrix(self.evaluate(name).get()) for name in found.groups()[1:])
+            _write(self.named(found[1]).get(), one @ other)
         elif found := re.match(r"(\w+)=(\w+)\*Inv\((\w+)\)$", line):
             place, behind = (_matrix(self.named(name).get()) for name in found.groups()[1:])
             _write(self.named(found[1]).get(), place @ invert(behind))
@@ -230,9 +233,11 @@ class Controller:
             "Rad": math.radians,
         }
 
-    def run(self, source: str) -> None:
-        """A program that calls EDGED."""
+    def run(self, source: str, **known: FloatArray) -> None:
+        """A program that calls EDGED. known : poses of its positions."""
         slot = Slot(self, source)
+        for name, pose in known.items():
+            _write(slot.named(name).get(), pose)
         while slot.runs:
             assert slot.step()
 

@@ -73,6 +73,8 @@ class Side(Protocol):
     def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None: ...
     def error(self) -> int: ...
     def sigma_age(self) -> tuple[float, ...]: ...
+    def golden(self) -> bool: ...
+    def offset(self) -> tuple[float, ...] | None: ...
     def close(self) -> None: ...
 
 
@@ -110,6 +112,14 @@ class Abb:
             return None
         plain = [one.value.plain() for one in (grasp, approach)]
         return [(*one["trans"].values(), *one["rot"].values()) for one in plain]
+
+    def golden(self) -> bool:
+        return bool(self.program.call("EdgedGolden", 0, 5))
+
+    def offset(self) -> tuple[float, ...] | None:
+        if self.locate() is None:
+            return None
+        return self._pose(self.program.call("EdgedOffset", 5, self.part))
 
     def acknowledge(self) -> None:
         self.program.call("EdgedAcknowledge")
@@ -163,6 +173,16 @@ class Fanuc:
         return [
             (poses[91 + i], poses[71 + i], poses[81 + i]) for i in range(int(self.controller.registers[82]))
         ]
+
+    def golden(self) -> bool:
+        self.controller.arguments = (-10, 5000, 81, 81, 0)
+        self.program.call("RUN")
+        return self.error() == 0
+
+    def offset(self) -> tuple[float, ...] | None:
+        if self.locate(0, 5.0, (0, 0, 71)) is None:
+            return None
+        return tuple(self.controller.positions[71].plain().values())[:6]
 
     def next(self) -> tuple[float, ...] | None:
         if self.given >= self.controller.registers[82]:
@@ -236,6 +256,12 @@ class Kuka:
         poses = ("PART", "GRASP", "APPROACH")
         return [tuple(self.pose(name, i + 1) for name in poses) for i in range(self.count())]
 
+    def golden(self) -> bool:
+        return bool(self.program.call("EDGED_GOLDEN", 0, 5.0))
+
+    def offset(self) -> tuple[float, ...] | None:
+        return self.pose("OFFSET", 1) if self.program.call("EDGED_LOCATE_OFFSETS", 0, 5.0) else None
+
     def error(self) -> int:
         return int(self.program.named("EDGED_ERROR").get())
 
@@ -293,6 +319,15 @@ class Doosan:
         poses = [self.names[name](5.0) for name in ("edged_grasp", "edged_approach")]
         return None if None in poses else [tuple(pose) for pose in poses]
 
+    def golden(self) -> bool:
+        return bool(self.names["edged_golden"](0, 5.0))
+
+    def offset(self) -> tuple[float, ...] | None:
+        if self.locate() is None:
+            return None
+        pose = self.names["edged_offset"](5.0)
+        return None if pose is None else tuple(pose)
+
     def acknowledge(self) -> None:
         self.names["edged_acknowledge"]()
 
@@ -327,7 +362,7 @@ class Shared:
         raise NotImplementedError
 
     def pose(self, name: str) -> tuple[float, ...]:
-        """`part`, `grasp` or `approach`."""
+        """`part`, `grasp`, `approach` or `offset`."""
         return tuple(self.named(name).plain().values())
 
     def _part(self) -> tuple[float, ...] | None:
@@ -352,6 +387,16 @@ class Shared:
     def grasp(self) -> list[tuple[float, ...]] | None:
         self.run("grasp", 5.0)
         return [self.pose("grasp"), self.pose("approach")] if self.error() == 0 else None
+
+    def golden(self) -> bool:
+        self.run("golden", 0, 5.0)
+        return self.error() == 0
+
+    def offset(self) -> tuple[float, ...] | None:
+        if self.locate() is None:
+            return None
+        self.run("offset", 5.0)
+        return self.pose("offset") if self.error() == 0 else None
 
     def acknowledge(self) -> None:
         self.run("acknowledge")
@@ -384,7 +429,7 @@ class Staubli(Shared):
         self.program = val3.load(written("val3"), self.controller)
 
     def named(self, name: str) -> Any:
-        prefix = "tr" if name in ("part", "grasp", "approach") else "n"
+        prefix = "tr" if name in ("part", "grasp", "approach", "offset") else "n"
         return self.program.named(prefix + name.replace("_", "")).get()
 
     def run(self, name: str, *arguments: Any) -> None:
@@ -438,7 +483,7 @@ class Epson(Shared):
         return tuple(one.get() for one in self.named(name).elements[1:])
 
     def run(self, name: str, *arguments: Any) -> None:
-        other = {"acknowledge": "Ack", "grasp": "FetchGrasp"}
+        other = {"acknowledge": "Ack", "grasp": "FetchGrasp", "offset": "FetchOffset"}
         self.program.call("Edged" + other.get(name, name), *arguments)
 
 
@@ -469,10 +514,8 @@ class Mitsubishi:
     def number(self, name: str) -> float:
         return float(self.controller.shared[name].get())
 
-    def locate(
-        self, job: int = 0, timeout_s: float = 5.0, *, grasps: bool = False
-    ) -> tuple[float, ...] | None:
-        self.controller.call(job, timeout_s * 1000, 10, int(grasps))
+    def locate(self, job: int = 0, timeout_s: float = 5.0, *, grasps: int = 0) -> tuple[float, ...] | None:
+        self.controller.call(job, timeout_s * 1000, 10, grasps)
         self.given = 0
         assert (self.number("M_00") == 0) == (self.number("M_01") > 0)
         return self.next()
@@ -489,10 +532,17 @@ class Mitsubishi:
         return (*pose[:3], *np.degrees(pose[3:]).tolist())
 
     def locate_grasps(self, timeout_s: float = 5.0) -> list[Taken] | None:
-        if self.locate(0, timeout_s, grasps=True) is None:
+        if self.locate(0, timeout_s, grasps=1) is None:
             return None
         names = ("P_100", "P_101", "P_102")
         return [tuple(self.pose(name, i + 1) for name in names) for i in range(int(self.number("M_01")))]
+
+    def golden(self) -> bool:
+        self.controller.call(0, 5000, 1, 3)
+        return self.error() == 0
+
+    def offset(self) -> tuple[float, ...] | None:
+        return None if self.locate(grasps=2) is None else self.pose("P_101", 1)
 
     def error(self) -> int:
         return int(self.number("M_00"))
@@ -559,6 +609,12 @@ class Yaskawa:
 
     def grasp(self) -> list[tuple[float, ...]] | None:
         return [self._pose(81), self._pose(82)] if self._run(3) else None
+
+    def golden(self) -> bool:
+        return self._run(7)
+
+    def offset(self) -> tuple[float, ...] | None:
+        return self._pose(81) if self.locate() is not None and self._run(6) else None
 
     def acknowledge(self) -> None:
         self._run(4)

@@ -651,7 +651,7 @@ class Soak:
 
     async def _handshake(self, line: Line, sequence: int) -> bool:
         """Whether the command was answered."""
-        kind = self.dice.choices(list(CommandKind), (90, 3, 3, 4, 2, 0, 0, 1, 1))[0]
+        kind = self.dice.choices(list(CommandKind), (90, 3, 3, 4, 2, 0, 0, 1, 1, 1))[0]
         job = self.dice.choice((1, 2)) if self.dice.random() < 0.99 else 9
         goes_on = self._listed[1] > 0 and self.dice.random() < 0.8
         if goes_on:

@@ -100,6 +100,10 @@ class _Syntax(Syntax):
             return Call("KeepTool", "edgedTool")
         if found := re.match(r"(TmReset|Wait|Print|Tool) (.+)$", line):
             return Call({"Print": "Show"}.get(found[1], found[1]), found[2])
+        if found := re.match(r"Local 1, (XY\(.+\))$", line):
+            return Call("SetLocal", found[1])
+        if found := re.match(r"Go (P\d+)$", line):
+            return Call("GoTaught", found[1])
         if found := re.match(r"Go (P\d+) \+(Z|TLZ)\((-?\d+)\)$", line):
             return Call("Go", f'{found[1]}, "{found[2]}", {found[3]}')
         if found := re.match(r"(Edged[A-Z]\w*)(?: (\w.*))?$", line):

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import structured_text, urscript
+from helpers.goldenkeeper import golden_cell
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.snapshots import make_target, make_transform
 from helpers.waiting import LIMIT_S
@@ -251,6 +252,23 @@ def test_the_python_client_says_where_the_tool_takes_the_part(client_module: Mod
         assert (1, 80_000) == (result.grasp["GRASP"], result.grasp["RETREAT"])
         client.acknowledge(result)
         assert client.latest().grasp is None
+
+
+def test_the_python_client_reads_offsets(client_module: ModuleType) -> None:
+    """None before GOLDEN, for what is not ok, and of a result that is no longer shown."""
+    cell = LiveCell()
+    golden_cell(cell)
+    with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
+        until(lambda: "READY" in client.status()["bits"], "READY")
+        assert client.offset(client.locate()) is None
+        assert ("KEPT", False) == ((kept := client.golden()).code, kept.ok)
+        assert client.offset(kept) is None
+        cell.targets = (make_target(x_mm=15.0),)
+        result = client.locate()
+        offset = client.offset(result)
+        assert [5000, 0, 0] == [offset[f"O_{axis}"] for axis in "XYZ"]
+        client.locate()
+        assert client.offset(result) is None
 
 
 def test_the_python_client_ends_in_time(client_module: ModuleType) -> None:
@@ -887,6 +905,33 @@ def test_urscript_gives_part_after_part() -> None:
         assert [(0.010, 2), (0.020, 1), (0.030, 0)] == seen
         robot["edged_next"](5.0)
         assert (False, 9, 1) == (robot["edged_ok"], robot["edged_error"], cell.head.captures)
+
+
+def test_urscript_shifts_a_taught_path_to_where_the_part_is() -> None:
+    """edged_golden, then pose_trans(edged_offset(), taught): to the registers' 1 µm and 1 µrad."""
+    cell = LiveCell()
+    golden_cell(cell)
+    was, now = (
+        make_transform((0.1, -0.2, turn), (900.0, x_mm, 60.0)) for turn, x_mm in ((0.3, 0.0), (0.6, 40.0))
+    )
+    on_part = make_transform((0.3, -3.0, 0.5), (30.0, -20.0, -80.0))
+    with robot_beside(cell) as (_, robot):
+        robot["edged_locate"](0, 5.0)
+        robot["edged_offset"]()
+        assert (False, 110) == (robot["edged_ok"], robot["edged_error"])
+        cell.targets = (dataclasses.replace(make_target(), rig_from_part=was),)
+        assert robot["edged_golden"](0, 5.0)
+        cell.targets = (dataclasses.replace(make_target(), rig_from_part=now),)
+        robot["edged_locate"](0, 5.0)
+        offset = robot["edged_offset"]()
+        assert (True, 0) == (robot["edged_ok"], robot["edged_error"])
+        lands = transform_of(Brand.UR, offset) @ was @ on_part
+        np.testing.assert_allclose(lands, now @ on_part, atol=3e-3)
+        cell.targets = ()
+        assert not robot["edged_golden"](0, 5.0)
+        robot["edged_locate"](0, 5.0)
+        assert (0.0,) * 6 == tuple(robot["edged_offset"]())
+        assert not robot["edged_ok"]
 
 
 def test_urscript_tries_all_jobs_when_asked_to() -> None:

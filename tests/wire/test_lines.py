@@ -8,13 +8,12 @@ import dataclasses
 import itertools
 import socket
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from ipaddress import ip_network
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.linerobot import Robot, connected, ready
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.snapshots import make_target
 from helpers.waiting import LIMIT_S
@@ -34,47 +33,6 @@ from edged.plc.registers import Option
 from edged.robot.orientations import Brand, pose_of, transform_of
 
 KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
-
-
-class Robot:
-    """A robot with a socket."""
-
-    def __init__(self, port: int, host: str = "127.0.0.1") -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=15, source_address=(host, 0))
-        self.file = self.socket.makefile("rb")
-
-    def ask(self, line: str) -> tuple[int, int, int, list[float]]:
-        """Sequence, status, remaining, and the rest."""
-        self.socket.sendall(line.encode() + b"\n")
-        fields = self.file.readline().decode().rstrip("\n").split(",")
-        sequence, status, remaining = map(int, fields[:3])
-        return sequence, status, remaining, [float(field) for field in fields[3:]]
-
-    def ended(self) -> bool:
-        """Whether the cell has hung up."""
-        try:
-            return self.file.readline() == b""
-        except ConnectionResetError:
-            return True
-
-
-@contextmanager
-def connected(cell: LiveCell) -> Iterator[Robot]:
-    """A robot on the cell's socket."""
-    robot = Robot(cell.server.line_port)
-    try:
-        yield robot
-    finally:
-        robot.file.close()
-        robot.socket.close()
-
-
-def ready(cell: LiveCell) -> None:
-    """Wait until commands are carried out."""
-    deadline_s = time.monotonic() + LIMIT_S
-    while not cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
 
 
 def until_free(plc: ModbusTcpClient) -> None:

@@ -27,6 +27,7 @@ ELSEWHERE = {
     ("docs/how-to/zenoh.md", 0): "tests/wire/test_zenoh_seals.py",
     ("docs/how-to/zenoh.md", 1): "tests/wire/test_zenoh_seals.py",
     ("docs/how-to/robots.md", 0): "tests/wire/test_robot_examples.py",  # DRL, which is Python
+    ("docs/how-to/robots.md", 1): "tests/wire/test_robot_examples.py",
 }
 """Blocks that the tests of their subject run: by page and place on it."""
 HERE = {

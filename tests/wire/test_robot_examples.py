@@ -10,14 +10,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import urscript
+from helpers.goldenkeeper import golden_cell
 from helpers.livecell import LiveCell
 from helpers.robotexamples import DOCS, EXAMPLES, Example, text_of
 from helpers.robotlink import Link
+from helpers.shiftedpaths import SHIFTED
+from helpers.shiftedpaths import text_of as shift_of
 from helpers.snapshots import make_target, make_transform
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, wait_until
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.arrays import FloatArray
+from edged.domain.events import Command, CommandKind
 from edged.domain.measurement import Target
 from edged.domain.picking import Grasp, Picking
 from edged.plc.registers import StatusBit
@@ -169,3 +173,33 @@ def test_the_note_at_a_programs_head_approaches_as_the_page_does(fmt: str) -> No
     pages = "".join((DOCS / f"{page}.md").read_text() for page in ("robots", "plc-makers"))
     assert approach in text
     assert approach in pages
+
+
+@pytest.mark.parametrize("brand", SHIFTED)
+def test_a_taught_path_is_shifted_to_where_the_part_is_as_the_page_says(brand: Brand) -> None:
+    """A metre from the base, by each maker's instruction; without a golden part, or a part, nothing moves."""
+    maker, run = SHIFTED[brand]
+    cell = LiveCell(ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, brand)))
+    golden_cell(cell)
+    on_part = make_transform((0.3, -3.0, 0.5), (30.0, -20.0, -80.0))
+    was, now = (
+        make_transform((0.1, -0.2, turn), (900.0, y_mm, 60.0)) for turn, y_mm in ((0.3, 0.0), (0.6, 40.0))
+    )
+    with cell:
+        ready(cell)
+        cell.targets = (replace(make_target(), rig_from_part=now),)
+        assert [] == run(shift_of(maker), Link(cell.server.line_port), was @ on_part)
+        keep(cell, replace(make_target(), rig_from_part=was))
+        cell.targets = (replace(make_target(), rig_from_part=now),)
+        (move,) = run(shift_of(maker), Link(cell.server.line_port), was @ on_part)
+        same_pose(now @ on_part, move)
+        cell.targets = ()
+        assert [] == run(shift_of(maker), Link(cell.server.line_port), was @ on_part)
+
+
+def keep(cell: LiveCell, target: Target) -> None:
+    """Make it the golden part."""
+    cell.targets = (target,)
+    cell.call(lambda: cell.cycle.submit(Command(CommandKind.GOLDEN, "test", 1)))
+    wait_until(lambda: cell.setup.jobs[1].golden is not None)
+    ready(cell)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.goldenkeeper import golden_cell
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.robotlink import Link
 from helpers.robotsides import (
@@ -32,11 +33,12 @@ from helpers.robotsides import (
     Yaskawa,
     honest,
 )
-from helpers.snapshots import make_target
+from helpers.snapshots import make_target, make_transform
 from helpers.waiting import LIMIT_S
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.measurement import Target
+from edged.plc.answers import NackReason
 from edged.plc.lines import LineStatus
 from edged.plc.registers import StatusBit
 from edged.robot.orientations import Brand, transform_of
@@ -65,6 +67,7 @@ def running(
     line = LineSettings(line_port, brand, allow_simulated=False)
     cell = LiveCell(ModbusSettings(port=0, validity_s=30.0, line=line))
     cell.setup = dataclasses.replace(cell.setup, **changes)
+    golden_cell(cell)
     with cell:
         until(lambda: bits(cell) & StatusBit.READY)
         side = make(Link(port or cell.server.line_port, piece))
@@ -428,6 +431,36 @@ def test_krl_fetches_as_many_targets_as_it_has_room_for() -> None:
         assert None is side.next()
         assert 2 == side.program.named("EDGED_REMAINING").get()
         assert not bits(cell) & StatusBit.RESULT_VALID
+
+
+@sides
+def test_a_taught_path_times_the_offset_lands_where_the_part_is(make: type[Any]) -> None:
+    """Kept and fetched by the robot's own program, multiplied from the left as the robot reads it."""
+    generator = np.random.default_rng(3)
+    with running(make) as (cell, side):
+        assert (None, True) == (side.offset(), side.error() in (0, LineStatus.NO_OFFSET))
+        cell.targets = (was := near(generator),)
+        assert side.golden(), side.error()
+        on_part = make_transform((0.3, -3.0, 0.5), (30.0, -20.0, -80.0))
+        taught = was.rig_from_part @ on_part
+        for _ in range(3):
+            cell.targets = (now := near(generator),)
+            numbers = side.offset()
+            assert numbers is not None, side.error()
+            lands = transform_of(side.brand, numbers) @ taught
+            expected = now.rig_from_part @ on_part
+            np.testing.assert_allclose(lands[:3, 3], expected[:3, 3], atol=5e-3)
+            np.testing.assert_allclose(lands[:3, :3], expected[:3, :3], atol=5e-6)
+        cell.targets = (was, now)
+        assert not side.golden()
+        assert NackReason.FAILED == side.error()
+
+
+def near(generator: np.random.Generator) -> Target:
+    """A target a metre before the robot, turned a little."""
+    turn, shift = generator.uniform(-0.3, 0.3, 3), generator.uniform(-100.0, 100.0, 3)
+    rig_from_part = transform(rotation_matrix(turn), np.array([900.0, -300.0, 200.0]) + shift)
+    return dataclasses.replace(make_target(), rig_from_part=rig_from_part)
 
 
 @sides

@@ -20,6 +20,7 @@ from helpers.waiting import WHOLE_S
 
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
+from edged.files.golden import golden_file, load_golden
 from edged.files.images import load_image
 from edged.files.recording import find, load_picture
 from edged.files.rig import rig_text
@@ -288,3 +289,25 @@ def test_everybody_can_use_it(cell: Callable[[], RecordingCell]) -> None:
             assert [] == await page.value(SMALL_TARGETS)
 
     on_the_page(cell, test, 360, 740, "/setup?pseudo#/cycles")
+
+
+def test_a_button_beside_a_job_keeps_where_its_part_lies(cell: Callable[[], RecordingCell]) -> None:
+    """The page says that it is kept, or why not; the page stays fit for everybody."""
+
+    async def test(page: Browser, cell: RecordingCell) -> None:
+        place = golden_file(cell.config.with_name("rig.json"), 1)
+        place.parent.write_text("in the way")
+        dialog = 'document.querySelector("dialog[open]").innerText'
+        await press(page, "Golden part")
+        await page.until(DIALOG)
+        await page.click("dialog[open] .primary")
+        await page.until(f"{dialog}.includes('cannot be')")
+        page.complaints.clear()  # of the refusal
+        place.parent.unlink()
+        await page.click("dialog[open] .primary")
+        await page.until(f"{dialog}.includes('is kept')")
+        assert "flange" == load_golden(place).job
+        assert [] == await page.violations()
+        assert ([], 0) == (await page.value(SMALL_TARGETS), await page.value(TOO_WIDE))
+
+    on_the_page(cell, test, place="/setup#/jobs", there='document.querySelector(".job")')

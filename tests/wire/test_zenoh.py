@@ -190,7 +190,7 @@ def test_wrong_parameters_are_refused_with_what_was_expected():
     """Hostile or mistyped parameters reach nobody but the one who sent them."""
     bad = {
         "kind=melt": "kind: expected one of locate, change_job, grab, verify, hand_eye_start, touch_start, "
-        "register_add, register_solve, got 'melt'",
+        "register_add, register_solve, golden, got 'melt'",
         "job=-1": "job: expected a number from 0 to 65535, or all, got '-1'",
         "job=99999999999999999999": "job: expected a number from 0 to 65535, or all, got "
         "'99999999999999999999'",

@@ -50,6 +50,7 @@ NOBODYS = -1
 VERDICTS = {
     reg.ResultCode.OK: ResultVerdict.GOOD,
     reg.ResultCode.VERIFIED: ResultVerdict.PASSED,
+    reg.ResultCode.KEPT: ResultVerdict.PASSED,
     reg.ResultCode.GRABBED: ResultVerdict.DONE,
     reg.ResultCode.CAPTURE_FAULT: ResultVerdict.FAULT,
 }
@@ -64,6 +65,8 @@ UR_STATUS = tuple(
     and register.name != "UR_JOB"  # of the result, not of the command
 )
 """Words of the block ur that repeat the status: name in the status, byte of the map."""
+RESULT_BLOCKS = (reg.RESULT, reg.UR, reg.UR_GRASP, reg.FLOAT, reg.GRASP, reg.OFFSET, reg.UR_OFFSET)
+"""Blocks that show the result on display."""
 EPOCHS = tuple(f"{block}START_EPOCH" for block in reg.PREFIXES)
 TABLE_START = 2 * reg.TABLE[0].address
 TABLE_CRC = next(
@@ -212,7 +215,7 @@ class CellRegisters:
             for index, block in enumerate(reg.TABLE[:rows]):
                 self._place(block, reg.row_values(shown, index, result.sequence, valid=valid))
         values |= dict.fromkeys(EPOCHS, self._epoch)
-        for block in (reg.RESULT, reg.UR, reg.UR_GRASP, reg.FLOAT, reg.GRASP):
+        for block in RESULT_BLOCKS:
             self._place(block, values)
         for block in reg.TABLE[rows : self._filled_rows]:
             self._place(block, {})
@@ -437,6 +440,8 @@ class CellRegisters:
         verdict = VERDICTS.get(result.code, ResultVerdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
+        if result.code is reg.ResultCode.KEPT and ticket == NOBODYS:
+            self._step(ev.OtherJob(), now_s)  # what is on display may have an offset from the former part
         rest = result.further() if verdict is ResultVerdict.GOOD else ()
         job, basis = snapshot.job_number, snapshot.basis
         self._step(ev.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, job, basis), now_s)

@@ -52,8 +52,12 @@ LOOK_S = 0.05
 """Poll period while waiting for the end of a command, which may come by time alone."""
 TOOLS = ("GRASP", "APPROACH")
 """Queries about the tool for the part that was given last."""
+OFFSETS = {"OFFSET": "O", "OFFSET_PART": "OP"}
+"""Queries about how that part lies against the golden one, and how their registers begin."""
 QUALITY = ("RMS", "HELD_OUT", "LIMIT")
 """Lengths in the answer to a registration command, in place of X, Y, Z."""
+WANTED = {"VERIFY": reg.ResultCode.VERIFIED, "GOLDEN": reg.ResultCode.KEPT}
+"""RESULT of a command that is not answered with a pose."""
 FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP
 END_OF_LINE = re.compile(rb"[\r\n]")
 LINE_FEED_S = 0.05
@@ -201,6 +205,8 @@ class Robot:
             return LineAnswer(request.sequence, LineStatus.OK)
         if request.command in TOOLS:
             return self._tool(request)
+        if request.command in OFFSETS:
+            return self._offset(request)
         if request.command == "NEXT_PART":
             return await self._next(request)
         if CommandKind.__members__.get(request.command) in REGISTERING:
@@ -223,7 +229,7 @@ class Robot:
             if code != reg.ResultCode.OK:
                 raise _Refused(100 + code)
             return self._part(request, LineStatus.NOT_VALID)
-        if request.command == "VERIFY" and code != reg.ResultCode.VERIFIED:
+        if code != WANTED.get(request.command, code):
             raise _Refused(100 + code)
         return LineAnswer(request.sequence, LineStatus.OK)
 
@@ -339,6 +345,17 @@ class Robot:
         place = "G" if request.command == "GRASP" else "G_APPROACH"
         pose = [*(grasp[f"{place}_{axis}"] for axis in "XYZ"), *(grasp[f"G_{axis}"] for axis in "ABC")]
         return self._answer(request, {**result, **grasp}, pose, "G_SIGMA")
+
+    def _offset(self, request: LineRequest) -> LineAnswer:
+        """Answer with the offset of the part on display; sigmas are of where it lays the part."""
+        result, offset = self._usable(LineStatus.NOT_VALID), self._read(reg.OFFSET)
+        if not int(offset["O_FLAGS"]) & reg.Flag.VALID:
+            raise _Refused(LineStatus.NO_OFFSET)
+        place = OFFSETS[request.command]
+        numbers = [float(offset[f"{place}_{axis}"]) for axis in "XYZ"]
+        # these angles have a digit more: at a metre from the base 0.0001° is 2 µm
+        numbers += [float(offset[f"{place}_{axis}"]) / 10 for axis in "ABC"]
+        return self._answer(request, {**result, **offset}, numbers, f"{place}_SIGMA")
 
     def _usable(self, otherwise: LineStatus) -> dict[str, reg.Number]:
         """The result on display, if a robot may move by it."""

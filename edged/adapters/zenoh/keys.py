@@ -45,7 +45,8 @@ QUERYABLES = tuple(key.path for key in KEYS if key.kind == "queryable")
 TRIGGER_PARAMETERS = {
     "kind": (
         "locate",
-        "locate, change_job, grab or verify; hand_eye_start, touch_start, register_add or register_solve",
+        "locate, change_job, grab, verify or golden; hand_eye_start, touch_start, register_add or "
+        "register_solve",
     ),
     "job": (
         "0",

@@ -19,6 +19,7 @@ from edged.plc.registers.layout import (
     FLOAT,
     GRASP,
     JOBS,
+    OFFSET,
     REGISTRATION,
     RESULT,
     ROWS,
@@ -27,6 +28,7 @@ from edged.plc.registers.layout import (
     TABLE_END,
     UR,
     UR_GRASP,
+    UR_OFFSET,
 )
 from edged.plc.registers.schema import (
     INT32_MAX,
@@ -83,6 +85,7 @@ __all__ = [
     "MAGIC",
     "MAP_VERSION",
     "NOTHING",
+    "OFFSET",
     "PREFIXES",
     "REGISTRATION",
     "RESULT",
@@ -96,6 +99,7 @@ __all__ = [
     "UINT32_MAX",
     "UR",
     "UR_GRASP",
+    "UR_OFFSET",
     "Block",
     "CellBit",
     "ControlBit",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from edged.domain.cell import SetupSource
 from edged.domain.events import CommandKind
+from edged.domain.golden import GoldenState
 from edged.domain.measurement import Reject
 from edged.domain.registration import Method
 from edged.plc.registers.schema import (
@@ -56,7 +57,9 @@ COMMAND = make_block(
     f"""
     COMMAND          u16 - {list_codes(CommandKind)}. GRAB takes the picture only; VERIFY measures and
         answers OK or NOK, but no robot gets coordinates from it; NEXT_PART goes on with the parts of the
-        last LOCATE; the others register the rig by the robot's own program, where `[registration]` allows it
+        last LOCATE; GOLDEN measures and keeps where the one good part lies: RESULT is then KEPT, and later
+        results have an offset from it; the others register the rig by the robot's own program, where
+        `[registration]` allows it
     JOB              u16 - job number; 0: the active one
     CMD_SEQ          u16 - write it last: the command runs when this changes. 0: no command, shows a
         free-running cell. The first one of a connection, and after the start or another client's, runs
@@ -68,8 +71,8 @@ COMMAND = make_block(
         first of a connection, too. ALL_JOBS: every job is tried, none is begun after 3 s; JOB of the result
         is the one whose part agrees best
     FLANGE_[XYZABC]  i32 µm/0.001° pose of the flange at the exposure, A, B, C as POSE_CONVENTION says, for a
-        rig that the robot carries (LOCATE is refused without it), and for REGISTER_ADD (after TOUCH_START of
-        the tool's tip where it touched); serves one command, then reads 0
+        rig that the robot carries (LOCATE and GOLDEN are refused without it), and for REGISTER_ADD (after
+        TOUCH_START of the tool's tip where it touched); serves one command, then reads 0
     TIMEOUT          u16 ms time-out of the command, NACK after it; 0: none
     AUTO_LOCK        u16 - 1: the plant runs; nobody may take the cell for SETUP, and who has it loses it.
         0: they may; so it is without the connection that wrote 1
@@ -304,13 +307,48 @@ def _job(index: int) -> Block:
     return make_block(f"job {index}", 1000 + (1 + NAME_WORDS) * index, "\n".join(rows))
 
 
+OFFSET = make_block(
+    "offset",
+    1300,
+    f"""
+    O_SEQ_HEAD        u16 - as SEQ_HEAD
+    O_FLAGS           u16 bits as FLAGS; VALID when the part that is shown has an offset
+    O_STATE           u16 - {list_codes(GoldenState)}; HELD: the job has a golden part, as GOLDEN kept it
+    O_GOLDEN          u32 s UTC of the golden part's exposure since 1970; 0: none is held
+    O_[XYZABC]        i32 µm/0.0001° robot_now robot_golden^-1, to multiply a taught path by from the left; A,
+        B, C as POSE_CONVENTION; INT32_MIN when not VALID
+    O_SIGMA_[XYZABC]  u16 0.1_µm/0.001° one sigma of where that lays the part, and of A, B, C; 65535: unknown
+    OP_[XYZABC]       i32 µm/0.0001° the same motion in the golden part's own frame, golden_from_now
+    OP_SIGMA_[XYZABC] u16 0.1_µm/0.001° one sigma of it
+    O_START_EPOCH     u32 - as START_EPOCH
+    O_CRC16           u16 - CRC-16/MODBUS of the words of this block before, each high byte first
+    O_SEQ_TAIL        u16 - as SEQ_TAIL
+    """,
+)
+
+UR_OFFSET = make_block(
+    "ur offset",
+    1350,
+    """
+    UO_SEQ_HEAD       u16 - as SEQ_HEAD
+    UO_FLAGS          u16 bits as O_FLAGS
+    UO_STATE          u16 - as O_STATE
+    UO_[XYZ]          i32 µm of O_X; 32768, 0 when not VALID
+    UO_R[XYZ]         i32 µrad rotation vector; 32768, 0 when not VALID
+    UO_START_EPOCH    u32 - as START_EPOCH
+    UO_CRC16          u16 - CRC-16/MODBUS of the words of this block before, each high byte first
+    UO_SEQ_TAIL       u16 - as SEQ_TAIL
+    """,
+    high_first=True,
+)
+
 JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
 BLOCKS = (
     *(CONSTANTS, COMMAND, STATUS),
     *(RESULT, UR, UR_GRASP, FLOAT, BITS, GRASP, REGISTRATION),
-    *(*TABLE, TABLE_END, COUNTERS, *JOBS),
+    *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET),
 )
 ROWS = (TABLE, JOBS)
 """Blocks that repeat, row by row."""

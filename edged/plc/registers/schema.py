@@ -61,6 +61,8 @@ class ResultCode(enum.IntEnum):
     """Within all limits, as VERIFY asked; without coordinates."""
     RELOADED = 8
     """What it was measured by has been exchanged since (a reload, a registration, another job): ask again."""
+    KEPT = 9
+    """The part is the golden one from now on, as GOLDEN asked; without coordinates."""
 
 
 class StatusBit(enum.IntFlag):

@@ -12,6 +12,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.events import Basis, CommandKind, Snapshot
+from edged.domain.golden import Offset
 from edged.domain.measurement import Status, Target
 from edged.domain.registration import Registration
 from edged.plc.registers.layout import AXES
@@ -29,7 +30,7 @@ from edged.plc.registers.schema import (
     Number,
     ResultCode,
 )
-from edged.robot.orientations import Convention, rotation_vector_rad
+from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
 from edged.robot.reading import reading_of
 
 
@@ -48,6 +49,21 @@ class Tool:
     turn: int
     retreat: int
     sigma: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """The offset of one target in the units of the registers.
+
+    robot, part : µm and 0.0001°, X Y Z A B C; sigma_robot, sigma_part : mm and degrees.
+    rotation_vector : µrad, of robot.
+    """
+
+    robot: tuple[int, ...]
+    part: tuple[int, ...]
+    rotation_vector: tuple[int, ...]
+    sigma_robot: tuple[float, ...]
+    sigma_part: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +86,7 @@ class Pose:
     reject: int
     epipolar_rms_px: float
     tool: Tool | None = None
+    shift: Shift | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +95,7 @@ class RegisterResult:
 
     good : the first part was found and is within all limits.
     poses : of each target; None where a pose cannot be expressed (not finite, out of range).
-    index : the target that is shown.
+    index : the target that is shown. golden, golden_s : O_STATE and O_GOLDEN.
     """
 
     code: ResultCode
@@ -91,6 +108,8 @@ class RegisterResult:
     cycle: int
     calibration: int
     index: int = 0
+    golden: int = 0
+    golden_s: int = 0
 
     def further(self) -> tuple[RegisterResult, ...]:
         """Copies that show each further good target, in order."""
@@ -109,6 +128,8 @@ def measured(snapshot: Snapshot, convention: Convention) -> RegisterResult:
     purpose = snapshot.command.kind if snapshot.command is not None else CommandKind.LOCATE
     if purpose is CommandKind.VERIFY and good:
         code = ResultCode.VERIFIED
+    elif purpose is CommandKind.GOLDEN and good:
+        code = ResultCode.KEPT
     elif purpose is CommandKind.GRAB and snapshot.status is not Status.CAPTURE_FAULT:
         code, good = ResultCode.GRABBED, False
     flags = Flag(0)
@@ -127,6 +148,8 @@ def measured(snapshot: Snapshot, convention: Convention) -> RegisterResult:
         latency_us=_clamp(latency_us, UINT32_MAX),
         cycle=snapshot.cycle & UINT32_MAX,
         calibration=zlib.crc32(snapshot.calibration_id.encode()),
+        golden=int(snapshot.golden),
+        golden_s=_clamp(snapshot.golden_ns // 10**9, UINT32_MAX),
     )
 
 
@@ -183,7 +206,29 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
         reject=int(target.reject) & UINT16_MAX,
         epipolar_rms_px=target.epipolar_rms_px,
         tool=_tool(target, snapshot, convention),
+        shift=_shift(target.offset, convention),
     )
+
+
+def _shift(offset: Offset | None, convention: Convention) -> Shift | None:
+    """The offset in registers' units; None without one, or when a number does not fit its register."""
+    if offset is None or not (_is_sane(offset.covariance) and _is_sane(offset.part_covariance)):
+        return None
+    found, sigmas = list[tuple[int, ...]](), list[tuple[float, ...]]()
+    for pose, covariance in ((offset.robot, offset.covariance), (offset.part, offset.part_covariance)):
+        R, place = pose[:3, :3], pose[:3, 3]
+        found.append(
+            (
+                *(round(value * 1000) for value in place.tolist()),
+                *(round(angle * 10_000) for angle in ANGLES_DEG[convention](R)),
+            )
+        )
+        sigma_mm = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
+        sigmas.append((*sigma_mm.tolist(), *sigma_angles_deg(R, covariance[3:, 3:], convention).tolist()))
+    if any(not -INT32_MAX <= number <= INT32_MAX for number in (*found[0], *found[1])):
+        return None
+    vector = tuple(round(value * 1e6) for value in rotation_vector_rad(offset.robot[:3, :3]))
+    return Shift(found[0], found[1], vector, sigmas[0], sigmas[1])
 
 
 def _tool(target: Target, snapshot: Snapshot, convention: Convention) -> Tool | None:
@@ -234,7 +279,7 @@ def _score(score: float) -> int:
     return round(min(max(score, 0.0), 1.0) * 1e4) if math.isfinite(score) else 0
 
 
-PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_")
+PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_", "O_", "UO_")
 """Prefixes of the register names in each block that shows a result."""
 
 
@@ -247,7 +292,7 @@ def result_values(
     as_published: bool = True,
     remaining: int = 0,
 ) -> dict[str, Number]:
-    """Values of the blocks result, ur, float, of both grasps and of the table's end, by name.
+    """Values of the blocks result, ur, float, of grasps, offsets and of the table's end, by name.
 
     Coordinates only when valid. as_published : the result has not changed since it appeared; otherwise the
     tails are 0, so that a client that reads a block in several requests notices the change.
@@ -273,7 +318,9 @@ def result_values(
         **{f"{block}SEQ_TAIL": tail for block in PREFIXES},
         **{f"{block}RESULT": shown.code for block in ("", "UR_", "F_")},
         **{f"{block}FLAGS": flags for block in ("", "UR_", "F_")},
-        **{f"{block}FLAGS": flags & ~Flag.VALID for block in ("G_", "UG_")},
+        **{f"{block}FLAGS": flags & ~Flag.VALID for block in ("G_", "UG_", "O_", "UO_")},
+        **{f"{block}STATE": shown.golden for block in ("O_", "UO_")},
+        "O_GOLDEN": shown.golden_s,
     }
     if pose is not None:
         values["REJECT"] = pose.reject
@@ -283,6 +330,22 @@ def result_values(
             values |= _coordinates(pose)
         if valid and pose.tool is not None:
             values |= {"G_FLAGS": flags, "UG_FLAGS": flags, **_grasp_values(pose.tool)}
+        if valid and pose.shift is not None:
+            values |= {"O_FLAGS": flags, "UO_FLAGS": flags, **_offset_values(pose.shift)}
+    return values
+
+
+def _offset_values(shift: Shift) -> dict[str, Number]:
+    values: dict[str, Number] = {}
+    for place, numbers, sigmas in (
+        ("O_", shift.robot, shift.sigma_robot),
+        ("OP_", shift.part, shift.sigma_part),
+    ):
+        values |= {f"{place}{axis}": number for axis, number in zip(AXES, numbers, strict=True)}
+        for axis, sigma in zip(AXES, sigmas, strict=True):
+            values[f"{place}SIGMA_{axis}"] = _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
+    for axis, place_um, turn in zip("XYZ", shift.robot, shift.rotation_vector, strict=False):
+        values |= {f"UO_{axis}": place_um, f"UO_R{axis}": turn}
     return values
 
 
@@ -301,7 +364,7 @@ def _grasp_values(tool: Tool) -> dict[str, Number]:
 
 NOTHING: dict[str, Number] = {
     **{f"SIGMA_{name}": UINT16_MAX for name in (*AXES, "RADIUS", "DEPTH")},
-    **{f"G_SIGMA_{name}": UINT16_MAX for name in AXES},
+    **{f"{block}SIGMA_{name}": UINT16_MAX for block in ("G_", "O_", "OP_") for name in AXES},
     "EPIPOLAR_ERROR": UINT16_MAX,
 }
 """Values of the block result without a result; INT32_MIN and NaN are the encoder's defaults."""

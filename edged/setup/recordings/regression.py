@@ -27,6 +27,8 @@ from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
 """The pure result; times and identities of a cycle are of their own moment."""
+NOT_MEASURED = {"offset"}
+"""What of a target follows from something besides pictures, rig and job: the golden part."""
 SHOWN = (*COMPARED, "dismissed", "nearest")
 """Also what is for people only."""
 
@@ -125,7 +127,7 @@ def _json_of(
 def compare(place: str, old: Any, new: Any) -> Iterator[str]:
     """One line for each value that is not the same, by its path."""
     if isinstance(old, dict) and isinstance(new, dict):
-        for key in sorted(old.keys() | new.keys()):
+        for key in sorted((old.keys() | new.keys()) - NOT_MEASURED):
             yield from compare(f"{place}.{key}", old.get(key), new.get(key))
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         for index, (before, after) in enumerate(zip(old, new, strict=True)):

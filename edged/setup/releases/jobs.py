@@ -104,6 +104,13 @@ class Jobs:
         """
         await self._cell.running.take_job(self._cell.job_lines().line(job).number)
 
+    async def keep_golden(self, job: str) -> None:
+        """Measure now, and keep where the one good part of a job lies, as the command GOLDEN does.
+
+        Raises `KeyError`, `SetupRefused`, `CommandRefused`; then nothing has changed.
+        """
+        await self._cell.running.keep_golden(self._cell.job_lines().line(job).number)
+
     async def change(self, job: str, by: Mandate, *, name: str | None, number: int | None) -> Release:
         """Rename it, or give it another number. Raises `KeyError`, `UserError`; then nothing has changed."""
         jobs = self._cell.job_lines()

@@ -261,9 +261,23 @@ class JobRoutes:
         audit=True,
     )
     async def _take(self, call: Call[Nothing]) -> None:
+        await self._command(call, self._jobs.take)
+
+    @route(
+        "POST",
+        f"{JOB}/golden",
+        "Measure, and keep where the one good part lies, for offsets; not while a PLC has the right to write",
+        status=204,
+        audit=True,
+        needs_password=True,
+    )
+    async def _golden(self, call: Call[Nothing]) -> None:
+        await self._command(call, self._jobs.keep_golden)
+
+    async def _command(self, call: Call[Nothing], carry_out: Callable[[str], Awaitable[None]]) -> None:
         call.trail.object = call.part("name")
         try:
-            await self._jobs.take(call.part("name"))
+            await carry_out(call.part("name"))
         except KeyError:
             call.trail.object = ""
             raise unknown() from None

@@ -36,6 +36,7 @@ from edged.setup.recordings.comparing import (
     motion_of,
     try_on,
 )
+from edged.setup.recordings.regression import compare as differences
 from edged.setup.recordings.setups import (
     Contents,
     concerned,
@@ -332,3 +333,12 @@ def test_pictures_of_other_cameras_are_no_bug(cell: Cell, tmp_path: Path) -> Non
                 picture = cv2.imencode(".png", small.left.image)[1].tobytes()
             archive.writestr(name, picture)
     assert "damaged" == try_on(recording.entries(folder)[0], setup, setup).skipped
+
+
+def test_an_offset_is_not_measured_again() -> None:
+    """It follows from a golden part, too, which no recording has: a replay says the same without it."""
+    part = {"score": 0.9, "position_mm": [1.0, 2.0, 3.0]}
+    assert [] == [*differences("targets", [{**part, "offset": {"position_mm": [0.1, 0.0, 0.0]}}], [part])]
+    assert ["targets[0].score: 0.9 -> 0.8 (-0.1)"] == [
+        *differences("targets", [{**part, "offset": None}], [{**part, "score": 0.8}])
+    ]

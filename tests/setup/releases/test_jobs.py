@@ -13,6 +13,7 @@ from helpers.cells import flange
 from helpers.partcell import PartCell
 
 from edged.domain.events import Command, CommandKind
+from edged.files.golden import golden_file, load_golden
 from edged.files.jobs import save_job
 from edged.setup.cellfiles import read_cell
 from edged.vision.geometry.rectification import make_rectification
@@ -135,5 +136,44 @@ def test_a_job_is_used_as_a_plc_would_change_it(tmp_path: Path, monkeypatch: pyt
         await cell.take()
         status, problem = await cell.ask("POST", "/jobs/flange/use", {})
         assert (409, "command_refused") == (status, problem["code"])
+
+    run(cell, test)
+
+
+@pytest.mark.slow
+def test_where_the_part_of_a_job_lies_is_kept_as_the_golden_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The answer says whether it was; not in SETUP, under AUTO_LOCK or while a PLC has the right to write."""
+    cell = cell_with_jobs(tmp_path)
+    place = golden_file(cell.config.with_name("rig.json"), 1)
+
+    async def test() -> None:
+        assert (204, None) == await cell.ask("POST", "/jobs/flange/golden", {})
+        assert "flange" == load_golden(place).job
+        before = place.read_bytes()
+        assert 404 == (await cell.ask("POST", "/jobs/bracket/golden", {}))[0]
+        modbus = cell.daemon._servers.started["modbus"]  # noqa: SLF001  (as a PLC that has written)
+        with monkeypatch.context() as patch:
+            patch.setattr(type(modbus), "owner", "192.0.2.7")
+            status, problem = await cell.ask("POST", "/jobs/flange/golden", {})
+            assert (409, "setup_refused") == (status, problem["code"])
+        cell.daemon._cycle.lock_setup(locked=True)  # noqa: SLF001  (as a PLC's AUTO_LOCK)
+        status, problem = await cell.ask("POST", "/jobs/flange/golden", {})
+        assert (409, "setup_refused") == (status, problem["code"])
+        cell.daemon._cycle.lock_setup(locked=False)  # noqa: SLF001
+        place.unlink()
+        place.parent.rmdir()
+        place.parent.write_text("in the way")
+        status, problem = await cell.ask("POST", "/jobs/flange/golden", {})
+        assert (409, "command_refused") == (status, problem["code"])
+        assert str(place.parent) in str(problem)
+        place.parent.unlink()
+        place.parent.mkdir()
+        place.write_bytes(before)
+        await cell.take()
+        status, problem = await cell.ask("POST", "/jobs/flange/golden", {})
+        assert (409, "command_refused") == (status, problem["code"])
+        assert before == place.read_bytes()
 
     run(cell, test)

@@ -72,6 +72,7 @@ plc-result-out-of-range = eine Zahl passt nicht in ihr Register.
 plc-result-grabbed = Bilder aufgenommen.
 plc-result-verified = in allen Grenzen, ohne Koordinaten.
 plc-result-reloaded = wonach gemessen wurde, ist seither ausgetauscht.
+plc-result-kept = das Teil ist jetzt das Referenzteil.
 plc-nack-none = kein Grund
 plc-nack-unknown-command = in COMMAND steht eine Zahl, die keiner ist.
 plc-nack-refused = abgelehnt: kein solcher Job, keine Pose des Flansches, oder die Zelle hält an.

@@ -72,6 +72,7 @@ plc-result-out-of-range = a number does not fit its register.
 plc-result-grabbed = pictures taken.
 plc-result-verified = within all limits, without coordinates.
 plc-result-reloaded = what it was measured with has been exchanged since.
+plc-result-kept = the part is the golden one now.
 plc-nack-none = no reason
 plc-nack-unknown-command = COMMAND holds a number that is no command.
 plc-nack-refused = refused: no such job, no pose of the flange, or the cell is stopping.

@@ -1,9 +1,9 @@
 // The jobs of the cell: names, results, versions.
 import { html, signal, useState } from "../../vendor/ui.js";
-import { ask, attempt, glance } from "../shared/api.js";
+import { ask, attempt, glance, Problem, sentence } from "../shared/api.js";
 import { teachFrom } from "../shared/drafts.js";
 import { cell, look, mayTake, me, useFresh } from "../shared/live.js";
-import { NumberField, Shape, say } from "../shared/pieces.js";
+import { Dialog, NumberField, Shape, say } from "../shared/pieces.js";
 import { moment, number, t } from "../shared/texts.js";
 import { Releasing } from "./releasing.js";
 
@@ -26,7 +26,6 @@ const use = (job) =>
     await ask("POST", `${at(job)}/use`, {});
     await changed(t("jobs-used", { name: job.name }));
   });
-
 const GOOD = 0.95;
 function Share({ share, cycles }) {
   if (share === null || share === undefined) return html`<span class="muted">${t("jobs-share-none")}</span>`;
@@ -81,6 +80,14 @@ function Job({ job, onAsk }) {
       ${
         !retired &&
         button("use", () => use(job), active || Boolean(owner) || cell.value.state === "SETUP" || !mayUse())
+      }
+      ${
+        !retired &&
+        button(
+          "golden",
+          () => onAsk("golden", job),
+          Boolean(owner) || cell.value.state === "SETUP" || me.value?.role !== "engineer",
+        )
       }
       ${!retired && button("edit", () => teachFrom({ job: job.folder }), !mayTake.value || !job.editable)}
       ${!retired && button("duplicate", () => onAsk("duplicate", job), !mayTake.value)}
@@ -174,6 +181,34 @@ function Question({ what, job, onClose }) {
   <//>`;
 }
 
+// Keeps where the part lies now; a path that was taught on the former one no longer fits, so it is asked first.
+function Golden({ job, onClose }) {
+  const [state, setState] = useState("");
+  const [failed, setFailed] = useState(null);
+  const keep = async () => {
+    setState("busy");
+    setFailed(null);
+    try {
+      await ask("POST", `${at(job)}/golden`, {});
+      setState("kept");
+      await changed(t("jobs-golden-done", { name: job.name }));
+    } catch (problem) {
+      if (!(problem instanceof Problem)) throw problem;
+      setState("");
+      setFailed(problem); // here, as the page's own message lies behind this dialog
+    }
+  };
+  return html`<${Dialog} title=${t("jobs-golden-title", { name: job.name })} isOpen=${true} onClose=${onClose}>
+    <p>${t("jobs-golden-what")}</p>
+    ${state === "kept" && html`<p><${Shape} is="tick" /> ${t("jobs-golden-done", { name: job.name })}</p>`}
+    ${failed && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${sentence(failed)}</p>`}
+    <div class="actions">
+      <button onClick=${onClose}>${t("back")}</button>
+      <button class="primary" disabled=${state !== ""} onClick=${keep}>${t("jobs-golden-keep")}</button>
+    </div>
+  <//>`;
+}
+
 export default function Jobs() {
   const [asked, setAsked] = useState(null);
   useFresh(find, [cell.value.jobs]);
@@ -193,7 +228,12 @@ export default function Jobs() {
     </ul>
     <div class="actions"><a class="button primary" href="#/teach">${t("jobs-teach")}</a></div>
     ${
+      asked?.what === "golden" &&
+      html`<${Golden} key=${asked.job.folder} job=${asked.job} onClose=${() => setAsked(null)} />`
+    }
+    ${
       asked &&
+      asked.what !== "golden" &&
       html`<${Question}
         key=${`${asked.what}.${asked.job.folder}`} ...${asked} onClose=${() => setAsked(null)}
       />`

@@ -1,0 +1,126 @@
+"""Golden parts: a file for each job, in the folder `golden` beside the rig, under the job's number.
+
+It belongs to the robot's taught path, not to the job: a job that is edited, and a release that is installed,
+leave it where it is. What it was kept with stands in it, and is compared when it is read.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from edged.domain.golden import Golden
+from edged.domain.numerals import json_of
+from edged.errors import FileFormatError
+from edged.files.atomic import make_folders, read_bytes, write_file
+from edged.files.jsonfields import JsonFields
+
+GOLDEN_FORMAT = "edged-golden"
+GOLDEN_VERSION = 1
+MAX_GOLDEN_BYTES = 256 * 1024
+MAX_POINTS = 1000
+"""Of a part; 8 for a circle, 2 for an edge or a slot."""
+_DIGEST = re.compile(r"[0-9a-f]{16}")
+
+
+def golden_file(rig: Path, number: int) -> Path:
+    """Where the golden part of a job is kept. rig : the rig's file."""
+    return rig.parent / "golden" / f"{number}.json"
+
+
+def save_golden(path: Path, golden: Golden) -> None:
+    """Write it; a former one is replaced in one step. Raises `FileFormatError` where the disc refuses."""
+    document = {
+        "format": GOLDEN_FORMAT,
+        "version": GOLDEN_VERSION,
+        "units": "mm, rad; covariances of (x, y, z, rotation vector applied on the left)",
+        "number": golden.number,
+        "job": golden.job,
+        "part": golden.part,
+        "calibration_id": golden.calibration_id,
+        "registration": golden.registration,
+        "exposed_ns": golden.exposed_ns,
+        "robot_from_part": golden.robot_from_part.tolist(),
+        "covariance": golden.covariance.tolist(),
+        "robot_from_rig": golden.robot_from_rig.tolist(),
+        "rig_from_part": golden.rig_from_part.tolist(),
+        "own_covariance": golden.own.tolist(),
+        "points_mm": golden.points_mm.tolist(),
+        "free_axis": None if golden.free_axis is None else golden.free_axis.tolist(),
+    }
+    try:
+        make_folders(path.parent)
+    except OSError as error:
+        raise FileFormatError(f"{path.parent}: cannot be made: {error.strerror or error}") from error
+    write_file(path, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+
+
+def load_golden(path: Path) -> Golden:
+    """Read one. Every flaw is a `FileFormatError` that names the file, the field and the expectation."""
+    data = read_bytes(path, "a golden part", MAX_GOLDEN_BYTES)
+    try:
+        document = json_of(data)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{path}: not JSON: {error}") from error
+    if not isinstance(document, dict) or document.get("format") != GOLDEN_FORMAT:
+        raise FileFormatError(f'{path}: not a golden part (expected "format": "{GOLDEN_FORMAT}")')
+    if document.get("version") != GOLDEN_VERSION:
+        raise FileFormatError(
+            f"{path}: version {document.get('version')!r}, this edged reads {GOLDEN_VERSION}"
+        )
+    reader = JsonFields(path, document)
+    golden = Golden(
+        number=_whole(reader, "number", 0xFFFF),
+        job=_text(reader, "job"),
+        part=_digest(reader, "part"),
+        calibration_id=_text(reader, "calibration_id"),
+        registration=_digest(reader, "registration"),
+        exposed_ns=_whole(reader, "exposed_ns", 2**63 - 1),
+        robot_from_rig=reader.transform("robot_from_rig"),
+        rig_from_part=reader.transform("rig_from_part"),
+        covariance=reader.covariance("covariance", 6),
+        own=reader.covariance("own_covariance", 6),
+        points_mm=_points(reader),
+        free_axis=None if document.get("free_axis") is None else reader.array("free_axis", (3,)),
+    )
+    if not np.allclose(reader.transform("robot_from_part"), golden.robot_from_part, rtol=0, atol=1e-6):
+        raise reader.error("robot_from_part", "expected robot_from_rig times rig_from_part")
+    if golden.free_axis is not None and not math.isclose(np.linalg.norm(golden.free_axis), 1, abs_tol=1e-6):
+        raise reader.error("free_axis", "expected a direction of length 1")
+    return golden
+
+
+def _points(reader: JsonFields) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    found = reader.document.get("points_mm")
+    count = len(found) if isinstance(found, list) else 0
+    if count > MAX_POINTS:
+        raise reader.error("points_mm", f"{count} points: expected at most {MAX_POINTS}")
+    points = reader.array("points_mm", (count, 3)) if count else np.zeros((0, 3))
+    if (points[:, 2:] <= 0).any():
+        raise reader.error("points_mm", "expected points before the camera, z above 0")
+    return points
+
+
+def _whole(reader: JsonFields, name: str, most: int) -> int:
+    value = reader.document.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
+        raise reader.error(name, f"expected a whole number from 0 to {most}, got {value!r}")
+    return value
+
+
+def _text(reader: JsonFields, name: str) -> str:
+    value = reader.document.get(name)
+    if not isinstance(value, str) or not value:
+        raise reader.error(name, f"expected a name, got {value!r}")
+    return value
+
+
+def _digest(reader: JsonFields, name: str) -> str:
+    value = _text(reader, name)
+    if not _DIGEST.fullmatch(value):
+        raise reader.error(name, f"expected 16 hex digits, got {value!r}")
+    return value

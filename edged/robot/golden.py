@@ -1,0 +1,293 @@
+"""Offsets from a golden part: what is kept of it, whether it still holds, and how sure an offset is.
+
+With X = robot_from_rig, A = rig_from_part, T = X A, and g for golden, the offset is D = T T_g^-1. Errors are
+twists (v, w) on the left, about the frame's origin: T becomes exp(z) T. Then
+
+    D becomes exp(z) D exp(-z_g), so its own twist is d = z - Ad(D) z_g, to first order.
+
+A pose has three errors. The registration's is one twist r at the rig, X exp(r), the same in both poses, also
+of a rig that the robot carries: z = Ad(X) r. The calibration's is one vector p of the rig's parameters, which
+moves the part by J p. What the exposure alone adds is e, its own in each:
+
+    d = (Ad(X) - Ad(D) Ad(X_g)) r + (Ad(X) J - Ad(D) Ad(X_g) J_g) p + Ad(X) e - Ad(D) Ad(X_g) e_g
+
+Where X = X_g, the first bracket is (1 - Ad(D)) Ad(X): of first order in the displacement, 0 for a part that
+lies where the golden one did; the second likewise. In the golden part's own frame, T_g^-1 T, the twist is
+Ad(T_g^-1) (z - z_g), in which r cancels exactly where X = X_g.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.domain.events import Snapshot
+from edged.domain.golden import Golden, GoldenState, Offset
+from edged.domain.measurement import Outcome, Reject, Status, Target
+from edged.robot.covariance import adjoint, robot_covariance
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import invert, rotation_matrix, skew, transform
+from edged.vision.geometry.uncertainty import shift_by_parameters
+from edged.vision.part.job import Job
+
+AROUND = np.array([(math.cos(t), math.sin(t)) for t in np.arange(8) * math.pi / 4])
+"""(8, 2) around a circle: enough that it matters little where the first one lies."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GoldenPart:
+    """The golden part of one job, or why it gives no offset.
+
+    golden : None unless `GoldenState.HELD`. rig : by which both are measured. moved (6, P) : by which its
+    parameters move the golden part. why : for people.
+    """
+
+    state: GoldenState
+    golden: Golden | None = None
+    rig: StereoRig | None = None
+    moved: FloatArray | None = None
+    why: str = ""
+
+    @property
+    def exposed_ns(self) -> int:
+        """Of the golden part; 0 unless it holds."""
+        return 0 if self.golden is None else self.golden.exposed_ns
+
+    def applied(
+        self, outcome: Outcome, robot_from_rig: FloatArray | None, registration: FloatArray | None
+    ) -> Outcome:
+        """The outcome with the offset of each good target. About 1 ms for each."""
+        golden, rig, moved = self.golden, self.rig, self.moved
+        if golden is None or rig is None or moved is None or robot_from_rig is None:
+            return outcome
+        if outcome.status is not Status.OK:
+            return outcome
+        targets = tuple(
+            target
+            if target.reject or not _is_finite(target)
+            else replace(target, offset=offset_of(target, golden, robot_from_rig, registration, rig, moved))
+            for target in outcome.targets
+        )
+        return replace(outcome, targets=targets)
+
+
+def golden_target(snapshot: Snapshot) -> Target | str:
+    """The one part of a snapshot that may become the golden one, or why there is none."""
+    good = [target for target in snapshot.targets if target.reject is Reject.NONE]
+    if snapshot.status is not Status.OK or not good:
+        return f"no good part: {snapshot.status}"
+    if len(good) > 1:
+        return f"{len(good)} good parts, expected one: nobody could tell which one the path was taught on"
+    if snapshot.robot_from_rig is None:
+        return "the rig is not registered to the robot"
+    if not _is_finite(good[0]):
+        return "its pose or its covariance is not finite"
+    return good[0]
+
+
+def _is_finite(target: Target) -> bool:
+    """Whether all that an offset is made of is; no such result gets this far, and none may end the daemon."""
+    own, points_mm = _own(target)
+    numbers = (target.rig_from_part, target.covariance, own, points_mm)
+    return all(bool(np.isfinite(array).all()) for array in numbers)
+
+
+def golden_of(snapshot: Snapshot, target: Target, job: Job, rig: StereoRig) -> Golden:
+    """What is kept of a target in the robot's frame."""
+    robot = snapshot.robot_from_rig
+    assert robot is not None  # `golden_target` was asked
+    own, points_mm = _own(target)
+    return Golden(
+        number=job.number,
+        job=job.name,
+        part=part_digest(job),
+        calibration_id=rig.calibration_id,
+        registration=registration_digest(rig),
+        exposed_ns=snapshot.exposed_ns,
+        robot_from_rig=robot,
+        rig_from_part=target.rig_from_part,
+        covariance=robot_covariance(target, robot, snapshot.registration_covariance),
+        own=own,
+        points_mm=points_mm,
+        free_axis=target.free_axis,
+    )
+
+
+def golden_part(golden: Golden, job: Job, rig: StereoRig) -> GoldenPart:
+    """The golden part of a job, if the job and the rig are still those that it was kept with."""
+    if golden.calibration_id != rig.calibration_id:
+        why = f"kept with the calibration {golden.calibration_id}, the rig has {rig.calibration_id}"
+        return GoldenPart(GoldenState.OTHER_CALIBRATION, why=why)
+    if golden.registration != registration_digest(rig):
+        return GoldenPart(
+            GoldenState.OTHER_REGISTRATION, why="the rig was registered to the robot anew since"
+        )
+    if (golden.number, golden.part) != (job.number, part_digest(job)):
+        return GoldenPart(GoldenState.OTHER_PART, why=f"kept of another part than job {job.name} is now")
+    return held(golden, rig)
+
+
+def held(golden: Golden, rig: StereoRig) -> GoldenPart:
+    """A golden part that holds."""
+    return GoldenPart(GoldenState.HELD, golden, rig, motion_by_parameters(rig, golden))
+
+
+def registration_digest(rig: StereoRig) -> str:
+    """Digest (16 hex digits) of how a rig stands to the robot; its covariance moves nothing."""
+    return _digest((rig.robot_from_rig, rig.flange_from_rig))
+
+
+def part_digest(job: Job) -> str:
+    """Digest (16 hex digits) of what fixes the frame of a job's poses: neither its name nor its limits."""
+    features = [np.array([*circle.centre_mm, circle.radius_mm]) for circle in job.circles]
+    features += [np.concatenate([edge.start_mm, edge.end_mm]) for edge in job.edges]
+    features += [np.array([*slot.centre_mm, slot.angle_rad, slot.length_mm]) for slot in job.slots]
+    placed = job.place_of(job.reference)
+    return _digest((job.rig_from_part, placed, job.part_from_reported, *features))
+
+
+def _digest(arrays: Iterable[FloatArray | None]) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(b"-" if array is None else np.ascontiguousarray(array, np.float64).tobytes() + b"/")
+    return digest.hexdigest()[:16]
+
+
+def offset_of(
+    target: Target,
+    golden: Golden,
+    robot_from_rig: FloatArray,
+    registration: FloatArray | None,
+    rig: StereoRig,
+    was_moved: FloatArray,
+) -> Offset:
+    """How a target lies against the golden part; see the top for its covariance.
+
+    registration (6, 6) : as for `robot_covariance`; None: taken as exact. was_moved (6, P) : by the rig's
+    parameters, the golden part. Of a part that looks the same from
+    all sides the turn about its axis is the one that turns the robot's path least, and counts as exact.
+    """
+    own, points_mm = _own(target)
+    rig_from_part = _least_turned(target, golden, robot_from_rig)
+    robot_from_part, was = robot_from_rig @ rig_from_part, golden.robot_from_part
+    robot = robot_from_part @ invert(was)
+    now, then = adjoint(robot_from_rig), adjoint(golden.robot_from_rig)
+    own = _about_origin(_without_turn(own, target.free_axis), rig_from_part)
+    own_then = _about_origin(_without_turn(golden.own, golden.free_axis), golden.rig_from_part)
+    at_rig = np.zeros((6, 6))
+    if registration is not None:
+        to_rig = adjoint(invert(robot_from_rig))
+        at_rig = to_rig @ registration @ to_rig.T
+    moved = _without_turn_of(target.free_axis, rig_from_part, _motion_by_parameters(rig, points_mm))
+    parameters = np.zeros((moved.shape[1],) * 2) if rig.covariance is None else rig.covariance
+
+    def spread(back: FloatArray, forth: FloatArray) -> FloatArray:
+        """Covariance of back z - forth z_g."""
+        by_rig, by_lenses = back @ now - forth @ then, back @ now @ moved - forth @ then @ was_moved
+        alone = back @ now @ own @ now.T @ back.T + forth @ then @ own_then @ then.T @ forth.T
+        return np.asarray(by_rig @ at_rig @ by_rig.T + by_lenses @ parameters @ by_lenses.T + alone)
+
+    in_golden = adjoint(invert(was))
+    part = invert(was) @ robot_from_part
+    return Offset(
+        robot=robot,
+        covariance=_at(robot_from_part[:3, 3], spread(np.eye(6), adjoint(robot))),
+        part=part,
+        part_covariance=_at(part[:3, 3], spread(in_golden, in_golden)),
+    )
+
+
+def motion_by_parameters(rig: StereoRig, golden: Golden) -> FloatArray:
+    """(6, P): the twist, about the rig's origin, by which each of its parameters moves a golden part."""
+    motion = _motion_by_parameters(rig, golden.points_mm)
+    return _without_turn_of(golden.free_axis, golden.rig_from_part, motion)
+
+
+def _own(target: Target) -> tuple[FloatArray, FloatArray]:
+    """Covariance of what another exposure does not share, and points for what it shares.
+
+    The doubt is drawn from this exposure's own rows and sizes. Where the part of the edges is not known, all
+    of the covariance counts as the exposure's own: that is too much, never too little.
+    """
+    points_mm = _points_mm(target)
+    if target.by_edges is None or len(points_mm) < 3:
+        return target.covariance, np.zeros((0, 3))
+    return target.by_edges + target.by_doubt, points_mm
+
+
+def _points_mm(target: Target) -> FloatArray:
+    """(N, 3) of the part, rig frame, wide enough apart to fix its pose."""
+    points: list[FloatArray] = []
+    for circle in target.circles:
+        across = np.linalg.svd(circle.normal[None])[2][1:]
+        points += [*(circle.centre_mm + circle.radius_mm * AROUND @ across)]
+    for edge in target.edges:
+        points += [edge.start_mm, edge.end_mm]
+    for slot in target.slots:
+        points += [slot.centre_mm + sign * 0.5 * slot.length_mm * slot.direction for sign in (1, -1)]
+    return np.array(points).reshape(-1, 3)
+
+
+def _motion_by_parameters(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
+    """(6, P): the twist, about the rig's origin, by which each of the rig's parameters moves a part.
+
+    That of the rigid motion nearest to how its points move; 0 without points.
+    """
+    if not len(points_mm):
+        return np.zeros((6, len(rig.parameter_names)))
+    by_twist = np.concatenate(
+        [np.broadcast_to(np.eye(3), (len(points_mm), 3, 3)), -skew(points_mm)], axis=2
+    ).reshape(-1, 6)
+    shift = shift_by_parameters(rig, points_mm).reshape(len(by_twist), -1)
+    return np.asarray(np.linalg.lstsq(by_twist, shift, rcond=None)[0])
+
+
+def _least_turned(target: Target, golden: Golden, robot_from_rig: FloatArray) -> FloatArray:
+    """rig_from_part, of a part with a free axis turned about it so that the offset turns least.
+
+    With Q = R_g^T R, of the part in the robot's frame, the trace of Q Rot(a, t) is
+    (tr Q - a Q a) cos t + tr(Q [a]x) sin t + a Q a; the angle of a rotation is least where it is largest.
+    """
+    pose, axis = target.rig_from_part, target.free_axis
+    if axis is None or golden.free_axis is None:
+        return pose
+    a = pose[:3, :3].T @ axis
+    Q = golden.robot_from_part[:3, :3].T @ (robot_from_rig @ pose)[:3, :3]
+    turn_rad = math.atan2(float(np.trace(Q @ skew(a))), float(np.trace(Q) - a @ Q @ a))
+    return np.asarray(pose @ transform(rotation_matrix(turn_rad * a), np.zeros(3)))
+
+
+def _without_turn(covariance: FloatArray, axis: FloatArray | None) -> FloatArray:
+    """The covariance (6, 6) of a pose without what turns it about an axis through its origin."""
+    kept = _no_turn(axis)
+    return np.asarray(kept @ covariance @ kept.T)
+
+
+def _without_turn_of(axis: FloatArray | None, pose: FloatArray, motion: FloatArray) -> FloatArray:
+    """Motions (6, P), about the rig's origin, without what turns the pose about an axis through its own."""
+    to_pose = transform(np.eye(3), -pose[:3, 3])
+    return np.asarray(adjoint(invert(to_pose)) @ _no_turn(axis) @ adjoint(to_pose) @ motion)
+
+
+def _no_turn(axis: FloatArray | None) -> FloatArray:
+    kept = np.eye(6)
+    if axis is not None:
+        kept[3:, 3:] -= np.outer(axis, axis)
+    return kept
+
+
+def _about_origin(covariance: FloatArray, pose: FloatArray) -> FloatArray:
+    """(6, 6) of a twist about the frame's origin, from that of (place, rotation) of a pose in it."""
+    return _at(-pose[:3, 3], covariance)
+
+
+def _at(point_mm: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(6, 6) of (motion of a point, rotation), from that of a twist about the origin: v + w x point."""
+    jacobian = np.eye(6)
+    jacobian[:3, 3:] = -skew(point_mm)
+    return np.asarray(jacobian @ covariance @ jacobian.T)

@@ -1,0 +1,52 @@
+"""A robot that talks in lines of text to a live cell."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from helpers.livecell import LiveCell
+from helpers.waiting import LIMIT_S
+
+
+class Robot:
+    """A robot with a socket."""
+
+    def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=15, source_address=(host, 0))
+        self.file = self.socket.makefile("rb")
+
+    def ask(self, line: str) -> tuple[int, int, int, list[float]]:
+        """Sequence, status, remaining, and the rest."""
+        self.socket.sendall(line.encode() + b"\n")
+        fields = self.file.readline().decode().rstrip("\n").split(",")
+        sequence, status, remaining = map(int, fields[:3])
+        return sequence, status, remaining, [float(field) for field in fields[3:]]
+
+    def ended(self) -> bool:
+        """Whether the cell has hung up."""
+        try:
+            return self.file.readline() == b""
+        except ConnectionResetError:
+            return True
+
+
+@contextmanager
+def connected(cell: LiveCell) -> Iterator[Robot]:
+    """A robot on the cell's socket."""
+    robot = Robot(cell.server.line_port)
+    try:
+        yield robot
+    finally:
+        robot.file.close()
+        robot.socket.close()
+
+
+def ready(cell: LiveCell) -> None:
+    """Wait until commands are carried out."""
+    deadline_s = time.monotonic() + LIMIT_S
+    while not cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)

@@ -1,0 +1,240 @@
+"""The manual's programs that shift a taught path, each run as it stands there beside its program.
+
+What an instruction does to a path is written here after the makers' manuals: a program displacement, a user
+frame, a base, a compound transformation.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.robot.orientations import Brand, pose_of, transform_of
+from edged.robots.formats import render, written
+from helpers import drl, karel, kawasaki, krl, rapid, spel, val3
+from helpers import robotsides as sides
+from helpers.robotexamples import PAGE
+from helpers.robotlink import Link
+
+Run = Callable[[str, Link, FloatArray], list[FloatArray]]
+"""Runs a text beside a link, with a taught pose; gives where the tip is moved to."""
+
+
+def text_of(maker: str) -> str:
+    """The code of a maker in the section on shifted paths."""
+    section = PAGE.read_text().partition("## Shift a taught path")[2].partition("\n## ")[0]
+    found = re.search(rf"^\*\*{maker}\*\*.*?^```\w*\n(.*?)^```", section, re.MULTILINE | re.DOTALL)
+    assert found is not None, maker
+    return found[1]
+
+
+def _numbers(place: Any) -> tuple[float, ...]:
+    return tuple(place.get().plain().values())
+
+
+def _fill(place: Any, numbers: tuple[float, ...]) -> None:
+    for one, number in zip(place.get().fields.values(), numbers, strict=True):
+        one.set(number)
+
+
+def _abb(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """PDispSet: what is moved to is in a frame that is displaced by it, until PDispOff."""
+    sockets = rapid.Sockets(link)
+    program = rapid.load(render("rapid").replace("ENDMODULE", f"{text}ENDMODULE"), sockets)
+    moves: list[FloatArray] = []
+    displaced = [np.eye(4)]
+
+    def read(where: Any) -> FloatArray:
+        plain = where.get().plain()
+        return transform_of(Brand.ABB, (*plain["trans"].values(), *plain["rot"].values()))
+
+    for name in ("TOOL1", "WOBJ0", "V200", "FINE"):
+        program.globals[name] = rapid.TYPES.variable("num")
+    program.globals["TAUGHT"] = rapid.TYPES.variable("robtarget", rapid.robtarget(taught))
+    program.builtins |= {
+        "CROBT": lambda *_: rapid.robtarget(link.arm.flange),
+        "MOVEL": lambda where, *_: moves.append(displaced[-1] @ read(where)),
+        "PDISPSET": lambda pose: displaced.append(read(pose)),
+        "PDISPOFF": lambda: displaced.append(np.eye(4)),
+    }
+    program.call("PickShifted")
+    sockets.close()
+    return moves
+
+
+def _fanuc(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """P[1] was taught in user frame 5 while that was the base's."""
+    controller = karel.Controller(link)
+    program = karel.load(written("karel")["edged.kl"], controller)
+    frames, active = {0: np.eye(4)}, 0
+    moves: list[FloatArray] = []
+    lines = [line.rstrip(" ;") for line in text.splitlines()]
+    at = 0
+    while at < len(lines):
+        line = lines[at]
+        at += 1
+        if found := re.match(r"CALL EDGED\(([\d,]+)\)$", line):
+            controller.arguments = tuple(map(int, found[1].split(",")))
+            program.call("RUN")
+        elif found := re.match(r"UTOOL_NUM=(\d)$", line):
+            controller.activate(int(found[1]))
+        elif found := re.match(r"UFRAME_NUM=(\d)$", line):
+            active = int(found[1])
+        elif found := re.match(r"UFRAME\[(\d)\]=PR\[(\d+)\]$", line):
+            numbers = tuple(controller.positions[int(found[2])].plain().values())[:6]
+            frames[int(found[1])] = transform_of(Brand.FANUC, numbers)
+        elif found := re.match(r"IF R\[(\d+)\]<>0,JMP LBL\[(\d+)\]$", line):
+            if controller.registers[int(found[1])] != 0:
+                at = lines.index(f"LBL[{found[2]}]")
+        elif line == "L P[1] 100mm/sec FINE":
+            moves.append(frames[active] @ taught)
+        else:
+            assert re.match(r"LBL\[9\]$", line), line
+    link.close()
+    return moves
+
+
+def _kuka(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """LIN goes to a frame in $BASE. The path was taught in a base that lies anywhere."""
+    files = written("krl")
+    files["edged.src"] += f"DEF EXAMPLE()\n{text}END\n"
+    program = krl.load(files, krl.Controller(files["edged.xml"], link))
+    moves: list[FloatArray] = []
+    base = transform_of(Brand.KUKA, (120.0, -40.0, 30.0, 20.0, -10.0, 5.0))
+    known = {"$BASE": krl.TYPES.variable("FRAME"), "XTAUGHT": krl.TYPES.variable("FRAME")}
+    bases = krl.TYPES.array("FRAME", 1)
+    _fill(known["XTAUGHT"], pose_of(Brand.KUKA, np.linalg.inv(base) @ taught))
+    _fill(bases.element(1), pose_of(Brand.KUKA, base))
+    program.globals |= {**known, "BASE_DATA": bases}
+
+    def lin(frame: Any) -> None:
+        read = (transform_of(Brand.KUKA, _numbers(place)) for place in (known["$BASE"], frame))
+        moves.append(np.asarray(next(read) @ next(read)))
+
+    program.builtins["LIN"] = lin
+    program.call("EXAMPLE")
+    return moves
+
+
+def _doosan(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """A motion's numbers are in the frame that `ref` names."""
+    controller = drl.Controller(link)
+    names = drl.load(render("drl"), controller)
+    moves: list[FloatArray] = []
+
+    def frame(pos: tuple[float, ...], ref: str) -> FloatArray:
+        assert "base" == ref
+        return transform_of(Brand.DOOSAN, pos)
+
+    names |= {
+        "DR_BASE": "base",
+        "posx": lambda *numbers: numbers,
+        "set_user_cart_coord": frame,
+        "taught": pose_of(Brand.DOOSAN, taught),
+        "movel": lambda pos, ref, **_: moves.append(ref @ transform_of(Brand.DOOSAN, pos)),
+    }
+    drl.declared(ast.parse(text), "drl")
+    exec(compile(text, "example", "exec"), names)
+    return moves
+
+
+def _staubli(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """A point lies in its frame; fPath lies in the world."""
+    val3.TYPES.records |= {"pointRx": {"trsf": "trsf", "config": "num"}, "path": {"trsf": "trsf"}}
+    files = written("val3")
+    code = text.replace("edged:", "")
+    files["example.pgx"] = re.sub(
+        r"begin.*?end\]",
+        lambda _: f"begin\n{code}end]",
+        files["stop.pgx"].replace('"stop"', '"example"'),
+        flags=re.DOTALL,
+    )
+    listed = '<Program file="stop.pgx" />'
+    files["edged.pjx"] = files["edged.pjx"].replace(listed, listed + listed.replace("stop", "example"))
+    program = val3.load(files, val3.Controller(link))
+    moves: list[FloatArray] = []
+    point, frame = val3.TYPES.variable("pointRx"), val3.TYPES.variable("path")
+    _fill(point.get().fields["trsf"], pose_of(Brand.STAUBLI, taught))
+    program.globals |= {"PTAUGHT": point, "FPATH": frame}
+    program.globals |= {name: val3.TYPES.variable("num") for name in ("TTOOL", "MSLOW")}
+
+    def move(where: Any, *_: Any) -> None:
+        frames = (transform_of(Brand.STAUBLI, _numbers(of.get().fields["trsf"])) for of in (frame, where))
+        moves.append(np.asarray(next(frames) @ next(frames)))
+
+    program.builtins |= {"MOVEL": move, "WAITENDMOVE": lambda: None}
+    program.call("example")
+    return moves
+
+
+def _kawasaki(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """a+b: b in the frame a."""
+    program = kawasaki.load(render("as").replace(".REALS\n", f"{text}.REALS\n"), kawasaki.Controller(link))
+    moves: list[FloatArray] = []
+    known = kawasaki.TYPES.variable("trans")
+    _fill(known, pose_of(Brand.KAWASAKI, taught))
+    program.globals["TAUGHT"] = known
+
+    def compound(one: Any, other: Any) -> None:
+        frames = (transform_of(Brand.KAWASAKI, _numbers(place)) for place in (one, other))
+        moves.append(np.asarray(next(frames) @ next(frames)))
+
+    program.builtins |= {"BREAK": lambda: None, "LMOVE_COMPOUND": compound}
+    program.call("pick_shifted")
+    return moves
+
+
+def _epson(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """P11 was taught in Local 1 while that was all 0."""
+    program = spel.load(f"{render('spel')}\n{text}", spel.Controller(link))
+    moves: list[FloatArray] = []
+    local: list[FloatArray] = []
+    program.globals["P11"] = spel.TYPES.variable("Double")
+    program.builtins |= {
+        "XY": lambda *numbers: transform_of(Brand.EPSON, tuple(number.get() for number in numbers)),
+        "SETLOCAL": lambda frame: local.append(frame.get()),
+        "GOTAUGHT": lambda _: moves.append(local[-1] @ taught),
+    }
+    program.call("PickShifted")
+    return moves
+
+
+def _mitsubishi(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """A product of positions."""
+    side = sides.Mitsubishi(link)
+    side.controller.run(text, PTaught=taught)
+    return [_of_melfa(pose) for pose, _ in side.controller.moves]
+
+
+def _of_melfa(pose: Any) -> FloatArray:
+    *lengths_mm, a, b, c = list(pose.plain().values())[:6]
+    return transform_of(Brand.MITSUBISHI, (*lengths_mm, *np.degrees((a, b, c)).tolist()))
+
+
+def _yaskawa(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """A product of matrices."""
+    side = sides.Yaskawa(link)
+    numbers = np.array(pose_of(Brand.YASKAWA, taught))
+    side.controller.positions[1] = np.rint(numbers * ([1e3] * 3 + [1e4] * 3))
+    side.controller.run(text.splitlines())
+    side.close()
+    places = ((*(one[:3] / 1e3).tolist(), *(one[3:] / 1e4).tolist()) for one in side.controller.moves)
+    return [transform_of(Brand.YASKAWA, place) for place in places]
+
+
+SHIFTED: dict[Brand, tuple[str, Run]] = {
+    Brand.ABB: ("ABB", _abb),
+    Brand.FANUC: ("FANUC", _fanuc),
+    Brand.KUKA: ("KUKA", _kuka),
+    Brand.DOOSAN: ("Doosan", _doosan),
+    Brand.STAUBLI: ("Stäubli", _staubli),
+    Brand.KAWASAKI: ("Kawasaki", _kawasaki),
+    Brand.EPSON: ("Epson", _epson),
+    Brand.MITSUBISHI: ("Mitsubishi", _mitsubishi),
+    Brand.YASKAWA: ("Yaskawa", _yaskawa),
+}
