@@ -55,7 +55,7 @@ class GoldenPart:
 
     @property
     def exposed_ns(self) -> int:
-        """Of the golden part; 0 unless it holds."""
+        """When the golden part was exposed; 0 unless it holds."""
         return 0 if self.golden is None else self.golden.exposed_ns
 
     def applied(
