@@ -1,0 +1,52 @@
+"""The PLC whose own memory the cell reads and writes."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from edged.config.fields import Host, Port, Section
+
+
+class S7Section(Section):
+    """Siemens S7-300, 400, 1200, 1500: a data block with standard access, by PUT/GET."""
+
+    port: Port = Field(102, description="TCP port")
+    rack: int = Field(0, ge=0, le=7, description="of the CPU")
+    slot: int = Field(1, ge=0, le=31, description="of the CPU: 1 of S7-1200 and 1500, 2 of S7-300")
+    db: int = Field(ge=1, le=65_535, description="number of the data block")
+    offset: int = Field(0, ge=0, le=65_000, multiple_of=2, description="first byte of the 192 in the block")
+
+
+FAMILIES = ("s7",)
+"""Tables of `[plc]`, of which one must be there; each needs the package of that name, `edged[s7]`."""
+
+
+class PlcSection(Section):
+    """A PLC whose own memory the cell reads and writes: registers and handshake of Modbus. Left out: none."""
+
+    host: Host = Field(description="address of the PLC")
+    handshake: Literal["start-bit", "sequence"] = Field(
+        "start-bit", description="what begins a command: START in CONTROL, or another CMD_SEQ"
+    )
+    period_ms: int = Field(20, ge=5, le=1000, description="from one reading to the next")
+    s7: S7Section | None = Field(None, description="of Siemens")
+
+    @model_validator(mode="after")
+    def _has_a_family(self) -> PlcSection:
+        named = [name for name in FAMILIES if getattr(self, name) is not None]
+        if len(named) != 1:
+            expected = ", ".join(f"[plc.{name}]" for name in FAMILIES)
+            raise ValueError(f"expected one of {expected}, got {' and '.join(named) or 'none'}")
+        return self
+
+    @property
+    def family(self) -> str:
+        """The one that is stated: what it is called in `FAMILIES`."""
+        return next(name for name in FAMILIES if getattr(self, name) is not None)
+
+    @property
+    def place(self) -> str:
+        """Address and port, for messages."""
+        return f"{self.host}:{getattr(self, self.family).port}"
