@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import re
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from edged.config.fields import Host, Port, Section
 
@@ -19,8 +20,35 @@ class S7Section(Section):
     offset: int = Field(0, ge=0, le=65_000, multiple_of=2, description="first byte of the 192 in the block")
 
 
-FAMILIES = ("s7",)
-"""Tables of `[plc]`, of which one must be there; each needs the package of that name, `edged[s7]`."""
+_TAG = re.compile(r"(Program:)?[A-Za-z_]\w{0,39}(\.[A-Za-z_]\w{0,39}){0,3}", re.ASCII)
+
+
+def _tag_name(value: str) -> str:
+    if not _TAG.fullmatch(value):
+        raise ValueError('expected a tag, for example "Edged" or "Program:MainProgram.Edged"')
+    return value
+
+
+TagName = Annotated[str, AfterValidator(_tag_name)]
+
+
+class LogixSection(Section):
+    """Rockwell ControlLogix, CompactLogix, Micro800: a structured tag, over EtherNet/IP."""
+
+    port: Port = Field(44818, description="TCP port")
+    slot: int | None = Field(
+        None,
+        ge=0,
+        le=16,
+        description="of the controller, in the chassis of an Ethernet module; left out: it is asked itself",
+    )
+    tag: TagName = Field(
+        "Edged", description="with the members ToCell and FromCell; of a program: Program:NAME.TAG"
+    )
+
+
+FAMILIES = ("s7", "logix")
+"""Tables of `[plc]`, of which one must be there."""
 
 
 class PlcSection(Section):
@@ -32,6 +60,7 @@ class PlcSection(Section):
     )
     period_ms: int = Field(20, ge=5, le=1000, description="from one reading to the next")
     s7: S7Section | None = Field(None, description="of Siemens")
+    logix: LogixSection | None = Field(None, description="of Rockwell")
 
     @model_validator(mode="after")
     def _has_a_family(self) -> PlcSection:

@@ -99,6 +99,7 @@ FORMATS = {
     "plcopen": Format({"edged.xml": "iec"}),
     "scl": Format({"edged.scl": "scl"}),
     "s7db": Format({"edged_db.scl": "scl"}),
+    "l5x": Format({"edged.L5X": "logix"}),
     "urscript": Format({"edged.script": "urscript"}),
     "python": Format({"edged_cell.py": ""}),
     "rapid": Format({"EDGED.mod": "rapid"}, Brand.ABB),

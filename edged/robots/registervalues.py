@@ -75,11 +75,12 @@ class ImageField:
 
 @dataclass(frozen=True, slots=True)
 class ImageFields:
-    """Both images. bit : of BITS, by name. unused_words : behind those to the cell."""
+    """Both images. bit, number : value and number of each of BITS. unused_words : behind TO_CELL."""
 
     to_cell: tuple[ImageField, ...]
     from_cell: tuple[ImageField, ...]
     bit: Mapping[str, int]
+    number: Mapping[str, int]
     unused_words: int
 
 
@@ -89,7 +90,9 @@ IEC = {Kind.U16: "UINT", Kind.I32: "DINT", Kind.U32: "UDINT", Kind.F32: "REAL"}
 def image_fields() -> ImageFields:
     """The process image, field by field."""
     unused = TO_CELL_BYTES // 2 - sum(register.kind.words for register in TO_CELL)
-    return ImageFields(_fields(TO_CELL, 0), _fields(FROM_CELL, TO_CELL_BYTES), _numbers(CellBit), unused)
+    bits = _numbers(CellBit)
+    numbers = {name: value.bit_length() - 1 for name, value in bits.items()}
+    return ImageFields(_fields(TO_CELL, 0), _fields(FROM_CELL, TO_CELL_BYTES), bits, numbers, unused)
 
 
 def _fields(registers: Iterable[Register], start: int) -> tuple[ImageField, ...]:

@@ -6,13 +6,18 @@ Places in the image are numbers here, as an electrician reads them in the manual
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
+import pylogix
 import snap7
 from snap7.type import SrvArea
 
@@ -22,7 +27,7 @@ from edged.robots.formats import render
 from helpers import scl, structured_text
 from helpers.livecell import LiveCell
 from helpers.ports import free_port
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, wait_until
 
 CMD, JOB, CMD_SEQ, ACK_SEQ, FLANGE_X, CONTROL = 0, 2, 4, 6, 12, 42
 """First bytes of words to the cell."""
@@ -132,8 +137,8 @@ def memory_of(cell: LiveCell, section: PlcSection) -> Iterator[PlcMemoryPublishe
 class BadServer:
     """A TCP server that answers what it likes. answer : of a connection, called on a thread."""
 
-    def __init__(self, answer: Callable[[socket.socket], None]) -> None:
-        self._listener = socket.create_server(("127.0.0.1", 0))
+    def __init__(self, answer: Callable[[socket.socket], None], port: int = 0) -> None:
+        self._listener = socket.create_server(("127.0.0.1", port))
         self.port = int(self._listener.getsockname()[1])
         self.connections = 0
         self._answer = answer
@@ -197,3 +202,205 @@ class S7Program(structured_text.Driven):
 FORMAT_TO = ">6H6i4H10H"
 FORMAT_FROM = ">14HI8H6f6i3iiHHHHHHHH"
 """By their types in the source: 64 and 128 bytes, as TIA lays out a structure with standard access."""
+
+
+def is_open(port: int) -> bool:
+    """Whether somebody listens."""
+    try:
+        socket.create_connection(("127.0.0.1", port)).close()
+    except OSError:
+        return False
+    return True
+
+
+class LogixController:
+    """A process of cpppo with two arrays of INT as the members of a tag; the PLC's program is pylogix."""
+
+    order = "<"
+
+    def __init__(self, port: int | None = None) -> None:
+        self.port = free_port() if port is None else port
+        self.section = PlcSection.model_validate(
+            {"host": "127.0.0.1", "period_ms": 5, "logix": {"port": self.port, "slot": 0}}
+        )
+        self._process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "cpppo.server.enip", "--no-udp", "-a", f"127.0.0.1:{self.port}"),
+                *("Edged.ToCell=INT[32]", "Edged.FromCell=INT[64]"),
+            ],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        wait_until(lambda: is_open(self.port))
+        self._program = pylogix.PLC("127.0.0.1", port=self.port, timeout=LIMIT_S)
+        self._lock = threading.Lock()
+
+    def get(self, start: int, size: int) -> bytes:
+        tag, first = ("Edged.FromCell", start - 64) if start >= 64 else ("Edged.ToCell", start)
+        with self._lock:
+            answer = self._program.Read(f"{tag}[{first // 2}]", size // 2)
+        assert answer.Status == "Success"
+        return struct.pack(f"<{size // 2}h", *(answer.Value if size > 2 else [answer.Value]))
+
+    def put(self, start: int, data: bytes) -> None:
+        words = list(struct.unpack(f"<{len(data) // 2}h", data))
+        with self._lock:
+            assert self._program.Write(f"Edged.ToCell[{start // 2}]", words).Status == "Success"
+
+    def stop(self) -> None:
+        self._program.Close()
+        self._program.conn.msg_socket.close()  # its own, for messages to it, which it never closes
+        self._process.kill()
+        self._process.wait(LIMIT_S)
+
+
+class UdtController:
+    """A Logix controller with a structure, after 1756-PM020: cpppo serves arrays only from its command line.
+
+    By the author of the client: its bytes are those of the manual's examples. kind : of both members.
+    """
+
+    order = "<"
+
+    def __init__(self, kind: bytes = b"\xa0\x02\xce\xfa", to_cell_bytes: int = 64, port: int = 0) -> None:
+        self.members = {"ToCell": bytearray(to_cell_bytes), "FromCell": bytearray(128)}
+        self.kind = kind
+        self.paths: list[tuple[str, ...]] = []
+        self._server = BadServer(self._serve, port)
+        self.port = self._server.port
+        self.section = PlcSection.model_validate(
+            {"host": "127.0.0.1", "period_ms": 5, "logix": {"port": self.port, "slot": 3}}
+        )
+
+    def get(self, start: int, size: int) -> bytes:
+        return bytes(self.members["ToCell"] + self.members["FromCell"])[start : start + size]
+
+    def put(self, start: int, data: bytes) -> None:
+        self.members["ToCell"][start : start + len(data)] = data
+
+    def stop(self) -> None:
+        self._server.__exit__()
+
+    def _serve(self, line: socket.socket) -> None:
+        stream = line.makefile("rb")
+        while len(header := stream.read(24)) == 24:
+            command, length = struct.unpack_from("<HH", header)
+            data = stream.read(length)
+            if command == 0x6F:
+                data = data[:14] + struct.pack("<H", len(reply := self._routed(data[16:]))) + reply
+            line.sendall(struct.pack("<HHI", command, len(data), 7) + header[8:] + data)
+
+    def _routed(self, request: bytes) -> bytes:
+        assert request[:6] == b"\x52\x02\x20\x06\x24\x01"
+        (size,) = struct.unpack_from("<H", request, 8)
+        assert request[10 + size + size % 2 :] == b"\x01\x00\x01\x03", "port 1, slot 3"
+        return self._answered(request[10 : 10 + size])
+
+    def _answered(self, message: bytes) -> bytes:
+        service, words = message[:2]
+        path, rest, names = message[2 : 2 + 2 * words], message[2 + 2 * words :], []
+        while path:
+            assert path[0] == 0x91
+            names.append(path[2 : 2 + path[1]].decode())
+            path = path[2 + path[1] + path[1] % 2 :]
+        self.paths.append(tuple(names))
+        if names[0] != "Edged" or names[1] not in self.members:
+            return bytes((service | 0x80, 0, 0x05, 0))
+        member = self.members[names[1]]
+        if service == 0x4C:
+            assert rest == b"\x01\x00"
+            return bytes((service | 0x80, 0, 0, 0)) + self.kind + bytes(member)
+        assert (service, rest[: len(self.kind) + 2]) == (0x4D, self.kind + b"\x01\x00")
+        member[:] = rest[len(self.kind) + 2 :]
+        return bytes((service | 0x80, 0, 0, 0))
+
+
+L5X_TYPES = {"INT": ("h", 2), "DINT": ("i", 4), "REAL": ("f", 4)}
+"""Format and alignment of members (1756-PM020, "Structures")."""
+
+
+def l5x_structures(text: str) -> dict[str, list[tuple[str, str, int]]]:
+    """Members of each structure: name, type and how many; nothing that a controller refuses."""
+    found = {}
+    for structure in ET.fromstring(text.encode()).iter("DataType"):
+        members = []
+        for member in structure.iter("Member"):
+            assert re.fullmatch(r"[A-Za-z](?:_?[A-Za-z0-9])*", member.attrib["Name"])
+            members.append(
+                (member.attrib["Name"], member.attrib["DataType"], int(member.attrib["Dimension"]))
+            )
+        found[structure.attrib["Name"]] = members
+    return found
+
+
+class LogixProgram(structured_text.Driven):
+    """A controller that executes the add-on instruction of the L5X file on its tag.
+
+    What Logix alone has is turned into IEC 61131-3: bits of an INT, CPS and COP, TONR, 1 and 0 as BOOL.
+    """
+
+    def __init__(self, controller: UdtController) -> None:
+        self._controller, text = controller, render("l5x")
+        self._layout = l5x_structures(text)
+        source, shared = "", {"Cell": "EDGED", "Result": "EDGED_FROM_CELL"}
+        for name, members in self._layout.items():
+            fields = "".join(f"{field} : {kind_of(field, kind, many)};\n" for field, kind, many in members)
+            source += f"TYPE {name} :\nSTRUCT\n{fields}END_STRUCT;\nEND_TYPE\n"
+        root = ET.fromstring(text.encode())
+        declared = [
+            (one.attrib["Name"], one.attrib["DataType"])
+            for one in (*root.iter("Parameter"), *root.iter("LocalTag"))
+            if one.attrib["Name"] not in ("EnableIn", "EnableOut", *shared)
+        ]
+        variables = "".join(f"{name} : {'TON' if name == 'Watch' else kind};\n" for name, kind in declared)
+        logic = iec("\n".join(line.text or "" for line in root.iter("Line")))
+        source += f"FUNCTION_BLOCK Locate\nVAR_INPUT\n{variables}END_VAR\n{logic}\nEND_FUNCTION_BLOCK\n"
+        source = re.sub(r"\b(Execute|Busy)\b", r"x\1", source)
+        self.program = structured_text.Program(source, lambda: time.monotonic() * 1e3, shared=shared)
+        self.block = self.program.instance("Locate")
+        self.values = self.block.values
+
+    def scan(self) -> None:
+        """One scan: the tag is the controller's memory."""
+        cell = self.program.shared["Cell"]
+        start, size, names = 64, 128, self._layout["EDGED_FROM_CELL"]
+        form = "".join(L5X_TYPES[kind][0] for _, kind, _ in names)
+        assert struct.calcsize("@" + form) == size, "a compiler leaves a gap"
+        values = struct.unpack("<" + form, self._controller.get(start, size))
+        cell["FromCell"] |= {name: value for (name, _, _), value in zip(names, values, strict=True)}
+        super().scan()
+        names, data = self._layout["EDGED_TO_CELL"], cell["ToCell"]
+        form = "".join(f"{many or 1}{L5X_TYPES[kind][0]}" for _, kind, many in names)
+        assert struct.calcsize("@" + form) == 64, "a compiler leaves a gap"
+        words = [word for name, _, many in names for word in (data[name] if many else [data[name]])]
+        self._controller.put(0, struct.pack("<" + form, *words))
+
+
+def kind_of(field: str, kind: str, many: int) -> str:
+    """A member's type in IEC 61131-3; whose bits are asked for is a WORD."""
+    kind = "WORD" if field == "BITS" else kind
+    return f"ARRAY[0..{many - 1}] OF {kind}" if many else kind
+
+
+def iec(logic: str) -> str:
+    """Logix' structured text as that of IEC 61131-3."""
+    logic = re.sub(r"//.*", "", logic)
+    logic = re.sub(r"\b(?:CPS|COP)\(([\w.]+), (\w+), 1\);", r"\2 := \1;", logic)
+    logic = re.sub(r"\bWatch\.(PRE|TimerEnable|Reset) := .*;", "", logic)
+    logic = logic.replace("TONR(Watch);", "Watch(IN := Copy.HEARTBEAT = Heartbeat, PT := T#1S);")
+    logic = logic.replace("Watch.DN", "Watch.Q")
+    logic = re.sub(
+        r"Control\.(\d) := (\w+);",
+        lambda bit: f"IF {bit[2]} THEN Control := Control + {1 << int(bit[1])}; END_IF;",
+        logic,
+    )
+    logic = re.sub(
+        r"(\w+\.BITS)\.(\d)", lambda bit: f"(({bit[1]} AND 16#{1 << int(bit[2]):04X}) <> 16#0)", logic
+    )
+    return re.sub(
+        r"\b(Ends|Lost) := ([01]);",
+        lambda found: (
+            f"{found[1]} := {found[2] == '1'};".upper().replace("ENDS", "Ends").replace("LOST", "Lost")
+        ),
+        logic,
+    )

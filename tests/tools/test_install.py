@@ -55,7 +55,6 @@ def test_every_package_has_one_version_and_its_hashes(lock: Path) -> None:
         ("ros2", lambda p: p["project"]["optional-dependencies"]["ros2"]),
         ("opcua", lambda p: p["project"]["optional-dependencies"]["opcua"]),
         ("s7", lambda p: p["project"]["optional-dependencies"]["s7"]),
-        ("logix", lambda p: p["project"]["optional-dependencies"]["logix"]),
         ("melsec", lambda p: p["project"]["optional-dependencies"]["melsec"]),
         ("witness", lambda p: p["project"]["optional-dependencies"]["witness"]),
         ("manual", lambda _: ["mkdocs-material"]),
@@ -78,7 +77,7 @@ def test_the_locks_agree() -> None:
     """A cell runs the versions that were tested."""
     tested = pins("dev")
 
-    for name in ("run", "build", "manual", "opcua", "s7", "logix", "melsec"):
+    for name in ("run", "build", "manual", "opcua", "s7", "melsec"):
         assert pins(name).items() <= tested.items(), name
     # what is there already stays as it is
     assert [] == [name for name, version in pins("witness").items() if tested.get(name, version) != version]

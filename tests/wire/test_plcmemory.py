@@ -8,11 +8,22 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 from helpers import plcmemories as at
 from helpers.livecell import LiveCell
-from helpers.plcmemories import BadServer, Controller, Program, S7Controller, S7Program, memory_of
+from helpers.plcmemories import (
+    BadServer,
+    Controller,
+    LogixController,
+    LogixProgram,
+    Program,
+    S7Controller,
+    S7Program,
+    UdtController,
+    memory_of,
+)
 from helpers.snapshots import make_target
 from helpers.waiting import wait_until
 
@@ -21,7 +32,11 @@ from edged.config.plc import PlcSection
 from edged.errors import PlcFault
 from edged.plc.answers import NackReason
 
-FAMILIES: dict[str, Callable[[], Controller]] = {"s7": S7Controller}
+FAMILIES: dict[str, Callable[[], Controller]] = {
+    "s7": S7Controller,
+    "logix": LogixController,
+    "udt": UdtController,
+}
 
 
 @pytest.fixture(params=FAMILIES)
@@ -185,7 +200,7 @@ def hanging_up(line: socket.socket) -> None:
     line.recv(4096)
 
 
-SECTIONS = {"s7": {"db": 100}}
+SECTIONS = {"s7": {"db": 100}, "logix": {}}
 
 
 @pytest.mark.parametrize("answer", [silent, babbling, truncated, hanging_up])
@@ -231,37 +246,86 @@ def test_a_plc_is_asked_without_being_written(controller: Controller) -> None:
     assert bytes(128) == controller.get(64, 128)
 
 
-def test_the_scl_source_locates_parts_in_its_data_block() -> None:
+def logix_names(name: str) -> str:
+    """A variable of FB_EDGED_DB as the add-on instruction calls it."""
+    names = {"xError": "Failed", "uiReason": "Reason", "uiJob": "Job", "stResult": "Result"}
+    return names.get(name, name if name in ("xExecute", "xBusy") else name.removeprefix("x"))
+
+
+@pytest.mark.parametrize(
+    ("make", "run_by", "named"),
+    [(S7Controller, S7Program, str), (UdtController, LogixProgram, logix_names)],
+    ids=["scl", "l5x"],
+)
+def test_the_generated_program_locates_parts_in_its_memory(
+    make: Callable[[], Controller], run_by: Callable[[Controller], Any], named: Callable[[str], str]
+) -> None:
     """Part by part; a START that falls early is no command of another job; a lost link is an error."""
-    controller = S7Controller()
-    program = S7Program(controller)
+    controller = make()
+    program = run_by(controller)
+
+    def value(name: str) -> Any:
+        shared = program.program.shared
+        return shared[named(name)] if named(name) in shared else program.values[named(name)]
+
     try:
         with program_beside(cell := LiveCell(), controller):
-            program.until("xReady")
+            program.until(named("xReady"))
             for job, x_mm in ((0, 10.0), (2, -12.5)):
                 cell.targets = tuple(make_target(x_mm=x) for x in (x_mm, x_mm + 5.0))
                 for is_next, expected in ((False, x_mm), (True, x_mm + 5.0)):
-                    program.run(uiJob=job, xNext=is_next)
-                    values = program.values
-                    assert (True, True, False) == (values["xDone"], values["xValid"], values["xError"])
-                    assert expected == pytest.approx(values["stResult"]["F_X"])
+                    program.run(**{named("uiJob"): job, named("xNext"): is_next})
+                    assert (True, True, False) == tuple(map(value, ("xDone", "xValid", "xError")))
+                    assert expected == pytest.approx(value("stResult")["F_X"])
                     program.release()
-                    assert not program.values["xValid"]
-                    program.until("xReady")
+                    assert not value("xValid")
+                    program.until(named("xReady"))
             for job, is_execute in ((1, True), (1, False), (2, True)):  # faster than the cell reads
-                program.values |= {"uiJob": job, "xNext": False, "xExecute": is_execute}
+                program.values |= {named("uiJob"): job, named("xNext"): False, "xExecute": is_execute}
                 program.scan()
-            program.until("xDone")
-            assert (2, True) == (program.values["stResult"]["JOB"], program.values["xValid"])
+            program.until(named("xDone"))
+            assert (2, True) == (value("stResult")["JOB"], value("xValid"))
             program.release()
-            program.until("xReady")
-            program.run(uiJob=99)
-            assert (True, False, NackReason.REFUSED) == tuple(
-                program.values[name] for name in ("xError", "xValid", "uiReason")
-            )
+            program.until(named("xReady"))
+            program.run(**{named("uiJob"): 99})
+            assert (True, False, NackReason.REFUSED) == tuple(map(value, ("xError", "xValid", "uiReason")))
             program.release()
         program.values["xExecute"] = True
-        program.until("xError")
-        assert (False, False, 101) == tuple(program.values[name] for name in ("xDone", "xValid", "uiReason"))
+        program.until(named("xError"))
+        assert (False, False, 101) == tuple(map(value, ("xDone", "xValid", "uiReason")))
+    finally:
+        controller.stop()
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"kind": b"\xca\x00"}, "Edged.ToCell is of type 0x00CA; expected the structure"),
+        ({"to_cell_bytes": 60}, "Edged.ToCell has 60 bytes; expected 64"),
+        ({"to_cell_bytes": 68}, "Edged.ToCell has 68 bytes; expected 64"),
+    ],
+)
+def test_a_tag_that_is_another_is_named(changes: dict[str, bytes | int], expected: str) -> None:
+    """Its type or its length; nothing is written."""
+    controller = UdtController(**changes)
+    try:
+        with pytest.raises(PlcFault, match=expected):
+            ask(controller.section)
+        assert bytes(128) == bytes(controller.members["FromCell"])
+    finally:
+        controller.stop()
+
+
+def test_a_tag_that_is_missing_is_named_and_a_programs_tag_is_found_by_its_path() -> None:
+    """Each part of the name is a segment of its own, of even length."""
+    controller = UdtController()
+    try:
+        logix = controller.section.logix
+        assert logix is not None
+        for tag in ("Other", "Program:Main.Edge"):
+            section = controller.section.model_copy(update={"logix": logix.model_copy(update={"tag": tag})})
+            with pytest.raises(PlcFault, match=f"{tag}.ToCell: status 0x05 : no tag of that name"):
+                ask(section)
+        assert [("Other", "ToCell"), ("Program:Main", "Edge", "ToCell")] == controller.paths
     finally:
         controller.stop()

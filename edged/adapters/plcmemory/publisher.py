@@ -43,6 +43,11 @@ def make_memory(section: PlcSection) -> Callable[[], PlcMemory]:
 
             s7 = section.s7
             return lambda: S7Memory(section.host, s7, ANSWER_S)
+        if section.logix is not None:
+            from edged.adapters.plcmemory.logix import LogixMemory
+
+            logix = section.logix
+            return lambda: LogixMemory(section.host, logix, ANSWER_S)
     except ImportError as error:
         raise ListenError(
             f"plc: needs another package: pip install 'edged[{section.family}]' ({error})"
