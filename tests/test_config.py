@@ -330,16 +330,21 @@ PLC = '[plc]\nhost = "10.0.0.1"\n'
 @pytest.mark.parametrize(
     ("section", "expected"),
     [
-        (PLC, "plc: expected one of [plc.s7], [plc.logix], got none"),
+        (PLC, "plc: expected one of [plc.s7], [plc.logix], [plc.melsec], got none"),
         (PLC + "[plc.s7]\ndb = 0\n", "plc.s7.db: expected at least 1"),
         (PLC + "[plc.s7]\ndb = 1\noffset = 3\n", "plc.s7.offset: expected a multiple of 2"),
         (PLC + "[plc.s7]\nslots = 1\ndb = 1\n", "plc.s7.slots: unknown key, did you mean slot?"),
         (PLC + 'handshake = "bits"\n[plc.s7]\ndb = 1\n', "plc.handshake: expected 'start-bit' or 'sequence'"),
         (
             PLC + "[plc.s7]\ndb = 1\n[plc.logix]\n",
-            "plc: expected one of [plc.s7], [plc.logix], got s7 and logix",
+            "plc: expected one of [plc.s7], [plc.logix], [plc.melsec], got s7 and logix",
         ),
         (PLC + '[plc.logix]\ntag = "Edged[1]"\n', "plc.logix.tag: expected a tag, for example"),
+        (PLC + '[plc.melsec]\ncpu = "iq-r"\n', "plc.melsec.port: missing"),
+        (
+            PLC + '[plc.melsec]\nport = 5007\ncpu = "iq-r"\ndevice = "M0"\n',
+            "plc.melsec.device: expected a word device, for example",
+        ),
         ("[plc]\n[plc.s7]\ndb = 1\n", "plc.host: missing"),
         (
             PLC + "[plc.s7]\ndb = 1\n[modbus]\nenabled = false\n",

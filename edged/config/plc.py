@@ -47,7 +47,35 @@ class LogixSection(Section):
     )
 
 
-FAMILIES = ("s7", "logix")
+_DEVICE = re.compile(r"(D|R|ZR)([0-9]{1,7})|(W)([0-9A-F]{1,6})")
+
+
+def _device_name(value: str) -> str:
+    if not _DEVICE.fullmatch(value):
+        raise ValueError('expected a word device, for example "D1000", "W1A0" (hexadecimal), "R0" or "ZR0"')
+    return value
+
+
+DeviceName = Annotated[str, AfterValidator(_device_name)]
+
+
+class MelsecSection(Section):
+    """Mitsubishi MELSEC: 96 word devices, by SLMP in binary code over TCP."""
+
+    port: Port = Field(description="of an SLMP connection in the CPU's parameters")
+    cpu: Literal["iq-r", "iq-f", "iq-l", "qnu", "qnudv", "lcpu"] = Field(description="its series")
+    device: DeviceName = Field(
+        "D1000", description="the first of them: D, R, ZR, or W with its hexadecimal number"
+    )
+
+    def devices(self, words: int) -> tuple[str, str]:
+        """The first device, and the one that is so many words behind it."""
+        kind, number, _, link = _DEVICE.fullmatch(self.device).groups()  # type: ignore[union-attr]  # validated
+        behind = f"W{int(link, 16) + words:X}" if link else f"{kind}{int(number) + words}"
+        return self.device, behind
+
+
+FAMILIES = ("s7", "logix", "melsec")
 """Tables of `[plc]`, of which one must be there."""
 
 
@@ -61,6 +89,7 @@ class PlcSection(Section):
     period_ms: int = Field(20, ge=5, le=1000, description="from one reading to the next")
     s7: S7Section | None = Field(None, description="of Siemens")
     logix: LogixSection | None = Field(None, description="of Rockwell")
+    melsec: MelsecSection | None = Field(None, description="of Mitsubishi")
 
     @model_validator(mode="after")
     def _has_a_family(self) -> PlcSection:

@@ -230,7 +230,7 @@ def test_opcua_without_its_package_is_a_mistake_that_names_it(
     asyncio.run(main())
 
 
-@pytest.mark.parametrize(("family", "keys"), [("s7", "db = 100")])
+@pytest.mark.parametrize(("family", "keys"), [("s7", "db = 100"), ("melsec", "port = 5007\ncpu = 'iq-r'")])
 def test_a_plc_without_its_package_is_a_mistake_that_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, family: str, keys: str
 ) -> None:

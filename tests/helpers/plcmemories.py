@@ -5,6 +5,7 @@ Places in the image are numbers here, as an electrician reads them in the manual
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import re
 import socket
@@ -14,11 +15,12 @@ import sys
 import threading
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
-from typing import Protocol
+from collections.abc import Callable, Coroutine, Iterator, Sequence
+from typing import Any, Protocol, TypeVar
 
 import pylogix
 import snap7
+from aslmp.testing import HEALTHY, Entry, PlcSimulator
 from snap7.type import SrvArea
 
 from edged.adapters.plcmemory import PlcMemoryPublisher, make_memory
@@ -29,6 +31,7 @@ from helpers.livecell import LiveCell
 from helpers.ports import free_port
 from helpers.waiting import LIMIT_S, wait_until
 
+T = TypeVar("T")
 CMD, JOB, CMD_SEQ, ACK_SEQ, FLANGE_X, CONTROL = 0, 2, 4, 6, 12, 42
 """First bytes of words to the cell."""
 MAGIC, HEARTBEAT, BITS, REASON, DONE_SEQ, SEQ_HEAD, FLAGS, F_X, SEQ_TAIL = 0, 4, 6, 8, 18, 32, 46, 48, 126
@@ -404,3 +407,44 @@ def iec(logic: str) -> str:
         ),
         logic,
     )
+
+
+class MelsecController:
+    """aslmp's simulator of an FX5U on an event loop of its own, with the images from D1000 on."""
+
+    order = "<"
+
+    def __init__(self, port: int | None = None) -> None:
+        self.port = free_port() if port is None else port
+        self.section = PlcSection.model_validate(
+            {"host": "127.0.0.1", "period_ms": 5, "melsec": {"port": self.port, "cpu": "iq-f"}}
+        )
+        self.simulator = PlcSimulator(entries=[Entry("plc", "tcp", self.port)], pathology=HEALTHY)
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever)
+        self._thread.start()
+        self._call(self.simulator.start())
+
+    def get(self, start: int, size: int) -> bytes:
+        words = self._call(self._read(start // 2, size // 2))
+        return struct.pack(f"<{size // 2}H", *words)
+
+    def put(self, start: int, data: bytes) -> None:
+        self._call(self._write(start // 2, struct.unpack(f"<{len(data) // 2}H", data)))
+
+    def stop(self) -> None:
+        if self._loop.is_closed():
+            return
+        self._call(self.simulator.aclose())
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(LIMIT_S)
+        self._loop.close()
+
+    async def _read(self, word: int, count: int) -> tuple[int, ...]:
+        return self.simulator.memory.read_words("D", 1000 + word, count)
+
+    async def _write(self, word: int, values: Sequence[int]) -> None:
+        self.simulator.memory.write_words("D", 1000 + word, values)
+
+    def _call(self, work: Coroutine[Any, Any, T]) -> T:
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(LIMIT_S)

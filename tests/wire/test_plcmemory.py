@@ -18,6 +18,7 @@ from helpers.plcmemories import (
     Controller,
     LogixController,
     LogixProgram,
+    MelsecController,
     Program,
     S7Controller,
     S7Program,
@@ -28,14 +29,17 @@ from helpers.snapshots import make_target
 from helpers.waiting import wait_until
 
 from edged.adapters.plcmemory import PlcMemoryPublisher, ask
-from edged.config.plc import PlcSection
+from edged.config.plc import MelsecSection, PlcSection
 from edged.errors import PlcFault
 from edged.plc.answers import NackReason
+
+pytestmark = pytest.mark.slow
 
 FAMILIES: dict[str, Callable[[], Controller]] = {
     "s7": S7Controller,
     "logix": LogixController,
     "udt": UdtController,
+    "melsec": MelsecController,
 }
 
 
@@ -200,7 +204,7 @@ def hanging_up(line: socket.socket) -> None:
     line.recv(4096)
 
 
-SECTIONS = {"s7": {"db": 100}, "logix": {}}
+SECTIONS = {"s7": {"db": 100}, "logix": {}, "melsec": {"cpu": "iq-f"}}
 
 
 @pytest.mark.parametrize("answer", [silent, babbling, truncated, hanging_up])
@@ -327,5 +331,29 @@ def test_a_tag_that_is_missing_is_named_and_a_programs_tag_is_found_by_its_path(
             with pytest.raises(PlcFault, match=f"{tag}.ToCell: status 0x05 : no tag of that name"):
                 ask(section)
         assert [("Other", "ToCell"), ("Program:Main", "Edge", "ToCell")] == controller.paths
+    finally:
+        controller.stop()
+
+
+@pytest.mark.parametrize(
+    ("device", "expected"), [("D1000", "D1032"), ("W1F0", "W210"), ("ZR96", "ZR128"), ("R0", "R32")]
+)
+def test_the_second_image_is_32_devices_behind_the_first(device: str, expected: str) -> None:
+    """Link registers count in hexadecimal."""
+    assert (device, expected) == MelsecSection(port=5007, cpu="iq-r", device=device).devices(32)
+
+
+def test_devices_that_a_cpu_does_not_have_are_named() -> None:
+    """An FX5U has D0 to D7999; nothing is written."""
+    controller = MelsecController()
+    try:
+        melsec = controller.section.melsec
+        assert melsec is not None
+        for device in ("D7950", "ZR0"):
+            section = controller.section.model_copy(
+                update={"melsec": melsec.model_copy(update={"device": device})}
+            )
+            with pytest.raises(PlcFault, match=f"96 words from {device} on: .*the CPU has them"):
+                ask(section)
     finally:
         controller.stop()

@@ -116,7 +116,7 @@ class ModbusPublisher:
     def owner(self) -> str:
         """Holder of the right to write: an address, or the kind of client; "" without one."""
         owner = self._cell.owner
-        return "" if owner is None else self._tcp.peer(owner) or "serial line, robot or OPC UA"
+        return "" if owner is None else self._tcp.peer(owner) or "serial line, robot, OPC UA or PLC's memory"
 
     @property
     def settings(self) -> ModbusSettings:

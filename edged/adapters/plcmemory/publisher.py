@@ -14,7 +14,8 @@ import time
 from collections.abc import Callable
 
 from edged.adapters.plcmemory.exchange import ANSWER_S, ExchangeThread, PlcMemory
-from edged.config.plc import PlcSection
+from edged.adapters.plcmemory.logix import LogixMemory
+from edged.config.plc import LogixSection, PlcSection
 from edged.domain.events import Event
 from edged.errors import CommandRefused, ListenError, PlcFault
 from edged.logs import FaultLog
@@ -37,22 +38,22 @@ WRITTEN = {
 
 def make_memory(section: PlcSection) -> Callable[[], PlcMemory]:
     """Connections to the PLC, none of them open yet. Raises `ListenError` without the package for it."""
+    host = section.host
     try:
-        if section.s7 is not None:
+        if (s7 := section.s7) is not None:
             from edged.adapters.plcmemory.s7 import S7Memory
 
-            s7 = section.s7
-            return lambda: S7Memory(section.host, s7, ANSWER_S)
-        if section.logix is not None:
-            from edged.adapters.plcmemory.logix import LogixMemory
+            return lambda: S7Memory(host, s7, ANSWER_S)
+        if (melsec := section.melsec) is not None:
+            from edged.adapters.plcmemory.melsec import MelsecMemory
 
-            logix = section.logix
-            return lambda: LogixMemory(section.host, logix, ANSWER_S)
+            return lambda: MelsecMemory(host, melsec, ANSWER_S)
     except ImportError as error:
         raise ListenError(
             f"plc: needs another package: pip install 'edged[{section.family}]' ({error})"
         ) from error
-    raise AssertionError(section)  # `PlcSection` has one family
+    logix = section.logix or LogixSection()  # one of the three is there
+    return lambda: LogixMemory(host, logix, ANSWER_S)
 
 
 def ask(section: PlcSection) -> str:
