@@ -105,6 +105,11 @@ class PlcSection(Section):
         return next(name for name in FAMILIES if getattr(self, name) is not None)
 
     @property
+    def port(self) -> int:
+        """TCP port of the PLC."""
+        return int(getattr(self, self.family).port)
+
+    @property
     def place(self) -> str:
         """Address and port, for messages."""
-        return f"{self.host}:{getattr(self, self.family).port}"
+        return f"{self.host}:{self.port}"

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import random
 import re
+import select
 import socket
 import struct
 import subprocess
@@ -448,3 +450,54 @@ class MelsecController:
 
     def _call(self, work: Coroutine[Any, Any, T]) -> T:
         return asyncio.run_coroutine_threadsafe(work, self._loop).result(LIMIT_S)
+
+
+class Mangler:
+    """Between the cell and a controller: of what the controller answers, some is changed, cut or sent twice.
+
+    rate : of the parts that are mangled; 0: none.
+    """
+
+    def __init__(self, port: int, seed: int) -> None:
+        self.rate, self.mangled = 0.0, 0
+        self._port, self._random = port, random.Random(seed)
+        self._server = BadServer(self._pass)
+        self.port = self._server.port
+
+    def __enter__(self) -> Mangler:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.__exit__()
+
+    @property
+    def connections(self) -> int:
+        """So far."""
+        return self._server.connections
+
+    def _pass(self, line: socket.socket) -> None:
+        with socket.create_connection(("127.0.0.1", self._port), LIMIT_S) as onward:
+            while True:
+                for ready in select.select([line, onward], [], [], LIMIT_S)[0]:
+                    data = ready.recv(4096)
+                    if not data:
+                        return
+                    if ready is line:
+                        onward.sendall(data)
+                    else:
+                        line.sendall(self._answer(data))
+
+    def _answer(self, data: bytes) -> bytes:
+        if self._random.random() >= self.rate:
+            return data
+        self.mangled += 1
+        at = self._random.randrange(len(data))
+        match self._random.randrange(4):
+            case 0:
+                return data[:at]
+            case 1:
+                return data + data
+            case 2:
+                return self._random.randbytes(len(data))
+            case _:
+                return data[:at] + bytes((self._random.randrange(256),)) + data[at + 1 :]

@@ -18,6 +18,7 @@ from helpers.plcmemories import (
     Controller,
     LogixController,
     LogixProgram,
+    Mangler,
     MelsecController,
     Program,
     S7Controller,
@@ -28,7 +29,8 @@ from helpers.plcmemories import (
 from helpers.snapshots import make_target
 from helpers.waiting import wait_until
 
-from edged.adapters.plcmemory import PlcMemoryPublisher, ask
+from edged.adapters.modbus import ModbusPublisher, ModbusSettings
+from edged.adapters.plcmemory import PlcMemoryPublisher, ask, make_memory
 from edged.config.plc import MelsecSection, PlcSection
 from edged.errors import PlcFault
 from edged.plc.answers import NackReason
@@ -175,6 +177,85 @@ def test_a_plc_that_comes_back_is_served_again_and_runs_nothing_old(controller: 
             again.stop()
 
 
+OTHER = 99
+"""A client that has no connection here."""
+
+
+@pytest.mark.parametrize("handshake", ["start-bit", "sequence"])
+def test_during_another_clients_turn_a_plc_waits_as_one_that_writes_for_ever(handshake: str) -> None:
+    """START that is still up runs when the turn ends; CMD_SEQ of meanwhile is only taken note of (NACK 8)."""
+    controller = S7Controller()
+    settings = ModbusSettings(port=0, validity_s=30.0, owner_s=1e6)
+    try:
+        with program_beside(cell := LiveCell(settings), controller, handshake) as (program, _):
+            wait_until(lambda: cell.call(lambda: cell.server.owner))
+            # as when it lapses: the PLC is silent for longer than owner_s
+            cell.call(lambda: vars(cell.server)["_cell"].gone(2_000_000))
+            cell.call(lambda: cell.server.write(OTHER, {"CLIENT_HEARTBEAT": 0}))
+            program.write(at.CONTROL, 1)
+            program.write(at.CMD, 1)
+            program.write(at.CMD_SEQ, 5)
+            heartbeat = program.word(at.HEARTBEAT)
+            wait_until(lambda: program.word(at.HEARTBEAT) not in (heartbeat, heartbeat + 1))
+            assert 0 == cell.head.captures
+            program.write(at.CONTROL, 0)
+            time.sleep(0.05)  # ten readings
+            program.write(at.CONTROL, 1)
+            cell.call(lambda: cell.server.leave(OTHER))
+            if handshake == "start-bit":
+                program.until(lambda bits: not bits)
+                program.write(at.CONTROL, 0)
+                program.until(lambda bits: bits & at.READY)
+                program.write(at.CONTROL, 1)
+                program.until(lambda bits: bits & at.OK)
+                assert 1 == cell.head.captures
+            else:
+                wait_until(lambda: program.word(at.REASON + 6) == NackReason.BASELINE)
+                assert 0 == cell.head.captures
+    finally:
+        controller.stop()
+
+
+def test_registers_that_a_reload_exchanges_run_nothing_of_before() -> None:
+    """The same thread goes on with the new ones, as a new client: START must be seen down."""
+    controller, cell = S7Controller(), LiveCell()
+    Program(controller).write(at.CONTROL, 0)
+    try:
+        with cell:
+            served: list[ModbusPublisher | None] = [cell.server]
+
+            async def start() -> PlcMemoryPublisher:
+                made = make_memory(controller.section)
+                publisher = PlcMemoryPublisher(controller.section, lambda: served[0], made)
+                await publisher.start()
+                cell.cycle.set_publishers([cell.server, publisher])
+                return publisher
+
+            publisher = cell.run(start())
+            program = Program(controller)
+            program.until(lambda bits: bits & at.READY)
+            program.write(at.CONTROL, 1)
+            program.until(lambda bits: bits & at.OK)
+            served[0] = None
+            wait_until(lambda: controller.get(64, 128) == bytes(128))
+            other = ModbusPublisher(cell.settings, cell.cycle)
+            cell.run(other.start())
+            cell.call(lambda: cell.cycle.set_publishers([other, publisher]))
+            served[0] = other
+            wait_until(lambda: program.word(at.MAGIC) == 0x4544)
+            assert (1, 0) == (cell.head.captures, program.word(at.BITS))
+            program.write(at.CONTROL, 0)
+            program.until(lambda bits: bits & at.READY)
+            program.write(at.CONTROL, 1)
+            program.until(lambda bits: bits & at.OK)
+            cell.call(lambda: cell.cycle.set_publishers([cell.server]))
+            cell.run(publisher.close())
+            cell.run(other.close())
+        assert 2 == cell.head.captures
+    finally:
+        controller.stop()
+
+
 # --- bad answers -------------------------------------------------------------------------------------
 
 
@@ -224,6 +305,40 @@ def test_the_cell_measures_whatever_the_plc_answers(
             assert publisher.problem not in ("", "no answer yet")
             wait_until(lambda: cell.head.captures > before + 5)
     wait_until(lambda: not any(thread.name == "plc" for thread in threading.enumerate()))
+
+
+@pytest.mark.parametrize("family", ["s7", "udt", "melsec"])
+def test_mangled_answers_end_in_a_new_connection(
+    family: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A thousand answers, a tenth of them wrong: never a bug, nor a thread that ends; then all goes on."""
+    for name, value_s in (("HANG_S", 0.3), ("FIRST_RETRY_S", 0.005), ("LAST_RETRY_S", 0.005)):
+        monkeypatch.setattr(f"edged.adapters.plcmemory.exchange.{name}", value_s)
+    monkeypatch.setattr("edged.adapters.plcmemory.publisher.ANSWER_S", 0.2)
+    controller = FAMILIES[family]()
+    key = controller.section.family
+    try:
+        with Mangler(controller.section.port, seed=1) as mangler, LiveCell() as cell:
+            own = getattr(controller.section, key).model_copy(update={"port": mangler.port})
+            with memory_of(cell, controller.section.model_copy(update={key: own})) as publisher:
+                program = Program(controller)
+                program.until(lambda bits: bits & at.READY)
+                mangler.rate = 0.1
+                wait_until(lambda: mangler.mangled >= 100)
+                mangler.rate = 0.0
+                assert mangler.connections > 20
+                program.write(at.CONTROL, 0)
+                connections = 0
+                while connections != mangler.connections:  # what is still on its way may be wrong
+                    connections, heartbeat = mangler.connections, program.word(at.HEARTBEAT)
+                    wait_until(lambda before=heartbeat: program.word(at.HEARTBEAT) > before + 4)
+                assert not publisher.problem
+                program.until(lambda bits: bits & at.READY)
+                program.write(at.CONTROL, 1)
+                program.until(lambda bits: bits & at.OK)
+    finally:
+        controller.stop()
+    assert not [record for record in caplog.records if record.exc_info]
 
 
 def test_a_block_that_is_too_short_or_missing_is_named() -> None:

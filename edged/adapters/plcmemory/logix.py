@@ -52,7 +52,7 @@ class LogixMemory:
     def __init__(self, host: str, section: LogixSection, answer_s: float) -> None:
         self._host, self._section, self._answer_s = host, section, answer_s
         self.line: socket.socket | None = None
-        self._session = 0
+        self._session = self._asked = 0
         self._types = {"ToCell": (b"", 0), "FromCell": (b"", 0)}  # type as it is written, elements
 
     def open(self) -> None:
@@ -131,18 +131,20 @@ class LogixMemory:
     def _ask(self, command: int, data: bytes) -> bytes:
         """What follows the header of the answer; within `answer_s` as a whole."""
         end_s = time.monotonic() + self._answer_s
-        request = HEADER.pack(command, len(data), self._session, 0, bytes(8), 0) + data
+        self._asked += 1
+        context = self._asked.to_bytes(8, "little")  # comes back: an answer of before is told by it
+        request = HEADER.pack(command, len(data), self._session, 0, context, 0) + data
         try:
             if self.line is None:
                 raise OSError("closed")
             self.line.settimeout(self._answer_s)
             self.line.sendall(request)
             header = self._received(HEADER.size, end_s)
-            replied, length, session, status, _, _ = HEADER.unpack(header)
-            if replied != command or status or length > MAX_FRAME:
+            replied, length, session, status, returned, _ = HEADER.unpack(header)
+            if (replied, status, returned) != (command, 0, context) or length > MAX_FRAME:
                 raise PlcFault(
-                    f"{self._host}: no answer of EtherNet/IP: command 0x{replied:04X}, status {status}, "
-                    f"{length} bytes",
+                    f"{self._host}: no answer of EtherNet/IP to what was asked: command 0x{replied:04X}, "
+                    f"status {status}, {length} bytes",
                     "garbage",
                 )
             self._session = session

@@ -94,7 +94,7 @@ class PlcMemoryPublisher:
         self._image: bytes | None = None  # of the PLC, on this connection
         self._loop: asyncio.AbstractEventLoop | None = None
         self._next_show: asyncio.TimerHandle | None = None
-        self._is_due = self._is_closed = False
+        self._is_due = self._is_closed = self._is_refused = False
         self._faults = FaultLog(log, kind="plc")
         self.problem = "no answer yet"
         """Why the PLC is not reached; "" while it is."""
@@ -139,6 +139,8 @@ class PlcMemoryPublisher:
             return
         self._thread.look()
         source, next_s = self._source(), TICK_S
+        if self._is_refused:
+            self._write()
         if source is None:
             self._thread.post(NO_IMAGE)
         else:
@@ -181,14 +183,18 @@ class PlcMemoryPublisher:
             self._write()
 
     def _write(self) -> None:
-        """Write the command block as the PLC has it. During another's turn nothing runs, now or later."""
+        """Write the command block as the PLC has it; during another client's turn again at each tick.
+
+        So does a PLC that writes its registers for ever; what the handshake makes of it is the same.
+        """
+        self._is_refused = False
         if self._image is None or self._watched is None:
             return
         values = values_to_cell(self._image, little=self._is_little)
         try:
             self._watched.write(self._client, {name: values[name] for name in self._written})
         except CommandRefused:
-            self._show_soon()  # WRITE_OWNER and CMD_SEQ_ECHO say so
+            self._is_refused = True
 
     def _leave(self, fault: PlcFault) -> None:
         if self._is_closed:
