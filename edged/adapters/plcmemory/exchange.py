@@ -97,7 +97,8 @@ class ExchangeThread:
         """End, which the PLC's memory then says, where it answers. False: it hangs, and is left behind."""
         self._stopping.set()
         self._is_news.set()
-        self._thread.join(limit_s)
+        if self._thread.ident is not None:  # it was begun
+            self._thread.join(limit_s)
         return not self._thread.is_alive()
 
     # --- on the thread -------------------------------------------------------------------------

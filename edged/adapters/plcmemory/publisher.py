@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 TICK_S = 0.1
 """Period of HEARTBEAT; everything else is shown when it changes."""
-STOP_S = 2.0
+STOP_S = 1.0
 NAMES = [register.name for register in COMMAND.registers]
 WRITTEN = {
     "sequence": NAMES[: NAMES.index("CONTROL")],
