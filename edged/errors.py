@@ -28,6 +28,7 @@
     ├── LinkError                 the other process cannot be reached, or says what cannot be understood
     ├── RegressionNeeded          a job or rig that makes recorded cycles worse, or was not tried on them
     ├── SetupRefused              SETUP cannot be entered, or is not (any more) whose token it was
+    ├── PlcFault                  a PLC whose memory cannot be read or written: the cell tries again for ever
     └── ListenError               a port or socket that cannot be opened
         └── TookTooLong           not within the time that a server has to start or to end
 
@@ -226,6 +227,14 @@ class SetupRefused(EdgedError):
 
 class ListenError(EdgedError):
     """A server socket that cannot be opened (port in use, no permission)."""
+
+
+class PlcFault(EdgedError):
+    """A PLC whose memory cannot be read or written. code : of the step that failed, for the log."""
+
+    def __init__(self, message: str, code: str) -> None:
+        self.code = code
+        super().__init__(printable(message))
 
 
 class TookTooLong(ListenError):

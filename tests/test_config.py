@@ -324,6 +324,41 @@ def test_opcua_wants_encryption_for_commands_and_says_who_may_connect(
     assert expected == found
 
 
+PLC = '[plc]\nhost = "10.0.0.1"\n'
+
+
+@pytest.mark.parametrize(
+    ("section", "expected"),
+    [
+        (PLC, "plc: expected one of [plc.s7], [plc.logix], [plc.melsec], got none"),
+        (PLC + "[plc.s7]\ndb = 0\n", "plc.s7.db: expected at least 1"),
+        (PLC + "[plc.s7]\ndb = 1\noffset = 3\n", "plc.s7.offset: expected a multiple of 2"),
+        (PLC + "[plc.s7]\nslots = 1\ndb = 1\n", "plc.s7.slots: unknown key, did you mean slot?"),
+        (PLC + 'handshake = "bits"\n[plc.s7]\ndb = 1\n', "plc.handshake: expected 'start-bit' or 'sequence'"),
+        (
+            PLC + "[plc.s7]\ndb = 1\n[plc.logix]\n",
+            "plc: expected one of [plc.s7], [plc.logix], [plc.melsec], got s7 and logix",
+        ),
+        (PLC + '[plc.logix]\ntag = "Edged[1]"\n', "plc.logix.tag: expected a tag, for example"),
+        (PLC + '[plc.melsec]\ncpu = "iq-r"\n', "plc.melsec.port: missing"),
+        (
+            PLC + '[plc.melsec]\nport = 5007\ncpu = "iq-r"\ndevice = "M0"\n',
+            "plc.melsec.device: expected a word device, for example",
+        ),
+        ("[plc]\n[plc.s7]\ndb = 1\n", "plc.host: missing"),
+        (
+            PLC + "[plc.s7]\ndb = 1\n[modbus]\nenabled = false\n",
+            "(file): plc shows the registers of modbus, which is off: modbus.enabled = true",
+        ),
+    ],
+)
+def test_a_plc_has_one_family_and_every_key_its_range(tmp_path: Path, section: str, expected: str) -> None:
+    """What cannot be in that controller is a mistake."""
+    found = problems(tmp_path, GOOD + section)
+
+    assert any(problem.startswith(expected) for problem in found), found
+
+
 def test_opcua_shows_the_registers_of_modbus_and_needs_it(tmp_path: Path) -> None:
     """There is one handshake."""
     text = GOOD + "[modbus]\nenabled = false\n[opcua]\nanonymous = true\n"

@@ -12,6 +12,7 @@ import numpy as np
 
 from edged import __version__
 from edged.adapters.modbus import ModbusPublisher
+from edged.adapters.plcmemory import PlcMemoryPublisher
 from edged.adapters.recorder import Recorder
 from edged.app.cameras import camera_facts, camera_figures
 from edged.app.cell import LoadedCell
@@ -25,7 +26,7 @@ from edged.ports import Publisher
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
 from edged.vision.geometry.uncertainty import calibration_covariance
 
-GROUPS = {"modbus": "Modbus", "opcua": "OPC UA", "zenoh": "Zenoh", "recorder": "Recorder"}
+GROUPS = {"modbus": "Modbus", "plc": "PLC", "opcua": "OPC UA", "zenoh": "Zenoh", "recorder": "Recorder"}
 """Where the status page says what is wrong with a server."""
 
 
@@ -61,6 +62,11 @@ class Running:
         """The Modbus server that runs, if any."""
         modbus = self.servers.get("modbus")
         return modbus if isinstance(modbus, ModbusPublisher) else None
+
+    def plc(self) -> PlcMemoryPublisher | None:
+        """The PLC whose memory is read and written, if any."""
+        plc = self.servers.get("plc")
+        return plc if isinstance(plc, PlcMemoryPublisher) else None
 
     def registers(self) -> list[tuple[Register, Number]]:
         """Each register with its value; none where Modbus is off."""
@@ -112,6 +118,10 @@ class Running:
                 groups["Modbus"]["lines for robots on"] = modbus.line_port
             if modbus.refused_writers:
                 groups["Modbus"]["may not write, and tried"] = ", ".join(modbus.refused_writers)
+        if (plc := self.plc()) is not None:
+            groups["PLC"] = {"address": plc.place}
+            if plc.problem:
+                groups["PLC"]["problem"] = said("own-words", plc.problem)
         if (opcua := config.opcua) is not None and "opcua" in self.servers:
             groups["OPC UA"] = {
                 "port": opcua.port,
@@ -165,6 +175,8 @@ class Running:
         recorder = self.servers.get("recorder")
         if (modbus := self.modbus()) is not None:
             result["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)
+        if (plc := self.plc()) is not None:
+            result["plc_reached"] = ("1 while the memory of the PLC is read and written", not plc.problem)
         if isinstance(recorder, Recorder):
             kept = recorder.figures
             result |= {

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from edged.adapters.modbus import ModbusPublisher, server_context
+from edged.adapters.plcmemory import PlcMemoryPublisher, make_memory
 from edged.adapters.recorder import Recorder
 from edged.app.running import Running
 from edged.app.wantedservers import (
@@ -24,6 +25,7 @@ from edged.app.wantedservers import (
 )
 from edged.config.cell import RecorderSection
 from edged.config.configuration import Config
+from edged.config.plc import PlcSection
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection
 from edged.connections import tls_with
@@ -48,6 +50,8 @@ def import_servers(config: Config) -> None:
         "zenoh": config.zenoh.enabled,
         "opcua": config.opcua is not None,
     }
+    if config.plc is not None:
+        wanted[f"plcmemory.{config.plc.family}"] = True
     for name in (name for name, asked in wanted.items() if asked):
         with contextlib.suppress(ImportError):  # the server that needs a missing package says so
             importlib.import_module(f"edged.adapters.{name}")
@@ -254,6 +258,8 @@ class Servers:
                 return partial(Recorder, section, running.recorded)
             case OpcUaSection():
                 return self._opcua_builder(wanted, section)
+            case PlcSection():
+                return partial(PlcMemoryPublisher, section, running.modbus, make_memory(section))
             case WebSection():
                 if section.certificate is not None and section.key is not None:
                     tls_with("status page", section.certificate, section.key)  # the page's process reads them

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from edged.adapters.modbus import LineSettings, ModbusSettings, SerialSettings, TlsSettings
 from edged.config.cell import RecorderSection
 from edged.config.configuration import Config
+from edged.config.plc import PlcSection
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection
 from edged.files.private import read_shared_key
@@ -30,7 +31,7 @@ class WantedServer(NamedTuple):
     files : digest of each file that it reads at its start: certificates, authorities, access control.
     """
 
-    section: ModbusSection | ZenohSection | RecorderSection | WebSection | OpcUaSection
+    section: ModbusSection | ZenohSection | RecorderSection | WebSection | OpcUaSection | PlcSection
     cell: str = ""
     files: tuple[tuple[Path, bytes], ...] = ()
     free_running: bool = False
@@ -58,6 +59,8 @@ class WantedServer(NamedTuple):
                 return ", ".join([*zenoh.listen, *zenoh.connect]) or "no address"
             case RecorderSection() as recorder:
                 return str(recorder.folder)
+            case PlcSection() as plc:
+                return plc.place
             case section:
                 return f"{section.host}:{section.port}"
 
@@ -82,6 +85,8 @@ def wanted_servers(config: Config) -> dict[str, WantedServer]:
         wanted["zenoh"] = WantedServer(config.zenoh, config.cell.name, digests)
     if config.modbus.enabled:
         wanted["modbus"] = WantedServer(config.modbus, files=_digests(files, "modbus."))
+    if config.plc is not None:
+        wanted["plc"] = WantedServer(config.plc)
     if config.opcua is not None:
         named = {**files, **{f"opcua.trusted {file}": file for file in _certificates(config.opcua.trusted)}}
         digests, is_free = _digests(named, "opcua."), config.cycle.mode != "command"

@@ -16,6 +16,7 @@ from edged.config.cell import (
     RegistrationSection,
 )
 from edged.config.fields import Section
+from edged.config.plc import PlcSection
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection, tcp_port
 
@@ -27,6 +28,7 @@ class Config(Section):
     cycle: CycleSection = CycleSection()
     cameras: CamerasSection
     modbus: ModbusSection = ModbusSection()
+    plc: PlcSection | None = None
     zenoh: ZenohSection = ZenohSection()
     drift: DriftSection = DriftSection()
     limits: LimitsSection = LimitsSection()
@@ -45,12 +47,14 @@ class Config(Section):
         return self
 
     @model_validator(mode="after")
-    def _opcua_has_registers(self) -> Config:
-        if self.opcua is not None and not self.modbus.enabled:
-            raise ValueError(
-                "opcua serves the registers of modbus, which is off: modbus.enabled = true, "
-                'with modbus.host = "127.0.0.1" where no PLC may reach it'
-            )
+    def _registers_are_there(self) -> Config:
+        others = {"opcua serves": self.opcua, "plc shows": self.plc}
+        for who in [who for who, section in others.items() if section is not None]:
+            if not self.modbus.enabled:
+                raise ValueError(
+                    f"{who} the registers of modbus, which is off: modbus.enabled = true, "
+                    'with modbus.host = "127.0.0.1" where no PLC may reach it'
+                )
         return self
 
     @model_validator(mode="after")

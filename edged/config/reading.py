@@ -34,6 +34,7 @@ EXPECTED = {
     "greater_than_equal": "expected at least {ge:g}",
     "less_than": "expected less than {lt:g}",
     "less_than_equal": "expected at most {le:g}",
+    "multiple_of": "expected a multiple of {multiple_of:g}",
     "literal_error": "expected {expected}",
     "string_too_short": "expected a text that is not empty",
     "string_pattern_mismatch": "expected 1 to 64 letters, digits, '_', '.' and '-', a letter or digit first",

@@ -4,6 +4,7 @@
     machine      kernel cache, clock, processor, disk, serial port, ports to listen on
     cameras      who answers, at which address, who controls it
     network      addresses, routes, MTU, bandwidth, receive buffers, reverse path filter
+    plc          the PLC whose memory is read and written
     firewall     what lets images in
     pictures     a few test pictures
     host         looking at this machine

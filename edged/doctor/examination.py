@@ -11,6 +11,7 @@ from edged.doctor.findings import Check, CheckResult
 from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
 from edged.doctor.ourdaemon import our_daemon
 from edged.doctor.pictures import take_pictures
+from edged.doctor.plc import look_at_plc
 from edged.errors import ConfigError
 from edged.setup.cellfiles import doubts, exposed_secrets, read_cell
 from edged.vision.geometry.camera import StereoRig
@@ -59,6 +60,8 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
     if daemon is not None:
         yield daemon.look(fingerprint)
     yield from look_at_ports(config, daemon)
+    if config.plc is not None:
+        yield look_at_plc(config.plc)
     if config.cameras.source == "aravis":
         yield from look_at_cameras(config, rig, daemon)
     if trigger and daemon is not None:

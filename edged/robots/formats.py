@@ -74,7 +74,7 @@ class ProgramCell:
 
 NAME = re.compile("[a-z]{2,5}")
 """At most as long as "edged", so that every name stays within its language's limit."""
-RENAMED = ("rapid", "krl", "krl6", "drl", "val3", "as", "spel", "scl", "urscript")
+RENAMED = ("rapid", "krl", "krl6", "drl", "val3", "as", "spel", "scl", "s7db", "urscript")
 """Formats of which two may be in one controller under different names."""
 
 
@@ -98,6 +98,8 @@ FORMATS = {
     "st": Format({"edged.st": "iec"}),
     "plcopen": Format({"edged.xml": "iec"}),
     "scl": Format({"edged.scl": "scl"}),
+    "s7db": Format({"edged_db.scl": "scl"}),
+    "l5x": Format({"edged.L5X": "logix"}),
     "urscript": Format({"edged.script": "urscript"}),
     "python": Format({"edged_cell.py": ""}),
     "rapid": Format({"EDGED.mod": "rapid"}, Brand.ABB),

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from edged import __version__
 from edged.domain.events import CommandKind
 from edged.plc.answers import NackReason
+from edged.plc.processimage import FROM_CELL, TO_CELL, TO_CELL_BYTES
 from edged.plc.registers import (
     ADDRESS,
     BLOCKS,
@@ -25,6 +26,7 @@ from edged.plc.registers import (
     UR_GRASP,
     UR_OFFSET,
     Block,
+    CellBit,
     Flag,
     Kind,
     Option,
@@ -62,6 +64,55 @@ class Variable:
     comment: str
 
 
+@dataclass(frozen=True, slots=True)
+class ImageField:
+    """A register in a PLC's own memory. type : of IEC 61131-3. byte : its first one of 192."""
+
+    name: str
+    type: str
+    byte: int
+    comment: str
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFields:
+    """Both images. bit, number : value and number of each of BITS. unused_words : behind TO_CELL."""
+
+    to_cell: tuple[ImageField, ...]
+    from_cell: tuple[ImageField, ...]
+    bit: Mapping[str, int]
+    number: Mapping[str, int]
+    unused_words: int
+
+
+IEC = {Kind.U16: "UINT", Kind.I32: "DINT", Kind.U32: "UDINT", Kind.F32: "REAL"}
+
+
+def image_fields() -> ImageFields:
+    """The process image, field by field."""
+    unused = TO_CELL_BYTES // 2 - sum(register.kind.words for register in TO_CELL)
+    bits = _numbers(CellBit)
+    numbers = {name: value.bit_length() - 1 for name, value in bits.items()}
+    return ImageFields(_fields(TO_CELL, 0), _fields(FROM_CELL, TO_CELL_BYTES), bits, numbers, unused)
+
+
+def _fields(registers: Iterable[Register], start: int) -> tuple[ImageField, ...]:
+    return tuple(
+        ImageField(
+            register.name,
+            "WORD" if register.unit == "bits" and register.name != "CONTROL" else IEC[register.kind],
+            start + 2 * register.address,
+            "" if register.unit in ("", "bits") else _plain(register.unit),
+        )
+        for register in registers
+    )
+
+
+def _plain(text: str) -> str:
+    """In ASCII: compilers differ in their encodings."""
+    return text.replace("µ", "u").replace("°", " degrees").strip()
+
+
 def register_values() -> dict[str, object]:
     """Values that every template has: numbers by name, blocks, and the poses of a registration."""
     used = {"STATUS": STATUS, "RESULT": RESULT, "GRASP": GRASP, "COMMAND": COMMAND, "UR": UR}
@@ -84,6 +135,7 @@ def register_values() -> dict[str, object]:
         "map_version": MAP_VERSION,
         "blocks": [_area(block) for block in BLOCKS if not any(block in rows[1:] for rows in ROWS)],
         "address": ADDRESS,
+        "image": image_fields(),
         "python_tables": {
             "COMMANDS": numbers["command"],
             "RESULTS": _numbers(ResultCode),
@@ -139,7 +191,7 @@ def _variables(block: Block, place: str) -> Iterator[Variable]:
             continue
         name, at = register.name.removeprefix("G_"), register.address - block.address
         comment = f"{register.unit}: {register.help}" if register.unit else register.help
-        comment = comment.replace("µ", "u").replace("°", " degrees")  # compilers differ in their encodings
+        comment = _plain(comment)
         joined = f"F_EDGED_DWORD(wFirst := {words}[{at}], wSecond := {words}[{at + 1}], {low_first})"
         if register.kind is Kind.U16:
             yield Variable(f"ui{name}", "UINT", f"WORD_TO_UINT({words}[{at}])", comment)

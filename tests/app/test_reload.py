@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from helpers.cells import small_rig
+from helpers.plcmemories import S7Controller
 from helpers.ports import free_port
 from helpers.smallcell import SmallCell, SmallWorld, pictures
 from helpers.snapshots import make_transform
@@ -275,3 +276,40 @@ def test_a_stop_does_not_wait_for_a_server_that_hangs(hanging_opcua: SmallCell) 
             return time.monotonic() - begun_s
 
     assert asyncio.run(main()) < 8.0
+
+
+@pytest.mark.slow
+def test_a_cell_measures_whose_plc_is_off_and_serves_it_when_it_comes(tmp_path: Path) -> None:
+    """Page and metrics say that it is not reached; a reload that exchanges the place writes there instead."""
+    small, seen, ports = SmallCell(tmp_path, source="virtual-inprocess"), Seen(), [free_port(), free_port()]
+    path, text = small.config, small.config.read_text()
+
+    def write(port: int) -> None:
+        path.write_text(f'{text}\n[plc]\nhost = "127.0.0.1"\n[plc.s7]\nport = {port}\ndb = 100\n')
+
+    async def main() -> None:
+        with SmallWorld(pictures(small.virtual, 1)) as world:
+            daemon = Daemon(path, load_cell(path), world=world, observers=[seen])
+            running = asyncio.create_task(daemon.run())
+            await until(lambda: seen.cycles > 2)
+            parts = daemon._running  # noqa: SLF001  (what page and metrics ask)
+            await until(lambda: "refused" in str(parts.facts()["PLC"]["problem"]))
+            assert (f"127.0.0.1:{ports[0]}", 0) == (
+                parts.facts()["PLC"]["address"],
+                parts.figures()["plc_reached"][1],
+            )
+            for port in ports:
+                controller = S7Controller(port=port)
+                try:
+                    write(port)
+                    assert await daemon.reload()
+                    await until(lambda: parts.figures()["plc_reached"][1])
+                    assert "problem" not in parts.facts()["PLC"]
+                    await until(lambda memory=controller: any(memory.get(64, 128)))
+                finally:
+                    controller.stop()
+            daemon.stop()
+            await running
+
+    write(ports[0])
+    asyncio.run(main())

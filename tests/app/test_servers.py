@@ -230,6 +230,25 @@ def test_opcua_without_its_package_is_a_mistake_that_names_it(
     asyncio.run(main())
 
 
+@pytest.mark.parametrize(("family", "keys"), [("s7", "db = 100"), ("melsec", "port = 5007\ncpu = 'iq-r'")])
+def test_a_plc_without_its_package_is_a_mistake_that_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, family: str, keys: str
+) -> None:
+    """Each family has its own."""
+    monkeypatch.setitem(sys.modules, f"edged.adapters.plcmemory.{family}", None)
+    wanted = config(
+        tmp_path, f"[plc]\nhost = '127.0.0.1'\n[plc.{family}]\n{keys}\n[zenoh]\nenabled = false\n"
+    )
+
+    async def main() -> None:
+        servers = Servers(running_cell(), lambda: None, PagePort)
+        with pytest.raises(ListenError, match=rf"edged\[{family}\]"):
+            await servers.exchange(wanted)
+        await servers.close()
+
+    asyncio.run(main())
+
+
 def exchange_after(folder: Path, sections: str, change: Callable[[], None], port: int) -> tuple[bool, bool]:
     """Whether the server was made anew by an exchange for the same configuration, and whether it listens."""
     wanted = config(folder, sections)

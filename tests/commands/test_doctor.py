@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from helpers.cells import patient
 from helpers.certificates import make_certificates
+from helpers.plcmemories import S7Controller
 from helpers.ports import free_port
 from helpers.smallcell import DaemonProcess, SmallCell
 from helpers.waiting import WHOLE_S, wait_until
@@ -36,6 +37,7 @@ from edged.doctor.findings import Check, CheckResult
 from edged.doctor.firewall import Rules
 from edged.doctor.host import Interface
 from edged.doctor.ourdaemon import OurDaemon, our_daemon
+from edged.doctor.plc import look_at_plc
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 
@@ -429,3 +431,20 @@ def test_what_answers_on_the_port_of_opc_ua_is_told(said: bytes, verdict: CheckR
     assert check is not None
     assert verdict is check.verdict
     assert look_at_opcua("127.0.0.1", port) is None
+
+
+def test_a_plc_that_does_not_answer_is_said_with_what_to_do(folder: Path) -> None:
+    """And how it is when it does; nothing was written."""
+    controller = S7Controller()
+    try:
+        assert CheckResult.OK is look_at_plc(controller.section).verdict
+        assert bytes(192) == controller.get(0, 192)
+    finally:
+        controller.stop()
+    config = folder / "cell.toml"
+    section = f'\n[plc]\nhost = "127.0.0.1"\n[plc.s7]\nport = {controller.port}\ndb = 100\n'
+    config.write_text(config.read_text() + section)
+    check = checks(config)["PLC's memory"]
+    assert CheckResult.BAD is check.verdict
+    assert f"127.0.0.1:{controller.port}, rack 0, slot 1" in check.finding
+    assert "plc-memory.md" in check.remedy

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from types import TracebackType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -103,7 +103,11 @@ class LiveCell:
         async def run() -> T:
             return work()
 
-        return asyncio.run_coroutine_threadsafe(run(), self.loop).result(LIMIT_S)
+        return self.run(run())
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        """Await something on the cell's event loop."""
+        return asyncio.run_coroutine_threadsafe(work, self.loop).result(LIMIT_S)
 
     def reload(self, **changes: object) -> None:
         """As a reload that changed these fields of the setup; returns when it is in force."""

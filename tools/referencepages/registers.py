@@ -10,9 +10,10 @@ from edged.domain.measurement import Reject
 from edged.domain.registration import Method
 from edged.pictures.captions import REASONS
 from edged.plc.answers import NackReason
-from edged.plc.registers import Flag, Option, ResultCode, StatusBit, Warn
+from edged.plc.registers import CellBit, ControlBit, Flag, Option, ResultCode, StatusBit, Warn
 from edged.robot.orientations import Convention
 from edged.robots.formats import render
+from edged.robots.registervalues import image_fields
 from referencepages.markdown import code, member_docs, table
 
 CODES: dict[str, type[enum.IntEnum]] = {
@@ -29,6 +30,8 @@ BITS: dict[str, type[enum.IntFlag]] = {
     "REJECT": Reject,
     "OPTIONS": Option,
     "WARNING": Warn,
+    "CONTROL": ControlBit,
+    "BITS": CellBit,
 }
 """By the register that holds them."""
 
@@ -74,4 +77,18 @@ def all_bits() -> str:
     )
 
 
-PARTS = {"map": the_map, "codes": all_codes, "bits": all_bits}
+def the_image() -> str:
+    """Both images of a PLC's own memory, by their bytes."""
+    fields = image_fields()
+    parts = []
+    for title, those in (("To the cell", fields.to_cell), ("From the cell", fields.from_cell)):
+        start = those[0].byte
+        rows = (
+            (field.byte, (field.byte - start) // 2, field.name, field.type, field.comment) for field in those
+        )
+        head = ("byte of 192", "word", "name", "type", "unit")
+        parts.append(f"### {title}\n\n{table(head, rows, numbers=2)}")
+    return "\n\n".join(parts)
+
+
+PARTS = {"map": the_map, "image": the_image, "codes": all_codes, "bits": all_bits}

@@ -116,7 +116,7 @@ class CellRegisters:
         self.ladder = Ladder()
         self._place_basis()
         self.clients = 0
-        self.changed: Callable[[], None] = lambda: None  # called after each write and event
+        self.watchers: list[Callable[[], None]] = []  # called after each write and event
         self._change: asyncio.Future[None] | None = None
 
     def change(self) -> asyncio.Future[None]:
@@ -126,7 +126,8 @@ class CellRegisters:
         return self._change
 
     def _tell(self) -> None:
-        self.changed()
+        for changed in self.watchers:
+            changed()
         if self._change is not None and not self._change.done():
             self._change.set_result(None)
 

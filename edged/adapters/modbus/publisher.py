@@ -18,7 +18,7 @@ from edged.adapters.modbus.tcp import TcpServer
 from edged.domain.events import Event
 from edged.errors import CommandRefused
 from edged.plc.ladder import Exchange
-from edged.plc.registers import BLOCKS, COMMAND, JOBS, Number, Register, decode, encode
+from edged.plc.registers import BLOCKS, COMMAND, JOBS, Block, Number, Register, decode, encode
 from edged.ports import Commander
 
 
@@ -65,10 +65,10 @@ class ModbusPublisher:
         """TCP port that is listened on."""
         return self._tcp.port
 
-    def values(self) -> list[tuple[Register, Number]]:
+    def values(self, blocks: Sequence[Block] = BLOCKS) -> list[tuple[Register, Number]]:
         """Every register with the value that a client would read now, except empty rows of jobs."""
         settings, found = self._settings, list[tuple[Register, Number]]()
-        for block in BLOCKS:
+        for block in blocks:
             words = self._cell.read(settings.base_address + block.address, block.words)
             if block in JOBS and not any(words):
                 continue
@@ -99,9 +99,13 @@ class ModbusPublisher:
         """End a client of `write`, and its right to write."""
         self._cell.gone(client)
 
-    def watch(self, changed: Callable[[], None] | None) -> None:
-        """Set a callback for each write and event, on the event loop; None: remove it."""
-        self._cell.changed = changed or (lambda: None)
+    def watch(self, changed: Callable[[], None]) -> None:
+        """Call this after each write and event, on the event loop."""
+        self._cell.watchers.append(changed)
+
+    def unwatch(self, changed: Callable[[], None]) -> None:
+        """Call it no more."""
+        self._cell.watchers.remove(changed)
 
     @property
     def clients(self) -> int:
@@ -112,7 +116,7 @@ class ModbusPublisher:
     def owner(self) -> str:
         """Holder of the right to write: an address, or the kind of client; "" without one."""
         owner = self._cell.owner
-        return "" if owner is None else self._tcp.peer(owner) or "serial line, robot or OPC UA"
+        return "" if owner is None else self._tcp.peer(owner) or "serial line, robot, OPC UA or PLC's memory"
 
     @property
     def settings(self) -> ModbusSettings:

@@ -1,13 +1,12 @@
 """OPC UA: the cell as a vision system of OPC 40100-1, its registers as variables, commands as methods."""
 
-from edged.adapters.opcua.publisher import OpcUaPublisher, RegisterSource
+from edged.adapters.opcua.publisher import OpcUaPublisher
 from edged.adapters.opcua.security import ServerIdentity, identity_of
 from edged.adapters.opcua.settings import OpcUaSettings
 
 __all__ = [
     "OpcUaPublisher",
     "OpcUaSettings",
-    "RegisterSource",
     "ServerIdentity",
     "identity_of",
 ]

@@ -11,7 +11,7 @@ import concurrent.futures
 import itertools
 import time
 from collections.abc import Callable, Coroutine, Mapping, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from asyncua import ua
 
@@ -24,6 +24,7 @@ from edged.domain.events import Event, Snapshot
 from edged.errors import CommandRefused
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason
+from edged.plc.registersource import RegisterSource
 
 TICK_S = 0.1
 """Period of HEARTBEAT and RESULT_AGE; everything else is shown when it changes."""
@@ -33,29 +34,6 @@ NAMED = frozenset(
 )
 """Registers with the cell's state; other blocks may use the same names for other things."""
 T = TypeVar("T")
-
-
-class RegisterSource(Protocol):
-    """The registers of the cell and the one handshake behind them."""
-
-    def values(self) -> Sequence[tuple[reg.Register, reg.Number]]:
-        """Every register at one moment."""
-
-    @property
-    def valid_until_s(self) -> float:
-        """When the coordinates on display expire, on the monotonic clock; 0 without valid coordinates."""
-
-    def write(self, client: int, values: Mapping[str, reg.Number]) -> None:
-        """Write words of the command block that follow each other.
-
-        Raises `CommandRefused` during another client's turn.
-        """
-
-    def leave(self, client: int) -> None:
-        """End a client, and its right to write."""
-
-    def watch(self, changed: Callable[[], None] | None) -> None:
-        """Set a callback for each write and event; None: remove it."""
 
 
 class OpcUaPublisher:
@@ -118,7 +96,7 @@ class OpcUaPublisher:
         if self._ticking is not None:
             self._ticking.cancel()
         if self._watched is not None:
-            self._watched.watch(None)
+            self._watched.unwatch(self._show_soon)
         if self._server is not None:
             await self._server.stop()
         for session in list(self._clients):

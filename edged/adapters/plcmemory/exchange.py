@@ -1,0 +1,158 @@
+"""The thread that talks to the PLC: it alone waits for it, the cell never does."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Protocol, TypeVar
+
+from edged.errors import PlcFault
+from edged.plc.processimage import NO_IMAGE, values_to_cell
+
+log = logging.getLogger(__name__)
+
+ANSWER_S = 1.0
+"""For one step of a PLC's answer; a scan takes 1 to 100 ms, and an S7-300 serves its partners after it."""
+HANG_S = 6.0
+"""For a whole answer: who sends a byte a second is hung up on. snap7 waits 5 s for a connection."""
+FIRST_RETRY_S, LAST_RETRY_S = 0.5, 8.0
+T = TypeVar("T")
+EDGES = ("CMD_SEQ", "CONTROL")
+"""Words that begin a command, and that a program writes after all others."""
+
+
+class PlcMemory(Protocol):
+    """The two images in the memory of a PLC. Methods raise `PlcFault`, or what their library does.
+
+    is_little : the low byte of a value comes first.
+    """
+
+    is_little: bool
+
+    def open(self) -> None:
+        """Connect, and look whether both images are there."""
+
+    def read(self) -> bytes:
+        """The image to the cell, 64 bytes."""
+
+    def write(self, image: bytes) -> None:
+        """The image from the cell, 128 bytes."""
+
+    def close(self) -> None:
+        """Hang up; may be called at any time."""
+
+    @property
+    def line(self) -> socket.socket | None:
+        """The open socket, for who does not want to wait for it any longer."""
+
+
+class ExchangeThread:
+    """Reads each period and hands on what is new; writes the newest image. Connects again for ever.
+
+    make : a connection, not yet open. take : an image to the cell that differs from the one before it, or is
+    the first of a connection. lost : why there is no connection now. Both are called on this thread.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], PlcMemory],
+        period_s: float,
+        take: Callable[[bytes], None],
+        lost: Callable[[PlcFault], None],
+    ) -> None:
+        self._make, self._period_s, self._take, self._lost = make, period_s, take, lost
+        self._newest = NO_IMAGE
+        self._is_news, self._stopping = threading.Event(), threading.Event()
+        self._memory: PlcMemory | None = None
+        self._since_s: float | None = None  # of the answer that is waited for
+        self._thread = threading.Thread(
+            target=self._run, name="plc", daemon=True
+        )  # one that hangs ends with us
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def post(self, image: bytes) -> None:
+        """Write this as soon as may be, unless a newer one comes first."""
+        if image != self._newest:
+            self._newest = image
+            self._is_news.set()
+
+    def look(self) -> None:
+        """Hang up on a PLC that has not answered within `HANG_S`; called now and then, on any thread."""
+        since_s, memory = self._since_s, self._memory
+        if since_s is None or memory is None or time.monotonic() - since_s < HANG_S:
+            return
+        if (line := memory.line) is not None:
+            with contextlib.suppress(OSError):  # closed meanwhile
+                line.shutdown(socket.SHUT_RDWR)
+
+    def stop(self, limit_s: float) -> bool:
+        """End, which the PLC's memory then says, where it answers. False: it hangs, and is left behind."""
+        self._stopping.set()
+        self._is_news.set()
+        if self._thread.ident is not None:  # it was begun
+            self._thread.join(limit_s)
+        return not self._thread.is_alive()
+
+    # --- on the thread -------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        retry_s = FIRST_RETRY_S
+        while not self._stopping.is_set():
+            self._memory = memory = self._make()
+            begun_s = time.monotonic()
+            try:
+                self._asked(memory.open)
+                self._exchange(memory)
+            except PlcFault as fault:
+                self._lost(fault)
+            except Exception as error:  # noqa: BLE001  (garbage makes a library raise anything)
+                self._lost(
+                    PlcFault(f"no answer that can be read: {type(error).__name__}: {error}", "garbage")
+                )
+            finally:
+                with contextlib.suppress(Exception):  # a line that is broken cannot be closed in good order
+                    memory.close()
+            retry_s = FIRST_RETRY_S if time.monotonic() - begun_s > LAST_RETRY_S else retry_s
+            self._stopping.wait(retry_s)
+            retry_s = min(2 * retry_s, LAST_RETRY_S)
+
+    def _exchange(self, memory: PlcMemory) -> None:
+        taken, written = b"", b""
+        while not self._stopping.is_set():
+            due_s = time.monotonic() + self._period_s
+            image = self._asked(memory.read)
+            if taken and _edges(image, memory.is_little) != _edges(taken, memory.is_little):
+                # the program may have written between two words of this answer: what it wrote before the word
+                # that begins a command is in the next one
+                image = self._asked(memory.read)
+            if image != taken:
+                taken = image
+                self._take(image)
+            while True:
+                self._is_news.clear()
+                if (newest := self._newest) != written:
+                    written = newest
+                    self._asked(partial(memory.write, newest))
+                if not self._is_news.wait(max(0.0, due_s - time.monotonic())) or self._stopping.is_set():
+                    break
+        self._asked(partial(memory.write, NO_IMAGE))
+
+    def _asked(self, work: Callable[[], T]) -> T:
+        self._since_s = time.monotonic()
+        try:
+            return work()
+        finally:
+            self._since_s = None
+
+
+def _edges(image: bytes, is_little: bool) -> list[float]:
+    values = values_to_cell(image, little=is_little)
+    return [values[name] for name in EDGES]
