@@ -5,6 +5,7 @@ Hands are those of the stage, at the foot of each page, and their clicks count a
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import sys
 import time
@@ -251,7 +252,8 @@ async def go_live(page: Browser, modbus: int) -> None:
     begun_s = time.monotonic()
     with ModbusTcpClient("127.0.0.1", port=modbus, timeout=5) as plc:
         while time.monotonic() - begun_s < LIMIT_S:
-            read = plc.read_input_registers(RESULT.address, count=RESULT.words)
+            # the cell is in this process: its loop answers meanwhile
+            read = await asyncio.to_thread(plc.read_input_registers, RESULT.address, count=RESULT.words)
             if int(decode(RESULT, read.registers)["FLAGS"]) & Flag.VALID:
                 return
             await page.value("new Promise((done) => setTimeout(done, 100))")
