@@ -487,7 +487,7 @@ CASES: dict[str, Bad] = {
     "register format": Bad(
         "registers --format xml",
         "edged: --format xml: expected md, csv, json, st, plcopen, scl, urscript, python, rapid, drl, "
-        "as, spel, twincat, karel, krl, krl6, val3, melfa, motoplus",
+        "as, spel, twincat, s7db, l5x, karel, krl, krl6, val3, melfa, motoplus",
     ),
     "locate: convention": Bad(
         f"{LOCATE} --convention kuka",

@@ -28,6 +28,7 @@ from helpers.setuppage import (
     log_in,
     press,
     said,
+    take,
     take_over,
 )
 from helpers.stagecell import Newcomer, staged
@@ -98,7 +99,8 @@ class Stand:
         """The cell, if another test has not taken it yet."""
         await self.page.until('document.querySelector(".lease")')
         if not await self.page.value('Boolean(document.querySelector(".lease.mine"))'):
-            await take_over(self.page)
+            is_free = await self.page.value('Boolean(document.querySelector(".lease .primary"))')
+            await (take if is_free else take_over)(self.page)
 
     async def until(self, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The draft, as soon as the cell keeps it so."""
