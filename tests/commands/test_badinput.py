@@ -486,8 +486,8 @@ CASES: dict[str, Bad] = {
     ),
     "register format": Bad(
         "registers --format xml",
-        "edged: --format xml: expected md, csv, json, st, plcopen, scl, urscript, python, rapid, drl, "
-        "as, spel, twincat, s7db, l5x, karel, krl, krl6, val3, melfa, motoplus",
+        "edged: --format xml: expected md, csv, json, st, plcopen, scl, s7db, l5x, urscript, python, "
+        "rapid, drl, as, spel, twincat, karel, krl, krl6, val3, melfa, motoplus",
     ),
     "locate: convention": Bad(
         f"{LOCATE} --convention kuka",

@@ -161,7 +161,7 @@ def test_where_the_part_of_a_job_lies_is_kept_as_the_golden_one(
         cell.daemon._cycle.lock_setup(locked=True)  # noqa: SLF001  (as a PLC's AUTO_LOCK)
         status, problem = await cell.ask("POST", "/jobs/flange/golden", {})
         assert (409, "setup_refused") == (status, problem["code"])
-        cell.daemon._cycle.lock_setup(locked=False)  # noqa: SLF001
+        cell.daemon._cycle.lock_setup(locked=False)  # noqa: SLF001  (as one that lets go)
         place.unlink()
         place.parent.rmdir()
         place.parent.write_text("in the way")
