@@ -23,6 +23,8 @@ from edged.setup.draftroutes import unknown
 FILES = {
     "st": "edged.st",
     "scl": "edged.scl",
+    "s7db": "edged_db.scl",
+    "l5x": "edged.L5X",
     "plcopen": "edged.xml",
     "twincat": "edged-twincat.zip",
     "urscript": "edged.script",

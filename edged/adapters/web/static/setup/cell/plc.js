@@ -150,6 +150,8 @@ function Probe({ plc }) {
 const WHOSE = {
   st: "IEC 61131-3",
   scl: "SIMATIC S7",
+  s7db: "SIMATIC S7 (DB)",
+  l5x: "Studio 5000 (L5X)",
   plcopen: "CODESYS (PLCopen XML)",
   twincat: "TwinCAT 3",
   urscript: "Universal Robots",

@@ -181,7 +181,7 @@ function Question({ what, job, onClose }) {
   <//>`;
 }
 
-// Keeps where the part lies now; a path that was taught on the former one no longer fits, so it is asked first.
+// Keeps where the part lies now; a path that was taught on the former one no longer fits: it is asked first.
 function Golden({ job, onClose }) {
   const [state, setState] = useState("");
   const [failed, setFailed] = useState(null);
@@ -198,7 +198,8 @@ function Golden({ job, onClose }) {
       setFailed(problem); // here, as the page's own message lies behind this dialog
     }
   };
-  return html`<${Dialog} title=${t("jobs-golden-title", { name: job.name })} isOpen=${true} onClose=${onClose}>
+  const title = t("jobs-golden-title", { name: job.name });
+  return html`<${Dialog} title=${title} isOpen=${true} onClose=${onClose}>
     <p>${t("jobs-golden-what")}</p>
     ${state === "kept" && html`<p><${Shape} is="tick" /> ${t("jobs-golden-done", { name: job.name })}</p>`}
     ${failed && html`<p class="wrong" role="alert"><${Shape} is="doubt" /> ${sentence(failed)}</p>`}
