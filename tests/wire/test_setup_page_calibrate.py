@@ -40,6 +40,8 @@ USED = 'document.querySelectorAll(".strip li:not(.unused)").length'
 OUTLINE = 'document.querySelectorAll(".seen polygon").length === 2'
 GHOST = 'document.querySelector(".ghost polygon")'
 
+FOLLOWS = """[...document.querySelectorAll(".stage [aria-pressed=true]")]
+  .some((button) => button.textContent.trim() === "Follow the dashed place")"""
 GAUGES = '[...document.querySelectorAll(".gauge")].map((one) => one.getAttribute("class"))'
 CHECK_STEP = """document.querySelector('a[href="#/check"] .state').textContent.trim()"""
 
@@ -79,6 +81,33 @@ def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path)
             await page.until(OUTLINE)
             assert [] == await page.value(UNTRANSLATED)
             assert 0 == await page.value(TOO_WIDE)
+            assert [] == page.complaints
+
+    run(tmp_path, test, gige=False)
+
+
+def test_the_hand_follows_until_something_else_is_laid_there(tmp_path: Path) -> None:
+    """A part that was laid before the cameras stays there, though the calibration still draws a place."""
+
+    async def test(newcomer: Newcomer) -> None:
+        await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
+        async with browser() as page:
+            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+            await take_over(page)
+            await go(page, "calibrate")
+            await page.until(said("Which board?"))
+            await page.click(".choice:nth-child(2)")
+            await page.type("[name=mm]", "4")
+            await press(page, "Begin")
+            await page.until(GHOST)
+            await page.click(".stage summary")
+            await press(page, "Follow the dashed place")
+            await page.until(FOLLOWS)
+            await press(page, "Lay the part")
+            await page.until(f"!({FOLLOWS})")
+            await newcomer.until("stage", lambda told: told["showing"] == "part")
+            await page.value("new Promise((done) => setTimeout(done, 5000))")  # the hand looks every 4 s
+            assert "part" == (await newcomer.ask("GET", "stage"))["showing"]
             assert [] == page.complaints
 
     run(tmp_path, test, gige=False)

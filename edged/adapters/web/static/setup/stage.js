@@ -37,6 +37,11 @@ function useFollowing(ghost) {
     return () => clearInterval(timer);
   }, [place]);
 }
+// Who lays something there, or the board down, needs the hand for it: it follows no more.
+const byHand = (...request) => {
+  isFollowing.value = false;
+  return tell(...request);
+};
 async function wave(side) {
   await tell("PUT", "stage", { waving: side });
   setTimeout(() => tell("PUT", "stage", { waving: "none" }), WAVE_MS);
@@ -69,15 +74,15 @@ export function Stage() {
       <div class="actions">
         ${["board", "part", "nothing"].map(
           (what) => html`<button
-            aria-pressed=${showing === what} onClick=${() => tell("PUT", "stage", { showing: what })}
+            aria-pressed=${showing === what} onClick=${() => byHand("PUT", "stage", { showing: what })}
           >
             ${t(`stage-show-${what}`)}
           </button>`,
         )}
-        <button onClick=${() => tell("POST", "stage/lay", {})}>${t("stage-lay")}</button>
+        <button onClick=${() => byHand("POST", "stage/lay", {})}>${t("stage-lay")}</button>
         <button
           aria-pressed=${still} disabled=${showing !== "board"}
-          onClick=${() => tell("PUT", "stage", { still: !still })}
+          onClick=${() => byHand("PUT", "stage", { still: !still })}
         >
           ${t("stage-still")}
         </button>
