@@ -187,11 +187,12 @@ def test_edge_breaks_are_kept_and_checked() -> None:
     """What a pair has shown of the breaks is in the file; widths that are none are refused."""
     plain = body("D3")
     widths = np.linspace(0.0, 0.5, len(plain.lines))
-    broken = replace(plain, breaks_mm=widths, sigma_break_mm=0.01)
+    broken = replace(plain, breaks_mm=widths, sigma_break_mm=0.01, merged_mm=0.3)
     again = PartBody.from_arrays(broken.to_arrays())
     assert again.breaks_mm is not None
     assert np.abs(again.breaks_mm - widths).max() < 1e-6
-    assert 0.01 == pytest.approx(again.sigma_break_mm)
+    assert (0.01, 0.3) == pytest.approx((again.sigma_break_mm, again.merged_mm))
+    assert 0.0 == PartBody.from_arrays(replace(broken, merged_mm=0.0).to_arrays()).merged_mm
     assert PartBody.from_arrays(plain.to_arrays()).breaks_mm is None
     arrays = broken.to_arrays()
     for wrong in (
@@ -201,3 +202,6 @@ def test_edge_breaks_are_kept_and_checked() -> None:
     ):
         with pytest.raises(ValueError, match="breaks_mm"):
             PartBody.from_arrays(arrays | {"breaks_mm": wrong})
+    for wrong in (-arrays["merged_mm"], arrays["merged_mm"] * np.nan, np.zeros((2, 1), np.float32)):
+        with pytest.raises(ValueError, match="breaks_mm"):
+            PartBody.from_arrays(arrays | {"merged_mm": wrong})

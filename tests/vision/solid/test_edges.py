@@ -17,7 +17,7 @@ from edged.files.step import read_step
 from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.jit import for_kernel
 from edged.vision.solid.breaks import with_breaks
-from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled, widths_of
+from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled, widths_of, with_open_forms
 from edged.vision.solid.profiles import find_shifts, scatter_of
 from edged.vision.solid.symmetry import like_turns
 from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, see
@@ -82,6 +82,24 @@ def test_a_body_keeps_the_breaks_that_a_pair_has_shown(name: str) -> None:
     assert (shown.breaks_mm > 0).any()
     assert np.array_equal(shown.breaks_mm, again.breaks_mm)
     assert np.array_equal(widths, widths_of(body.lines[:, 1::-1], shown.sides, shown.breaks_mm))
+
+
+def test_a_break_of_open_form_lies_between_chamfer_and_rounding() -> None:
+    """Its lower edge alone is deeper, by a quarter of its width, and as unsure; wider ones are as they were."""
+    narrow, wide = (with_open_forms(model("D3", break_mm), 0.3) for break_mm in (0.2, 0.4))
+    plain = model("D3", 0.2)
+    deeper = np.linalg.norm(narrow.by_break, axis=2) - np.linalg.norm(plain.by_break, axis=2)
+    sigma = narrow.sigma_form_mm
+    assert sigma is not None
+    assert {0.0, 0.25} == set(np.round(deeper.ravel(), 9))
+    assert sigma == pytest.approx(0.2 * deeper)
+    rows, sides = np.nonzero(deeper)
+    down = narrow.normals[:, :, 2]  # a part's z leads away from the cameras
+    assert (down[rows, sides] > down[rows, 1 - sides]).all()
+    assert (narrow.breaks_mm[rows] == 0.2).all()
+    assert wide.sigma_form_mm is not None
+    assert not wide.sigma_form_mm.any()
+    assert np.array_equal(wide.by_break, model("D3", 0.4).by_break)
 
 
 def test_neighbours_are_the_edges_that_a_sample_would_meet() -> None:
