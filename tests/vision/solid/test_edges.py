@@ -85,7 +85,7 @@ def test_a_body_keeps_the_breaks_that_a_pair_has_shown(name: str) -> None:
 
 
 def test_a_break_of_open_form_lies_between_chamfer_and_rounding() -> None:
-    """Its lower edge alone is deeper, by a quarter of its width, and as unsure; wider ones are as they were."""
+    """Its lower edge alone is deeper, by a quarter of its width, and as unsure; wider ones are left alone."""
     narrow, wide = (with_open_forms(model("D3", break_mm), 0.3) for break_mm in (0.2, 0.4))
     plain = model("D3", 0.2)
     deeper = np.linalg.norm(narrow.by_break, axis=2) - np.linalg.norm(plain.by_break, axis=2)
