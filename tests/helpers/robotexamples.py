@@ -139,12 +139,9 @@ def _doosan(text: str, link: Link) -> list[FloatArray]:
     return moves
 
 
-def _staubli(text: str, link: Link) -> list[FloatArray]:
-    """A transformation is written as its six numbers in braces."""
-    val3.TYPES.records["pointRx"] = {"trsf": "trsf", "config": "num"}
+def with_val3_example(code: str) -> dict[str, str]:
+    """The files of the VAL 3 application, and a program `example` of this code among them."""
     files = written("val3")
-    lines = text.replace("edged:", "").replace('"edged: "', '"edged"')
-    code = re.sub(r"\{([-\d,]+)\}", r"braces(\1)", lines).replace('" "+', '"edged"+')
     files["example.pgx"] = re.sub(
         r"begin.*?end\]",
         lambda _: f"begin\n{code}end]",
@@ -153,7 +150,15 @@ def _staubli(text: str, link: Link) -> list[FloatArray]:
     )
     listed = '<Program file="stop.pgx" />'
     files["edged.pjx"] = files["edged.pjx"].replace(listed, listed + listed.replace("stop", "example"))
-    program = val3.load(files, val3.Controller(link))
+    return files
+
+
+def _staubli(text: str, link: Link) -> list[FloatArray]:
+    """A transformation is written as its six numbers in braces."""
+    val3.TYPES.records["pointRx"] = {"trsf": "trsf", "config": "num"}
+    lines = text.replace("edged:", "").replace('"edged: "', '"edged"')
+    code = re.sub(r"\{([-\d,]+)\}", r"braces(\1)", lines).replace('" "+', '"edged"+')
+    program = val3.load(with_val3_example(code), val3.Controller(link))
     moves: list[FloatArray] = []
     program.globals |= {"PPICK": val3.TYPES.variable("pointRx")}
     program.globals |= {name: val3.TYPES.variable("num") for name in ("TTOOL", "MSLOW")}

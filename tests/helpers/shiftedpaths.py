@@ -18,7 +18,7 @@ from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.robots.formats import render, written
 from helpers import drl, karel, kawasaki, krl, rapid, spel, val3
 from helpers import robotsides as sides
-from helpers.robotexamples import PAGE
+from helpers.robotexamples import PAGE, with_val3_example
 from helpers.robotlink import Link
 
 Run = Callable[[str, Link, FloatArray], list[FloatArray]]
@@ -146,16 +146,7 @@ def _doosan(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
 def _staubli(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
     """A point lies in its frame; fPath lies in the world."""
     val3.TYPES.records |= {"pointRx": {"trsf": "trsf", "config": "num"}, "path": {"trsf": "trsf"}}
-    files = written("val3")
-    code = text.replace("edged:", "")
-    files["example.pgx"] = re.sub(
-        r"begin.*?end\]",
-        lambda _: f"begin\n{code}end]",
-        files["stop.pgx"].replace('"stop"', '"example"'),
-        flags=re.DOTALL,
-    )
-    listed = '<Program file="stop.pgx" />'
-    files["edged.pjx"] = files["edged.pjx"].replace(listed, listed + listed.replace("stop", "example"))
+    files = with_val3_example(text.replace("edged:", ""))
     program = val3.load(files, val3.Controller(link))
     moves: list[FloatArray] = []
     point, frame = val3.TYPES.variable("pointRx"), val3.TYPES.variable("path")

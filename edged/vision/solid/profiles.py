@@ -151,10 +151,11 @@ def fit_profiles(
     as long as their breaks are not known.
     """
     fit: ProfileFit | None = None
-    for first_sigma_px in PROFILE.first_sigmas_px:
+    last = len(PROFILE.first_sigmas_px) - 1
+    for number, first_sigma_px in enumerate(PROFILE.first_sigmas_px):
         profiles = profiles_of(model, pyramids, images, pose, blur_px)
         by_form = None
-        if first_sigma_px == PROFILE.first_sigmas_px[-1]:
+        if number == last:  # whose covariance is that of the result
             by_form = _moved_by_form(model, pyramids, images, pose, blur_px, profiles)
         fit = _fitted(model, images, pose, profiles, first_sigma_px, held, alike, by_form)
         if fit is None:
