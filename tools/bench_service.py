@@ -285,22 +285,41 @@ def starting(folder: Path, runs: int) -> None:
         print(f"| {name} | {min(values):.2f} | {statistics.median(values):.2f} | {max(values):.2f} |")
 
 
-def lasting(folder: Path, seconds: float) -> None:
-    """Resident memory of `edged run` at full speed, with recorder and page, from its start on."""
-    cell = SmallCell(folder, period_s=0.0, recordings=folder / "recordings")
+def lasting(folder: Path, seconds: float, period_s: float) -> None:
+    """Memory of `edged run`, cell and page, with recorder and a viewer; a reload at each look."""
+    cell = SmallCell(folder, period_s=period_s, recordings=folder / "recordings")
     daemon = DaemonProcess(cell.config)
-    print("\n| seconds | cycles | memory MiB |\n|---:|---:|---:|")
+    viewer = None
+    print("\n| seconds | cycles | cell MiB | page MiB | descriptors of both |\n|---:|---:|---:|---:|---:|")
     try:
         daemon.wait_ready()
         begin_s = time.monotonic()
-        for share in (0.01, 0.1, 0.25, 0.5, 0.75, 1.0):
+        looking = [sys.executable, str(Path(__file__).with_name("pageviewer.py")), str(cell.web_port)]
+        viewer = subprocess.Popen(looking, stdout=subprocess.DEVNULL)
+        for share in (0.01, *np.arange(0.1, 1.01, 0.1)):
             time.sleep(max(begin_s + share * seconds - time.monotonic(), 0.0))
-            page = f"http://127.0.0.1:{cell.web_port}/status.json"
-            with urllib.request.urlopen(page, timeout=10) as answer:
+            status = f"http://127.0.0.1:{cell.web_port}/status.json"
+            with urllib.request.urlopen(status, timeout=10) as answer:
                 cycle = json.load(answer)["result"]["cycle"]
-            print(f"| {share * seconds:.0f} | {cycle} | {daemon.memory_mib():.1f} |", flush=True)
+            (page,) = daemon.children()
+            both = daemon.process.pid, page
+            cell_mib, page_mib = (_own_share_mib(pid) for pid in both)
+            count = sum(len(os.listdir(f"/proc/{pid}/fd")) for pid in both)  # noqa: PTH208  (as above)
+            print(
+                f"| {share * seconds:.0f} | {cycle} | {cell_mib:.1f} | {page_mib:.1f} | {count} |", flush=True
+            )
+            daemon.process.send_signal(signal.SIGHUP)
     finally:
+        if viewer is not None:
+            viewer.kill()
+            viewer.wait()
         daemon.stop()
+
+
+def _own_share_mib(pid: int) -> float:
+    """Proportional set size: what processes share is counted once over all of them."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
 
 
 def _imports_s() -> float:
@@ -327,13 +346,14 @@ if __name__ == "__main__":
         default=6.0,
         help="for each fault and phase of the page; a twentieth of memory",
     )
+    parser.add_argument("--period", type=float, default=0.0, help="of a cycle of memory, s; 0: full speed")
     given = parser.parse_args()
     enter_namespace()
     logging.basicConfig(level=logging.WARNING)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     work: dict[str, Callable[[Path], None]] = {
         "start": lambda folder: starting(folder, given.starts),
-        "memory": lambda folder: lasting(folder, 20 * given.seconds),
+        "memory": lambda folder: lasting(folder, 20 * given.seconds, given.period),
         "endurance": lambda folder: endurance(folder, given.cycles),
         "kill": lambda folder: killing(folder, given.kills, given.seed),
         "power": lambda folder: cutting(folder, given.cuts, given.seed),

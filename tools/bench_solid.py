@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
 """Measure how thick parts of several heights are found and measured, on rendered scenes with exact truth.
 
-    tools/bench solid DATASET [--step | --alone DEPTH] [--tilt DEGREES] [--only NAME] [--overlays DIR]
+    tools/bench solid DATASET [--step | --alone DEPTH] [--further N] [--tilt DEGREES] [--only NAME]
+        [--overlays DIR]
 
 DATASET holds rig.json (the true cameras), teach/teach_PART (one pair for each part, with truth) and scenes/.
 Each part is taught from its pair; of a scene, the motion from the taught to the found pose is compared with
 the true one, at the job's reference point. With --step, each part is taught with its STEP file besides
 (step/PART.step, -z to the cameras), and rig_from_model is compared with the true pose; with --alone, with its
-STEP file and no pair, its main face DEPTH mm away. Good is a target that is accepted and right; wrong is one
+STEP file and no pair, its main face DEPTH mm away. With --further, its first N scenes teach, too, and are
+not measured. Good is a target that is accepted and right; wrong is one
 that is accepted and off by more than 0.1 mm (--alone: by more than three of the sigmas across the face that
 such a job states), or turned by more than 3 degrees. Beside a share stand its 95 % bounds. χ² is that of the
 position by its stated covariance, per degree of freedom: 1 where the covariance is true.
@@ -43,6 +45,7 @@ from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadpair import teach_with_model
+from edged.vision.teaching.furtherpairs import with_further_pairs
 from edged.vision.teaching.pair import teach
 
 DEPTH_SHARE = 0.22
@@ -175,6 +178,13 @@ def measure(
             print("\n".join(settled.said))
         else:
             job = teach(*pair_of(pictured), rig.rectification, None, design)
+        taught_too = [p for p, parts in truths.items() if [one["design"] for one in parts] == [design]]
+        taught_too = taught_too[: options.further]
+        if taught_too:
+            pairs = [pair_of(path) for path in taught_too]
+            job, said = with_further_pairs(job, pair_of(pictured), pairs, rig.rectification)
+            print("\n".join(said))
+        truths = {path: parts for path, parts in truths.items() if path not in taught_too}
     except EdgedError as error:
         here = [(p, one) for p, parts in truths.items() for one in parts if one["design"] == design]
         return [missed(path.stem, one, f"not taught: {error}") for path, one in here], 0.0
@@ -272,6 +282,7 @@ def main() -> int:
     parser.add_argument("--parts", default="", help="comma list; default: all")
     parser.add_argument("--overlays", type=Path, help="folder for a picture of each result")
     parser.add_argument("--alone", type=float, metavar="DEPTH", help="teach with the STEP files and no pair")
+    parser.add_argument("--further", type=int, default=0, metavar="N", help="scenes to teach with besides")
     parser.add_argument("--step", action="store_true", help="teach with the STEP files of DATASET")
     options = parser.parse_args()
     rows = measured(options)

@@ -19,7 +19,9 @@ async def look(port: int, *who: str) -> None:
     said = False
     jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
     origin = f"http://127.0.0.1:{port}"
-    async with aiohttp.ClientSession(origin, cookie_jar=jar, headers={"Origin": origin}) as session:
+    for_ever = aiohttp.ClientTimeout(total=None)  # else a stream of events ends after five minutes
+    headers = {"Origin": origin}
+    async with aiohttp.ClientSession(origin, cookie_jar=jar, headers=headers, timeout=for_ever) as session:
         if who:
             form = dict(zip(("name", "password"), who, strict=True))
             async with session.post("/login", data=form, allow_redirects=False) as answer:

@@ -164,8 +164,15 @@ def teach(
     rig: RigOption,
     name: Annotated[str, typer.Option(help="name of the job")],
     output: Annotated[Path, typer.Option("--output", "-o", help="job folder to write")],
-    left: Annotated[Path | None, typer.Option(help="left image")] = None,
-    right: Annotated[Path | None, typer.Option(help="right image")] = None,
+    left: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="left image; again for further pairs, which show the part tilted, or in other light"
+        ),
+    ] = None,
+    right: Annotated[
+        list[Path] | None, typer.Option(help="right image, of each pair in the same order")
+    ] = None,
     region: Annotated[
         str | None,
         typer.Option(
@@ -236,7 +243,7 @@ def teach(
     from edged.vision.shape.params import ModelParams
 
     source = chosen_source(
-        PairSource(left, right, region, tuple(exclude or ()), step, up),
+        PairSource.of(left or (), right or (), region=region, exclude=tuple(exclude or ()), step=step, up=up),
         DrawingSource(dxf, contour, depth, tuple(layer or ()), unit),
     )
     params = ModelParams(EdgeThresholds(*parse_contrast(contrast), min_component), levels)

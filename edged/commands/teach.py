@@ -5,16 +5,17 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from edged.commands.exchanged import SWAPPED
-from edged.domain.arrays import Image
+from edged.domain.arrays import SIDES, Image
 from edged.domain.numerals import decimal
 from edged.errors import TeachError, UserError
 from edged.files.atomic import write_file
@@ -124,7 +125,7 @@ class PairSource:
     """A stereo pair, and the region of the part where it is not the whole picture, as on the command line.
 
     step, up : the part's STEP or STL file, and which axis of it points to the cameras.
-    unit : of the numbers in an STL file.
+    unit : of the numbers in an STL file.  further : more pairs of the part, left and right.
     """
 
     left: Path | None
@@ -134,6 +135,17 @@ class PairSource:
     step: Path | None = None
     up: str | None = None
     unit: str | None = None
+    further: tuple[tuple[Path, Path], ...] = ()
+
+    @staticmethod
+    def of(lefts: Sequence[Path], rights: Sequence[Path], **rest: Any) -> PairSource:
+        """The first pair, and further ones. Raises `UserError` where a picture has no other."""
+        if lefts and rights and len(lefts) != len(rights):
+            raise UserError(
+                f"teach: {len(lefts)} --left and {len(rights)} --right: expected both of each pair"
+            )
+        first = (lefts[0] if lefts else None, rights[0] if rights else None)
+        return PairSource(*first, **rest, further=tuple(zip(lefts[1:], rights[1:], strict=bool(rights))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +278,12 @@ def _taught_from(source: PairSource | DrawingSource) -> dict[str, str]:
 def _inputs(source: PairSource | DrawingSource) -> dict[str, Path | None]:
     if isinstance(source, DrawingSource):
         return {"--dxf": source.dxf, "--contour": source.contour, "--step": source.step}
-    return {"--left": source.left, "--right": source.right, "--step": source.step}
+    further = {
+        f"--{side} {k}": path
+        for k, pair in enumerate(source.further, 2)
+        for side, path in zip(SIDES, pair, strict=True)
+    }
+    return {"--left": source.left, "--right": source.right, **further, "--step": source.step}
 
 
 def _proposal(
@@ -285,9 +302,11 @@ def _proposal(
     region = None if source.region is None else parse_region(source.region)
     exclude = [parse_region(text, "--exclude") for text in source.exclude]
     left, right = load_image(source.left or Path()), load_image(source.right or Path())
+    further = [(load_image(left_file), load_image(right_file)) for left_file, right_file in source.further]
     taken = partial(
-        propose_from_pair, rectification=rectification, wanted=wanted, region=region, exclude=exclude
-    )
+        propose_from_pair, rectification=rectification, wanted=wanted, region=region, exclude=exclude,
+        further=further,
+    )  # fmt: skip
     if source.step is None:
         with _swap_named(taken, left, right):
             return taken(left, right)

@@ -16,6 +16,7 @@ from edged.vision.geometry.rigid import transform
 from edged.vision.part.job import (
     MAX_TILT_DEG,
     MEASURES,
+    BreakEnd,
     CircleFeature,
     CornerFeature,
     EdgeFeature,
@@ -365,6 +366,11 @@ class JobFile(_Section):
         description="width of the part's edge breaks, of a job taught from pictures alone; 0: sharp edges, "
         "not given: not known",
     )
+    break_end: BreakEnd | None = Field(
+        None,
+        description='which edge of each break was taught, that in the "face" or that in the "wall"; '
+        "not given: not known",
+    )
     limits: _Limits
     search: _Search
     picking: _Picking = _Picking()
@@ -483,4 +489,5 @@ class JobFile(_Section):
             report=self.report,
             sigma_mm=self.sigma_mm,
             break_mm=self.break_mm,
+            break_end=self.break_end,
         )

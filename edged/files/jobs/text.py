@@ -95,7 +95,12 @@ def _break_to_toml(job: Job) -> list[str]:
         return []
     what = "width of the part's edge breaks (chamfers, roundings); 0: sharp. Your drawing knows better."
     width = "# break_mm = 0.2" if job.break_mm is None else f"break_mm = {job.break_mm!r}"
-    return [f"{width}   # {what}"]
+    end = (
+        []
+        if job.break_end is None
+        else [f'break_end = "{job.break_end}"   # the edge of each that was taught']
+    )
+    return [f"{width}   # {what}", *end]
 
 
 def _model_to_toml(job: Job) -> list[str]:

@@ -21,6 +21,7 @@ from edged.vision.teaching.cadmodel import CadModel, ModelCurves
 from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.cuts import Cut, cut_edges
 from edged.vision.teaching.drawing import teach_drawing
+from edged.vision.teaching.furtherpairs import with_further_pairs
 from edged.vision.teaching.pair import taught_mask, teach
 from edged.vision.teaching.region import Area
 from edged.vision.teaching.reteaching import carry_over
@@ -75,11 +76,13 @@ def propose_from_pair(
     region: Area | None = None,
     exclude: Sequence[Area] = (),
     model: PartModel | None = None,
+    further: Sequence[tuple[Image, Image]] = (),
 ) -> Proposal:
     """Learn from raw images. region : where the part is, px of the raw left image; None: all of it.
 
     exclude : what of it is not the part. model : of the same part, whose numbers and frame the job takes.
-    Raises `TeachError` for a pair that teaches nothing, or shows another part than the model.
+    further : pairs that show the same part otherwise; see `with_further_pairs`.
+    Raises `TeachError` for a pair that teaches nothing, or shows another part.
     """
     name, number, params = wanted.name, wanted.number, wanted.params
     settled: tuple[str, ...] = ()
@@ -91,6 +94,9 @@ def propose_from_pair(
             exclude=exclude, params=params,
         )  # fmt: skip
         job, settled = found.job, found.said
+    if further:
+        job, said = with_further_pairs(job, (left, right), further, rectification)
+        settled = (*settled, *said)
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
     return _proposal(job, Taught(picture, None if region is None else mask, cuts, settled), wanted)

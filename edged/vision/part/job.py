@@ -98,6 +98,7 @@ Report = Literal["reference", "model"]
 MAX_TILT_DEG = 45.0
 """From the bisector of both cameras; with 24° between them, one camera may then see a face at 57°."""
 
+BreakEnd = Literal["face", "wall"]
 MeasurementKind = Literal["radius", "distance", "angle", "width", "length", "height", "flatness"]
 MEASURES: dict[MeasurementKind, tuple[tuple[str, ...], ...]] = {
     "radius": (("circle",),),
@@ -179,6 +180,7 @@ class Job:
     body : its surface, where its CAD model is known; None: what it hides of itself is not known.
     sigma_mm : of all features together, of a job from a model alone: the part's edge breaks are unknown.
     break_mm : width of the edge breaks, of a job taught from pictures alone; None: not known.
+    break_end : which edge of each break was taught, that in the face or that in the wall; None: not known.
     traced : outlines of such a job that are no features; it is looked for by them, too.
     """
 
@@ -204,6 +206,7 @@ class Job:
     body: PartBody | None = None
     sigma_mm: float = 0.0
     break_mm: float | None = None
+    break_end: BreakEnd | None = None
     traced: tuple[TracedCurve, ...] = ()
 
     @property

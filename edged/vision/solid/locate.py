@@ -27,6 +27,7 @@ from edged.vision.part.solid import fitted
 from edged.vision.solid.curvemodel import curve_model
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin_over, sigmas_of
+from edged.vision.solid.forms import LaidPair, likeliest_form
 from edged.vision.solid.lock import LaidPose, Pyramids, lay, schedule
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
@@ -39,13 +40,16 @@ class FoundPart:
     """A part at a place: how it was laid, by which model, and what is seen of it.
 
     certain : either picture shows the part rather than chance, by so many sigmas.  margin : both show it
-    rather than the nearest rival; inf without one.
+    rather than the nearest rival; inf without one.  between (6, 6) : covariance of the twist by other forms
+    of its breaks; None where their form is known.  contradicts : as in `RefinedForm`.
     """
 
     laid: LaidPose
     seen: PoseEvidence
     certain: float
     margin: float
+    between: FloatArray | None = None
+    contradicts: float = 0.0
 
 
 def locate_solid(
@@ -66,6 +70,8 @@ def locate_solid(
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
         found = weighed(pyramids, place, lambda model: _turns(job, model))
+        if job.body is None and found.certain > 0:
+            found = _of_likeliest_form(images, job, found, place, pyramids)
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # not by the edges of another part
         present = found.seen.present() if job.body is None else 1.0
@@ -125,12 +131,20 @@ def models_of(job: Job) -> tuple[EdgeModel, ...]:
     """The edges of a job's part, made once: one model, or one for each width that its breaks may have."""
     if job.body is not None:
         return (model_of(job.body),)
+    return tuple(curve_model(job, *form) for form in forms_of(job))
+
+
+def forms_of(job: Job) -> list[tuple[float, bool]]:
+    """Forms that the breaks of a job without a body may have: width, and whether the lower edge was taught.
+
+    Light and view of the teaching pair decided which end of a break that is.
+    """
     widths = BREAKS.unknown_mm if job.break_mm is None else (job.break_mm,)
-    # light and view of the teaching pair decided which end of a break is taught
-    forms = [(width, is_lower) for is_lower in (False, True) for width in widths if width > 0 or not is_lower]
+    ends = (False, True) if job.break_end is None else (job.break_end == "wall",)
+    forms = [(width, is_lower) for is_lower in ends for width in widths if width > 0 or not is_lower]
     if job.break_mm is None:
         forms.sort(key=lambda form: form != (BREAKS.looked_mm, False))
-    return tuple(curve_model(job, *form) for form in forms)
+    return forms or [(0.0, False)]
 
 
 def _axis(job: Job) -> tuple[float, float]:
@@ -182,6 +196,30 @@ def weighed(
     return FoundPart(poses[best], seen[best], _certain(seen[best]), margin)
 
 
+def _of_likeliest_form(
+    images: StereoImages, job: Job, found: FoundPart, place: PartPlace, pyramids: Pyramids
+) -> FoundPart:
+    """A part whose breaks are not known, weighed anew with the form of them that the pair shows."""
+    steps = schedule(0)[1]
+    for _ in range(2):  # again where the right form shows that it lies otherwise
+        view = LaidPair(images, pyramids, found.laid.pose)
+        choice = likeliest_form(models_of(job), [view], _held(job, found.laid.model))
+        if choice is None:
+            return found
+        model = choice.form.model
+        poses = [choice.form.views[0].pose, *(mode.pose for mode in place.modes)]
+        laid = [lay(model, pyramids, pose, steps[-DECISION.rival_steps :]) for pose in poses]
+        modes = tuple(mode for mode in laid if mode is not None)
+        if not modes:
+            return found
+        again = weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model))
+        before = found.laid.pose
+        found = replace(again, between=choice.between[0], contradicts=choice.form.contradicts)
+        if turn_between(before, found.laid.pose) < DECISION.same_turn_rad:
+            break
+    return found
+
+
 def _certain(seen: PoseEvidence, chosen: npt.NDArray[np.bool_] | None = None) -> float:
     """Sigmas by which the camera that says less shows the part, of all its samples or of chosen ones (M,)."""
     some = np.ones(len(seen.hit), bool) if chosen is None else chosen
@@ -217,8 +255,12 @@ def measure_found(
     fit = best_fit(model, pyramids, images, found.laid.pose, _held(job, model))
     if fit is None:
         return Reject.FEW_EDGES
+    if found.between is not None:
+        fit = replace(fit, edges=fit.edges + found.between)
     target = _target(job, model, fit, match)
     reject = Reject.NONE if found.margin > DECISION.certain else Reject.AMBIGUOUS_ROTATION
+    if found.contradicts > BREAKS.most_misfit:
+        reject |= Reject.RESIDUAL
     # each curve by itself, free, as far as it is alone: that is where sizes come from
     whole = fitted(images, job, fit.pose)
     alone = None if whole is None else whole.alone(images)

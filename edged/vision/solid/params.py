@@ -280,6 +280,7 @@ class DecisionParams:
     plain: float = 0.9
     """Agreement of both cameras from which a pose that some curves gave is that of all."""
     same_turn_rad: float = math.radians(3.0)  # between two poses that are one
+    likely: float = 0.01  # of all forms of a part's breaks, below which one is none of those meant
 
 
 DECISION = DecisionParams()
@@ -306,25 +307,24 @@ class BreaksParams:
     )  # fmt: skip
     """Of the lock, from a millimetre off."""
     rounds: int = 4  # of pose and widths in turn
+    rounds_of_choice: int = 2  # the same, where the start is half of what lies between `unknown_mm` off
     blur_px: float = 0.6  # of a lens in focus and its pixels
+    most_misfit: float = 1 / 3
+    """px² of the profiles that show something: half of what chance leaves, of shifts within 2 px that each
+    count at most 1."""
     better: float = 0.08  # by which breaks must lessen the misfit to be believed
     min_weight: float = 4.0  # 1 / px²
     model_px: float = 0.1  # of an edge against its model: grain, burrs, light
     min_sigma_px: float = 0.1  # of the robust scale
     correlated: float = 4.0  # profiles that err alike
     alike_mm: float = 0.1  # spread of the breaks of one part
-    apart_px: float = 3.0  # between both edges of a break that a picture keeps apart
-    form_px: float = 5.0  # the same, and something between them: two edges of 2.5 px
-    widest_mm: float = 0.85  # that is looked for in a pair without a model
-    shown: tuple[float, ...] = (0.35, 0.5, 0.7, 0.85)
-    """Shares of the second edges: with fewer either end may be the taught one, and the width is not known."""
-    shown_far: float = 0.1  # of those where the wall looks away
+    form_px: float = 5.0  # from edge to edge: with less a picture shows nothing between both, of 2.5 px each
     unknown_mm: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6)  # tried where no picture has told
     looked_mm: float = 0.3
     """The one to look for a part by: of broken edges either end shows, and coarsely both are one of a sharp
     one."""
     unknown_sigma_mm: float = 0.08  # of these: half of what lies between them
-    taught_sigma_mm: float = 0.03  # of a width that a pair alone shows
+    taught_sigma_mm: float = 0.03  # of a width that pairs of a part settle, or its drawing states
 
 
 BREAKS = BreaksParams()

@@ -348,10 +348,20 @@ def _across_rows(images: StereoImages) -> FloatArray:
     return np.asarray(along / np.linalg.norm(along))
 
 
+STEP_END, STEPS_PER_UNIT = 6, 512
+STEPS = np.array(
+    [0.5 * (1.0 + math.erf(k / STEPS_PER_UNIT / math.sqrt(2.0))) for k in range(-6 * 512, 6 * 512 + 2)]
+)
+"""A step blurred by a Gaussian of unit width, from -STEP_END on."""
+
+
 @kernel("f8(f8)", inline=True)
 def _edge_step(x: float) -> float:
-    """A step blurred by a Gaussian of unit width."""
-    return 0.5 * (1.0 + math.erf(x * 0.7071067811865476))
+    """A step blurred by a Gaussian of unit width, between two rows of the table: good to 1e-7."""
+    place = (x + STEP_END) * STEPS_PER_UNIT
+    row = int(place)
+    low, high = float(STEPS[row]), float(STEPS[row + 1])
+    return low + (place - row) * (high - low)
 
 
 @kernel("f8(f8[::1], f8[::1], i8, f8, f8, f8[:, ::1], f8[:, ::1], f8[::1])")

@@ -18,8 +18,8 @@ from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import apply, invert, transform, unit
 from edged.vision.part.job import usual_limits
 from edged.vision.shape.params import ModelParams
-from edged.vision.solid.breaks import with_breaks
 from edged.vision.solid.edgemodel import model_of
+from edged.vision.solid.forms import with_breaks
 from edged.vision.solid.locate import weighed
 from edged.vision.solid.modes import SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION

@@ -237,12 +237,30 @@ def solid_features(view: TeachingView, levels: Levels) -> SolidFeatures | None:
         same = [replace(one, height_mm=0.0) for one in circles if one.height_mm == main_mm - face_mm]
         found, pose = find_features(view, frame @ down, same)
         by_face.append(_carried(found, invert(frame) @ pose, main_mm - face_mm))
-    found = _merged(view, frame, by_face)
+    return _together(view, frame, circles, _merged(view, frame, by_face))
+
+
+def flat_features(view: TeachingView, frame: FloatArray, circles: Sequence[Curve]) -> SolidFeatures | None:
+    """Edges and slots beside the circles of one face, all measured together; None where they do not fit.
+
+    Its circles may be small and near each other: a face leans by what long edges say.
+
+    frame (4, 4) : of the circles, whose first is the reference.
+    """
+    found, pose = find_features(view, frame, circles)
+    if not (found.edges or found.slots):
+        return None
+    return _together(view, frame, circles, _carried(found, invert(frame) @ pose, 0.0))
+
+
+def _together(
+    view: TeachingView, frame: FloatArray, circles: Sequence[Curve], found: FoundFeatures
+) -> SolidFeatures | None:
     curves = [*circles, *(edge_curve(edge, True) for edge in found.edges)]
     curves += [slot_curve(slot, True) for slot in found.slots]
     images, face = view.images, Face(frame[:3, 3], frame[:3, :3].T)
     fit = fit_plane(images.rig, images.raw, face, curves, TEACHING.together)
-    if fit is None or fit.fit_of("c0") is None:
+    if fit is None or fit.fit_of(circles[0].name) is None:
         return None
     return _as_features(fit, found)
 

@@ -33,7 +33,6 @@ from edged.vision.part.pose import circle_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
 from edged.vision.shape.search import SearchParams
-from edged.vision.solid.breaks import shown_break
 from edged.vision.solid.curvemodel import curve_points
 from edged.vision.teaching.background import without_background
 from edged.vision.teaching.features import (
@@ -44,7 +43,14 @@ from edged.vision.teaching.features import (
     outline_mask,
     part_frame,
 )
-from edged.vision.teaching.levels import SolidFeatures, circle_on, find_levels, main_face_mask, solid_features
+from edged.vision.teaching.levels import (
+    SolidFeatures,
+    circle_on,
+    find_levels,
+    flat_features,
+    main_face_mask,
+    solid_features,
+)
 from edged.vision.teaching.params import TEACHING
 from edged.vision.teaching.region import Area, Region, painted_region
 from edged.vision.teaching.tracing import trace
@@ -76,8 +82,7 @@ def teach(
     mask = taught_mask(region, exclude, rectification)
     view = TeachingView(StereoImages.of(rectification, left, right), mask)
     job = _taught(view, name, number, params)
-    job = replace(job, traced=trace(view, job.rig_from_part, curve_points(job)))
-    return replace(job, break_mm=shown_break(view.images, job))
+    return replace(job, traced=trace(view, job.rig_from_part, curve_points(job)))
 
 
 def _taught(view: TeachingView, name: str, number: int, params: ModelParams | None) -> Job:
@@ -103,7 +108,12 @@ def _taught(view: TeachingView, name: str, number: int, params: ModelParams | No
     view = replace(view, mask=without_background(view, rig_from_part, view.mask))
     features = _circle_features(view, circles, rig_from_part)
     curves = [circle_curve(circle, free_polarity=False) for circle in features]
-    found, _ = find_features(view, rig_from_part, curves)
+    together = flat_features(view, rig_from_part, curves)
+    if together is None:
+        found = FoundFeatures((), (), ())
+    else:
+        rig_from_part, found = together.rig_from_part, together.found
+        features = _circle_features(view, together.circles, rig_from_part)
     if len(ellipses) < len(shown) and not (found.edges or found.slots) and _is_concentric(features):
         raise TeachError(
             "around the part are the holes of a perforated table, and but for them it shows circles about "

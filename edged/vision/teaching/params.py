@@ -187,6 +187,8 @@ class TracingParams:
     alike_mm: float = 0.03  # between these
     same_mm: float = 0.3  # between two curves that are one
     on_hull_mm: float = 1.0  # from an outline's convex hull
+    sectors: int = 12  # of all directions about a part
+    around_share: float = 0.5  # of them that an outline lower than all features runs through
     claim_px: float = 2.5  # between two curves that stand for one edge of the right image
 
 

@@ -220,7 +220,7 @@ def _distinct(
     What only the left camera sees is taken for something else that the right one shows at another height: an
     edge that is a feature's, or another curve's.
     """
-    curves = _above_table(curves, features)
+    curves = above_table(curves, features)
     heights = np.array([curve.points_mm[0, 2] for curve in curves])
     lengths = np.array([curve.length_mm for curve in curves])
     levels = np.array([line[0, 2] for line in features])
@@ -254,10 +254,10 @@ def _distinct(
     return tuple(sorted(kept, key=lambda curve: -curve.length_mm))
 
 
-def _above_table(curves: Sequence[TracedCurve], features: Sequence[FloatArray]) -> list[TracedCurve]:
+def above_table(curves: Sequence[TracedCurve], features: Sequence[FloatArray]) -> list[TracedCurve]:
     """The curves without those of a table: lower than all features of the part, beside it, and no outline.
 
-    Most of an outline lies on its own convex hull; grain and scratches do not.
+    Most of an outline lies on its own convex hull, and it runs around the part; grain and scratches do not.
     """
     levels = np.array([curve[0, 2] for curve in features])
     lowest = float(levels.max()) + TEACHING.apart_mm
@@ -280,9 +280,19 @@ def _above_table(curves: Sequence[TracedCurve], features: Sequence[FloatArray]) 
         hull = _hull([other.points_mm for other in beside])
         on_hull = [_within(hull, other.points_mm).max() < TRACING.on_hull_mm for other in beside]
         length = np.array([other.length_mm for other in beside])
-        if length[on_hull].sum() < 0.5 * length.sum():
+        around = _share_around(part, [other.points_mm for other in beside])
+        if length[on_hull].sum() < 0.5 * length.sum() or around < TRACING.around_share:
             of_table.add(id(curve))
     return [curve for curve in curves if id(curve) not in of_table]
+
+
+def _share_around(part: npt.NDArray[np.float32], lines: Sequence[FloatArray]) -> float:
+    """Share of all directions from the middle of a part's hull in which some polylines (N, 3) lie."""
+    middle = part[:, 0].mean(axis=0)
+    sectors = [
+        np.arctan2(*(points[:, 1::-1] - middle[::-1]).T) * TRACING.sectors / (2 * math.pi) for points in lines
+    ]
+    return len(np.unique(np.floor(np.concatenate(sectors)))) / TRACING.sectors
 
 
 def _hull(lines: Sequence[FloatArray]) -> npt.NDArray[np.float32]:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.blockpart import REFERENCE_MM, block, pair_of_block, taught
-from helpers.brokenparts import pair_of
 from helpers.cells import frame_pair, small_rig
 from helpers.flatparts import only
 from helpers.tilted import lying
@@ -16,14 +15,13 @@ from helpers.tilted import lying
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject
 from edged.domain.stopwatch import Stopwatch
-from edged.pipeline import inspect, prepare
+from edged.pipeline import inspect
 from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.solid.climb import FULL, climb, eye_of, response_of, step_of
 from edged.vision.solid.curvemodel import curve_model
 from edged.vision.solid.edgemodel import EdgePoints, sampled
 from edged.vision.solid.scan import BINS
 from edged.vision.solid.visible import Cameras, see
-from edged.vision.teaching.pair import teach
 
 
 def edges_beside(break_mm: float) -> EdgePoints:
@@ -63,16 +61,6 @@ def test_a_lower_edge_that_was_taught_besides_is_no_second_curve() -> None:
     both = replace(job, circles=(*job.circles, below))
     broken, sharp = (len(np.unique(curve_model(both, width).chain)) for width in (0.4, 0.0))
     assert (broken, sharp) == (len(np.unique(curve_model(job).chain)), broken + 1)
-
-
-@pytest.mark.parametrize("break_mm", [0.0, 0.5])
-def test_a_pair_shows_how_wide_breaks_are(break_mm: float) -> None:
-    """Rings of half a millimetre, as bright as neither face nor wall, to 0.05 mm; nothing of sharp edges."""
-    rig = prepare(small_rig())
-    lights = np.full((2, 2), 0.3)
-    left, right = pair_of(rig.rig, lying(rig.rig, 0.0, 0.0, 0.0), break_mm, lights)
-    job = teach(left, right, rig.rectification, None, "disc")
-    assert job.break_mm == (pytest.approx(break_mm, abs=0.05) if break_mm else None)
 
 
 @pytest.mark.parametrize("seed", range(3))

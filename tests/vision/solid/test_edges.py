@@ -16,8 +16,8 @@ from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
 from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.jit import for_kernel
-from edged.vision.solid.breaks import with_breaks
 from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled, widths_of, with_open_forms
+from edged.vision.solid.forms import with_breaks
 from edged.vision.solid.profiles import find_shifts, scatter_of
 from edged.vision.solid.symmetry import like_turns
 from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, see

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from helpers.brokenparts import half_disc
 from helpers.cells import Flange, flange, pictures, pose, region_around, scene, small_rig
 from helpers.tilted import lying
 
 from edged.errors import ImageError, TeachError
 from edged.pipeline import prepare
-from edged.sim.render.scene import Disc, Hole, Part, RoundedBox, Slot, Surface
+from edged.sim.render.scene import Disc, Hole, PaintedMark, Part, RoundedBox, Slot, Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
@@ -101,6 +102,22 @@ def test_a_tilted_part_is_taught_in_its_own_frame() -> None:
     )  # x in the plane of x and z
     assert np.linalg.norm(job.rig_from_part[:3, 3] - where[:3, 3]) < 0.01
     assert np.abs(np.array([circle.centre_mm[2] for circle in job.circles])).max() < 0.05
+
+
+@pytest.mark.slow
+def test_a_face_leans_by_what_its_long_edges_say_too() -> None:
+    """A plate of 28 by 20 mm: two small holes near each other, one dark half way around, lean it by 0.3°."""
+    flat = flange()
+    half = PaintedMark(half_disc(-1.0, 1.0, 1.9, 0.4), 0.12)
+    holes = (Hole("a", Disc(-1.0, 1.0, 1.5), 0.1), Hole("b", Disc(3.0, -1.0, 1.4), 0.1))
+    plate = Part("plate", RoundedBox(0, 0, 28, 20), Surface(0.6, 0.05), holes, (half,))
+    for seed in range(3):
+        left, right = pictures(flat.rig, scene((plate, pose())), seed)
+        job = teach(left, right, make_rectification(flat.rig), flat.region, "plate")
+        assert len(job.edges) == 4
+        lean = math.degrees(math.acos(min(1.0, float(job.rig_from_part[2, 2]))))
+        assert lean < 0.1
+        assert np.abs([circle.centre_mm[2] for circle in job.circles]).max() < 0.1
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,11 @@ from edged.domain.measurement import Reject
 from edged.pipeline import PreparedRig, inspect, judge, prepare
 from edged.vision.geometry.rigid import turn_between
 from edged.vision.part.job import Job, SlotFeature
+from edged.vision.part.traced import TracedCurve
 from edged.vision.solid.curvemodel import curve_model, has_enough_curves
 from edged.vision.solid.edgemodel import sampled
 from edged.vision.teaching.pair import teach
+from edged.vision.teaching.tracing import above_table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
 
@@ -88,6 +90,21 @@ def test_a_tables_grain_is_not_traced() -> None:
     for curve in job.traced:
         away = np.abs(curve.points_mm - centre)[:, :2]
         assert away.max() < math.hypot(30, 20), curve.points_mm[0]
+
+
+def ring(radius_mm: float, height_mm: float, low_deg: float, high_deg: float) -> TracedCurve:
+    """An arc about the axis of a part."""
+    turns = np.radians(np.linspace(low_deg, high_deg, 12))
+    points = radius_mm * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(12)])
+    return TracedCurve(points + np.array([0.0, 0.0, height_mm]), 1)
+
+
+def test_a_few_marks_far_below_a_part_are_the_tables_and_a_flange_is_not() -> None:
+    """Three scratches, which lie on their own hull as an outline does, do not run around it."""
+    hole = ring(2.0, 0.0, 0.0, 360.0).points_mm
+    marks = [ring(30.0, 23.0, start, start + 4.0) for start in (20.0, 130.0, 250.0)]
+    flange = [ring(14.0, 6.0, start, start + 50.0) for start in range(0, 360, 60)]
+    assert above_table([*marks, *flange], [hole]) == flange
 
 
 @pytest.mark.slow

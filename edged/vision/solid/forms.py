@@ -1,0 +1,250 @@
+"""How a form of the edge breaks explains what pairs show: widths in turn with the poses, and what is left.
+
+A picture tells forms apart by its profiles, which see both edges of a break apart or together: tilted by ten
+degrees, a wrong form leaves several times the misfit of the right one. Face-on several may explain a pair
+alike: then what lies between the poses that they give belongs to the sigma.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rigid import apply, rotation_vector
+from edged.vision.kernels.robust import mad_sigma, tukey_weights
+from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.lock import Pyramids, lay, scale_at, schedule
+from edged.vision.solid.params import BREAKS, DECISION, PROFILE
+from edged.vision.solid.profiles import Profiles, fit_profiles, profiles_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaidPair:
+    """A pair that shows the part at a pose rig_from_part (4, 4)."""
+
+    images: StereoImages
+    pyramids: Pyramids
+    pose: FloatArray
+
+    def profiles(self, model: EdgeModel) -> Profiles:
+        """What the pictures show along the edges of the model at the pose."""
+        return profiles_of(model, self.pyramids, self.images, self.pose, BREAKS.blur_px)
+
+    def fitted(self, model: EdgeModel, held: FloatArray | None = None, *, alike: bool) -> LaidPair | None:
+        """At the pose that the profiles of a model give; see `fit_profiles`."""
+        fit = fit_profiles(model, self.pyramids, self.images, self.pose, BREAKS.blur_px, held, alike=alike)
+        return None if fit is None else replace(self, pose=fit.pose)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedForm:
+    """A model with its own breaks, and the poses at which pairs show it.
+
+    sigma_mm : of each curve's width.  sigma_common_mm : of all together.
+    squares : of each pair (M,) the square misfit of each profile, px², at most 1, which is that of one that
+    shows nothing.  contradicts : mean of those that show something.
+    """
+
+    model: EdgeModel
+    views: tuple[LaidPair, ...]
+    sigma_mm: float
+    sigma_common_mm: float
+    squares: tuple[FloatArray, ...]
+    contradicts: float
+
+    @property
+    def misfit(self) -> float:
+        """Mean square of all profiles, px²."""
+        return float(np.concatenate(self.squares).mean())
+
+    def sigmas_behind(self, better: RefinedForm, k: int | None = None) -> float:
+        """Sigmas by which the misfit exceeds that of another form; profiles that err alike count once.
+
+        k : by this pair alone; None: by all.
+        """
+        mine, others = (
+            np.concatenate(form.squares) if k is None else form.squares[k] for form in (self, better)
+        )
+        variance = sum(float(each.var()) / (len(each) / BREAKS.correlated) for each in (mine, others))
+        return float(mine.mean() - others.mean()) / max(math.sqrt(variance), 1e-12)
+
+
+def refined(
+    model: EdgeModel, views: Sequence[LaidPair], held: FloatArray | None = None, rounds: int = BREAKS.rounds
+) -> RefinedForm | None:
+    """The poses and the breaks in turn, from breaks of one width; None where pairs say too little.
+
+    held : as in `fit_profiles`.
+    """
+    sigma = common = 0.0
+    now: list[LaidPair] = list(views)
+    for _ in range(rounds if model.breaks_mm.any() else 1):
+        after = [view.fitted(model, held, alike=True) for view in now]
+        now = [view for view in after if view is not None]
+        if not now:
+            return None
+        if model.breaks_mm.any():
+            widths, sigma, common = widths_by_profiles(model, now)
+            model = with_breaks(model, widths)
+    if model.breaks_mm.any():
+        model = _without_needless(model, now)
+    found = [_misfits(model, [view]) for view in now]
+    squares = tuple(square for _, square, _ in found)
+    shown = [square[good] for _, square, good in found]
+    if not all(len(each) for each in shown):
+        return None
+    contradicts = float(np.concatenate(shown).mean())
+    return RefinedForm(model, tuple(now), sigma, common, squares, contradicts)
+
+
+def _misfits(
+    model: EdgeModel, views: Sequence[LaidPair]
+) -> tuple[npt.NDArray[np.int64], FloatArray, npt.NDArray[np.bool_]]:
+    """Curve, square misfit px², at most 1, of each profile (M,), and whether it shows anything."""
+    found = [view.profiles(model) for view in views]
+    curve = np.concatenate([profiles.seen.curve // 3 for profiles in found])
+    weight = np.concatenate([profiles.weight for profiles in found])
+    shift = np.concatenate([profiles.shift_px for profiles in found])
+    good = weight > BREAKS.min_weight
+    return curve, np.where(good, np.minimum(shift**2, 1.0), 1.0), good
+
+
+def _without_needless(model: EdgeModel, views: Sequence[LaidPair]) -> EdgeModel:
+    """The model without the breaks of curves that a sharp edge explains as well."""
+    sharp = with_breaks(model, np.zeros(len(model.start)))
+    with_own, without = (mean_misfits(variant, views) for variant in (model, sharp))
+    return with_breaks(model, np.where(are_needed(with_own, without)[model.chain], model.breaks_mm, 0.0))
+
+
+def are_needed(with_own: FloatArray, without: FloatArray) -> npt.NDArray[np.bool_]:
+    """(C,) of which curves the breaks must be believed: two edges can take the form of one."""
+    return np.asarray(with_own < without * (1 - BREAKS.better))
+
+
+def mean_misfits(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray:
+    """(C,) mean square misfit of each curve's profiles, px²; 1 of one without any."""
+    curve, square, _ = _misfits(model, views)
+    count = int(model.chain.max()) + 1
+    many = np.bincount(curve, minlength=count)
+    return np.where(many > 0, np.bincount(curve, square, minlength=count) / np.maximum(many, 1), 1.0)
+
+
+def with_breaks(model: EdgeModel, widths_mm: FloatArray) -> EdgeModel:
+    """The model with edge breaks of widths (E,) at its sharp outer edges."""
+    widths = np.where(model.breakable, np.clip(widths_mm, 0.0, BREAKS.most_mm), 0.0)
+    return replace(model, breaks_mm=np.where(widths < BREAKS.least_mm, 0.0, widths))
+
+
+def widths_by_profiles(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[FloatArray, float, float]:
+    """Widths (E,) of the breaks by the profiles of pairs, each curve's own; its sigma, and that of all."""
+    count = int(model.chain.max()) + 1
+    power, pull = np.zeros(count), np.zeros(count)
+    for view in views:
+        profiles = view.profiles(model)
+        curve, by_break = profiles.seen.curve // 3, profiles.seen.by_break
+        shift, base = profiles.shift_px, profiles.weight
+        weight = np.where(
+            (np.abs(by_break) > 0) & (base > BREAKS.min_weight),
+            1 / (1 / np.maximum(base, 1e-9) + BREAKS.model_px**2),
+            0.0,
+        )
+        used = weight > 0
+        if used.any():
+            weight *= tukey_weights(shift, max(mad_sigma(shift[used]), BREAKS.min_sigma_px))
+        power += np.bincount(curve, weight * by_break**2, minlength=count) / BREAKS.correlated
+        pull += np.bincount(curve, weight * by_break * shift, minlength=count) / BREAKS.correlated
+    # those of a part are mostly alike
+    common = float(pull.sum() / max(power.sum(), 1e-9))
+    own = (pull + common * BREAKS.alike_mm**-2) / (power + BREAKS.alike_mm**-2)
+    widths = model.breaks_mm + np.where(model.breaks_mm > 0, own[model.chain], 0.0)
+    seen = power[power > 0]
+    if not len(seen):
+        return widths, BREAKS.alike_mm, BREAKS.alike_mm
+    sigma = float(np.median(1 / np.sqrt(seen + BREAKS.alike_mm**-2)))
+    return widths, sigma, 1 / math.sqrt(float(seen.sum()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FormChoice:
+    """The form of the breaks that pairs show best.
+
+    forms : each of those that were tried, None where a pair shows too little of it.  likely : how likely.
+    between : for each pair (6, 6), covariance of the twist by other forms that explain the pairs nearly as
+    well; as in `ProfileFit`.
+    """
+
+    form: RefinedForm
+    forms: tuple[RefinedForm | None, ...]
+    likely: FloatArray
+    between: tuple[FloatArray, ...]
+
+    @property
+    def others(self) -> list[RefinedForm]:
+        """Those that are less likely by far."""
+        return [
+            form
+            for form, share in zip(self.forms, self.likely, strict=True)
+            if form is not None and share < DECISION.likely
+        ]
+
+
+def likeliest_form(
+    models: Sequence[EdgeModel], views: Sequence[LaidPair], held: FloatArray | None = None
+) -> FormChoice | None:
+    """Which of a part's models pairs show, its breaks' widths by their profiles; None where too little shows.
+
+    Others count by the likelihood that their misfit is worse by chance. Source: J. A. Hoeting et al.,
+    "Bayesian model averaging: a tutorial", Statistical Science 14, 1999.
+
+    views : pairs at poses good to a pixel or two.  held : as in `fit_profiles`.
+    """
+    forms: list[RefinedForm | None] = []
+    for model in models:
+        laid = [there for view in views if (there := _laid(model, view)) is not None]
+        form = refined(model, laid, held, BREAKS.rounds_of_choice) if len(laid) == len(views) else None
+        forms.append(form if form is not None and len(form.views) == len(views) else None)
+    known = [form for form in forms if form is not None]
+    if not known:
+        return None
+    best = min(known, key=lambda form: form.misfit)
+    behind = [math.inf if form is None else form.sigmas_behind(best) for form in forms]
+    likely = np.exp(-0.5 * np.square(behind))
+    likely /= likely.sum()
+    between: list[FloatArray] = []
+    for k, view in enumerate(best.views):
+        twists = np.array(
+            [
+                np.zeros(6) if form is None else _twist(best.model, view.pose, form.views[k].pose)
+                for form in forms
+            ]
+        )
+        between.append((likely[:, None] * twists).T @ twists)
+    by_light_mm = PROFILE.light_px / min(scale_at(v.images.rig, v.pose, best.model) for v in best.views)
+    # each curve's own width is believed to what is usual only: it takes up whatever else is wrong there
+    broken = best.model.breaks_mm[best.model.breaks_mm > 0]
+    model = best.model
+    if len(broken):
+        common = np.where(model.breaks_mm > 0, float(np.median(broken)), 0.0)
+        model = replace(
+            with_breaks(model, common),
+            sigma_break_mm=math.hypot(best.sigma_common_mm, 2 * by_light_mm),
+        )
+    return FormChoice(replace(best, model=model), tuple(forms), likely, tuple(between))
+
+
+def _laid(model: EdgeModel, view: LaidPair) -> LaidPair | None:
+    laid = lay(model, view.pyramids, view.pose, schedule(0)[1])
+    return None if laid is None else replace(view, pose=laid.pose)
+
+
+def _twist(model: EdgeModel, pose: FloatArray, other: FloatArray) -> FloatArray:
+    """(6,) from one pose to another, as `moved` takes it."""
+    inward = pose[:3, :3].T
+    shift = inward @ (apply(other, model.centre) - apply(pose, model.centre))
+    return np.concatenate([rotation_vector(inward @ other[:3, :3]), shift])

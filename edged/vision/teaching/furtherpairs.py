@@ -1,0 +1,114 @@
+"""What further pairs of a part add to its job: the form of its edge breaks.
+
+The pair that a part is taught from shows it square to the cameras, where breaks of several forms look alike.
+Tilted by ten degrees or in other light they do not: all pairs together settle how wide they are, and which
+edge of each was taught.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Reject
+from edged.errors import TeachError
+from edged.vision.geometry.rectification import Rectification, StereoImages
+from edged.vision.geometry.rigid import transform, turn_between
+from edged.vision.part.job import MAX_TILT_DEG, BreakEnd, Job
+from edged.vision.solid.curvemodel import has_enough_curves
+from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.forms import FormChoice, LaidPair, likeliest_form
+from edged.vision.solid.locate import forms_of, locate_solid, models_of
+from edged.vision.solid.lock import Pyramids
+from edged.vision.solid.params import BREAKS, DECISION
+
+Pair = tuple[Image, Image]
+
+
+def with_further_pairs(
+    job: Job, pair: Pair, further: Sequence[Pair], rectification: Rectification
+) -> tuple[Job, tuple[str, ...]]:
+    """A job with what further raw pairs of its part show, and a line for each pair.
+
+    pair : which it was taught from.
+    Raises `TeachError` that names a pair which does not show the part, `ImageError` for other cameras'.
+    """
+    if job.body is not None or not has_enough_curves(job):
+        what = "a CAD model" if job.body is not None else "that few curves"
+        raise TeachError(f"further pairs: a part with {what} has nothing to learn from them", "further_pairs")
+    views = [_view(StereoImages.of(rectification, *pair), job.rig_from_part)]
+    views += [_found(job, StereoImages.of(rectification, *raw), k) for k, raw in enumerate(further, 2)]
+    unknown = replace(job, break_mm=None, break_end=None)
+    choice = likeliest_form(models_of(unknown), views)
+    if choice is None:
+        raise TeachError("further pairs: together they show too little of the part", "further_pairs")
+    said = tuple(_brought(choice, job, views, k) for k in range(1, len(views)))
+    settled, what = _settled(job, choice, forms_of(unknown))
+    return settled, (*said, what)
+
+
+def _view(images: StereoImages, pose: FloatArray) -> LaidPair:
+    return LaidPair(images, Pyramids(images.rig, images.raw, 1), pose)
+
+
+def _found(job: Job, images: StereoImages, number: int) -> LaidPair:
+    """Where a pair shows the part, however it lies there."""
+    anywhere = replace(
+        job,
+        tilt_rad=math.radians(MAX_TILT_DEG),
+        limits=replace(job.limits, max_sigma_mm=math.inf, depth_mm=(0.0, math.inf)),
+    )
+    measured, _, missed = locate_solid(images, anywhere)
+    good = [part for part in measured if part.target.reject is Reject.NONE]
+    if len(good) != 1:
+        why = f"shows {len(good)} of it" if good else "does not show it"
+        if measured and not good:
+            why = f"shows it as refused ({measured[0].target.reject.name})"
+        elif missed and not good:
+            why += ", or too little of it"
+        raise TeachError(
+            f"pair {number}: {why}: expected one part, the one that pair 1 shows, whole in both pictures",
+            "further_pairs",
+        )
+    target = good[0].target
+    return _view(images, target.rig_from_part @ transform(np.eye(3), -job.place_of(job.reference)))
+
+
+def _brought(choice: FormChoice, job: Job, views: Sequence[LaidPair], k: int) -> str:
+    """What one of the pairs tells."""
+    apart = math.degrees(turn_between(views[k].pose, job.rig_from_part))
+    behind = [form.sigmas_behind(choice.form, k) for form in choice.others]
+    what = f"tells the form of the breaks by {min(behind):.0f} sigmas" if behind else "shows it as taught"
+    return f"pair {k + 1}: turned by {apart:.0f} degrees from pair 1; {what}"
+
+
+def _settled(job: Job, choice: FormChoice, forms: Sequence[tuple[float, bool]]) -> tuple[Job, str]:
+    """The job with the form of its breaks, if all likely ones are one; and what it is."""
+    likely = [k for k, share in enumerate(choice.likely) if share > DECISION.likely]
+    width = _width_mm(choice.form.model)
+    widths = [width if form is None else _width_mm(form.model) for form in choice.forms]
+    spread = math.sqrt(float(choice.likely @ (np.array(widths) - width) ** 2))
+    widths = [widths[k] for k in likely]
+    if spread > BREAKS.taught_sigma_mm:
+        return job, f"edge breaks: {min(widths):.2f} to {max(widths):.2f} mm explain all pairs; tilt it more"
+    if width == 0:
+        return replace(job, break_mm=0.0, break_end=None), "edge breaks: none, by all pairs"
+    ends = {forms[k][1] for k in likely}
+    end: BreakEnd | None = None if len(ends) > 1 else ("wall" if ends.pop() else "face")
+    taught = "either end" if end is None else f"the edge in the {end}"
+    return (
+        replace(job, break_mm=round(width, 4), break_end=end),
+        f"edge breaks of {width:.2f} mm, of which {taught} was taught, by all pairs",
+    )
+
+
+def _width_mm(model: EdgeModel) -> float:
+    """Of the breaks of most of its edges, by their length."""
+    length = np.linalg.norm(model.end - model.start, axis=1)
+    order = np.argsort(model.breaks_mm)
+    total = np.cumsum(length[order])
+    return float(model.breaks_mm[order][np.searchsorted(total, 0.5 * total[-1])])

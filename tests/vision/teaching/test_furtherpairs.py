@@ -1,0 +1,115 @@
+"""What further pairs of a part settle: how wide its breaks are, and which edge of each was taught."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.tilted import lying
+
+from edged.domain.arrays import FloatArray, Image
+from edged.errors import TeachError
+from edged.files.jobs import load_job, save_job
+from edged.pipeline import PreparedRig, prepare
+from edged.vision.geometry.rectification import StereoImages
+from edged.vision.part.job import Job
+from edged.vision.solid.forms import LaidPair, likeliest_form
+from edged.vision.solid.locate import forms_of, models_of
+from edged.vision.solid.lock import Pyramids
+from edged.vision.solid.params import BREAKS, DECISION
+from edged.vision.teaching.furtherpairs import with_further_pairs
+from edged.vision.teaching.pair import teach
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
+
+from solids import random_design
+from solidworld import drawn, world_rig
+
+DESIGN, BREAK_MM = 4, 0.394
+"""One whose teaching pair shows the lower edges of its breaks."""
+
+
+@functools.cache
+def rig() -> PreparedRig:
+    """Of the drawn world."""
+    return prepare(world_rig())
+
+
+def place(tilt_deg: float) -> FloatArray:
+    """Where the part lies."""
+    return lying(world_rig(), tilt_deg, 70.0, 160.0 * (tilt_deg > 0))
+
+
+@functools.cache
+def pair(design: int, tilt_deg: float) -> tuple[Image, Image]:
+    """Of a drawn part, on a table as one teaches on; tilted by 0 as it is taught."""
+    rng = np.random.default_rng((5, design, round(tilt_deg)))
+    return drawn(random_design(design), place(tilt_deg), rng, teaching=True)[0]
+
+
+@functools.cache
+def taught() -> Job:
+    """The part of broken edges, from one pair."""
+    return teach(*pair(DESIGN, 0.0), rig().rectification, None, "part")
+
+
+def view(images: StereoImages, pose: FloatArray) -> LaidPair:
+    """A pair that shows the part there."""
+    return LaidPair(images, Pyramids(images.rig, images.raw, 1), pose)
+
+
+@pytest.mark.slow
+def test_a_tilted_pair_tells_the_form_of_the_breaks() -> None:
+    """Their width to 0.03 mm, and that the edges in the wall were taught: any other form is worse by far."""
+    job = taught()
+    pose = place(25.0) @ np.linalg.inv(place(0.0)) @ job.rig_from_part
+    images = StereoImages.of(rig().rectification, *pair(DESIGN, 25.0))
+    choice = likeliest_form(models_of(job), [view(images, pose)])
+    assert choice is not None
+    model = choice.form.model
+    assert float(np.median(model.breaks_mm)) == pytest.approx(BREAK_MM, abs=0.03)
+    assert choice.form.contradicts < BREAKS.most_misfit
+    ends = {forms_of(job)[k][1] for k, share in enumerate(choice.likely) if share > DECISION.likely}
+    assert ends == {True}
+    assert all(form.sigmas_behind(choice.form) > DECISION.certain for form in choice.others)
+
+
+@pytest.mark.slow
+def test_a_further_pair_settles_the_job_and_the_job_keeps_it(tmp_path: Path) -> None:
+    """Its file says both, and a line what the pair brought; read back it is the same."""
+    assert taught().break_mm is None
+    job, said = with_further_pairs(taught(), pair(DESIGN, 0.0), [pair(DESIGN, 25.0)], rig().rectification)
+    assert (job.break_mm, job.break_end) == (pytest.approx(BREAK_MM, abs=0.03), "wall")
+    assert len(models_of(job)) == 1
+    brought, settled = said
+    assert brought.startswith("pair 2: turned by ")
+    assert "the edge in the wall was taught" in settled
+    save_job(tmp_path / "part", job)
+    again = load_job(tmp_path / "part")
+    assert (again.break_mm, again.break_end) == (job.break_mm, "wall")
+
+
+@pytest.mark.slow
+def test_a_pair_of_another_part_is_refused_by_its_number() -> None:
+    """And one job says so that has nothing to learn from pairs."""
+    with pytest.raises(TeachError, match=r"^pair 2: .*expected one part"):
+        with_further_pairs(taught(), pair(DESIGN, 0.0), [pair(0, 25.0)], rig().rectification)
+    few = replace(taught(), edges=taught().edges[:2], slots=(), traced=())
+    with pytest.raises(TeachError, match="that few curves"):
+        with_further_pairs(few, pair(DESIGN, 0.0), [pair(DESIGN, 25.0)], rig().rectification)
+
+
+def test_chance_leaves_two_thirds_of_a_square_pixel() -> None:
+    """Of profiles in a picture that shows nothing: twice of what a part may leave."""
+    job = taught()
+    rng = np.random.default_rng(3)
+    grey = [rng.integers(60, 180, image.shape, np.uint8) for image in pair(DESIGN, 0.0)]
+    images = StereoImages.of(rig().rectification, *grey)
+    profiles = view(images, job.rig_from_part).profiles(models_of(job)[0])
+    good = profiles.weight > BREAKS.min_weight
+    left = np.minimum(profiles.shift_px[good] ** 2, 1.0).mean()
+    assert left == pytest.approx(2 * BREAKS.most_misfit, rel=0.15)
