@@ -178,7 +178,7 @@ def test_layers_marks_and_holes_are_painted_in_order() -> None:
 
 
 def test_what_lies_still_is_seen_as_if_for_the_first_time() -> None:
-    """A view remembers the scene that it saw last: what moved, got darker or has another grain is another one."""
+    """A view remembers the scene that it saw last; what moved, got darker or has another grain is another."""
     disc = Part("p", Disc(0, 0, 2), Surface(0.5, 0.2))
     first = on_black(disc, pose(0.3, 0.1, 60))
     others = (
