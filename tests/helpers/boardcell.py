@@ -94,7 +94,7 @@ class BoardCell:
                     return document
                 await asyncio.sleep(0.05)
 
-    def run(self, test: Callable[[Self], Awaitable[None]], *, page_is_here: bool = False) -> Self:
+    def run(self, test: Callable[[Self], Awaitable[None]], *, page_is_here: bool = True) -> Self:
         """A test's coroutine beside the running daemon, bounded; returns the cell."""
 
         async def bounded() -> None:
@@ -105,7 +105,7 @@ class BoardCell:
         return self
 
     @asynccontextmanager
-    async def running(self, *, page_is_here: bool = False) -> AsyncIterator[None]:
+    async def running(self, *, page_is_here: bool = True) -> AsyncIterator[None]:
         """The daemon, and a browser that has logged in. page_is_here : in this process, not in its own."""
         with in_this_process() if page_is_here else nullcontext(list[Page]()) as self.pages:
             async with self._running():

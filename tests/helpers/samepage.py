@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from subprocess import Popen
+from typing import ClassVar
 
 import pytest
 
 from edged.app import daemon
 from edged.app import page as page_process
+from edged.app import setup as setup_of_pages
 from edged.app.page import Page
 from edged.app.pageserver import PageServer
 from edged.link.cellend import CellEnd
@@ -38,6 +43,38 @@ class SamePage(PageServer):
             await serving
 
 
+class PassedOn(Worker):
+    """A worker whose process, idle at the end, is for the next page: it starts slower than most tasks run."""
+
+    idle: ClassVar[list[tuple[Popen[bytes], Connection]]] = []
+
+    def _start(self) -> Connection:
+        while self.idle:
+            self._process, connection = self.idle.pop()
+            if self._process.poll() is None:
+                self._connection = connection
+                return connection
+            connection.close()
+        return super()._start()
+
+    async def close(self) -> None:
+        """Keep the process, unless it is busy."""
+        process, connection = self._process, self._connection
+        if process is not None and connection is not None and not self.is_busy and process.poll() is None:
+            self.idle.append((process, connection))
+            self._process = self._connection = None
+        await super().close()
+
+
+@atexit.register
+def end_idle_workers() -> None:
+    """With the tests."""
+    for process, connection in PassedOn.idle:
+        connection.close()
+        process.kill()
+        process.wait()
+
+
 def worker_of(pages: list[Page]) -> Worker:
     """The worker of the page that was made last: nobody else knows its process, nor what it can do."""
     setup = pages[-1].setup
@@ -60,4 +97,5 @@ def in_this_process() -> Iterator[list[Page]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(page_process, "Page", made)
         patch.setattr(daemon, "PageServer", SamePage)
+        patch.setattr(setup_of_pages, "Worker", PassedOn)
         yield pages

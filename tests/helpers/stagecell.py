@@ -54,7 +54,7 @@ def run(
     test: Callable[[Newcomer], Awaitable[None]],
     *,
     gige: bool = True,
-    page_is_here: bool = False,
+    page_is_here: bool = True,
 ) -> None:
     """A test beside a running stage, bounded. gige : cameras on the network, not inside the process."""
 
@@ -67,7 +67,7 @@ def run(
 
 @asynccontextmanager
 async def staged(
-    folder: Path, *, gige: bool = True, rig: StereoRig | None = None, page_is_here: bool = False
+    folder: Path, *, gige: bool = True, rig: StereoRig | None = None, page_is_here: bool = True
 ) -> AsyncIterator[Newcomer]:
     """A running stage, and a session that has logged in and taken the cell.
 

@@ -177,6 +177,23 @@ def test_layers_marks_and_holes_are_painted_in_order() -> None:
     assert abs(error.mean()) < 1e-3
 
 
+def test_what_lies_still_is_seen_as_if_for_the_first_time() -> None:
+    """A view remembers the scene that it saw last; what moved, got darker or has another grain is another."""
+    disc = Part("p", Disc(0, 0, 2), Surface(0.5, 0.2))
+    first = on_black(disc, pose(0.3, 0.1, 60))
+    others = (
+        on_black(disc, pose(0.3, 0.1, 60.01)),
+        on_black(replace(disc, surface=Surface(0.5, 0.2, seed=1)), pose(0.3, 0.1, 60)),
+        replace(first, light=SceneLight(0.8)),
+    )
+    view = small_view()
+    for scene in (first, *others):
+        for seen in (on_black(disc, pose(0.3, 0.1, 60)), scene, replace(scene)):
+            assert np.array_equal(small_view().radiance(seen), view.radiance(seen))
+            assert np.array_equal(small_view().render(seen), view.render(seen))
+        assert scene is first or not np.array_equal(view.radiance(first), view.radiance(scene))
+
+
 def test_the_light_may_fall_off() -> None:
     """The irradiance follows the place in the rig frame, on every layer."""
     scene = replace(

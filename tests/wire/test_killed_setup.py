@@ -134,7 +134,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     save_rig(folder / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": BOARD})
     with asyncio.Runner() as runner:
         stack = AsyncExitStack()
-        newcomer = runner.run(stack.enter_async_context(staged(folder, gige=False)))
+        newcomer = runner.run(stack.enter_async_context(staged(folder, gige=False, page_is_here=False)))
         plc = newcomer.daemon.loaded.cell.config.modbus
         assert plc is not None
         made = Cell(folder, runner, newcomer)

@@ -148,7 +148,7 @@ def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
             await page.until(GHOST)
             assert [] == page.complaints
 
-    run(tmp_path, test, gige=False, page_is_here=True)
+    run(tmp_path, test, gige=False)
 
 
 def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:

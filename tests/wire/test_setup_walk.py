@@ -160,7 +160,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Walk]:
     save_rig(folder / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": BOARD})
 
     async def ready(stack: AsyncExitStack) -> tuple[Newcomer, Browser, Browser]:
-        newcomer = await stack.enter_async_context(staged(folder, gige=False))
+        newcomer = await stack.enter_async_context(staged(folder, gige=False, page_is_here=False))
         pages = [await stack.enter_async_context(browser()) for _ in range(2)]
         await worked(newcomer)
         for page in pages:

@@ -226,7 +226,8 @@ class Sensor:
 class RenderedView:
     """One camera at its place; holds the ray of every pixel, so that pictures are quick.
 
-    camera_from_rig : (4, 4). Stateless after construction: safe from any thread.
+    It also holds the radiance of the scene that it saw last: a thing that lies still costs its noise alone.
+    camera_from_rig : (4, 4). Safe from any thread.
     Raises ValueError where the lens has no single ray for a pixel.
     """
 
@@ -239,20 +240,29 @@ class RenderedView:
         self._spread = _spread(self.sensor.psf_sigma_px)
         # a margin as wide as the blur: pixels at the border see what lies beyond it
         self._margin = self._spread.shape[1] // 2
-        y, x = np.mgrid[
-            -self._margin : camera.height + self._margin, -self._margin : camera.width + self._margin
-        ]
-        self._rays = np.ascontiguousarray(
-            rays_of_pixels(camera, np.stack([x, y], axis=-1).astype(np.float64))
-        )
+        self._rays = _rays(camera, self._margin)
+        self._seen: tuple[tuple[bytes, ...], F32] = (), np.empty((0, 0), np.float32)
 
     def project(self, points_mm: FloatArray) -> FloatArray:
         """Pixels (..., 2) of points (..., 3) of the rig frame."""
         return project(self.camera, self.camera_from_rig, np.asarray(points_mm, dtype=np.float64))
 
     def radiance(self, scene: Scene) -> F32:
-        """(H, W) radiance on the sensor: averaged over pixels and blurred, without noise."""
-        layers, shapes, vertices, textures = _pack(scene, self.camera_from_rig)
+        """(H, W) radiance on the sensor: averaged over pixels and blurred, without noise; read-only."""
+        radiance = self._radiance(scene).view()
+        radiance.flags.writeable = False
+        return radiance
+
+    def _radiance(self, scene: Scene) -> F32:
+        layers, shapes, vertices, seeds = _pack(scene, self.camera_from_rig)
+        what = layers.tobytes(), shapes.tobytes(), vertices.tobytes(), repr(seeds).encode()
+        seen, radiance = self._seen  # one read: another thread may see something else meanwhile
+        if seen != what:
+            radiance = self._rendered(layers, shapes, vertices, _textures(seeds).ravel())
+            self._seen = what, radiance
+        return radiance
+
+    def _rendered(self, layers: FloatArray, shapes: FloatArray, vertices: FloatArray, textures: F32) -> F32:
         raw, detail = np.empty(self._rays.shape[:2], np.float32), np.zeros(self._rays.shape[:2], np.float32)
         raster.render_radiance(self._rays, layers, shapes, vertices, textures, self._spread, raw, detail)
         margin = self._margin
@@ -264,7 +274,7 @@ class RenderedView:
         cv2.GaussianBlur(raw, (size, size), sigma_px, dst=raw, borderType=border)
         # where there is no edge there is texture, which was not averaged over pixels but sampled
         seen = np.where(detail != 0.0, at_edges, raw)
-        return seen[margin:-margin, margin:-margin]
+        return np.ascontiguousarray(seen[margin:-margin, margin:-margin])
 
     def render(
         self,
@@ -278,7 +288,7 @@ class RenderedView:
         exposure_us : None for the nominal one.
         """
         sensor = self.sensor
-        radiance = np.ascontiguousarray(self.radiance(scene))
+        radiance = self._radiance(scene)
         if rng is None:
             chance, quantiles = np.zeros(radiance.shape, np.uint16), np.zeros(65536, np.float32)
         else:
@@ -296,6 +306,13 @@ class RenderedView:
             image,
         )
         return image
+
+
+@functools.lru_cache(maxsize=2)
+def _rays(camera: CameraModel, margin: int) -> FloatArray:
+    """(H, W, 2) the ray of every pixel and of a margin around; 20 MB, kept for the two cameras of a rig."""
+    y, x = np.mgrid[-margin : camera.height + margin, -margin : camera.width + margin]
+    return np.ascontiguousarray(rays_of_pixels(camera, np.stack([x, y], axis=-1).astype(np.float64)))
 
 
 @functools.lru_cache(maxsize=16)
@@ -323,8 +340,10 @@ def _normal_quantiles() -> F32:
     return np.array([normal.inv_cdf((k + 0.5) / 65536) for k in range(65536)], np.float32)
 
 
-def _pack(scene: Scene, camera_from_rig: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, F32]:
-    """The scene as the flat arrays of `raster.render_radiance`."""
+def _pack(
+    scene: Scene, camera_from_rig: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, tuple[int, ...]]:
+    """The scene as the flat arrays of `raster.render_radiance`, and the seeds of its textures."""
     planes = [(scene.table.rig_from_table, scene.table.surface, [_row(None, scene.table.surface, [])])]
     vertices: list[tuple[float, float]] = []
     for placed in scene.parts:
@@ -351,7 +370,7 @@ def _pack(scene: Scene, camera_from_rig: FloatArray) -> tuple[FloatArray, FloatA
         layer[raster.FIRST], layer[raster.END] = first, first + len(rows)
         first += len(rows)
     shapes = np.array([row for _, _, rows in planes for row in rows], dtype=np.float64)
-    return layers, shapes, np.array(vertices, dtype=np.float64).reshape(-1, 2), _textures(seeds).ravel()
+    return layers, shapes, np.array(vertices, dtype=np.float64).reshape(-1, 2), seeds
 
 
 def _lay(surface: Surface) -> tuple[float, float, float, float, float]:

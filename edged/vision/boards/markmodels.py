@@ -293,21 +293,33 @@ def smoothed_covariance(
     for i in range(9):
         substitute(factor, inverse[i], 9)
     alike = correlated(rows, smoothed_px)
-    middle = np.zeros((9, 9))
-    for i in range(9):
-        for j in range(9):
-            middle[i, j] = (rows[i] * alike[j]).sum()
+    middle, beside = np.zeros((9, 9)), np.empty(9)
+    for y in range(side):
+        for x in range(side):
+            if rows[5, y, x] != 0.0:  # the light: within the window
+                for j in range(9):
+                    beside[j] = alike[j, y, x]
+                for i in range(9):
+                    for j in range(9):
+                        middle[i, j] += rows[i, y, x] * beside[j]
     outer = product(product(inverse, middle), inverse)
     seen, expected = np.zeros(2), np.zeros(2)
     for y in range(side):
         for x in range(side):
+            if rows[5, y, x] == 0.0:
+                continue
+            for j in range(9):
+                row[j], beside[j] = rows[j, y, x], 2.0 * alike[j, y, x]
             left_over = 1.0
             for i in range(9):
+                inner = 0.0
                 for j in range(9):
-                    left_over -= 2.0 * rows[i, y, x] * inverse[i, j] * alike[j, y, x]
-                    left_over += rows[i, y, x] * outer[i, j] * rows[j, y, x]
+                    inner += outer[i, j] * row[j] - inverse[i, j] * beside[j]
+                left_over += row[i] * inner
             for axis in range(2):
-                pull = (inverse[axis] * rows[:, y, x]).sum()
+                pull = 0.0
+                for i in range(9):
+                    pull += inverse[axis, i] * row[i]
                 seen[axis] += pull * pull * residual[y, x] ** 2
                 expected[axis] += pull * pull * left_over
     for a in range(2):

@@ -69,7 +69,7 @@ def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
         assert (422, "input") == await refused(cell, "POST", "/releases/1/activate", again)
         assert (404, "unknown") == await refused(cell, "POST", "/releases/2/activate", again)
 
-    cell = BoardCell(tmp_path).run(test)
+    cell = BoardCell(tmp_path).run(test, page_is_here=False)
     assert cell.rig.read_bytes() == next((cell.state / "drafts").glob("*/rig-*.json")).read_bytes()
 
     pictures = next((cell.state / "drafts").glob("*/pictures"))
@@ -192,7 +192,7 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
         _, draft = await cell.ask("GET", place)
         assert (None, None, 3) == (draft["solved"], draft["task"], len(draft["views"]))
 
-    BoardCell(tmp_path).run(test, page_is_here=True)
+    BoardCell(tmp_path).run(test)
 
 
 @pytest.mark.slow

@@ -177,7 +177,7 @@ def test_two_people_and_a_kill(tmp_path: Path) -> None:
         kept.append(draft)
 
     kept: list[dict[str, Any]] = []
-    cell = PartCell(tmp_path).run(test, page_is_here=True)
+    cell = PartCell(tmp_path).run(test)
     state = next((cell.state / "teachings").iterdir()) / "state.json"
     assert kept[0]["revision"] == json.loads(state.read_text())["revision"]
 

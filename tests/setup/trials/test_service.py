@@ -148,7 +148,7 @@ def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.Monkey
             _, still_on = await cell.ask("GET", "/trials", None)
             assert (True, draft) == (still_on["on"], still_on["teaching"])
 
-    cell.run(test, page_is_here=True)
+    cell.run(test)
 
 
 @pytest.mark.slow
