@@ -13,7 +13,8 @@ from edged.config.cameras import CameraSection
 from edged.config.chosencameras import UNCHOSEN, ChosenCamera
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
-from edged.errors import UserError
+from edged.domain.frames import FramePair
+from edged.errors import ExposuresDiffer, UserError
 from edged.pictures.change import changed_most, changed_share
 from edged.setup.inuse import CellInUse
 from edged.setup.releases.service import Activation, Mandate
@@ -173,16 +174,22 @@ class CameraService:
         first = await self._cell.session.capture(token)
         seen: list[Side | None] = []
         while loop.time() < deadline_s:
-            pair = await self._cell.session.capture(token)
-            shares: dict[Side, float] = {
-                "left": changed_share(first.left.image, pair.left.image),
-                "right": changed_share(first.right.image, pair.right.image),
-            }
-            seen.append(changed_most(shares))
+            seen.append(await self._moves(token, first))
             last = seen[-SURE:]
             if len(last) == SURE and last[0] is not None and len(set(last)) == 1:
                 return last[0]
         return None
+
+    async def _moves(self, token: str, first: FramePair) -> Side | None:
+        """The camera before which something is that was not there at first."""
+        try:
+            pair = await self._cell.session.capture(token)
+        except ExposuresDiffer as error:  # the hand moved between two exposures that are one picture
+            return next((side for side in SIDES if side == error.camera), None)
+        shares: dict[Side, float] = {
+            side: changed_share(first.side(side).image, pair.side(side).image) for side in SIDES
+        }
+        return changed_most(shares)
 
     def _gains(self) -> Mapping[Side, float]:
         return {side: values.gain_db for side, values in self._values.items() if values.gain_db is not None}
