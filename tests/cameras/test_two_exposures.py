@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -70,7 +71,7 @@ def test_a_glint_and_a_dark_table_are_seen_in_one_pair(quirks: tuple[Quirk, ...]
         ({"trigger": {"mode": "line"}}, "needs trigger.mode"),
         ({"trigger": {"mode": "chain", "first_line": "Line1"}}, "needs trigger.mode"),
         ({"exposure_ratio": 1.5}, "greater than or equal to 2"),
-        ({"source": "replay", "folder": "pairs"}, "were exposed already"),
+        ({"source": "replay", "folder": Path("pairs")}, "were exposed already"),
     ],
 )
 def test_what_two_exposures_cannot_be_taken_with_is_a_mistake(cameras: dict[str, Any], expected: str) -> None:
