@@ -8,10 +8,12 @@ import json
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 from helpers.gigecell import LEFT, NOBODY, RIGHT, Sensor, gige_camera
+from helpers.stagecell import Newcomer, run
 from rich.console import Console
 
 from edged.adapters.aravis import addresses, aravis_missing, give_address, list_cameras, with_addresses
@@ -21,6 +23,7 @@ from edged.commands.cameras import cameras as list_them
 from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable
 from edged.sim.gige import genicam as g
 from edged.sim.gige.camera import GigeCamera
+from edged.sim.world import SERIALS
 
 FOREIGN = "198.51.100.77"
 SERIAL = "EDGED-LOST"
@@ -153,6 +156,31 @@ def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixt
         assert 0 == give(SERIAL, NOBODY, Console(file=out, width=250))
         assert f"{SERIAL} is at {NOBODY}, and keeps it" in out.getvalue()
         assert 1 == give("EDGED-NONE", "", Console(file=out, width=250))
+
+
+@needs_aravis
+@pytest.mark.slow
+def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> None:
+    """Named as lost, with how it got its address; and not where somebody else controls it."""
+
+    async def test(newcomer: Newcomer) -> None:
+        with lost() as camera:
+            found = {one["serial"]: one for one in (await newcomer.ask("GET", "cameras"))["found"]}
+            told = [found[SERIAL][name] for name in ("address", "address_by", "is_lost", "trouble")]
+            assert [FOREIGN, "DHCP", True, "wrong subnet"] == told
+            assert [False, None] == [found[SERIALS[0]][name] for name in ("is_lost", "trouble")]
+
+            body = {**newcomer.token, "serial": SERIAL}
+            camera.steal_control()
+            refused = await newcomer.ask("POST", "cameras/address", body, 503)
+            assert "a program controls it" in refused["detail"]
+            camera.release_control()
+            given = await newcomer.ask("POST", "cameras/address", body)
+            assert {"address": "127.0.0.77", "is_kept": True} == given
+            found = {one["serial"]: one for one in (await newcomer.ask("GET", "cameras"))["found"]}
+            assert ("127.0.0.77", False) == (found[SERIAL]["address"], found[SERIAL]["is_lost"])
+
+    run(tmp_path, test)
 
 
 def test_no_socket_is_left() -> None:

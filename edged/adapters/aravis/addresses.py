@@ -77,22 +77,24 @@ class HeardCamera:
 
 def hear_cameras() -> list[HeardCamera]:
     """Every GigE Vision camera that answers a broadcast on any port of this host. Blocks for a moment."""
-    found: dict[str, HeardCamera] = {}
+    found = list[tuple[bool, int, HeardCamera]]()
     with contextlib.ExitStack() as stack:
         asked = {}
-        for port, host in _ports():
+        for order, (port, host) in enumerate(_ports()):
             udp = stack.enter_context(_broadcasting(port))
             _broadcast(udp, host, DISCOVERY, b"")
-            asked[udp] = (port, host)
+            asked[udp] = (order, port, host)
         until_s = time.monotonic() + HEAR_S
         while (left_s := until_s - time.monotonic()) > 0:
             for udp in select.select(list(asked), (), (), left_s)[0]:
+                order, port, host = asked[udp]
                 with contextlib.suppress(OSError):
-                    answer = udp.recv(1024)
-                    heard = _heard(answer, *asked[udp])
-                    if heard is not None and (heard.mac not in found or found[heard.mac].is_lost):
-                        found[heard.mac] = heard
-    return list(found.values())
+                    heard = _heard(udp.recv(1024), port, host)
+                    if heard is not None:
+                        found.append((heard.is_lost, order, heard))
+    # one that is heard on two ports of a switch belongs to the one in whose network it is
+    found.sort(key=lambda one: one[:2], reverse=True)
+    return list({heard.mac: heard for _, _, heard in found}.values())
 
 
 def free_address(camera: HeardCamera, taken: Collection[str]) -> str:

@@ -6,7 +6,14 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any
 
-from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
+from edged.adapters.aravis import (
+    CameraInfo,
+    HeardCamera,
+    aravis_missing,
+    give_address,
+    list_cameras,
+    with_addresses,
+)
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
 from edged.config.cameras import CameraSection
@@ -23,7 +30,15 @@ WAVE_S = 8.0
 """Time to walk to the camera, wave, and come back."""
 SURE = 2
 """Consecutive pairs that must show a hand before the same camera."""
-VIRTUAL = {"vendor": "edged", "model": "virtual", "serial": "", "address": "", "trouble": None}
+VIRTUAL = {
+    "vendor": "edged",
+    "model": "virtual",
+    "serial": "",
+    "address": "",
+    "address_by": "",
+    "is_lost": False,
+    "trouble": None,
+}
 """A camera in the daemon's own process."""
 OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
 
@@ -74,9 +89,17 @@ class CameraService:
         """Every camera that answers, with the side that it is."""
         if self._cell.files.config.cameras.source == "virtual-inprocess":
             return [{**VIRTUAL, "side": side} for side in SIDES]
-        cameras = [] if aravis_missing() else await asyncio.to_thread(list_cameras)
+        cameras = [] if aravis_missing() else await asyncio.to_thread(_with_addresses)
         devices = self._devices()
-        return [_described(info, _side_of(info, devices)) for info in cameras]
+        return [_described(info, heard, _side_of(info, devices)) for info, heard in cameras]
+
+    async def give_address(self, token: str, serial: str) -> tuple[str, bool]:
+        """Give a camera a free address in this machine's network; also whether it keeps that.
+
+        Raises `SetupRefused`, and `CaptureError` where it is not there, is controlled, or refuses.
+        """
+        await self._cell.session.renew_setup(token)
+        return await asyncio.to_thread(give_address, serial)
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
         """Limits of exposure and gain. Raises `SetupRefused`, `CaptureError`."""
@@ -236,15 +259,23 @@ def _with_camera(info: CameraInfo) -> ChosenCamera:
     return ChosenCamera(device=info.address if network else info.serial, serial=info.serial)
 
 
-def _described(info: CameraInfo, side: Side | None) -> dict[str, Any]:
+def _with_addresses() -> list[tuple[CameraInfo, HeardCamera | None]]:
+    return with_addresses(list_cameras())
+
+
+def _described(info: CameraInfo, heard: HeardCamera | None, side: Side | None) -> dict[str, Any]:
     trouble = None if info.control in ("", "free") else info.control
     if trouble == "controlled":
         trouble = None if side is not None else "controlled by another program or host"
+    if heard is not None and heard.is_lost:
+        trouble = "wrong subnet"
     return {
         "vendor": info.vendor,
         "model": info.model,
         "serial": info.serial,
         "address": info.address,
+        "address_by": "" if heard is None else heard.ways,
+        "is_lost": heard is not None and heard.is_lost,
         "trouble": trouble,
         "side": side,
     }
