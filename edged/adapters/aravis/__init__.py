@@ -11,6 +11,7 @@
     lacks      what a camera has not
     setup      settings of a camera before it is armed, and what is refused
     link       how fast it may send
+    pacing     that, written to it
     stream     buffers as images
     session    one connection: everything that talks to the device, on one thread
     camera     `AravisCamera`: the port, on the event loop
