@@ -105,6 +105,11 @@ class TriggerSection(Section):
         return self
 
     @property
+    def is_ours(self) -> bool:
+        """Whether edged starts the exposures, when it wants them."""
+        return self.mode not in ("free-run", "line") and not self.first_line
+
+    @property
     def can_be_external(self) -> bool:
         """Whether others can start the exposures."""
         return self.mode in ("free-run", "line", "action") or (self.mode == "chain" and self.first_line != "")
@@ -160,7 +165,7 @@ class CamerasSection(Section):
     def _check_two_exposures(self) -> None:
         if self.source == "replay":
             raise ValueError("exposure_ratio: pictures of a folder were exposed already")
-        if self.trigger.mode in ("free-run", "line") or self.trigger.first_line:
+        if not self.trigger.is_ours:
             raise ValueError(
                 'exposure_ratio: needs trigger.mode "software", "action" or "chain" without first_line'
             )

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from edged.adapters.aravis import aravis_missing
 from edged.app.cameras import CellHead, camera_facts, head_of
 from edged.config.cameras import CamerasSection
+from edged.config.configuration import Config
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.sim.exposure import ExposureRequest
@@ -78,3 +79,32 @@ def test_what_two_exposures_cannot_be_taken_with_is_a_mistake(cameras: dict[str,
     """Others' triggers; cameras whose exposure nobody stated."""
     with pytest.raises(ValidationError, match=expected):
         section(**cameras)
+
+
+@pytest.mark.parametrize(
+    ("document", "expected"),
+    [
+        ({"cycle": {"mode": "free", "idle_s": 0.5}}, "idle_s: only with mode"),
+        ({"cycle": {"idle_s": 0.5}, "trigger": {"mode": "line"}}, "idle_s: needs exposures that edged makes"),
+        (
+            {"cycle": {"mode": "external"}, "exposure_ratio": 8, "trigger": {"mode": "action"}},
+            "not with cycle.mode",
+        ),
+    ],
+)
+def test_exposures_that_others_make_are_neither_doubled_nor_wasted(
+    document: dict[str, Any], expected: str
+) -> None:
+    """The whole configuration is looked at: who triggers, and when."""
+    cameras = {name: value for name, value in document.items() if name != "cycle"}
+    with pytest.raises(ValidationError, match=expected):
+        Config.model_validate(
+            {
+                "cell": {"name": "cell", "rig": Path("rig.json"), "jobs": Path("jobs")},
+                "cycle": document["cycle"],
+                "cameras": {
+                    **section().model_dump(exclude_unset=True, exclude={"exposure_ratio"}),
+                    **cameras,
+                },
+            }
+        )
