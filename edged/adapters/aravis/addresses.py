@@ -93,7 +93,7 @@ def hear_cameras() -> list[HeardCamera]:
                     if heard is not None:
                         found.append((heard.is_lost, order, heard))
     # one that is heard on two ports of a switch belongs to the one in whose network it is
-    found.sort(key=lambda one: one[:2], reverse=True)
+    found.sort(key=lambda place: place[:2], reverse=True)
     return list({heard.mac: heard for _, _, heard in found}.values())
 
 
@@ -123,14 +123,14 @@ def give_address(serial: str, address: str = "") -> tuple[str, bool]:
     `CameraSetupError` for an address that does not fit, or that it does not take.
     """
     heard = hear_cameras()
-    camera = next((one for one in heard if one.serial == serial), None)
+    camera = next((other for other in heard if other.serial == serial), None)
     if camera is None:
         raise CameraUnreachable(serial, "no GigE Vision camera with this serial number hears a broadcast")
-    if sum(one.serial == serial for one in heard) > 1:
+    if sum(other.serial == serial for other in heard) > 1:
         raise CameraSetupError(serial, "more than one camera has this serial number: unplug the other")
     if control_state(camera.address) == "controlled":
         raise CameraBusy(serial, "a program controls it: close that one first")
-    others = {one.address for one in heard if one is not camera}
+    others = {other.address for other in heard if other is not camera}
     wanted = address or free_address(camera, others)
     try:
         fits = ipaddress.IPv4Address(wanted) in camera.host.network
@@ -146,7 +146,7 @@ def give_address(serial: str, address: str = "") -> tuple[str, bool]:
 
 def with_addresses(cameras: Sequence[CameraInfo]) -> list[tuple[CameraInfo, HeardCamera | None]]:
     """Cameras with what they say of their addresses; None for one on USB, or behind a router."""
-    heard = {one.mac: one for one in hear_cameras()} if cameras else {}
+    heard = {camera.mac: camera for camera in hear_cameras()} if cameras else {}
     return [(info, heard.get(info.physical_id.lower())) for info in cameras]
 
 

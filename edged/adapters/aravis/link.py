@@ -76,11 +76,11 @@ def usb_bytes_per_second(
 
 def _usb_place(serial: str, devices: Path) -> tuple[Path, float] | None:
     """The controller behind which a USB device is, and the rate of its port, bit/s."""
-    for told in devices.glob("*/serial") if serial else ():
+    for number in devices.glob("*/serial") if serial else ():
         with contextlib.suppress(OSError, ValueError):
-            if told.read_text().strip() == serial:
-                bps = float(told.with_name("speed").read_text()) * 1e6
-                path = told.parent.resolve()
+            if number.read_text().strip() == serial:
+                bps = float(number.with_name("speed").read_text()) * 1e6
+                path = number.parent.resolve()
                 # .../0000:00:14.0/usb2/2-1/2-1.4: what is above "usb2"
                 roots = [place for place in (path, *path.parents) if place.name.startswith("usb")]
                 return (roots[-1].parent if roots else path.parent), bps
