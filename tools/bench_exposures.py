@@ -90,17 +90,16 @@ def main() -> int:
     parser.add_argument("--samples", type=int, default=4, help="in each of a pixel's 16 strata")
     parser.add_argument("--ratio", type=float, default=8.0, help="of the long exposure to the short one")
     parser.add_argument("--over", type=float, default=3.0, help="how much longer than one exposure alone")
-    parser.add_argument("--trace-only", action="store_true")
+    parser.add_argument("--ways", default=",".join(WAYS), help="comma list")
+    parser.add_argument("--parts", default="", help="comma list; default: all that are traced")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     cv2.setNumThreads(1)
     rows = {}
-    for way in WAYS:
+    for way in options.ways.split(","):
         folder = options.folder / way
         write_asked(argparse.Namespace(**{**vars(options), "folder": folder}), Film(way, options).draw)
-        if options.trace_only:
-            break
-        asked = {"dataset": folder, "tilt": 45.0, "only": "", "parts": "", "overlays": None}
+        asked = {"dataset": folder, "tilt": 45.0, "only": "", "parts": options.parts, "overlays": None}
         print(f"\n## {way}: {blown(folder)}\n")
         rows[way] = measured(argparse.Namespace(**asked, alone=None, step=False))
         report(rows[way])
