@@ -18,8 +18,8 @@ DEFAULT_BPS = 1e9
 """Assumed speed of a link that does not state it: Gigabit Ethernet."""
 
 USB_SHARE = 0.56
-"""Of a USB port's nominal rate, what images get for sure: 350 of 625 MB/s (Common Vision Blox 15.0, manual,
-*USB3 Vision*: "substantially more than 350 MBytes/s")."""
+"""Share of a USB port's nominal rate that images get for sure: 350 of 625 MB/s (Common Vision Blox 15.0,
+manual, *USB3 Vision*: "substantially more than 350 MBytes/s")."""
 
 SIOCGIFADDR = 0x8915
 """Linux: the IPv4 address of an interface."""
