@@ -20,7 +20,8 @@
     │   └── PairingError          two frames that are not one exposure
     │       ├── FrameRepeated     a frame that was there before, by its number
     │       ├── FrameFrozen       a new number, and the same picture in every pixel
-    │       └── FrameUnpaired     one camera exposed, the other did not
+    │       ├── FrameUnpaired     one camera exposed, the other did not
+    │       └── ExposuresDiffer   two exposures of one cycle that do not show the same
     ├── CommandRefused            a command that cannot be carried out (queue full, unknown job, ...)
     │   └── BeingSetUp            the cell is in SETUP: nobody is served
     ├── TaskFailed                long work that ended without a result: its process was killed, or a bug
@@ -181,6 +182,12 @@ class StreamStalled(FrameTimeout):
     """No image several times in a row, though the camera answers."""
 
     code = 112
+
+
+class ExposuresDiffer(PairingError):
+    """Something moved, or the light changed, between the two exposures of one cycle."""
+
+    code = 113
 
 
 class CommandRefused(EdgedError):

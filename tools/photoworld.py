@@ -21,6 +21,7 @@ import functools
 import math
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -396,9 +397,10 @@ def strata(window: tuple[int, int, int, int], each: int, rng: np.random.Generato
 
 
 def pictures(
-    design: Design, where: FloatArray, setting: Setting, rig: StereoRig, samples: int
-) -> tuple[Image, Image]:
-    """Left and right picture; one exposure for both, as cells have it."""
+    design: Design, where: FloatArray, setting: Setting, rig: StereoRig, samples: int,
+    expose: Callable[[FloatArray, np.random.Generator], Image] = exposed,
+) -> tuple[Image, Image]:  # fmt: skip
+    """Left and right picture; one exposure for both, as cells have it. expose : a picture of light."""
     with tempfile.TemporaryDirectory() as folder:
         tracer = Tracer(scene_of(design, where, setting, rig, Path(folder)))
         views = [(rig.left, np.eye(4)), (rig.right, np.asarray(rig.right_from_left))]
@@ -411,7 +413,7 @@ def pictures(
         white = max(np.quantile(np.concatenate(of_faces), FACE_SHARE) * WHITE / setting.exposure,
                     np.quantile(np.concatenate(around), NOT_WHITE) * MOST_OVER)  # fmt: skip
         left, right = (
-            exposed(_seen(tracer, view, window, white, setting, samples, rng) / white, rng)
+            expose(_seen(tracer, view, window, white, setting, samples, rng) / white, rng)
             for view, window in zip(views, windows, strict=True)
         )
     return left, right

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from edged.adapters.aravis import AravisCamera
-from edged.app.cameras import head_of
-from edged.cell.stereohead import StereoHead
+from edged.app.cameras import CellHead, head_of
 from edged.config.cameras import CamerasSection
 from edged.errors import CaptureError
 from edged.payload import Json
@@ -59,7 +58,7 @@ async def _opened(section: dict[str, Any]) -> Any:
         await head.close()
 
 
-def _cameras(head: StereoHead) -> list[AravisCamera]:
+def _cameras(head: CellHead) -> list[AravisCamera]:
     return [camera for camera in head.cameras if isinstance(camera, AravisCamera)]
 
 
@@ -70,7 +69,7 @@ async def _said(camera: AravisCamera) -> Json:
     return {**asdict(await camera.description()), "lacks": lacks, "gamma": gamma}
 
 
-async def _together(head: StereoHead, seconds: float) -> Json:
+async def _together(head: CellHead, seconds: float) -> Json:
     times_ms, skews_us = list[float](), list[float]()
     faults = Counter[str]()
     until_s = time.monotonic() + seconds
@@ -103,7 +102,7 @@ def _percentiles(values: Sequence[float]) -> list[float]:
     return [round(float(value), 3) for value in np.percentile(values, PERCENTILES)] if values else []
 
 
-async def _full_rate(head: StereoHead, seconds: float) -> Json:
+async def _full_rate(head: CellHead, seconds: float) -> Json:
     """Both send as fast as they run by themselves; images are taken in and dropped."""
     cameras = _cameras(head)
     before = [camera.health for camera in cameras]

@@ -20,6 +20,7 @@ from edged.adapters.aravis import (
 )
 from edged.adapters.replay import replay_cameras
 from edged.cell.stereohead import HeadSettings, StereoHead
+from edged.cell.twoexposures import TwoExposureHead
 from edged.config.cameras import CameraSection, CamerasSection, TriggerSection
 from edged.domain.arrays import SIDES
 from edged.errors import ConfigError
@@ -30,6 +31,7 @@ if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld
 
 Size = tuple[int, int]
+CellHead = StereoHead | TwoExposureHead
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +53,7 @@ def head_of(
     *,
     external: bool = False,
     calibrated: tuple[Size, Size] | None = None,
-) -> StereoHead:
+) -> CellHead:
     """The stereo head of a configuration, not yet open.
 
     world : where virtual cameras are. external : others trigger, the daemon only listens.
@@ -79,7 +81,7 @@ def head_of(
         raise ConfigError("cameras.source", [f"a change to {cameras.source!r} needs a restart"])
     else:
         left, right = world.in_process_cameras()
-    return StereoHead(
+    head = StereoHead(
         left,
         right,
         HeadSettings(
@@ -92,6 +94,11 @@ def head_of(
             detect_frozen=cameras.source != "replay",
         ),
     )
+    if cameras.exposure_ratio is None:
+        return head
+    long_us = {side: getattr(cameras, side).exposure_us for side in SIDES}
+    settles = cameras.trigger.mode != "software"
+    return TwoExposureHead(head, long_us, cameras.exposure_ratio, settles=settles)
 
 
 def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: bool) -> Triggering:
@@ -153,7 +160,7 @@ def _aravis(
     )
 
 
-def camera_facts(head: StereoHead) -> dict[str, list[Json]]:
+def camera_facts(head: CellHead) -> dict[str, list[Json]]:
     """How the cameras are, for people; one that is lost stays in the list."""
     facts = {
         camera.name: [said("not-connected", "not connected")]
@@ -186,10 +193,17 @@ def camera_facts(head: StereoHead) -> dict[str, list[Json]]:
             what = "; ".join(str(lack) for lack in health.lacks)
             parts.append(said("lacks", f"has not: {what}", what=what))
         facts[camera] = parts
+    if isinstance(head, TwoExposureHead) and head.taken is not None:
+        taken = head.taken
+        long, short = f"{taken.long_us:.0f}", f"{taken.short_us:.0f}"
+        apart = f"{taken.apart_ns * 1e-6:.0f}"
+        text = f"exposed for {long} and {short} µs, {apart} ms apart"
+        for parts in facts.values():
+            parts.append(said("two-exposures", text, long=long, short=short, apart=apart))
     return facts
 
 
-def camera_gammas(head: StereoHead) -> dict[str, tuple[float, str]]:
+def camera_gammas(head: CellHead) -> dict[str, tuple[float, str]]:
     """The response that each open camera states: the exponent between light and grey value,
     and how to make it 1."""
     return {
@@ -198,7 +212,7 @@ def camera_gammas(head: StereoHead) -> dict[str, tuple[float, str]]:
     }
 
 
-def camera_figures(head: StereoHead) -> dict[str, tuple[str, float]]:
+def camera_figures(head: CellHead) -> dict[str, tuple[str, float]]:
     """Figures of the cameras for /metrics: name to (help text, value)."""
     figures: dict[str, tuple[str, float]] = {}
     for camera, health in _healths(head):
@@ -215,7 +229,7 @@ def camera_figures(head: StereoHead) -> dict[str, tuple[str, float]]:
     return figures
 
 
-def _healths(head: StereoHead) -> list[tuple[str, CameraHealth]]:
+def _healths(head: CellHead) -> list[tuple[str, CameraHealth]]:
     cameras = [camera for camera in head.cameras if isinstance(camera, AravisCamera)]
     return [(camera.name, health) for camera in cameras if (health := camera.health) is not None]
 

@@ -90,6 +90,7 @@ def _loaded(cell: CellFiles) -> LoadedCell:
         listens=config.cycle.mode == "external",
         drift=DriftLimits(**config.drift.model_dump()),
         bounds=config.limits.bounds(),
+        idle_s=config.cycle.idle_s,
     )
     return LoadedCell(cell, rig, setup)
 

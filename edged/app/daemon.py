@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from edged.adapters.metrics import MetricsPublisher
 from edged.adapters.systemd import SystemdNotifier
-from edged.app.cameras import Size, head_of
+from edged.app.cameras import CellHead, Size, head_of
 from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_golden, with_registration
 from edged.app.cellservice import CellService
 from edged.app.installer import Installer
@@ -22,7 +22,6 @@ from edged.app.servers import START_S, Servers, close_within, start_within
 from edged.cell.commandends import CommandEnds
 from edged.cell.cycle import Cycle
 from edged.cell.loaded import Setup
-from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CameraSection
 from edged.config.chosencameras import ChosenCamera
 from edged.config.servers import WebSection
@@ -47,7 +46,7 @@ STOP_GRACE_S = 1.0
 """A running cycle may end; what takes longer is cancelled, so that a stop takes less than 2 s."""
 
 
-def head_for(loaded: LoadedCell, world: VirtualWorld | None) -> StereoHead:
+def head_for(loaded: LoadedCell, world: VirtualWorld | None) -> CellHead:
     """The stereo head of a loaded configuration; it insists on images as they were calibrated."""
     rig = None if loaded.rig is None else loaded.rig.rig
     return head_of(
@@ -271,7 +270,7 @@ class Daemon:
         self._registrar.witness = PageWitness(page.tell_step, asyncio.get_running_loop())
         return page
 
-    def _head_with(self, changes: Mapping[Side, ChosenCamera]) -> StereoHead:
+    def _head_with(self, changes: Mapping[Side, ChosenCamera]) -> CellHead:
         """Other cameras for the cell as it is, whose images must fit its rig, also while jobs are missing."""
         section = self.loaded.cell.config.cameras
         sides: dict[str, CameraSection] = {

@@ -1,5 +1,21 @@
-"""Which cameras answer in the networks of this machine, and who controls them."""
+"""Which cameras answer in the networks of this machine, who controls them, and which addresses they have."""
 
-from edged.adapters.aravis import CameraInfo, aravis_missing, control_state, list_cameras
+from edged.adapters.aravis import (
+    CameraInfo,
+    HeardCamera,
+    aravis_missing,
+    control_state,
+    give_address,
+    list_cameras,
+    with_addresses,
+)
 
-__all__ = ["CameraInfo", "aravis_missing", "control_state", "list_cameras"]
+__all__ = [
+    "CameraInfo",
+    "HeardCamera",
+    "aravis_missing",
+    "control_state",
+    "give_address",
+    "list_cameras",
+    "with_addresses",
+]

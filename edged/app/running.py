@@ -14,11 +14,10 @@ from edged import __version__
 from edged.adapters.modbus import ModbusPublisher
 from edged.adapters.plcmemory import PlcMemoryPublisher
 from edged.adapters.recorder import Recorder
-from edged.app.cameras import camera_facts, camera_figures
+from edged.app.cameras import CellHead, camera_facts, camera_figures
 from edged.app.cell import LoadedCell
 from edged.cell.cycle import Cycle
 from edged.cell.lease.session import SetupSession
-from edged.cell.stereohead import StereoHead
 from edged.domain.overview import Overview, RigFigures
 from edged.payload import Json, said
 from edged.plc.registers import Number, Register
@@ -42,7 +41,7 @@ class Running:
     path: Path
     loaded: LoadedCell
     cycle: Cycle
-    head: StereoHead
+    head: CellHead
     reload: Callable[[], Awaitable[str]]
     staged: bool = False
     servers: dict[str, Publisher] = field(default_factory=dict)

@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from edged.cell.announcements import log
-from edged.cell.context import CellContext
+from edged.cell.context import IDLE_S, CellContext
 from edged.cell.lease.session import Notebook, SetupSession
 from edged.cell.loaded import Setup
 from edged.cell.measurement import CycleRun
@@ -87,6 +87,7 @@ class Cycle:
         self._keeper = keeper
         self._utc_ns = utc_ns
         self._rests_until_s = 0.0
+        self._exposed_s = -math.inf
 
     # --- used by app -------------------------------------------------------------------------
 
@@ -251,10 +252,25 @@ class Cycle:
         cell.wake.clear()
         next_s = max(due_s, self._rests_until_s)
         wait_s = math.inf if period_s is None else next_s - now_s
+        idle_s = cell.setup.idle_s
+        if idle_s is not None:
+            wait_s = max(0.0, max(self._exposed_s + idle_s, self._rests_until_s) - now_s)
         if not await cell.wait(wait_s) and (period_s is None or time.monotonic() < next_s):
-            await self._check_cameras()
+            await (self._check_cameras() if idle_s is None else self._expose_for_nobody())
             cell.announce(Idle())
         return due_s
+
+    async def _expose_for_nobody(self) -> None:
+        """One exposure that keeps the sensors as warm as they are at work; a fault of it is the cameras'."""
+        cell = self._cell
+        self._exposed_s = time.monotonic()
+        try:
+            await cell.head.capture()
+        except CaptureError as error:
+            self._rests_until_s = time.monotonic() + IDLE_S
+            cell.tell_fault(error)
+        else:
+            cell.tell_state(CellPhase.READY)
 
     async def _serve(self, command: Command | None, heard: asyncio.Future[FramePair] | None = None) -> None:
         """Carry out a command or a tick. heard : an exposure that others triggered."""
@@ -287,6 +303,7 @@ class Cycle:
     async def _measure(self, command: Command | None, heard: asyncio.Future[FramePair] | None) -> Snapshot:
         """One cycle. A miss or a fault is a status; a bug propagates."""
         cell, run = self._cell, CycleRun(self._cell, command, self._utc_ns)
+        self._exposed_s = time.monotonic()
         try:
             pair = await (heard if heard is not None else cell.head.capture())
         except CaptureError as error:

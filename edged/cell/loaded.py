@@ -51,6 +51,7 @@ class Setup:
 
     jobs : by number. period_s : None: only on command.
     lacks : why the cell cannot measure and is in SETUP; it has no jobs then.
+    idle_s : so often an exposure is thrown away while nothing is asked; None: none is made.
     listens : others trigger the cameras, and each of their exposures is measured.
     flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
     registration_covariance : (6, 6) of robot_from_rig, or of flange_from_rig.
@@ -70,6 +71,7 @@ class Setup:
     listens: bool = False
     lacks: SetupSource = SetupSource.NONE
     bounds: Bounds = field(default_factory=Bounds)
+    idle_s: float | None = None
 
     def problem(self, command: Command) -> str:
         """Why a command cannot be carried out; "" when it can."""

@@ -24,17 +24,28 @@ def cameras(
         typer.Option(help="of --report: a camera's serial number or IP address; twice, left first"),
     ] = None,
     minutes: Annotated[float, typer.Option(min=0.05, max=60, help="of --report: how long")] = 5.0,
+    give_address: Annotated[
+        str | None,
+        typer.Option(metavar="SERIAL", help="give this GigE camera an address in this machine's network"),
+    ] = None,
+    address: Annotated[str, typer.Option(help="of --give-address: this one; left out: a free one")] = "",
 ) -> None:
-    """List the GenICam cameras that answer, and whether they can be used.
+    """List the GenICam cameras that answer, their addresses, and whether they can be used.
+
+    --give-address reaches a camera whose address is in another network (GigE Vision's FORCEIP), and has it
+    keep the new one. A camera that a program controls is left alone.
 
     With --report two of them are measured: firmware, features, what they lack, skew of both exposures, time
     from trigger to images, packets sent again at full rate, temperature. Their settings are those of a cell.
     """
     from rich.console import Console
 
+    from edged.commands.cameras import address as give
     from edged.commands.cameras import cameras as command
     from edged.commands.cameras import report as look
 
+    if give_address is not None:
+        raise typer.Exit(give(give_address, address, Console()))
     if report is not None:
         raise typer.Exit(look(report, device or [], minutes, Console(stderr=True)))
     raise typer.Exit(command(as_json, Console()))

@@ -11,7 +11,14 @@ from rich.console import Console
 from rich.table import Table
 
 from edged.app.camerareport import camera_report
-from edged.app.discovery import CameraInfo, aravis_missing, list_cameras
+from edged.app.discovery import (
+    CameraInfo,
+    HeardCamera,
+    aravis_missing,
+    give_address,
+    list_cameras,
+    with_addresses,
+)
 from edged.errors import CaptureError, UserError
 from edged.files.atomic import write_file
 from edged.files.outputs import check_outputs
@@ -22,21 +29,44 @@ def cameras(as_json: bool, console: Console) -> int:
     """List every GenICam camera that answers; 0 when there is one, else 1."""
     if missing := aravis_missing():
         raise UserError(missing)
-    found = list_cameras()
+    found = with_addresses(list_cameras())
     if as_json:
-        print(json.dumps([asdict(info) for info in found]))
+        print(json.dumps([_fields(info, heard) for info, heard in found]))
     elif found:
-        table = Table("serial", "vendor", "model", "address", "protocol", "use")
-        for info in found:
-            table.add_row(
-                info.serial, info.vendor, info.model, info.address, info.protocol, info.control or "not asked"
-            )
+        table = Table("serial", "vendor", "model", "address", "by", "protocol", "use")
+        for info, heard in found:
+            by = "" if heard is None else heard.ways
+            use = info.control or "not asked"
+            if heard is not None and heard.is_lost:
+                command = f"edged cameras --give-address {info.serial}"
+                use = f"not in {heard.host.network} of {heard.port}: {command}"
+            table.add_row(info.serial, info.vendor, info.model, info.address, by, info.protocol, use)
         console.print(table)
     else:
         console.print(
             "no camera answers: cable, power, and is a port of this machine in the camera's network?"
         )
     return 0 if found else 1
+
+
+def address(serial: str, wanted: str, console: Console) -> int:
+    """Give a camera an address in this machine's network, a free one for ""; 0, or 1 where it cannot be."""
+    try:
+        given, is_kept = give_address(serial, wanted)
+    except CaptureError as error:
+        console.print(str(error), highlight=False, markup=False)
+        return 1
+    kept = "and keeps it" if is_kept else "until it is switched off: it cannot keep one"
+    console.print(f"{serial} is at {given}, {kept}", highlight=False, markup=False)
+    return 0
+
+
+def _fields(info: CameraInfo, heard: HeardCamera | None) -> Json:
+    """As `--json` has them."""
+    said = {"address_by": "", "in_network": True}
+    if heard is not None:
+        said = {"address_by": heard.ways, "in_network": not heard.is_lost}
+    return {**asdict(info), **said}
 
 
 def report(file: Path, devices: list[str], minutes: float, console: Console) -> int:

@@ -105,6 +105,11 @@ class TriggerSection(Section):
         return self
 
     @property
+    def is_ours(self) -> bool:
+        """Whether edged starts the exposures, when it wants them."""
+        return self.mode not in ("free-run", "line") and not self.first_line
+
+    @property
     def can_be_external(self) -> bool:
         """Whether others can start the exposures."""
         return self.mode in ("free-run", "line", "action") or (self.mode == "chain" and self.first_line != "")
@@ -126,6 +131,13 @@ class CamerasSection(Section):
     )
     chunks: bool = Field(False, description="check the exposure time that each image carries as chunk data")
     ptp: bool | None = Field(None, description="the cameras' PTP clocks: on or off; left out: as they are")
+    exposure_ratio: float | None = Field(
+        None,
+        ge=2,
+        le=32,
+        description="each cycle takes two exposures, `exposure_us` and one shorter by this ratio (8 holds "
+        "black and glints of metal), and measures them merged; left out: one",
+    )
     trigger: TriggerSection = Field(TriggerSection(), description="what starts an exposure")
     left: CameraSection = Field(CameraSection(), description="the left camera")
     right: CameraSection = Field(CameraSection(), description="the right camera")
@@ -146,4 +158,18 @@ class CamerasSection(Section):
                 raise ValueError("trigger.broadcast: missing; without it both devices must be IP addresses")
         if self.trigger.mode != "software" and self.source not in ("aravis", "virtual"):
             raise ValueError(f"trigger.mode {self.trigger.mode!r} needs cameras, not source {self.source!r}")
+        if self.exposure_ratio is not None:
+            self._check_two_exposures()
         return self
+
+    def _check_two_exposures(self) -> None:
+        if self.source == "replay":
+            raise ValueError("exposure_ratio: pictures of a folder were exposed already")
+        if not self.trigger.is_ours:
+            raise ValueError(
+                'exposure_ratio: needs trigger.mode "software", "action" or "chain" without first_line'
+            )
+        if self.left.exposure_us is None or self.right.exposure_us is None:
+            raise ValueError(
+                "exposure_ratio: needs left.exposure_us and right.exposure_us, the long exposure"
+            )

@@ -32,6 +32,19 @@ class CycleSection(Section):
         '"external": each exposure that somebody else triggers',
     )
     period_s: float = Field(0.5, ge=0.0, le=3600, description="time from trigger to trigger in free mode")
+    idle_s: float | None = Field(
+        None,
+        ge=0.05,
+        le=1,
+        description='"command": while nothing is asked, an exposure so often that is thrown away: a sensor '
+        "that is read at a steady pace keeps its temperature; a command may wait for it; left out: none",
+    )
+
+    @model_validator(mode="after")
+    def _belongs(self) -> CycleSection:
+        if self.idle_s is not None and self.mode != "command":
+            raise ValueError(f'idle_s: only with mode "command", not {self.mode!r}')
+        return self
 
 
 class DriftSection(Section):

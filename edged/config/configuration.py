@@ -39,6 +39,13 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _triggered(self) -> Config:
+        if self.cycle.idle_s is not None and not self.cameras.trigger.is_ours:
+            raise ValueError(
+                'cycle.idle_s: needs exposures that edged makes: cameras.trigger.mode "software", "action" '
+                'or "chain" without first_line'
+            )
+        if self.cycle.mode == "external" and self.cameras.exposure_ratio is not None:
+            raise ValueError('cameras.exposure_ratio: not with cycle.mode "external", where others trigger')
         if self.cycle.mode == "external" and not self.cameras.trigger.can_be_external:
             raise ValueError(
                 'cycle.mode "external" needs cameras that others trigger: cameras.trigger.mode "line", '

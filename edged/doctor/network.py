@@ -74,17 +74,14 @@ def _homeless(name: str, info: CameraInfo, interfaces: Sequence[Interface]) -> C
     networks = ", ".join(
         f"{network} on {port.name}" for port in interfaces if port.name in ports for network in port.networks
     )
-    address = ipaddress.ip_address(info.address)
-    # an address that a camera seldom has: makers count up from 1, 10 or 100
-    ours = ipaddress.ip_interface(f"{address}/24").network[-3]
     return Check(
         name,
         CheckResult.BAD,
         f"{info.vendor} {info.model} {info.serial} at {info.address}, which is in no network of this machine"
         f" ({networks or 'no port has a link'})",
         "it is seen, but nothing can be sent to it: CAPTURE_FAULT in every cycle",
-        f"sudo ip addr add {ours}/24 dev {ports[0] if len(ports) == 1 else 'PORT'}"
-        "   (or give the camera an address in one of this machine's networks)",
+        f"edged cameras --give-address {info.serial}   (the port must have an address of the network "
+        "that it is to be in)",
     )
 
 

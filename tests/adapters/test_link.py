@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from edged.adapters.aravis.link import ETHERNET_BYTES, cameras_on_link, host_bps, packet_delay_s
+from edged.adapters.aravis.link import (
+    ETHERNET_BYTES,
+    USB_SHARE,
+    cameras_on_link,
+    host_bps,
+    packet_delay_s,
+    usb_bytes_per_second,
+)
 
 GIGABIT = 1e9
 
@@ -49,3 +58,28 @@ def test_a_neighbour_that_is_not_known_is_taken_to_be_on_the_same_link() -> None
 def test_a_port_that_does_not_tell_its_speed_counts_as_gigabit() -> None:
     """Loopback has no speed."""
     assert GIGABIT == host_bps("127.0.0.1")
+
+
+def test_two_usb_cameras_behind_one_controller_get_half_of_it_each(tmp_path: Path) -> None:
+    """Also behind a hub, or at two of its ports; by the slower port; one alone is not held back."""
+    listed = tmp_path / "devices"
+    listed.mkdir()
+    places = {
+        "pci/0000:00:14.0/usb2/2-1": ("LEFT", "5000"),
+        "pci/0000:00:14.0/usb2/2-2/2-2.4": ("HUB", "10000"),
+        "pci/0000:03:00.0/usb4/4-1": ("CARD", "5000"),
+        "pci/0000:00:14.0/usb2/2-3": ("BROKEN", "fast"),
+    }
+    for path, (serial, speed) in places.items():
+        folder = tmp_path / path
+        folder.mkdir(parents=True)
+        (folder / "serial").write_text(f"{serial}\n")
+        (folder / "speed").write_text(f"{speed}\n")
+        (listed / folder.name).symlink_to(folder)
+
+    half = USB_SHARE * 5e9 / 8 / 2
+    assert half == usb_bytes_per_second("LEFT", "HUB", listed) == usb_bytes_per_second("HUB", "LEFT", listed)
+    assert 175e6 == pytest.approx(half)
+    for neighbour in ("CARD", "", "NOBODY", "BROKEN"):
+        assert usb_bytes_per_second("LEFT", neighbour, listed) is None
+    assert usb_bytes_per_second("LEFT", "HUB", tmp_path / "none") is None

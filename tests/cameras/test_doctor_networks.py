@@ -85,7 +85,7 @@ def test_whatever_is_wrong_comes_with_what_follows_and_what_helps(reports: dict[
         ("three_at_once", "link cam0", "packets of 8000 bytes", "ip link set cam0 mtu 9000"),
         ("duplicate_address", "left camera's address", "2 devices say that 192.168.77.11", "MAC address"),
         ("other_network", "left camera", "in no network of this machine (10.9.9.1/24 on cam0)",
-         "sudo ip addr add 192.168.77.253/24 dev cam0"),
+         "edged cameras --give-address LAB-L"),
         ("two_ports", "networks of the ports", "are in the same network", "a network of its own"),
         ("two_ports", "left camera's route", "is sent to through eth9", "ip route replace 192.168.77.11/32"),
         ("unplugged", "right camera", "no camera with serial number LAB-R", "no link at cam0"),

@@ -414,6 +414,30 @@ def test_an_idle_loop_shows_that_it_lives(monkeypatch) -> None:
     drive(make_setup(period_s=60.0), script)
 
 
+def test_an_idle_cell_exposes_at_a_steady_pace_and_publishes_none_of_it() -> None:
+    """Sensors stay as warm as at work; a command is served between; a fault of it is told, and heals."""
+
+    async def script(cycle, ear, head):
+        await until(lambda: head.captures >= 5)
+        assert [] == ear.snapshots()
+        assert not [event for event in ear.events if isinstance(event, ExposureDone)]
+        cycle.submit(locate_command(1))
+        await until(ear.snapshots)
+        head.broken = True
+        await until(lambda: CellPhase.FAULT in phases(ear))
+        head.broken = False
+        await until(lambda: phases(ear)[-1] is CellPhase.READY)
+
+    began_s = time.monotonic()
+    _, head = drive(dataclasses.replace(make_setup(), idle_s=0.05), script)
+    assert head.captures <= (time.monotonic() - began_s) / 0.05 + 2
+
+
+def phases(ear: Ear) -> list[CellPhase]:
+    """Every state that was told."""
+    return [event.state for event in ear.events if isinstance(event, CellState)]
+
+
 def test_late_ticks_slip_and_are_counted_instead_of_bursting() -> None:
     """A cycle of four periods is followed by the next tick, not by a burst of the missed ones."""
     starts: list[float] = []

@@ -86,6 +86,9 @@ def _load() -> Library | str:
         return f"PyGObject is missing ({error}); {INSTALL_HINT}"
     except ValueError as error:
         return f"Aravis 0.8 is missing ({error}); {INSTALL_HINT}"
+    if hasattr(Aravis, "set_interface_flags"):  # 0.8.23
+        # a camera of another network has no way back but a broadcast
+        Aravis.set_interface_flags("GigEVision", int(Aravis.GvInterfaceFlags.ACK))
     return Library(Aravis, GLib)
 
 

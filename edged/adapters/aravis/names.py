@@ -46,4 +46,7 @@ BYTES_PER_SECOND = ("StreamBytesPerSecond", "DeviceLinkThroughputLimit")
 BandwidthControlMode says SCPD (GigE Camera and Driver Features, 2.0 page 39, 3.0 page 64); Blackfly S and
 Oryx (installation guides, 5.3)."""
 
+LIMIT_MODE = "DeviceLinkThroughputLimitMode"
+"""Basler: without it "On" the limit is a number that nothing heeds (docs.baslerweb.com)."""
+
 GAMMA_ENABLE = ("GammaEnable", "GammaEnabled")

@@ -9,14 +9,13 @@ from __future__ import annotations
 import contextlib
 import gc
 import logging
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from edged.adapters.aravis import exposure, link
+from edged.adapters.aravis import exposure
 from edged.adapters.aravis.clock import (
     CLOCK_DRIFT,
     ClockMap,
@@ -25,7 +24,6 @@ from edged.adapters.aravis.clock import (
     find_latch,
     host_ns,
     ptp_locked,
-    tick_hz,
 )
 from edged.adapters.aravis.features import Features, Value
 from edged.adapters.aravis.lacks import CameraLack, lacks
@@ -38,7 +36,8 @@ from edged.adapters.aravis.library import (
     library,
     translated,
 )
-from edged.adapters.aravis.names import BYTES_PER_SECOND, TEMPERATURE
+from edged.adapters.aravis.names import TEMPERATURE
+from edged.adapters.aravis.pacing import pace, share_usb
 from edged.adapters.aravis.processing import gamma_in_effect, gamma_switch
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.setup import Placement, set_up
@@ -65,9 +64,6 @@ CLOCK_READINGS = 5
 
 REPEAT_S = 0.5
 """Aravis sends a command again when it has had no answer for so long (ARV_GV_DEVICE_GVCP_TIMEOUT_MS)."""
-
-LINK_SPEED_REGISTER, PACKET_DELAY_REGISTER = 0x0670, 0x0D08
-"""Bootstrap registers (GigE Vision 2.0): speed of the port in Mbit/s; pause after a packet in ticks."""
 
 LOOK_S = 5.0
 """While images are taken, temperature and state of the clock are asked for this often."""
@@ -413,10 +409,12 @@ class CameraSession:
         if camera.is_gv_device():
             if settings.packet_size is None:
                 camera.gv_auto_packet_size()
-            self._set_packet_delay()
+            self._packet_delay_us = pace(self.name, camera, self._nodes(), settings)
             camera.gv_set_packet_size_adjustment(aravis.GvPacketSizeAdjustment.NEVER)
             if settings.user_socket:
                 camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+        elif camera.is_uv_device():
+            share_usb(self.name, self._nodes(), settings)
         self._check = self._exposure_check()
 
     def _start_stream(self) -> None:
@@ -461,49 +459,6 @@ class CameraSession:
             with PARSING:
                 parser = self._camera.create_chunk_parser()
         return ExposureCheck(parser, self._library.glib.Error, self.settings.exposure_us)
-
-    def _set_packet_delay(self) -> None:
-        """Written to the register that every camera has; the node's name and unit differ."""
-        camera, settings = self._camera, self.settings
-        if any("GevSCPD" in group for group in settings.features):
-            return
-        device = camera.get_device()
-        if settings.packet_delay_us is not None:
-            delay_s = settings.packet_delay_us * 1e-6
-        else:
-            cameras = link.cameras_on_link(settings.device, settings.neighbour)
-            if cameras == 0:
-                return
-            try:
-                camera_bps = device.read_register(LINK_SPEED_REGISTER) * 1e6 or link.DEFAULT_BPS
-            except self._library.glib.Error:  # GigE Vision 1.x has no such register
-                camera_bps = link.DEFAULT_BPS
-            host_bps = link.host_bps(settings.device)
-            self._share_link(host_bps / cameras / 8)
-            delay_s = link.packet_delay_s(camera.gv_get_packet_size(), camera_bps, host_bps, cameras)
-        ticks_hz = tick_hz(device) or 10**9
-        ticks = math.ceil(delay_s * ticks_hz)
-        device.write_register(PACKET_DELAY_REGISTER, ticks)
-        found = device.read_register(PACKET_DELAY_REGISTER)
-        self._packet_delay_us = found / ticks_hz * 1e6
-        if found != ticks:
-            log.warning(
-                "camera %s: a packet delay of %.1f us became %.1f us",
-                self.name,
-                delay_s * 1e6,
-                found / ticks_hz * 1e6,
-            )
-
-    def _share_link(self, bytes_per_second: float) -> None:
-        """Cameras that pace themselves by a rate do not hear of a pause between packets."""
-        features = self._nodes()
-        name = features.first(*BYTES_PER_SECOND)
-        stated = any(name in group for group in self.settings.features)
-        if not name or stated or not features.writable(name) or not isinstance(features.value(name), int):
-            return
-        rate = features.nearest(name, math.floor(bytes_per_second))
-        if refused := features.write({name: rate}):  # what it makes of it is rounded to its own steps
-            log.warning("camera %s: two cameras share its link: %s", self.name, "; ".join(refused))
 
     def _control_lost(self, _device: Any) -> None:
         """Called in Aravis' heartbeat thread."""

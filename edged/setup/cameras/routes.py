@@ -25,12 +25,17 @@ class ConfiguredCamera(Answer):
 
 
 class FoundCamera(Answer):
-    """A camera that answers. trouble : why it cannot be used. side : which one it is."""
+    """A camera that answers. address_by : persistent, DHCP or link-local; "": not known.
+
+    is_lost : its address is in another network. trouble : why it cannot be used. side : which one it is.
+    """
 
     vendor: str
     model: str
     serial: str
     address: str
+    address_by: str
+    is_lost: bool
     trouble: str | None
     side: Literal["left", "right"] | None
 
@@ -89,6 +94,19 @@ class Adjusting(Leased):
         if self.exposure_us is None and self.gain_db is None and self.serial is None:
             raise ValueError("expected exposure_us, gain_db or serial")
         return self
+
+
+class Addressing(Leased):
+    """Serial number of a camera that is to get an address in this machine's network."""
+
+    serial: str = Field(min_length=1, max_length=64)
+
+
+class Addressed(Answer):
+    """Its new address. is_kept : also when it is switched off."""
+
+    address: str
+    is_kept: bool
 
 
 class Waving(Leased):
@@ -201,6 +219,17 @@ class CameraRoutes:
     async def _wave(self, call: Call[Waving]) -> Waved:
         moved, exchanged = await self._cameras.wave(call.body.token, call.body.side)
         return Waved(moved=moved, exchanged=exchanged)
+
+    @route(
+        "POST",
+        "/cameras/address",
+        "Give a camera of another network a free address in this machine's, unless a program controls it",
+        audit=True,
+        needs_lease=True,
+    )
+    async def _address(self, call: Call[Addressing]) -> Addressed:
+        address, is_kept = await self._cameras.give_address(call.body.token, call.body.serial)
+        return Addressed(address=address, is_kept=is_kept)
 
     @route("GET", "/cameras/quality", "Light and focus of the last live pictures")
     async def _quality(self, _call: Call[None]) -> Quality:

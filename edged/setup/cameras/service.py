@@ -6,14 +6,22 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any
 
-from edged.adapters.aravis import CameraInfo, aravis_missing, list_cameras
+from edged.adapters.aravis import (
+    CameraInfo,
+    HeardCamera,
+    aravis_missing,
+    give_address,
+    list_cameras,
+    with_addresses,
+)
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
 from edged.config.cameras import CameraSection
 from edged.config.chosencameras import UNCHOSEN, ChosenCamera
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
-from edged.errors import UserError
+from edged.domain.frames import FramePair
+from edged.errors import ExposuresDiffer, UserError
 from edged.pictures.change import changed_most, changed_share
 from edged.setup.inuse import CellInUse
 from edged.setup.releases.service import Activation, Mandate
@@ -22,7 +30,15 @@ WAVE_S = 8.0
 """Time to walk to the camera, wave, and come back."""
 SURE = 2
 """Consecutive pairs that must show a hand before the same camera."""
-VIRTUAL = {"vendor": "edged", "model": "virtual", "serial": "", "address": "", "trouble": None}
+VIRTUAL = {
+    "vendor": "edged",
+    "model": "virtual",
+    "serial": "",
+    "address": "",
+    "address_by": "",
+    "is_lost": False,
+    "trouble": None,
+}
 """A camera in the daemon's own process."""
 OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
 
@@ -73,9 +89,17 @@ class CameraService:
         """Every camera that answers, with the side that it is."""
         if self._cell.files.config.cameras.source == "virtual-inprocess":
             return [{**VIRTUAL, "side": side} for side in SIDES]
-        cameras = [] if aravis_missing() else await asyncio.to_thread(list_cameras)
+        cameras = [] if aravis_missing() else await asyncio.to_thread(_with_addresses)
         devices = self._devices()
-        return [_described(info, _side_of(info, devices)) for info in cameras]
+        return [_described(info, heard, _side_of(info, devices)) for info, heard in cameras]
+
+    async def give_address(self, token: str, serial: str) -> tuple[str, bool]:
+        """Give a camera a free address in this machine's network; also whether it keeps that.
+
+        Raises `SetupRefused`, and `CaptureError` where it is not there, is controlled, or refuses.
+        """
+        await self._cell.session.renew_setup(token)
+        return await asyncio.to_thread(give_address, serial)
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
         """Limits of exposure and gain. Raises `SetupRefused`, `CaptureError`."""
@@ -173,16 +197,22 @@ class CameraService:
         first = await self._cell.session.capture(token)
         seen: list[Side | None] = []
         while loop.time() < deadline_s:
-            pair = await self._cell.session.capture(token)
-            shares: dict[Side, float] = {
-                "left": changed_share(first.left.image, pair.left.image),
-                "right": changed_share(first.right.image, pair.right.image),
-            }
-            seen.append(changed_most(shares))
+            seen.append(await self._moves(token, first))
             last = seen[-SURE:]
             if len(last) == SURE and last[0] is not None and len(set(last)) == 1:
                 return last[0]
         return None
+
+    async def _moves(self, token: str, first: FramePair) -> Side | None:
+        """The camera before which something is that was not there at first."""
+        try:
+            pair = await self._cell.session.capture(token)
+        except ExposuresDiffer as error:  # the hand moved between two exposures that are one picture
+            return next((side for side in SIDES if side == error.camera), None)
+        shares: dict[Side, float] = {
+            side: changed_share(first.side(side).image, pair.side(side).image) for side in SIDES
+        }
+        return changed_most(shares)
 
     def _gains(self) -> Mapping[Side, float]:
         return {side: values.gain_db for side, values in self._values.items() if values.gain_db is not None}
@@ -229,15 +259,23 @@ def _with_camera(info: CameraInfo) -> ChosenCamera:
     return ChosenCamera(device=info.address if network else info.serial, serial=info.serial)
 
 
-def _described(info: CameraInfo, side: Side | None) -> dict[str, Any]:
+def _with_addresses() -> list[tuple[CameraInfo, HeardCamera | None]]:
+    return with_addresses(list_cameras())
+
+
+def _described(info: CameraInfo, heard: HeardCamera | None, side: Side | None) -> dict[str, Any]:
     trouble = None if info.control in ("", "free") else info.control
     if trouble == "controlled":
         trouble = None if side is not None else "controlled by another program or host"
+    if heard is not None and heard.is_lost:
+        trouble = "wrong subnet"
     return {
         "vendor": info.vendor,
         "model": info.model,
         "serial": info.serial,
         "address": info.address,
+        "address_by": "" if heard is None else heard.ways,
+        "is_lost": heard is not None and heard.is_lost,
         "trouble": trouble,
         "side": side,
     }

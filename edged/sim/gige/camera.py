@@ -101,7 +101,7 @@ class GigeCamera:
         self._quirks = frozenset(quirks)
         # two threads take chances: each its own, or no run is like another
         self._chance, self._answer_chance = random.Random(0), random.Random(0)
-        identity = CameraIdentity(address, serial)
+        identity = CameraIdentity(address, serial, mac=int.from_bytes(socket.inet_aton(address), "big"))
         if make is not None:
             identity = replace(identity, model=make.model, vendor=make.vendor)
         table = make.features if make is not None else g.features(width, height, self._quirks)
@@ -127,7 +127,8 @@ class GigeCamera:
         hooks[g.PACKET_SIZE] = self._set_packet_size
         hooks[g.TIMESTAMP_CONTROL] = self._control_clock
         hooks[g.HEARTBEAT_MS] = lambda word: self._keep(g.HEARTBEAT_MS, max(word, SHORTEST_HEARTBEAT_MS))
-        for address in (g.STREAM_PORT, g.STREAM_DESTINATION, g.PACKET_DELAY):
+        kept = (g.IP_CONFIGURATION, g.PERSISTENT_IP, g.PERSISTENT_MASK, g.PERSISTENT_GATEWAY)
+        for address in (g.STREAM_PORT, g.STREAM_DESTINATION, g.PACKET_DELAY, *kept):
             hooks[address] = partial(self._keep, address)
         hooks[g.ACQUISITION_START] = lambda _: self._start_acquisition()
         hooks[g.ACQUISITION_STOP] = lambda _: self._stop_acquisition()
@@ -233,6 +234,10 @@ class GigeCamera:
         except ListenError:
             self._start_at(before)
             raise
+
+    def force_address(self, address: str) -> None:
+        """As `move_to`, from the thread that heard the command."""
+        threading.Thread(target=self.move_to, args=(address,), name=f"move-{self.serial}").start()
 
     def _start_at(self, address: str) -> None:
         self.address = address

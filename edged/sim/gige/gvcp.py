@@ -32,9 +32,10 @@ log = logging.getLogger(__name__)
 
 GVCP_PORT = 3956
 ACK_REQUIRED, EXTENDED_IDS, SCHEDULED = 0x01, 0x10, 0x80
-DISCOVERY, PACKET_RESEND, ACTION = 0x0002, 0x0040, 0x0100
+DISCOVERY, FORCE_IP, PACKET_RESEND, ACTION = 0x0002, 0x0004, 0x0040, 0x0100
 READ_REGISTER, WRITE_REGISTER, READ_MEMORY, WRITE_MEMORY = 0x0080, 0x0082, 0x0084, 0x0086
 KNOWN = (READ_REGISTER, WRITE_REGISTER, READ_MEMORY, WRITE_MEMORY, PACKET_RESEND, ACTION)
+BROADCAST = (DISCOVERY, FORCE_IP, ACTION)
 EXCLUSIVE_ACCESS, CONTROL_ACCESS = 0x01, 0x02
 POLL_S = 0.05
 Endpoint = tuple[str, int]
@@ -50,6 +51,9 @@ class ControlledDevice(Protocol):
 
     def act(self, keys: tuple[int, int, int], at_ticks: int | None) -> int | None:
         """An action command; its status, or None when it is for other devices."""
+
+    def force_address(self, address: str) -> None:
+        """Another address was forced on the device; returns at once."""
 
     def session_ended(self) -> None:
         """Nobody controls the camera any more."""
@@ -72,6 +76,7 @@ class ControlChannel:
         self._heard_s = 0.0
         self._last_answer: tuple[Endpoint, int, bytes] | None = None
         self._silent_until_s = 0.0
+        self._moves = False
         self._running = threading.Event()
         self._thread: threading.Thread | None = None
         self._socket: socket.socket | None = None
@@ -163,7 +168,7 @@ class ControlChannel:
             return
         _, flags, command, length, request = struct.unpack(">BBHHH", data[:8])
         body = data[8:]
-        if len(body) != length or request == 0 or (broadcast and command not in (DISCOVERY, ACTION)):
+        if len(body) != length or request == 0 or (broadcast and command not in BROADCAST):
             return
         if sender == self._controller:
             self._heard_s = time.monotonic()
@@ -196,6 +201,8 @@ class ControlChannel:
         if command == DISCOVERY:
             words = (registers.word(address) for address in range(0, g.DISCOVERY_BYTES, 4))
             return SUCCESS, b"".join(word.to_bytes(4, "big") for word in words)
+        if command == FORCE_IP and len(body) == 56:
+            return self._force_ip(body)
         if command == READ_REGISTER and body and len(body) % 4 == 0:
             return self._read_registers(body)
         if command == WRITE_REGISTER and body and len(body) % 8 == 0:
@@ -221,6 +228,18 @@ class ControlChannel:
             status = self._device.act((device_key, group_key, mask), at_ticks)
             return None if status is None else (status, b"")
         return (INVALID_PARAMETER if command in KNOWN else NOT_IMPLEMENTED), b""
+
+    def _force_ip(self, body: bytes) -> tuple[int, bytes] | None:
+        """Only the camera with this MAC address obeys, and none that is controlled."""
+        high, low = struct.unpack(">HI", body[2:8])
+        if (high, low) != (self._registers.word(g.MAC_HIGH), self._registers.word(g.MAC_LOW)):
+            return None
+        if self._controller is not None:
+            return ACCESS_DENIED, b""
+        if not self._moves:  # it was told on two broadcast addresses
+            self._moves = True
+            self._device.force_address(socket.inet_ntoa(body[20:24]))
+        return SUCCESS, b""
 
     def _read_registers(self, body: bytes) -> tuple[int, bytes]:
         content = b""

@@ -25,12 +25,13 @@ FIXED_WHILE_ACQUIRING = (*GEOMETRY, g.CHUNK_MODE, g.CHUNK_ENABLE)
 
 @dataclass(frozen=True, slots=True)
 class CameraIdentity:
-    """Address, serial number, model and maker."""
+    """Address, serial number, model and maker. mac : lower part of its MAC address, which never changes."""
 
     address: str
     serial: str
     model: str = "Virtual"
     vendor: str = "edged"
+    mac: int = 0
 
 
 class CameraRegisters:
@@ -83,8 +84,8 @@ class CameraRegisters:
 
         number = int.from_bytes(socket.inet_aton(self.identity.address), "big")
         words[g.VERSION], words[g.DEVICE_MODE] = 0x0002_0000, 0x8000_0001  # 2.0; big endian, UTF-8
-        words[g.MAC_HIGH], words[g.MAC_LOW] = 0x0200, number  # locally administered, unique per address
-        words[g.IP_OPTIONS] = words[g.IP_CONFIGURATION] = 0x0000_0006
+        words[g.MAC_HIGH], words[g.MAC_LOW] = 0x0200, self.identity.mac  # locally administered
+        words[g.IP_OPTIONS], words[g.IP_CONFIGURATION] = 0x0000_0007, 0x0000_0006
         words[g.CURRENT_IP], words[g.SUBNET_MASK] = number, 0xFF00_0000
         text(g.MANUFACTURER, self.identity.vendor, 32)
         text(g.MODEL, self.identity.model, 32)

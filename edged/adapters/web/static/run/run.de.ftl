@@ -171,6 +171,7 @@ run-told-temperature = { $value } °C
 run-told-clock-ptp = Uhr: PTP
 run-told-clock-ptp-within = Uhr: PTP, ±{ $bound } µs
 run-told-packet-delay = { $pause } µs zwischen den Paketen
+run-told-two-exposures = belichtet für { $long } und { $short } µs, im Abstand von { $apart } ms
 run-told-lacks = hat nicht: { $what }
 run-told-clock-free-running = Uhr: frei laufend
 run-told-clock-free-running-within = Uhr: frei laufend, ±{ $bound } µs

@@ -171,6 +171,7 @@ run-told-temperature = { $value } °C
 run-told-clock-ptp = clock: PTP
 run-told-clock-ptp-within = clock: PTP, ±{ $bound } µs
 run-told-packet-delay = { $pause } µs between packets
+run-told-two-exposures = exposed for { $long } and { $short } µs, { $apart } ms apart
 run-told-lacks = has not: { $what }
 run-told-clock-free-running = clock: free-running
 run-told-clock-free-running-within = clock: free-running, ±{ $bound } µs

@@ -225,3 +225,4 @@ fault-109 = Eine Kamera hat ein Bild noch einmal geschickt.
 fault-110 = Eine Kamera schickt immer wieder dasselbe Bild.
 fault-111 = Eine Kamera hat belichtet, die andere nicht.
 fault-112 = Eine Kamera antwortet, schickt aber keine Bilder.
+fault-113 = Zwischen den beiden Belichtungen hat sich etwas bewegt, oder das Licht war anders: Das Teil muss still liegen.

@@ -225,3 +225,4 @@ fault-109 = A camera sent the same image twice.
 fault-110 = A camera sends the same picture again and again.
 fault-111 = One camera exposed, and the other did not.
 fault-112 = A camera answers, but sends no images.
+fault-113 = Something moved between the two exposures, or the light changed: the part must lie still.

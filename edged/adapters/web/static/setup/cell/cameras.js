@@ -80,6 +80,12 @@ async function use(side, serial) {
   await lookAtCameras();
 }
 
+async function giveAddress(serial) {
+  const given = await attempt(() => ask("POST", "cameras/address", { token: token.value, serial }));
+  if (given) say(t(given.is_kept ? "address-kept" : "address-given", { serial, address: given.address }));
+  await lookAtCameras();
+}
+
 export default function Cameras() {
   useFresh(lookAtCameras, [holds.value]);
   const found = cameras.value?.found;
@@ -92,10 +98,10 @@ export default function Cameras() {
       ${found && !found.length && html`<p>${t("cameras-none")}</p>`}
       <ul class="tiles">
         ${found?.map(
-          ({ vendor, model, serial, address, trouble, side }) =>
+          ({ vendor, model, serial, address, address_by: by, is_lost: isLost, trouble, side }) =>
             html`<li class="tile">
               <h3 translate=${false}>${vendor} ${model}</h3>
-              <p class="muted" translate=${false}>${[serial, address].filter(Boolean).join(" · ")}</p>
+              <p class="muted" translate=${false}>${[serial, address, by].filter(Boolean).join(" · ")}</p>
               <p>
                 ${
                   side
@@ -118,6 +124,15 @@ export default function Cameras() {
                 </div>`
               }
               ${trouble && html`<p class="wrong"><${Shape} is="doubt" /> ${inWords("trouble", trouble)}</p>`}
+              ${
+                isLost &&
+                isChoosable(serial) &&
+                html`<div class="actions">
+                  <button disabled=${!holds.value} onClick=${() => giveAddress(serial)}>
+                    ${t("give-address")}
+                  </button>
+                </div>`
+              }
             </li>`,
         )}
       </ul>

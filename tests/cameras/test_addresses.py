@@ -1,0 +1,196 @@
+"""A camera in another network is found, and gets an address here that it keeps; others are left alone."""
+
+from __future__ import annotations
+
+import io
+import ipaddress
+import json
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers.gigecell import LEFT, NOBODY, RIGHT, Sensor, gige_camera
+from helpers.stagecell import Newcomer, run
+from rich.console import Console
+
+from edged.adapters.aravis import addresses, aravis_missing, give_address, list_cameras, with_addresses
+from edged.adapters.aravis.addresses import HeardCamera, free_address, hear_cameras
+from edged.commands.cameras import address as give
+from edged.commands.cameras import cameras as list_them
+from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable
+from edged.sim.gige import genicam as g
+from edged.sim.gige.camera import GigeCamera
+from edged.sim.world import SERIALS
+
+FOREIGN = "198.51.100.77"
+SERIAL = "EDGED-LOST"
+needs_aravis = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+
+
+@pytest.fixture(autouse=True)
+def only_loopback(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Virtual cameras hear what this machine broadcasts on any port."""
+    host = ipaddress.IPv4Interface("127.0.0.1/8")
+    monkeypatch.setattr("edged.adapters.aravis.addresses._ports", lambda: [("lo", host)])
+
+
+def number_of(address: str) -> int:
+    """As registers have it."""
+    return int(ipaddress.IPv4Address(address))
+
+
+@contextmanager
+def lost(**identity: Any) -> Iterator[GigeCamera]:
+    """A camera that says that it is in another network, and so hears broadcasts alone, as far as we know."""
+    with gige_camera(LEFT, SERIAL, Sensor(1), **identity) as camera:
+        camera.registers.put(g.CURRENT_IP, number_of(FOREIGN))
+        camera.registers.put(g.SUBNET_MASK, number_of("255.255.255.0"))
+        yield camera
+
+
+def heard(serial: str = SERIAL) -> HeardCamera:
+    """The camera, as it answers a broadcast."""
+    return next(one for one in hear_cameras() if one.serial == serial)
+
+
+def test_a_camera_of_another_network_is_heard_and_told_as_lost() -> None:
+    """With its MAC address, the port that hears it, and how it got its address."""
+    with lost():
+        camera = heard()
+        assert (FOREIGN, "lo", True, "DHCP") == (camera.address, camera.port, camera.is_lost, camera.ways)
+    with gige_camera(LEFT, "EDGED-HERE", Sensor(1)) as here:
+        assert not heard("EDGED-HERE").is_lost
+        here.registers.put(g.IP_CONFIGURATION, 0x5)
+        assert "persistent" == heard("EDGED-HERE").ways
+        here.registers.put(g.CURRENT_IP, number_of("169.254.7.8"))
+        assert "link-local" == heard("EDGED-HERE").ways
+
+
+@pytest.mark.slow
+def test_it_gets_an_address_here_and_keeps_it() -> None:
+    """FORCEIP by broadcast, then the persistent registers; nobody controls it afterwards."""
+    with lost() as camera:
+        assert (NOBODY, True) == give_address(SERIAL, NOBODY)
+        found = heard()
+        assert (NOBODY, False) == (found.address, found.is_lost)
+        assert number_of(NOBODY) == camera.registers.word(g.PERSISTENT_IP)
+        assert number_of("255.0.0.0") == camera.registers.word(g.PERSISTENT_MASK)
+        assert camera.registers.word(g.IP_CONFIGURATION) & 1
+        assert not camera.controlled
+
+
+@pytest.mark.slow
+def test_a_free_address_is_one_that_nobody_has() -> None:
+    """The last part of its own where that is free; not this host's, another camera's, or any that answers."""
+    with lost():
+        camera = heard()
+        assert "127.0.0.77" == free_address(camera, set())
+        assert "127.0.0.10" == free_address(camera, {"127.0.0.77"})
+    with gige_camera("127.0.0.77", "EDGED-THERE", Sensor(2)):
+        assert "127.0.0.10" == free_address(camera, set())
+
+
+@pytest.mark.slow
+def test_a_camera_that_a_program_controls_is_left_alone() -> None:
+    """By its own register where it can be asked, and by its refusal where it cannot."""
+    with gige_camera(RIGHT, "EDGED-TAKEN", Sensor(1)) as camera:
+        camera.steal_control()
+        with pytest.raises(CameraBusy, match="a program controls it"):
+            give_address("EDGED-TAKEN", NOBODY)
+    with lost() as camera:
+        camera.steal_control()
+        with pytest.raises(CameraBusy, match=r"it does not take .*: a program controls it"):
+            give_address(SERIAL, NOBODY)
+        assert camera.address == LEFT
+
+
+def test_addresses_that_do_not_fit_are_refused() -> None:
+    """Of another network, of another camera, of this host, and no address at all."""
+    with lost(), gige_camera(RIGHT, "EDGED-OTHER", Sensor(2)):
+        for wanted in (FOREIGN, RIGHT, "127.0.0.1", "here", "1.2.3"):
+            with pytest.raises(CameraSetupError, match="expected an address of"):
+                give_address(SERIAL, wanted)
+        with pytest.raises(CameraUnreachable, match="hears a broadcast"):
+            give_address("EDGED-NONE")
+
+
+@pytest.mark.slow
+def test_one_that_cannot_keep_an_address_says_so() -> None:
+    """It has it until it is switched off."""
+    with lost() as camera:
+        word = camera.registers.word
+        keep = camera.registers.hooks[g.PERSISTENT_IP]
+        camera.registers.hooks[g.PERSISTENT_IP] = lambda _: 0x8004
+        assert (NOBODY, False) == give_address(SERIAL, NOBODY)
+        camera.registers.hooks[g.PERSISTENT_IP] = keep
+        assert 0 == word(g.PERSISTENT_IP)
+
+
+@pytest.mark.parametrize("answer", [b"", b"\0" * 7, b"\0\0\0\3\0\x08\0\x33" + b"\0" * 8, b"\xff" * 300])
+def test_an_answer_that_is_none_is_no_camera(answer: bytes) -> None:
+    """Whatever comes to the socket."""
+    host = ipaddress.IPv4Interface("127.0.0.1/8")
+    assert addresses._heard(answer, "lo", host) is None  # noqa: SLF001  (the door for foreign bytes)
+
+
+@needs_aravis
+@pytest.mark.slow
+def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixture[str]) -> None:
+    """`edged cameras` and its JSON; then the command itself."""
+    with lost():
+        ((info, camera),) = [both for both in with_addresses(list_cameras()) if both[0].serial == SERIAL]
+        assert camera is not None
+        assert (FOREIGN, True) == (info.address, camera.is_lost)
+
+        out = io.StringIO()
+        list_them(as_json=False, console=Console(file=out, width=250))
+        assert f"edged cameras --give-address {SERIAL}" in out.getvalue()
+        list_them(as_json=True, console=Console(file=out))
+        (document,) = [one for one in json.loads(capsys.readouterr().out) if one["serial"] == SERIAL]
+        assert ("DHCP", False) == (document["address_by"], document["in_network"])
+
+        out = io.StringIO()
+        assert 0 == give(SERIAL, NOBODY, Console(file=out, width=250))
+        assert f"{SERIAL} is at {NOBODY}, and keeps it" in out.getvalue()
+        assert 1 == give("EDGED-NONE", "", Console(file=out, width=250))
+
+
+@needs_aravis
+@pytest.mark.slow
+def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> None:
+    """Named as lost, with how it got its address; and not where somebody else controls it."""
+
+    async def test(newcomer: Newcomer) -> None:
+        with lost() as camera:
+            found = {one["serial"]: one for one in (await newcomer.ask("GET", "cameras"))["found"]}
+            told = [found[SERIAL][name] for name in ("address", "address_by", "is_lost", "trouble")]
+            assert [FOREIGN, "DHCP", True, "wrong subnet"] == told
+            assert [False, None] == [found[SERIALS[0]][name] for name in ("is_lost", "trouble")]
+
+            body = {**newcomer.token, "serial": SERIAL}
+            camera.steal_control()
+            refused = await newcomer.ask("POST", "cameras/address", body, 503)
+            assert "a program controls it" in refused["detail"]
+            camera.release_control()
+            given = await newcomer.ask("POST", "cameras/address", body)
+            assert {"address": "127.0.0.77", "is_kept": True} == given
+            found = {one["serial"]: one for one in (await newcomer.ask("GET", "cameras"))["found"]}
+            assert ("127.0.0.77", False) == (found[SERIAL]["address"], found[SERIAL]["is_lost"])
+
+    run(tmp_path, test)
+
+
+def test_no_socket_is_left() -> None:
+    """Ports that cannot be asked are passed over."""
+    before = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    number = before.fileno()
+    before.close()
+    hear_cameras()
+    after = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        assert number == after.fileno()
+    finally:
+        after.close()

@@ -1,0 +1,174 @@
+"""Two exposures in a cycle: the right ones, merged, and a fault where they do not show the same."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edged.cell.stereohead import HeadSettings, StereoHead
+from edged.cell.twoexposures import TwoExposureHead
+from edged.domain.arrays import SIDES, Image
+from edged.domain.exposure import CameraValues
+from edged.errors import CaptureError, ExposuresDiffer, FrameTimeout
+from edged.sim.exposure import ExposureRequest
+from edged.sim.inprocess import InProcessCamera
+
+LONG_US, RATIO = 4000.0, 8.0
+GLINT = 4.0
+"""Light of the brightest part, against what makes the long exposure white."""
+
+
+class Metal:
+    """What both cameras see: a grey part with a glint, on a dark table. moved_px : between two exposures."""
+
+    def __init__(self) -> None:
+        self.exposures: list[float] = []
+        self.times: list[int] = []
+        self.moved_px = 0.0
+        self.flicker = 1.0
+        self._random = np.random.default_rng(1)
+
+    def __call__(self, request: ExposureRequest) -> Image:
+        self.exposures.append(request.exposure_us)
+        self.times.append(request.exposed_ns)
+        y, x = np.mgrid[: request.height, : request.width].astype(float)
+        at_x = 60 + (self.moved_px if len(self.exposures) > 2 else 0.0)
+        light = 0.1 + 0.4 * (np.hypot(x - at_x, y - 60) < 40) + GLINT * (np.hypot(x - at_x, y - 60) < 12)
+        lamp = self.flicker if len(self.exposures) > 2 else 1.0
+        grey = 255 * light * lamp * request.exposure_us / LONG_US + self._random.normal(0, 1, light.shape)
+        return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+
+def heads(metal: Metal, **options: Any) -> tuple[TwoExposureHead, tuple[InProcessCamera, InProcessCamera]]:
+    """A head that exposes twice, and its cameras."""
+    left, right = (InProcessCamera(side, metal, width=128, height=128, exposure_us=LONG_US) for side in SIDES)
+    settings = HeadSettings(timeout_s=5.0, max_skew_s=1.0)
+    long_us = dict.fromkeys(SIDES, LONG_US)
+    return (
+        TwoExposureHead(StereoHead(left, right, settings), long_us, RATIO, **{"settles": False, **options}),
+        (left, right),
+    )
+
+
+def run(script: Callable[[], Awaitable[Any]], head: TwoExposureHead) -> Any:
+    """Run, and close."""
+
+    async def main() -> Any:
+        try:
+            return await script()
+        finally:
+            await head.close()
+
+    return asyncio.run(asyncio.wait_for(main(), 60))
+
+
+def test_each_cycle_has_a_long_and_a_short_exposure_and_changes_once() -> None:
+    """It begins with what the last one ended with; both glint and table are seen in every pair."""
+    metal = Metal()
+    head, _ = heads(metal)
+    pairs = run(lambda: _captured(head, 3), head)
+
+    long, short = LONG_US, LONG_US / RATIO
+    assert [long] * 2 + [short] * 4 + [long] * 4 + [short] * 2 == metal.exposures
+    for pair in pairs:
+        image = pair.left.image
+        assert 254 > image[60, 60] > 130  # the glint is not white
+        assert 5 < image[2, 2] < 30
+
+
+async def _captured(head: TwoExposureHead, count: int) -> list[Any]:
+    return [await head.capture() for _ in range(count)]
+
+
+def test_a_camera_that_takes_values_late_has_an_exposure_between_that_is_thrown_away() -> None:
+    """Where the adapter does not see to it: with triggers that it does not make itself."""
+    metal = Metal()
+    head, _ = heads(metal, settles=True)
+    run(lambda: _captured(head, 1), head)
+
+    assert [LONG_US] * 4 + [LONG_US / RATIO] * 4 == metal.exposures
+
+
+def test_the_time_of_a_pair_is_between_both_exposures_and_its_bound_reaches_to_each() -> None:
+    """Where a part moved a little, nobody knows better when it was seen."""
+    metal = Metal()
+    head, _ = heads(metal)
+    (pair,) = run(lambda: _captured(head, 1), head)
+
+    assert max(metal.times[:2]) < pair.exposed_ns < min(metal.times[2:])
+    assert head.taken is not None
+    assert (LONG_US, LONG_US / RATIO) == (head.taken.long_us, head.taken.short_us)
+    assert pair.left.exposed_bound_ns is None  # these cameras do not know their own
+
+
+@pytest.mark.parametrize("moved_px", [3.0, 30.0])
+def test_a_part_that_moves_between_the_two_is_a_fault(moved_px: float) -> None:
+    """Code 113, and the pair is no result."""
+    metal = Metal()
+    metal.moved_px = moved_px
+    head, _ = heads(metal)
+    with pytest.raises(ExposuresDiffer, match=r"both cameras: something moved .*two exposures") as raised:
+        run(lambda: _captured(head, 1), head)
+    assert 113 == raised.value.code
+
+
+def test_light_that_changes_between_the_two_is_a_fault_beyond_flicker() -> None:
+    """A lamp that went off; a tenth is taken as it is."""
+    metal = Metal()
+    metal.flicker = 0.9
+    head, _ = heads(metal)
+    run(lambda: _captured(head, 1), head)
+    metal.exposures.clear()
+    metal.flicker = 0.6
+    with pytest.raises(ExposuresDiffer, match="the light changed"):
+        run(lambda: _captured(head, 1), head)
+
+
+def test_what_a_person_sets_is_the_long_exposure() -> None:
+    """Also after a cycle that ended with the short one; the short one follows; `restore` brings both back."""
+    metal = Metal()
+    head, _ = heads(metal)
+
+    async def script() -> None:
+        await head.capture()
+        made = await head.adjust("left", CameraValues())
+        assert LONG_US == made.exposure_us
+        await head.adjust("left", CameraValues(exposure_us=2 * LONG_US))
+        metal.exposures.clear()
+        await head.capture()
+        assert {2 * LONG_US, LONG_US, 2 * LONG_US / RATIO, LONG_US / RATIO} == set(metal.exposures)
+        await head.restore()
+        metal.exposures.clear()
+        await head.capture()
+        assert {LONG_US, LONG_US / RATIO} == set(metal.exposures)
+
+    run(script, head)
+
+
+def test_after_a_fault_the_exposures_are_right_again() -> None:
+    """A camera that was lost between both exposures: the next pair is whole."""
+    metal = Metal()
+    head, (left, _) = heads(metal)
+
+    async def script() -> None:
+        await head.capture()
+        left.faults.incomplete_next = 1
+        with pytest.raises(CaptureError):
+            await head.capture()
+        metal.exposures.clear()
+        pair = await head.capture()
+        assert {LONG_US, LONG_US / RATIO} == set(metal.exposures)
+        assert 254 > pair.left.image[60, 60] > 130
+
+    run(script, head)
+
+
+def test_nobody_else_can_trigger_two_exposures() -> None:
+    """The configuration refuses it; so does the head."""
+    head, _ = heads(Metal())
+    with pytest.raises(FrameTimeout, match="others' triggers"):
+        run(head.listen, head)
