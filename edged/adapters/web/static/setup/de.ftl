@@ -210,6 +210,18 @@ draft-discard-name = { $name } verwerfen
 draft-discard-title = { $name } verwerfen?
 draft-broken = Sie lässt sich nicht mehr lesen.
 
+## Tasten
+keys = Tastatur
+keys-steps = Zum Schritt mit dieser Nummer
+keys-beside = Zum nächsten Schritt, zum vorigen
+keys-main = Zum Knopf am Fuß
+keys-undo = Die letzte Änderung an einem Entwurf rückgängig machen
+keys-redo = Sie wiederholen
+keys-close = Schließen, was offen ist
+keys-list = Diese Liste
+keys-ctrl = Strg
+keys-single = Einzelne Tasten wirken (nicht, während Sie schreiben)
+
 ## Fehler der Kameras, nach der Nummer der SPS
 fault-other = Ein Fehler der Zelle.
 fault-100 = Eine Kamera hat nichts geliefert.
