@@ -21,6 +21,7 @@ from helpers.flangedrawing import flange_drawing
 from helpers.setuppage import (
     DIALOG,
     SMALL_TARGETS,
+    STEPS,
     TOO_WIDE,
     UNTRANSLATED,
     discard,
@@ -366,6 +367,28 @@ def test_everybody_can_teach(stand: Stand, width: int, height: int) -> None:
         await page.value('document.documentElement.style.fontSize = "200%"')
         assert 0 == await page.value(TOO_WIDE)
         assert not await page.value(DIALOG)
+
+    stand.run(test)
+
+
+@pytest.mark.parametrize("language", ["fr", "ja", "zh"])
+def test_every_page_fits_a_phone_in_every_language(stand: Stand, language: str) -> None:
+    """360 px are enough, every text has its words and not its name, and nothing is English but names."""
+    texts = 'import("/static/setup/shared/texts.js")'
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open(360, 740)
+        await page.value(f'{texts}.then((texts) => texts.choose("{language}"))')
+        assert language == await page.value("document.documentElement.lang")
+        for step in STEPS:
+            await go(page, step)
+            await page.until(f"""document.querySelector('main[data-page="{step}"]')""")
+            assert 0 == await page.value(TOO_WIDE), step
+            assert [] == await page.violations(), step
+            said = await page.value("document.body.innerText")
+            assert [] == re.findall(r"^[a-z]+(?:-[a-z]+)+$", said, re.MULTILINE), step
+        await page.value(f'{texts}.then((texts) => texts.choose("en"))')
 
     stand.run(test)
 
