@@ -51,3 +51,4 @@ jobs-restore-done = { $name } est rétablie.
 jobs-versions = Versions
 jobs-versions-none = Inchangée depuis sa livraison avec la cellule.
 jobs-release = Version { $number }
+jobs-undo = Annuler

@@ -51,3 +51,4 @@ jobs-restore-done = { $name } を復帰させました。
 jobs-versions = 履歴
 jobs-versions-none = セルの導入時から変更されていません。
 jobs-release = リリース { $number }
+jobs-undo = 元に戻す

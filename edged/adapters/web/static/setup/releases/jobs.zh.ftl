@@ -51,3 +51,4 @@ jobs-restore-done = { $name } 已恢复。
 jobs-versions = 历史版本
 jobs-versions-none = 自随单元交付以来未更改。
 jobs-release = 版本 { $number }
+jobs-undo = 撤销
