@@ -371,6 +371,43 @@ def test_everybody_can_teach(stand: Stand, width: int, height: int) -> None:
     stand.run(test)
 
 
+def test_the_cell_is_turned_in_space_by_mouse_and_keys(stand: Stand) -> None:
+    """Both cameras are there, and what a key turns a drag turns back; everybody can use it."""
+    paths = """[...document.querySelectorAll(".space path")].map((e) => e.getAttribute("d")).join()"""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open(
+            360, 740, "?pseudo", "space", 'document.querySelectorAll(".space .camera").length === 10'
+        )
+        assert [] == await page.value(UNTRANSLATED)
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+        assert 0 == await page.value(TOO_WIDE)
+        first = await page.value(paths)
+        await page.value('document.querySelector(".space").focus()')
+        await page.press("ArrowLeft")
+        await page.until(f"{paths} !== {first!r}")
+        x, y = await page.middle(".space")
+        for kind, moved in (("mousePressed", 0), ("mouseMoved", 15), ("mouseReleased", 15)):
+            await page.ask(
+                "Input.dispatchMouseEvent",
+                type=kind,
+                x=x + moved,
+                y=y,
+                button="left",
+                buttons=1,
+                clickCount=1,
+            )
+        await page.until(f"{paths} === {first!r}")
+        await page.wheel(".space", -100)
+        await page.until(f"{paths} !== {first!r}")
+        await page.press("0")
+        await page.until(f"{paths} === {first!r}")
+
+    stand.run(test)
+
+
 @pytest.mark.parametrize("language", ["fr", "ja", "zh"])
 def test_every_page_fits_a_phone_in_every_language(stand: Stand, language: str) -> None:
     """360 px are enough, every text has its words and not its name, and nothing is English but names."""

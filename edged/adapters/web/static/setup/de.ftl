@@ -7,6 +7,7 @@ nav-run = Betrieb
 nav-setup = Einrichten
 nav-jobs = Aufträge
 nav-cycles = Zyklen
+nav-space = 3D
 nav-system = System
 nav-manual = Handbuch
 menu = Konto und Sprache:

@@ -7,6 +7,7 @@ nav-run = Run
 nav-setup = Set up
 nav-jobs = Jobs
 nav-cycles = Cycles
+nav-space = 3D
 nav-system = System
 nav-manual = Manual
 menu = Account and language:

@@ -4,9 +4,10 @@
 skip = Aller au contenu
 nav = Pages
 nav-run = Production
-nav-setup = Mise en service
+nav-setup = Réglage
 nav-jobs = Tâches
 nav-cycles = Cycles
+nav-space = 3D
 nav-system = Système
 nav-manual = Manuel
 menu = Compte et langue :

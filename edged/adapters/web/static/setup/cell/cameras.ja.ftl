@@ -1,6 +1,6 @@
 # Texts of cameras.js.
 cameras-title = カメラ
-cameras-what = 両方のカメラが正常に接続され、それぞれ正しい側にあること(カメラからワークを見た向きで)。
+cameras-what = 両方のカメラが正常に接続され、それぞれ正しい側にあること（カメラからワークを見た向きで）。
 cameras-found = 見つかったカメラ
 cameras-none = 応答するカメラがありません。電源とネットワークケーブルを確認してください。別のサブネットのカメラも、変更すべき点とともに表示されます。
 cameras-engineer = エンジニアには、応答するカメラがここに表示されます。
@@ -9,14 +9,14 @@ is-left = 左カメラ
 is-right = 右カメラ
 is-neither = このセルでは未使用
 use-as-left = 左として使用
-use-as-left-name = 左カメラとして使用:{ $serial }
+use-as-left-name = 左カメラとして使用：{ $serial }
 use-as-right = 右として使用
-use-as-right-name = 右カメラとして使用:{ $serial }
+use-as-right-name = 右カメラとして使用：{ $serial }
 used-as-left = { $serial } を左カメラにしました。
 used-as-right = { $serial } を右カメラにしました。
 trouble-controlled-by-another-program-or-host = 別のプログラムか PC が使用中です。そちらを閉じてください
 trouble-wrong-subnet = アドレスがネットワークカードと別のサブネットにあります
-wave-title = 左はどちらですか?
+wave-title = 左はどちらですか？
 wave-what = 左カメラの前だけで手を振ってください。動きを検出したカメラが左になります。
 wave-start = 手を振ります
 wave-again = もう一度
