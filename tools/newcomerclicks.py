@@ -110,7 +110,7 @@ async def set_up(
 
 
 def _quantile(spent_ms: list[float], share: float, clicks: int) -> float:
-    """Of all clicks; those that are not told took less than 16 ms."""
+    """A share of all clicks; those that are not told took less than 16 ms."""
     all_ms = [16.0] * max(clicks - len(spent_ms), 0) + spent_ms
     return all_ms[max(math.ceil(share * len(all_ms)) - 1, 0)]
 

@@ -122,9 +122,9 @@ class Calibrations:
         await self.drafts.close()
 
     def boards_in_space(self, rig: StereoRig) -> list[tuple[str, bool, FloatArray]]:
-        """Of the youngest draft with any: the view's name, whether it is used, corners (4, 3), mm, rig frame.
+        """Boards of the youngest draft with any: the view's name, whether it is used, corners (4, 3), rig frame.
 
-        As this rig sees them; a board whose rays do not meet is left out.
+        In mm, as this rig sees them; a board whose rays do not meet is left out.
         """
         for _, state in self._folders.states():
             if isinstance(state, FileFormatError):
