@@ -122,7 +122,7 @@ class Calibrations:
         await self.drafts.close()
 
     def boards_in_space(self, rig: StereoRig) -> list[tuple[str, bool, FloatArray]]:
-        """Boards of the youngest draft with any: the view's name, whether it is used, corners (4, 3), rig frame.
+        """Boards of the youngest draft with any: name of the view, whether used, corners (4, 3), rig frame.
 
         In mm, as this rig sees them; a board whose rays do not meet is left out.
         """
