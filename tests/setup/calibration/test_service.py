@@ -63,12 +63,6 @@ def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
         assert (["jobs"], release["rig"]) == (now["missing"], load_rig(cell.rig).calibration_id)
         _, draft = await cell.ask("GET", place)
         assert draft["active"]
-        _, scene = await cell.ask("GET", "/scene")
-        assert [view["name"] for view in draft["views"]] == [board["name"] for board in scene["boards"]]
-        corners = np.array([board["corners"] for board in scene["boards"]])
-        sides_mm = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-        assert np.ptp(sides_mm, axis=0).max() < 0.1  # one board, wherever it was held
-        assert np.linalg.norm(scene["cameras"][1]["centre"]) == pytest.approx(scene["baseline_mm"], abs=1e-2)
         _, listed = await cell.ask("GET", "/releases")
         assert [release] == listed["releases"]
         again = {"reason": "once more", "token": token}
