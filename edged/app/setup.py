@@ -78,6 +78,7 @@ class SetupServices:
         from edged.setup.recordings.routes import CycleRoutes, RegressionRoutes
         from edged.setup.registration.routes import RegistrationRoutes
         from edged.setup.releases.routes import JobRoutes, ReleaseRoutes
+        from edged.setup.scene import SceneRoutes
         from edged.setup.teaching.routes import TeachingRoutes
         from edged.setup.trials.routes import TrialRoutes
 
@@ -92,6 +93,7 @@ class SetupServices:
             PlcSettingsRoutes(self.cell, self._activation),
             TeachingRoutes(self._teachings, self._activation),
             TrialRoutes(self._trials),
+            SceneRoutes(self.cell, self._calibrations),
             JobRoutes(self._jobs, self._activation),
             RegressionRoutes(self._regressions, self._candidates),
         ]

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
 from helpers.boardcell import BoardCell
 from helpers.browsersession import BrowserSession
-from helpers.everyroute import check_document, check_questions, check_roles
+from helpers.everyroute import check_document, check_questions, check_roles, operations
 from helpers.webcell import HASH, USERS
 
+from edged.adapters.web.assets import read_assets
 from edged.files.statefolder import state_folder
 from edged.identity.users import User, UserFile
 
@@ -33,12 +35,21 @@ def asked(tmp_path: Path) -> Callable[[Callable[[BrowserSession], Awaitable[None
 def test_all_of_the_api_is_what_its_document_says(
     asked: Callable[[Callable[[BrowserSession], Awaitable[None]]], None],
 ) -> None:
-    """Of cameras, calibrations and tasks as of users: nobody gets further than their role."""
+    """Of cameras, calibrations and tasks as of users: nobody gets further than their role; the page has
+    words for whatever the audit notes.
+    """
 
     async def test(browser: BrowserSession) -> None:
         document = await check_document(browser)
         assert {"/api/v1/cameras", "/api/v1/calibrations"} <= set(document["paths"])
         await check_roles(browser, {name: USERS[name] for name in ("Vera", "Otto", "Anna")})
+        audited = [
+            f"{method} {path.removeprefix('/api/v1/')}"
+            for method, path, operation in operations(document)
+            if operation["x-edged-audit"]
+        ]
+        worded = re.findall(r"\[/(\^.*)/, \"[a-z-]+\"\]", read_assets()["setup/cell/people.js"])
+        assert [] == [deed for deed in audited if not any(re.search(one, deed) for one in worded)]
         browser.session.cookie_jar.clear()
         assert await check_questions(browser) >= 30
 

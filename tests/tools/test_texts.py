@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
+from fluent.runtime import FluentResource
+from fluent.syntax.ast import Junk
 
 from edged.adapters.web.texts import Texts
 from edged.app.cameras import camera_facts
@@ -57,7 +59,9 @@ def entries(part: str, language: str) -> list[tuple[str, str]]:
 
 
 ENGLISH = {part: dict(entries(part, "en")) for part in PARTS}
-GERMAN = {part: dict(entries(part, "de")) for part in PARTS}
+OTHERS = sorted({path.name.split(".")[-2] for path in (WEB / "static").rglob("*.ftl")} - {"en"})
+TEXTS = {tag: {part: dict(entries(part, tag)) for part in PARTS} for tag in OTHERS}
+"""By language and file: those beside English."""
 
 
 def scripts_of(page: str) -> set[str]:
@@ -72,16 +76,32 @@ def scripts_of(page: str) -> set[str]:
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_german_says_what_english_says(part: str) -> None:
+@pytest.mark.parametrize("language", OTHERS)
+def test_every_language_says_what_english_says(language: str, part: str) -> None:
     """Every text, and in it every value that the page knows."""
-    assert list(ENGLISH[part]) == list(GERMAN[part])
+    assert list(ENGLISH[part]) == list(TEXTS[language][part])
     for name, text in ENGLISH[part].items():
-        assert set(VALUE.findall(text)) == set(VALUE.findall(GERMAN[part][name])), name
+        assert set(VALUE.findall(text)) == set(VALUE.findall(TEXTS[language][part][name])), name
         assert text.strip(), name
-        assert GERMAN[part][name].strip(), name
+        assert TEXTS[language][part][name].strip(), name
 
 
-@pytest.mark.parametrize("language", ["en", "de"])
+@pytest.mark.parametrize("language", OTHERS)
+def test_every_text_can_be_read(language: str) -> None:
+    """No entry has a mistake for which a browser would leave it out, or show its values' names."""
+    for path in (WEB / "static").rglob(f"*{language}.ftl"):
+        resource = FluentResource(path.read_text())
+        assert [] == [entry for entry in resource.body if isinstance(entry, Junk)], path
+
+
+def test_the_page_offers_each_language_that_has_texts() -> None:
+    """And no other: its name stands where one is chosen."""
+    (listed,) = re.findall(r"LANGUAGES = \{(.*?)\}", SCRIPTS["texts"])
+
+    assert {"en", *OTHERS} == set(re.findall(r"(\w+): \"", listed))
+
+
+@pytest.mark.parametrize("language", ["en", *OTHERS])
 def test_no_text_stands_twice(language: str) -> None:
     """An id has one text in each language: which page came first must not matter."""
     names = [name for part in PARTS for name, _ in entries(part, language)]
@@ -208,7 +228,7 @@ def test_the_cell_can_read_the_texts_of_its_forms() -> None:
     """Each on one line, with values only, and named in a template or beside it; a browser reads the same."""
     texts = Texts("login")
     named = {name for path in FORMS for name in re.findall(r'"((?:login|invite)-[a-z-]+)"', path.read_text())}
-    for tag, entries_of in (("en", ENGLISH["login"]), ("de", GERMAN["login"])):
+    for tag, entries_of in (("en", ENGLISH["login"]), *((tag, TEXTS[tag]["login"]) for tag in OTHERS)):
         say = texts.in_language(tag)
         for name, text in entries_of.items():
             values = {value: f"<{value}>" for value in VALUE.findall(text)}
@@ -217,7 +237,7 @@ def test_the_cell_can_read_the_texts_of_its_forms() -> None:
             assert "<" not in say(name, **values)
             assert "{" not in told
 
-    assert {"en", "de"} == set(texts.languages)
+    assert {"en", *OTHERS} == set(texts.languages)
     assert set(ENGLISH["login"]) == named
 
 
@@ -236,6 +256,5 @@ def test_every_page_has_texts() -> None:
     assert len(entered) >= 2
     assert {page: folder.name for page, folder in FOLDERS.items()} == entered
     for page, folder in FOLDERS.items():
-        assert {f"{page}{end}" for end in (".js", ".css", ".de.ftl", ".en.ftl")} <= {
-            path.name for path in folder.iterdir()
-        }
+        ends = (".js", ".css", ".en.ftl", *(f".{tag}.ftl" for tag in OTHERS))
+        assert {f"{page}{end}" for end in ends} <= {path.name for path in folder.iterdir()}

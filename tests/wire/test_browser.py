@@ -274,6 +274,8 @@ def test_no_word_is_written_into_the_page(width: int) -> None:
         assert [] == await page.value(UNTRANSLATED)
         await page.type("#find", "result")  # of few rows axe says the same as of all
         await page.until('document.querySelectorAll("#words tr").length < 20')
+        await page.until('document.querySelector("#left text")')
+        assert 0 == await page.value('document.querySelectorAll("button text").length')  # none is called so
         fail(web)
         await page.until('document.querySelector("#faults").textContent.includes("200 ms")')
         assert [] == await page.value(UNTRANSLATED)

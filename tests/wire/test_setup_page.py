@@ -345,6 +345,43 @@ def test_a_keyboard_is_enough() -> None:
     on_the_page(test)
 
 
+def test_few_keys_lead_about_and_none_while_somebody_types() -> None:
+    """They are listed by "?", go to steps, press nothing, and single ones can be switched off."""
+    shown = 'document.querySelector("main").dataset.page'
+
+    async def key(page: Browser, name: str, expected: str) -> None:
+        await page.press(name)
+        await page.until(f"{shown} === {expected!r}")
+
+    async def test(page: Browser, cell: Cell) -> None:
+        await page.press("?")
+        await page.until(DIALOG)
+        assert [] == await page.violations()
+        rows = 'document.querySelectorAll("dialog[open] tr").length'
+        assert 7 == await page.value(rows)
+        await page.press("9")  # an open dialog takes no keys
+        await page.click("dialog[open] .actions button")
+        await page.until(f"!{DIALOG}")
+        assert "welcome" == await page.value(shown)
+        await go(page, "system")
+        await key(page, "1", "welcome")
+        await key(page, "9", "welcome")  # no such page in this cell
+        await go(page, "system")
+        await page.value('document.querySelector("main input:not([hidden])").focus()')
+        await page.press("1")
+        assert "system" == await page.value(shown)
+        await page.value("document.activeElement.blur()")
+        await page.click(".menu summary")
+        await page.click(".keyboard")
+        await page.click("dialog[open] [name=keys]")
+        await page.click("dialog[open] .actions button")
+        await page.press("1")
+        assert "system" == await page.value(shown)
+        assert cell.ear.state() is CellPhase.READY
+
+    on_the_page(test)
+
+
 def test_a_page_that_does_not_come_says_so() -> None:
     """It is fetched when it is first entered; what happened is said, and what is there stays."""
 

@@ -228,6 +228,13 @@ def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
         await page.click("dialog[open] .primary")
         await page.until(f"!{DIALOG} && document.querySelector('.job .count').textContent === '7'")
 
+        for count, note in (("1", "not after all"), ("7", "after all")):  # undone, and that undone
+            await press(page, "Undo")
+            await page.until(f"{DIALOG}.querySelector('[name=number]').value === '{count}'")
+            await page.type("dialog[open] [name=note]", note)
+            await page.click("dialog[open] .primary")
+            await page.until(f"!{DIALOG} && document.querySelector('.job .count').textContent === '{count}'")
+
         job.write_text(job.read_text().replace("max_sigma_mm = 0.02", "max_sigma_mm = 0.0001"))
         await press(page, "Duplicate")
         await page.until(DIALOG)

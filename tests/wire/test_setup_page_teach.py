@@ -21,6 +21,7 @@ from helpers.flangedrawing import flange_drawing
 from helpers.setuppage import (
     DIALOG,
     SMALL_TARGETS,
+    STEPS,
     TOO_WIDE,
     UNTRANSLATED,
     discard,
@@ -169,8 +170,7 @@ def test_a_part_is_proposed_with_its_true_sizes_and_each_tap_says_what_it_costs(
 
         await page.value('document.querySelector(".features-list li:nth-child(3) input").focus()')
         await page.until('document.querySelectorAll(".feature.lit[data-key=c2]").length === 2')
-        await page.value("document.activeElement.blur()")
-        await stand.key("z", CTRL, 90)
+        await stand.key("z", CTRL, 90)  # the box that was ticked last has the focus
         await page.until(f"{CHECKED}[4] === true")
         for row in (4, 3, 1, 2):
             await press(page, "Undo")
@@ -367,6 +367,65 @@ def test_everybody_can_teach(stand: Stand, width: int, height: int) -> None:
         await page.value('document.documentElement.style.fontSize = "200%"')
         assert 0 == await page.value(TOO_WIDE)
         assert not await page.value(DIALOG)
+
+    stand.run(test)
+
+
+def test_the_cell_is_turned_in_space_by_mouse_and_keys(stand: Stand) -> None:
+    """Both cameras are there, and what a key turns a drag turns back; everybody can use it."""
+    paths = """[...document.querySelectorAll(".space path")].map((e) => e.getAttribute("d")).join()"""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open(
+            360, 740, "?pseudo", "space", 'document.querySelectorAll(".space .camera").length === 10'
+        )
+        assert [] == await page.value(UNTRANSLATED)
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+        assert 0 == await page.value(TOO_WIDE)
+        first = await page.value(paths)
+        await page.value('document.querySelector(".space").focus()')
+        await page.press("ArrowLeft")
+        await page.until(f"{paths} !== {first!r}")
+        x, y = await page.middle(".space")
+        for kind, moved in (("mousePressed", 0), ("mouseMoved", 15), ("mouseReleased", 15)):
+            await page.ask(
+                "Input.dispatchMouseEvent",
+                type=kind,
+                x=x + moved,
+                y=y,
+                button="left",
+                buttons=1,
+                clickCount=1,
+            )
+        await page.until(f"{paths} === {first!r}")
+        await page.wheel(".space", -100)
+        await page.until(f"{paths} !== {first!r}")
+        await page.press("0")
+        await page.until(f"{paths} === {first!r}")
+
+    stand.run(test)
+
+
+@pytest.mark.parametrize("language", ["fr", "ja", "zh"])
+def test_every_page_fits_a_phone_in_every_language(stand: Stand, language: str) -> None:
+    """360 px are enough, every text has its words and not its name, and nothing is English but names."""
+    texts = 'import("/static/setup/shared/texts.js")'
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open(360, 740)
+        await page.value(f'{texts}.then((texts) => texts.choose("{language}"))')
+        assert language == await page.value("document.documentElement.lang")
+        for step in STEPS:
+            await go(page, step)
+            await page.until(f"""document.querySelector('main[data-page="{step}"]')""")
+            assert 0 == await page.value(TOO_WIDE), step
+            said = await page.value("document.body.innerText")
+            assert [] == re.findall(r"^[a-z]+(?:-[a-z]+)+$", said, re.MULTILINE), step
+        assert [] == await page.violations()
+        await page.value(f'{texts}.then((texts) => texts.choose("en"))')
 
     stand.run(test)
 

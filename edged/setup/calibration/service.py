@@ -22,7 +22,7 @@ from edged import __version__
 from edged.cell.tasks import cancel_and_await
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
-from edged.errors import CalibrationError, EdgedError, SetupRefused
+from edged.errors import CalibrationError, EdgedError, FileFormatError, SetupRefused
 from edged.setup.calibration.documents import DraftDocument, guided_in, shown_in
 from edged.setup.calibration.drafts import Draft, Drafts, Looks, Solution
 from edged.setup.calibration.guidance import (
@@ -43,6 +43,8 @@ from edged.setup.pairs import Progress
 from edged.vision.boards.board import NominalBoard
 from edged.vision.boards.detection import agreed_board, of_size
 from edged.vision.calibration.lenschoice import LensWish
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.triangulation import triangulate_raw
 
 log = logging.getLogger(__name__)
 
@@ -118,6 +120,23 @@ class Calibrations:
         if self._watching is not None:
             await cancel_and_await(self._watching)
         await self.drafts.close()
+
+    def boards_in_space(self, rig: StereoRig) -> list[tuple[str, bool, FloatArray]]:
+        """Boards of the youngest draft with any: name of the view, whether used, corners (4, 3), rig frame.
+
+        In mm, as this rig sees them; a board whose rays do not meet is left out.
+        """
+        for _, state in self._folders.states():
+            if isinstance(state, FileFormatError):
+                continue
+            found = [
+                (name, name in state.used, triangulate_raw(rig, *_outlines(view)))
+                for name, view in state.views.items()
+                if view.left.outline and view.right.outline
+            ]
+            if seen := [(name, used, corners) for name, used, corners in found if np.isfinite(corners).all()]:
+                return seen
+        return []
 
     # --- requests ------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ nav-run = Betrieb
 nav-setup = Einrichten
 nav-jobs = Aufträge
 nav-cycles = Zyklen
+nav-space = 3D
 nav-system = System
 nav-manual = Handbuch
 menu = Konto und Sprache:
@@ -209,6 +210,18 @@ draft-discard = Verwerfen
 draft-discard-name = { $name } verwerfen
 draft-discard-title = { $name } verwerfen?
 draft-broken = Sie lässt sich nicht mehr lesen.
+
+## Tasten
+keys = Tastatur
+keys-steps = Zum Schritt mit dieser Nummer
+keys-beside = Zum nächsten Schritt, zum vorigen
+keys-main = Zum Knopf am Fuß
+keys-undo = Die letzte Änderung an einem Entwurf rückgängig machen
+keys-redo = Sie wiederholen
+keys-close = Schließen, was offen ist
+keys-list = Diese Liste
+keys-ctrl = Strg
+keys-single = Einzelne Tasten wirken (nicht, während Sie schreiben)
 
 ## Fehler der Kameras, nach der Nummer der SPS
 fault-other = Ein Fehler der Zelle.

@@ -7,6 +7,7 @@ nav-run = Run
 nav-setup = Set up
 nav-jobs = Jobs
 nav-cycles = Cycles
+nav-space = 3D
 nav-system = System
 nav-manual = Manual
 menu = Account and language:
@@ -209,6 +210,18 @@ draft-discard = Discard
 draft-discard-name = Discard { $name }
 draft-discard-title = Discard { $name }?
 draft-broken = It can no longer be read.
+
+## Keys
+keys = Keyboard
+keys-steps = To the step of this number
+keys-beside = To the next step, to the one before
+keys-main = To the button at the foot
+keys-undo = Undo the last change to a draft
+keys-redo = Do it again
+keys-close = Close what is open
+keys-list = This list
+keys-ctrl = Ctrl
+keys-single = Single keys act (not while you type)
 
 ## Faults of cameras, by the PLC's number
 fault-other = A fault of the cell.

@@ -2,6 +2,7 @@
 import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "../vendor/ui.js";
 import { enter, pageOf } from "./pages.js";
 import { ask, attempt, confirming, glance, sentence, trouble, troubled } from "./shared/api.js";
+import { Keys, listKeys } from "./shared/keys.js";
 import { cell, end, hasManual, holds, isConnected, leave, mayTake, me, take, wake } from "./shared/live.js";
 import { Chip, Dialog, mainAction, Shape, Spoken } from "./shared/pieces.js";
 import { choose, LANGUAGES, language, t } from "./shared/texts.js";
@@ -76,6 +77,7 @@ function Menu() {
         </select>
       </label>
       ${hasManual && html`<a class="button" href="/manual/how-to/setup/">${t("nav-manual")}</a>`}
+      <button class="keyboard" onClick=${listKeys}>${t("keys")}</button>
       <form method="post" action="/logout"><button>${t("log-out")}</button></form>
     </div>
   </details>`;
@@ -283,11 +285,19 @@ function Trouble() {
 }
 
 // The steps before and after this one.
-function Foot() {
+function beside() {
   const steps = STEPS.filter(isBuilt);
   const at = steps.findIndex(({ id }) => id === here.value);
-  if (at < 1) return null;
-  const [before, step, after] = [steps[at - 1], steps[at], steps[at + 1]];
+  return at < 0 ? [] : [steps[at - 1], steps[at], steps[at + 1]];
+}
+function goTo(where) {
+  const [before, , after] = beside();
+  const step = Number.isInteger(where) ? STEPS[where - 1] : where === "next" ? after : before;
+  if (step && isBuilt(step)) location.hash = `#/${step.id}`;
+}
+function Foot() {
+  const [before, step, after] = beside();
+  if (!before) return null;
   return html`<nav class="foot" aria-label=${t("foot")}>
     <a class="button" href="#/${before.id}">‹ ${t(`step-${before.id}`)}</a>
     ${
@@ -344,5 +354,6 @@ export function Shell() {
     </div>
     <${Foot} />
     <${Confirm} />
+    <${Keys} go=${goTo} />
     <${Spoken} />`;
 }

@@ -1,5 +1,6 @@
 // The views taken, with their residuals; each can be left out, and that undone.
 import { html, useEffect, useRef } from "../../vendor/ui.js";
+import { useUndoKeys } from "../shared/keys.js";
 import { draft, mayTake, SIDES } from "../shared/live.js";
 import { Shape, say } from "../shared/pieces.js";
 import { number, t } from "../shared/texts.js";
@@ -13,12 +14,13 @@ export function Filmstrip({ change, why }) {
   useEffect(() => {
     if (strip.current) strip.current.scrollLeft = strip.current.scrollWidth; // the newest
   }, [views.length]);
-  if (!views.length && !can_redo) return null;
   const remove = async (name) =>
     (await change("DELETE", `/views/${encodeURIComponent(name)}`)) &&
     say(t("view-removed", { name: short(name) }));
   const step = (way) => async () =>
     (await change("POST", `/${way}`)) && say(t(way === "undo" ? "undone" : "redone"));
+  useUndoKeys(mayTake.value && can_undo && step("undo"), mayTake.value && can_redo && step("redo"));
+  if (!views.length && !can_redo) return null;
   return html`<section aria-labelledby="views">
     <h2 id="views">${t("views-title", { count: views.length })}</h2>
     <ul class="strip" ref=${strip} tabindex="0" aria-label=${t("views-title", { count: views.length })}>

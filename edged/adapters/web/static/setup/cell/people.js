@@ -197,7 +197,16 @@ const DID = [
   [/^PUT me\/password/, "password"],
   [/^POST .*\/activate/, "activate"],
   [/^POST .*\/solve/, "solve"],
+  [/^POST (calibrations|teachings|registrations)$/, "begin"],
   [/^DELETE (calibrations|teachings|registrations)\/[^/]+$/, "discard"],
+  [/^POST checks$/, "check"],
+  [/^POST trials\/still$/, "still"],
+  [/^POST regressions$/, "test"],
+  [/^POST jobs\/.*\/golden$/, "golden"],
+  [/^POST jobs\/.*\/use$/, "use"],
+  [/^(PUT|POST) jobs\//, "job"],
+  [/^POST me\/wake$/, "wake"],
+  [/^DELETE me\/sessions$/, "leave"],
 ];
 function Did({ verb, object }) {
   const route = `${verb} ${object}`;

@@ -37,8 +37,8 @@ function Release({
     </h3>
     <p translate=${false}>${note}</p>
     <p class="muted">
-      <span translate=${false}>${moment(created)} · ${author}</span>${" "}
-      ${was_active && !active ? t("release-was") : ""}
+      <span translate=${false}>${moment(created)} · ${author}</span>
+      ${was_active && !active ? ` · ${t("release-was")}` : ""}
     </p>
     <dl class="facts">
       <dt>${t("fact-rig")}</dt><dd translate=${false}>${rig ?? "–"}</dd>

@@ -1,5 +1,6 @@
 // Every point or pose with its residual to the others; each can be edited, left out and restored.
 import { html, useState } from "../../vendor/ui.js";
+import { useUndoKeys } from "../shared/keys.js";
 import { mayTake } from "../shared/live.js";
 import { Dialog, Shape, say } from "../shared/pieces.js";
 import { dashed, number, t } from "../shared/texts.js";
@@ -32,8 +33,9 @@ export function Samples() {
   const { samples, culprit, limit_mm, can_undo, can_redo, kind } = current.draft.value;
   const [edited, setEdited] = useState(null);
   const [shown, setShown] = useState(/** @type {Entered} */ ({}));
-  if (!samples.length && !can_redo) return null;
   const step = (way) => async () => (await change("POST", `/${way}`)) && say(t(`robot-${way}ne`));
+  useUndoKeys(mayTake.value && can_undo && step("undo"), mayTake.value && can_redo && step("redo"));
+  if (!samples.length && !can_redo) return null;
   const write = async () => {
     if (await change("PUT", `/samples/${edited.name}`, shown.body)) setEdited(null);
   };

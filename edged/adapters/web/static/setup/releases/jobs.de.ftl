@@ -51,3 +51,4 @@ jobs-restore-done = { $name } ist wieder da.
 jobs-versions = Fassungen
 jobs-versions-none = Er ist, wie er mit der Zelle kam.
 jobs-release = Freigabe { $number }
+jobs-undo = Rückgängig

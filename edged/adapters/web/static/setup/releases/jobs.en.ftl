@@ -51,3 +51,4 @@ jobs-restore-done = { $name } is back.
 jobs-versions = Versions
 jobs-versions-none = Unchanged since it came with the cell.
 jobs-release = Release { $number }
+jobs-undo = Undo

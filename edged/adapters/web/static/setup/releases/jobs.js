@@ -132,11 +132,12 @@ const freeName = ({ name }) =>
   `${name}-${from(2, (i) => jobs.value.every((job) => job.name !== `${name}-${i}`))}`;
 const freeNumber = () => from(1, (i) => jobs.value.every((job) => job.number !== i));
 
-function Question({ what, job, onClose }) {
+// to: the name and number that are proposed first.
+function Question({ what, job, to, onClose }) {
   const isNew = what === "duplicate";
   const isNamed = isNew || what === "rename";
-  const [name, setName] = useState(isNew ? freeName(job) : job.name);
-  const [count, setCount] = useState(isNew ? freeNumber() : job.number);
+  const [name, setName] = useState(isNew ? freeName(job) : (to ?? job).name);
+  const [count, setCount] = useState(isNew ? freeNumber() : (to ?? job).number);
   const isWrong = !/^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$/.test(name);
   const isSame = name === job.name && count === job.number;
   const WORK = {
@@ -153,7 +154,10 @@ function Question({ what, job, onClose }) {
   return html`<${Releasing}
     title=${t(`jobs-${what}-title`, { name: job.name })} label=${t(`jobs-${what}`)}
     isReady=${!isNamed || (!isWrong && !isSame)} send=${WORK[what]}
-    onDone=${() => changed(t(`jobs-${what}-done`, { name }))} onClose=${onClose}
+    onDone=${() => {
+      last.value = { what, job, now: { name, number: count } };
+      return changed(t(`jobs-${what}-done`, { name }));
+    }} onClose=${onClose}
   >
     <p>${t(`jobs-${what}-what`)}</p>
     ${
@@ -179,6 +183,24 @@ function Question({ what, job, onClose }) {
       </div>`
     }
   <//>`;
+}
+
+// The last change is undone by its opposite, a release of its own, and that by the change itself.
+const last = signal(null);
+const OPPOSITE = { duplicate: "retire", rename: "rename", retire: "restore", restore: "retire" };
+function Undo({ onAsk }) {
+  const { what, job, now } = last.value ?? {};
+  const there = jobs.value?.find(({ name }) => name === now?.name);
+  if (!what || !there) return null;
+  return html`<p class="keep" role="status">
+    <span><${Shape} is="tick" /> ${t(`jobs-${what}-done`, now)}</span>
+    <button
+      disabled=${!mayTake.value}
+      onClick=${() => onAsk(OPPOSITE[what], there, what === "rename" ? job : null)}
+    >
+      ${t("jobs-undo")}
+    </button>
+  </p>`;
 }
 
 // Keeps where the part lies now; a path that was taught on the former one no longer fits: it is asked first.
@@ -213,7 +235,7 @@ function Golden({ job, onClose }) {
 export default function Jobs() {
   const [asked, setAsked] = useState(null);
   useFresh(find, [cell.value.jobs]);
-  const ask_ = (what, job) => setAsked({ what, job });
+  const ask_ = (what, job, to = null) => setAsked({ what, job, to });
   return html`<h1>${t("jobs-title")}</h1>
     <p class="lead">${t("jobs-what")}</p>
     ${cell.value.state === "SETUP" && html`<p><${Shape} is="hand" /> ${t("jobs-in-setup")}</p>`}
@@ -224,6 +246,7 @@ export default function Jobs() {
       </p>`
     }
     ${jobs.value && !jobs.value.length && html`<p><${Shape} is="gap" /> ${t("jobs-none")}</p>`}
+    <${Undo} onAsk=${ask_} />
     <ul class="tiles jobs">
       ${jobs.value?.map((job) => html`<${Job} key=${job.folder} job=${job} onAsk=${ask_} />`)}
     </ul>

@@ -1,7 +1,7 @@
 // Texts and numbers in the chosen language. All texts are in the .ftl files.
 import { computed, FluentBundle, FluentResource, signal } from "../../vendor/ui.js";
 
-export const LANGUAGES = { en: "English", de: "Deutsch" };
+export const LANGUAGES = { en: "English", de: "Deutsch", fr: "Français", ja: "日本語", zh: "简体中文" };
 const PSEUDO = new URLSearchParams(location.search).has("pseudo");
 const KEPT = /(?:^|; )edged_language=(\w+)/; // a cookie, so that the log-in form has it too
 const YEAR_S = 365 * 24 * 3600;

@@ -4,6 +4,7 @@ import { startRegression } from "../recordings/regression.js";
 import { Releasing } from "../releases/releasing.js";
 import { ask, attempt, glance, sentence } from "../shared/api.js";
 import { Begun, Discard, discard } from "../shared/drafts.js";
+import { useUndoKeys } from "../shared/keys.js";
 import { cell, holds, look, mayTake, newest, SIDES, sign, token, useFresh } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
 import { Shape, say, useMainAction } from "../shared/pieces.js";
@@ -231,22 +232,7 @@ const step = (way) => async () =>
   (await change("POST", `/${way}`)) && say(t(way === "undo" ? "teach-undone" : "teach-redone"));
 function Bar() {
   const { id, name, job, can_undo, can_redo, author, created } = teaching.value;
-  useEffect(() => {
-    const key = (event) => {
-      if (
-        !(event.ctrlKey || event.metaKey) ||
-        !/^[zy]$/i.test(event.key) ||
-        event.target.matches("input, textarea, select") ||
-        !mayTake.value
-      )
-        return;
-      event.preventDefault();
-      const isForth = event.shiftKey || /y/i.test(event.key);
-      if (isForth ? teaching.value.can_redo : teaching.value.can_undo) step(isForth ? "redo" : "undo")();
-    };
-    addEventListener("keydown", key);
-    return () => removeEventListener("keydown", key);
-  }, []);
+  useUndoKeys(mayTake.value && can_undo && step("undo"), mayTake.value && can_redo && step("redo"));
   return html`<div class="draft-bar">
     <p>
       <strong translate=${false}>${name}</strong> <span class="muted">

@@ -1,0 +1,20 @@
+# Texts of space.js.
+space-title = Die Zelle im Raum
+space-what = Drehen Sie sie: wo die Kameras stehen, wo Teile liegen dürfen, wo Tafeln gehalten wurden und wo das letzte Teil gefunden wurde.
+space-no-rig = Es gibt noch keine Kalibrierung: ohne sie hat nichts einen Ort.
+space-picture = Die Zelle im Raum. Pfeiltasten drehen sie, Plus und Minus vergrößern und verkleinern, 0 zeigt alles.
+space-how = Drehen: ziehen oder Pfeiltasten. Vergrößern: Rad, zwei Finger oder + und −; 0 zeigt alles.
+space-from-front = Von den Kameras aus
+space-from-above = Von oben
+space-from-side = Von der Seite
+space-baseline = Abstand der Kameras
+space-depth = Teile dürfen liegen bei
+space-depth-mm = { $near } bis { $far } mm
+space-boards = Tafeln
+space-part = Letztes Teil
+space-part-none = noch keines
+space-part-at = x { $x }, y { $y }, z { $z } mm
+space-error = Sein Fehler
+space-error-um = ± { $sigma } µm in der schlechtesten Richtung (ein Sigma)
+space-ellipsoid = Das Ellipsoid ist sein Fehler, { $times }-fach vergrößert.
+space-robot = Sockel des Roboters

@@ -1,0 +1,20 @@
+# Texts of space.js.
+space-title = The cell in space
+space-what = Turn it: where the cameras stand, where parts may lie, where boards were held, and where the last part was found.
+space-no-rig = There is no calibration yet: without one nothing has a place.
+space-picture = The cell in space. Arrow keys turn it, plus and minus zoom, 0 shows all.
+space-how = Turn: drag, or the arrow keys. Zoom: wheel, two fingers, or + and −; 0 shows all.
+space-from-front = From the cameras
+space-from-above = From above
+space-from-side = From the side
+space-baseline = Distance of the cameras
+space-depth = Parts may lie at
+space-depth-mm = { $near } to { $far } mm
+space-boards = Boards
+space-part = Last part
+space-part-none = none yet
+space-part-at = x { $x }, y { $y }, z { $z } mm
+space-error = Its error
+space-error-um = ± { $sigma } µm in the worst direction (one sigma)
+space-ellipsoid = The ellipsoid is its error, enlarged { $times } times.
+space-robot = Robot’s base

@@ -1,0 +1,20 @@
+# Texts of space.js.
+space-title = La cellule dans l’espace
+space-what = Tournez-la : où sont les caméras, où peuvent se trouver les pièces, où les mires ont été tenues, et où la dernière pièce a été trouvée.
+space-no-rig = Il n’y a pas encore de calibrage : sans lui, rien n’a de place.
+space-picture = La cellule dans l’espace. Les flèches la tournent, plus et moins zooment, 0 montre tout.
+space-how = Tourner : glisser, ou les flèches. Zoom : molette, deux doigts, ou + et − ; 0 montre tout.
+space-from-front = Vu des caméras
+space-from-above = D’en haut
+space-from-side = De côté
+space-baseline = Distance des caméras
+space-depth = Les pièces peuvent se trouver à
+space-depth-mm = { $near } à { $far } mm
+space-boards = Mires
+space-part = Dernière pièce
+space-part-none = aucune encore
+space-part-at = x { $x }, y { $y }, z { $z } mm
+space-error = Son erreur
+space-error-um = ± { $sigma } µm dans la pire direction (un sigma)
+space-ellipsoid = L’ellipsoïde est son erreur, agrandie { $times } fois.
+space-robot = Base du robot

@@ -1,0 +1,20 @@
+# Texts of space.js.
+space-title = 空間で見たセル
+space-what = 回して見られます：カメラの位置、ワークの置ける範囲、ボードを持った場所、最後に見つかったワークの位置。
+space-no-rig = キャリブレーションがまだないため、位置がわかりません。
+space-picture = 空間で見たセル。矢印キーで回転、プラスとマイナスでズーム、0 で全体。
+space-how = 回転：ドラッグまたは矢印キー。ズーム：ホイール、2 本指、または + と −。0 で全体。
+space-from-front = カメラから
+space-from-above = 上から
+space-from-side = 横から
+space-baseline = カメラの間隔
+space-depth = ワークの距離
+space-depth-mm = { $near }～{ $far } mm
+space-boards = ボード
+space-part = 最後のワーク
+space-part-none = まだなし
+space-part-at = x { $x }、y { $y }、z { $z } mm
+space-error = その誤差
+space-error-um = 最も悪い方向で ± { $sigma } µm(1 σ)
+space-ellipsoid = 楕円体は誤差を { $times } 倍に拡大したものです。
+space-robot = ロボットのベース

@@ -1,0 +1,20 @@
+# Texts of space.js.
+space-title = 空间中的单元
+space-what = 可以旋转查看：相机的位置、工件可放置的范围、标定板的位置，以及最近找到的工件。
+space-no-rig = 还没有标定：没有标定就没有位置。
+space-picture = 空间中的单元。方向键旋转，加减键缩放，0 显示全部。
+space-how = 旋转：拖动或方向键。缩放：滚轮、双指或 + 和 −；0 显示全部。
+space-from-front = 从相机看
+space-from-above = 从上方看
+space-from-side = 从侧面看
+space-baseline = 相机间距
+space-depth = 工件可放置的距离
+space-depth-mm = { $near } 到 { $far } mm
+space-boards = 标定板
+space-part = 最近的工件
+space-part-none = 尚无
+space-part-at = x { $x }，y { $y }，z { $z } mm
+space-error = 其误差
+space-error-um = 最差方向 ± { $sigma } µm(1 σ)
+space-ellipsoid = 椭球为其误差，放大 { $times } 倍。
+space-robot = 机器人基座

@@ -1,0 +1,70 @@
+# Texts of the page that tries a job.
+
+try-title = Essai
+try-what = Déplacez la pièce comme elle se trouvera en production. Chaque paire en direct est mesurée, et rien ne va à l’automate.
+try-no-rig = Il n’y a pas encore de calibrage : sans lui, rien ne peut être mesuré.
+try-nothing = Il n’y a encore rien à essayer : apprenez d’abord une pièce.
+try-which = Quoi essayer
+try-drafts = Brouillons
+try-jobs = Tâches de cette cellule
+try-start = Essayer en direct
+try-stop = Arrêter
+try-take = Prenez la cellule pour essayer : ses caméras sont nécessaires.
+try-off = Arrêté.
+try-coming = En attente du premier résultat.
+try-trouble = Non mesurée
+try-status-ok = Bonne
+try-status-no-target = Aucune pièce trouvée
+try-status-low-quality = Pas bonne
+problem-input-no-job = Il n’y a plus de tâche { $name } : choisissez-en une autre.
+try-why-few-edges = On n’en voit pas assez : quelque chose est-il posé dessus, y a-t-il un reflet, ou dépasse-t-elle d’une image ?
+try-why-residual = Ses bords sont trop dispersés : est-elle sale, floue, ou est-ce une autre pièce ?
+try-why-sigma-limit = Sa position n’est pas connue assez précisément : voyez la carte.
+try-why-left-right-mismatch = Les caméras se contredisent : a-t-elle bougé, ou une caméra a-t-elle été heurtée ?
+try-why-out-of-volume = Elle est plus près ou plus loin que la tâche ne le permet.
+try-why-tolerance = Une cote n’est pas comme apprise : est-ce une autre pièce ?
+try-why-ambiguous-rotation = Sa rotation est indéterminée.
+try-why-low-score = Trop peu en ressemble à ce qui a été appris.
+try-why-calibration = Le calibrage a dérivé : contrôlez-le.
+try-why-ambiguous-edge = La référence peut se trouver sur un autre bord, par exemple un chanfrein.
+try-why-out-of-limits = Elle se trouve là où le robot ne peut pas aller.
+try-why-keep-out = Elle se trouve là où le robot ne peut pas aller.
+try-why-no-grasp = Aucune prise de la tâche n’est là où le robot peut aller.
+try-why-not-found = La pièce est-elle sur les deux images, et à peu près à la distance de l’apprentissage ?
+try-frame-robot = Dans le repère du robot
+try-frame-rig = Dans le repère des caméras : aucun robot n’est recalé
+try-measured = Mesuré maintenant
+try-whiskers = Les fins traits sur les images montrent à quelle distance de sa courbe se trouve chaque bord, agrandis selon leur échelle.
+try-still = Le sigma est-il honnête ?
+try-still-what = Rien ne doit bouger maintenant : pièce, caméras, éclairage. La dispersion des résultats est comparée à ce qu’edged dit de chacun.
+try-still-start = Ne pas bouger, { $count } images
+try-still-running = Mesure …
+try-still-failed = Pas de verdict :
+try-verdict-honest = Le sigma est honnête ici : { $chi2 }, attendu { $low } à { $high }.
+try-verdict-larger = Les résultats sont plus dispersés que leur sigma ne le couvre : { $chi2 }, attendu { $low } à { $high }. La pièce ou une caméra vibre, ou l’éclairage scintille : fixez-les, vérifiez l’éclairage, et réessayez. Si cela persiste, le sigma est trop petit ici.
+try-verdict-larger-covered = Les résultats sont plus dispersés que le bruit des bords ne l’explique : { $chi2 }, attendu { $low } à { $high }. La pièce ou une caméra vibre, ou l’éclairage scintille, et tous les bords bougent avec. Le sigma le couvre encore.
+try-verdict-smaller = Les résultats sont moins dispersés que leur sigma ne le dit : { $chi2 }, attendu { $low } à { $high }. Le sigma est ici du côté sûr.
+try-verdict-moving = Quelque chose a bougé pendant ces { $count } images : ne bougez plus et réessayez.
+try-verdict-vanished = La pièce avait disparu sur certaines de ces { $count } images : posez-la et réessayez.
+try-axis = Axe
+try-scatter = Dispersion
+try-noise = Bruit des bords
+try-edges = Sigma des bords
+try-map-title = À quoi s’attendre, et où
+try-map-what = Le pire de X, Y, Z en µm, vu des caméras, pour les caractéristiques de cette tâche sous l’éclairage actuel.
+try-map-usual = Le pire de X, Y, Z en µm, vu des caméras, pour les caractéristiques de cette tâche sous un éclairage ordinaire ; dès qu’une pièce est mesurée, sous l’éclairage actuel.
+try-map-coming = Calcul de la carte …
+try-map-none = Nulle part les deux caméras ne voient assez de cette pièce.
+try-map-beyond =
+    { $beyond ->
+        [0] Partout dans la limite de { $limit } µm.
+       *[other] À { $beyond } endroits sur { $count }, la limite de { $limit } µm est dépassée.
+    }
+try-map-layer = À quelle distance
+try-layer-near = près
+try-layer-middle = milieu
+try-layer-far = loin
+try-legend-within = dans la limite
+try-legend-beyond = au-delà
+try-legend-covered = une pièce y était bonne
+try-covered = { $percent } % du volume ont été essayés

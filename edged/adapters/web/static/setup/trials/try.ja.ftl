@@ -1,0 +1,70 @@
+# Texts of the page that tries a job.
+
+try-title = 試行
+try-what = 生産時と同じようにワークを動かしてください。ライブのペアごとに測定し、PLC には何も送りません。
+try-no-rig = キャリブレーションがまだないため、測定できません。
+try-nothing = 試すものがまだありません。先にワークをティーチングしてください。
+try-which = 試すもの
+try-drafts = 下書き
+try-jobs = このセルのジョブ
+try-start = ライブで試す
+try-stop = 停止
+try-take = 試すにはカメラが必要です。セルを取得してください。
+try-off = 停止中。
+try-coming = 最初の結果を待っています。
+try-trouble = 測定できず
+try-status-ok = 良好
+try-status-no-target = ワークが見つからない
+try-status-low-quality = 不良
+problem-input-no-job = ジョブ { $name } はもうありません。別のものを選んでください。
+try-why-few-edges = 見えている部分が足りません。上に何か載っている、反射がある、画像からはみ出している、のいずれかではありませんか？
+try-why-residual = エッジのばらつきが大きすぎます。汚れ、ぼけ、または別のワークではありませんか？
+try-why-sigma-limit = 位置の精度が足りません。マップを見てください。
+try-why-left-right-mismatch = カメラ間で食い違いがあります。ワークが動いたか、カメラがぶつけられていませんか？
+try-why-out-of-volume = ジョブで許された距離より近いか遠すぎます。
+try-why-tolerance = 寸法がティーチング時と異なります。別のワークではありませんか？
+try-why-ambiguous-rotation = 回転が判別できません。
+try-why-low-score = ティーチング時と似た部分が少なすぎます。
+try-why-calibration = キャリブレーションがずれています。点検してください。
+try-why-ambiguous-edge = 基準点が面取りなど別のエッジ上にある可能性があります。
+try-why-out-of-limits = ロボットが行けない場所にあります。
+try-why-keep-out = ロボットが行けない場所にあります。
+try-why-no-grasp = ジョブの把持点のうち、ロボットが行ける場所にあるものがありません。
+try-why-not-found = ワークは両方の画像にあり、ティーチング時とほぼ同じ距離ですか？
+try-frame-robot = ロボット座標系
+try-frame-rig = カメラ座標系：ロボットの座標合わせなし
+try-measured = 現在の測定値
+try-whiskers = 画像の細い線は、各エッジが曲線からどれだけ離れているかを、スケールのとおり拡大して示します。
+try-still = σ は妥当ですか？
+try-still-what = 今はワーク、カメラ、照明を動かさないでください。結果のばらつきを、edged が示す σ と比べます。
+try-still-start = 静止したまま { $count } 枚撮影
+try-still-running = 測定中…
+try-still-failed = 判定できません：
+try-verdict-honest = ここでの σ は妥当です：{ $chi2 }（期待値 { $low }～{ $high }）。
+try-verdict-larger = 結果のばらつきが σ を超えています：{ $chi2 }（期待値 { $low }～{ $high }）。ワークかカメラの振動、または照明のちらつきです。固定し、照明を確認してやり直してください。変わらなければ、ここの σ は小さすぎます。
+try-verdict-larger-covered = 結果のばらつきがエッジのノイズより大きくなっています：{ $chi2 }（期待値 { $low }～{ $high }）。ワークかカメラの振動、または照明のちらつきで、全エッジが一緒に動いています。σ の範囲内ではあります。
+try-verdict-smaller = 結果のばらつきは σ より小さくなっています：{ $chi2 }（期待値 { $low }～{ $high }）。ここの σ は安全側です。
+try-verdict-moving = この { $count } 枚の間に何かが動きました。静止させてやり直してください。
+try-verdict-vanished = この { $count } 枚の一部でワークがありませんでした。置いてやり直してください。
+try-axis = 軸
+try-scatter = ばらつき
+try-noise = エッジのノイズ
+try-edges = エッジの σ
+try-map-title = 場所ごとの見込み
+try-map-what = カメラから見た X、Y、Z の最悪値(µm)。このジョブの特徴と現在の照明で。
+try-map-usual = カメラから見た X、Y、Z の最悪値(µm)。このジョブの特徴と通常の照明で。ワークを測定した後は現在の照明で。
+try-map-coming = マップを計算中…
+try-map-none = 両方のカメラからこのワークが十分に見える場所がありません。
+try-map-beyond =
+    { $beyond ->
+        [0] すべての場所で上限 { $limit } µm 以内です。
+       *[other] { $count } か所中 { $beyond } か所で上限 { $limit } µm を超えます。
+    }
+try-map-layer = 距離
+try-layer-near = 近い
+try-layer-middle = 中間
+try-layer-far = 遠い
+try-legend-within = 上限内
+try-legend-beyond = 上限超え
+try-legend-covered = ここで良品あり
+try-covered = 測定空間の { $percent } % を試しました

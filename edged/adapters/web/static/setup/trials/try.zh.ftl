@@ -1,0 +1,70 @@
+# Texts of the page that tries a job.
+
+try-title = 试运行
+try-what = 按生产中的摆放方式移动工件。每对实时图像都会测量，但不发送给 PLC。
+try-no-rig = 还没有标定：没有标定就无法测量。
+try-nothing = 还没有可试运行的内容：请先示教工件。
+try-which = 试运行什么
+try-drafts = 草稿
+try-jobs = 本单元的作业
+try-start = 实时试运行
+try-stop = 停止
+try-take = 试运行需要相机：请先接管单元。
+try-off = 未运行。
+try-coming = 等待第一个结果。
+try-trouble = 未测量
+try-status-ok = 良好
+try-status-no-target = 未找到工件
+try-status-low-quality = 不良
+problem-input-no-job = 作业 { $name } 已不存在：请另选。
+try-why-few-edges = 可见部分不够：上面有东西吗，有反光吗，或超出了图像？
+try-why-residual = 边缘离散过大：工件脏了、模糊，或是另一种工件？
+try-why-sigma-limit = 位置精度不够：见分布图。
+try-why-left-right-mismatch = 两台相机相互矛盾：工件移动了，或相机被碰撞了？
+try-why-out-of-volume = 距离近于或远于作业允许的范围。
+try-why-tolerance = 有尺寸与示教时不同：是另一种工件吗？
+try-why-ambiguous-rotation = 无法确定转角。
+try-why-low-score = 与示教时相似的部分太少。
+try-why-calibration = 标定已漂移：请检查。
+try-why-ambiguous-edge = 参考点可能落在另一条边上，例如倒角。
+try-why-out-of-limits = 它位于机器人不得到达之处。
+try-why-keep-out = 它位于机器人不得到达之处。
+try-why-no-grasp = 作业的抓取点都不在机器人可到达之处。
+try-why-not-found = 工件在两张图像中吗，距离与示教时大致相同吗？
+try-frame-robot = 机器人坐标系
+try-frame-rig = 相机坐标系：未标定机器人
+try-measured = 当前测量值
+try-whiskers = 图像中的细线表示各边缘点偏离曲线的距离，按标尺放大。
+try-still = σ 可信吗？
+try-still-what = 现在什么都不能动：工件、相机、光照。将结果的离散度与 edged 给出的 σ 比较。
+try-still-start = 保持静止，{ $count } 张图像
+try-still-running = 正在测量 …
+try-still-failed = 无法评定：
+try-verdict-honest = 此处 σ 可信：{ $chi2 }，预期 { $low } 到 { $high }。
+try-verdict-larger = 结果的离散度超出其 σ：{ $chi2 }，预期 { $low } 到 { $high }。工件或相机在振动，或光照闪烁：请固定好、检查光照后重试。若仍如此，则此处 σ 偏小。
+try-verdict-larger-covered = 结果的离散度超出边缘噪声所能解释：{ $chi2 }，预期 { $low } 到 { $high }。工件或相机在振动，或光照闪烁，所有边缘随之移动。σ 仍能覆盖。
+try-verdict-smaller = 结果的离散度小于其 σ：{ $chi2 }，预期 { $low } 到 { $high }。此处 σ 偏于安全。
+try-verdict-moving = 这 { $count } 张图像期间有移动：请保持静止后重试。
+try-verdict-vanished = 这 { $count } 张图像中有几张没有工件：请放好后重试。
+try-axis = 轴
+try-scatter = 离散度
+try-noise = 边缘噪声
+try-edges = 边缘的 σ
+try-map-title = 各处的预期精度
+try-map-what = X、Y、Z 中的最差值(µm)，从相机看，按此作业的特征和当前光照。
+try-map-usual = X、Y、Z 中的最差值(µm)，从相机看，按此作业的特征和一般光照；测量工件后改为当前光照。
+try-map-coming = 正在计算分布图 …
+try-map-none = 没有任何位置能让两台相机看到足够的工件。
+try-map-beyond =
+    { $beyond ->
+        [0] 各处均在限值 { $limit } µm 以内。
+       *[other] { $count } 处中有 { $beyond } 处超出限值 { $limit } µm。
+    }
+try-map-layer = 距离
+try-layer-near = 近
+try-layer-middle = 中
+try-layer-far = 远
+try-legend-within = 限值内
+try-legend-beyond = 超出限值
+try-legend-covered = 此处曾有良好工件
+try-covered = 已试过测量空间的 { $percent } %
