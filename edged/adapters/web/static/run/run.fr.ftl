@@ -171,6 +171,7 @@ run-told-temperature = { $value } °C
 run-told-clock-ptp = horloge : PTP
 run-told-clock-ptp-within = horloge : PTP, ±{ $bound } µs
 run-told-packet-delay = { $pause } µs entre les paquets
+run-told-two-exposures = exposé pendant { $long } et { $short } µs, à { $apart } ms d’intervalle
 run-told-lacks = ne sait pas : { $what }
 run-told-clock-free-running = horloge : libre
 run-told-clock-free-running-within = horloge : libre, ±{ $bound } µs

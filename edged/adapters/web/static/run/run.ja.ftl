@@ -171,6 +171,7 @@ run-told-temperature = { $value } °C
 run-told-clock-ptp = クロック：PTP
 run-told-clock-ptp-within = クロック：PTP、±{ $bound } µs
 run-told-packet-delay = パケット間隔 { $pause } µs
+run-told-two-exposures = 露光 { $long } µs と { $short } µs、間隔 { $apart } ms
 run-told-lacks = 非対応：{ $what }
 run-told-clock-free-running = クロック：フリーラン
 run-told-clock-free-running-within = クロック：フリーラン、±{ $bound } µs

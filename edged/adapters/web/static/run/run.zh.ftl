@@ -171,6 +171,7 @@ run-told-temperature = { $value } °C
 run-told-clock-ptp = 时钟：PTP
 run-told-clock-ptp-within = 时钟：PTP，±{ $bound } µs
 run-told-packet-delay = 包间隔 { $pause } µs
+run-told-two-exposures = 曝光 { $long } µs 和 { $short } µs，间隔 { $apart } ms
 run-told-lacks = 不支持：{ $what }
 run-told-clock-free-running = 时钟：自由运行
 run-told-clock-free-running-within = 时钟：自由运行，±{ $bound } µs

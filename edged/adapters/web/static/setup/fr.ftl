@@ -238,3 +238,4 @@ fault-109 = Une caméra a envoyé deux fois la même image.
 fault-110 = Une caméra renvoie sans cesse la même image.
 fault-111 = Une caméra a exposé, l’autre non.
 fault-112 = Une caméra répond, mais n’envoie pas d’images.
+fault-113 = Quelque chose a bougé entre les deux expositions, ou la lumière a changé : la pièce doit rester immobile.

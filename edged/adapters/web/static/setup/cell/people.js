@@ -187,6 +187,7 @@ const DID = [
   [/^POST setup$/, "take"],
   [/^DELETE setup$/, "give"],
   [/^POST cameras\/keep/, "keep"],
+  [/^POST cameras\/address/, "address"],
   [/^POST cameras\/wave/, "wave"],
   [/^PUT cameras\//, "camera"],
   [/^PUT plc\/settings/, "connect"],

@@ -87,6 +87,7 @@ audit-did-give = hat die Zelle zurückgegeben
 audit-did-ended = EINRICHTEN wurde beendet
 audit-did-keep = hat Einstellungen der Kameras behalten
 audit-did-camera = hat eine Kamera eingestellt
+audit-did-address = hat einer Kamera eine Adresse gegeben
 audit-did-wave = hat links und rechts durch Winken bestimmt
 audit-did-connect = hat Verbindungen von SPS und Roboter gewählt
 audit-did-connect-back = ist zu den konfigurierten Verbindungen zurückgekehrt
