@@ -103,6 +103,7 @@ def teach(
     region: Area | tuple[float, float, float, float] | None = None,
     *,
     exclude: Sequence[Area] = (),
+    further: Sequence[tuple[Image, Image]] = (),
     name: str = "part",
     number: int = 1,
     tilt_rad: float | None = None,
@@ -112,11 +113,13 @@ def teach(
     left, right : raw images (H, W) uint8 of the rig's cameras.
     region : where the part is in the left one, as x, y, width, height in px or as an `Area`; None: all of it.
     exclude : what of it is not the part.
+    further : pairs that show the part tilted or in other light: they settle the form of its edge breaks.
     number : of the job on a PLC.
     tilt_rad : how far parts may lie tilted, up to 45 degrees; None: about as at teaching.
 
     What makes the job weaker, as an edge that the region cuts, is a Python warning. Raises `TeachError` for a
-    pair that teaches nothing, `ImageError` for images that the rig was not calibrated for.
+    pair that teaches nothing, or a further one that does not show the part, `ImageError` for images that the
+    rig was not calibrated for.
     """
     check_name(name)
     tilt_deg = None if tilt_rad is None else float(np.degrees(tilt_rad))
@@ -129,6 +132,7 @@ def teach(
         WantedJob(name, number, tilt_deg=tilt_deg),
         region=area,
         exclude=exclude,
+        further=further,
     )
     for text in proposal.inspection.warnings:
         warnings.warn(text, stacklevel=2)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import secrets
 import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
@@ -61,7 +60,7 @@ class Regressions:
         if not entries:
             raise UserError("it changes nothing that recorded cycles are measured with")
         now = datetime.now(UTC)
-        identity = f"{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}"
+        identity = f"{now:%Y%m%d-%H%M%S}-{now.microsecond >> 4:04x}"  # in the order of their beginnings
 
         async def work(progress: Progress) -> None:
             begun_s = time.monotonic()

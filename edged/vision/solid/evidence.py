@@ -39,11 +39,8 @@ class PoseEvidence:
     camera: npt.NDArray[np.int64]
     walled: B64
 
-    def log_ratio(self, chosen: B64 | None = None, shown: float | None = None) -> FloatArray:
-        """(K,) log likelihood of the part against chance, of each block of the chosen samples.
-
-        shown : probability that an edge shows; None: as usual, of either edge of a break half of the time.
-        """
+    def log_ratio(self, chosen: B64 | None = None) -> FloatArray:
+        """(K,) log likelihood of the part against chance, of each block of the chosen samples."""
         rows = np.arange(len(self.hit)) if chosen is None else np.flatnonzero(chosen)
         if not len(rows):
             return np.zeros(0)
@@ -55,7 +52,7 @@ class PoseEvidence:
         share = np.add.reduceat(self.hit[rows].astype(np.float64), first) / counts
         chance = np.clip(np.add.reduceat(self.chance[rows], first) / counts, 0.02, 0.95)
         alone = self.curve[rows[first]] % 3 == 0
-        shows = np.where(alone, EVIDENCE.shown, EVIDENCE.shown_of_two) if shown is None else shown
+        shows = np.where(alone, EVIDENCE.shown, EVIDENCE.shown_of_two)
         hit = shows * EVIDENCE.found + (1 - shows) * chance
         whole = counts / EVIDENCE.block
         return np.asarray(

@@ -76,11 +76,16 @@ class RefinedForm:
 
 
 def refined(
-    model: EdgeModel, views: Sequence[LaidPair], held: FloatArray | None = None, rounds: int = BREAKS.rounds
+    model: EdgeModel,
+    views: Sequence[LaidPair],
+    held: FloatArray | None = None,
+    rounds: int = BREAKS.rounds,
+    *,
+    needed: bool = True,
 ) -> RefinedForm | None:
     """The poses and the breaks in turn, from breaks of one width; None where pairs say too little.
 
-    held : as in `fit_profiles`.
+    held : as in `fit_profiles`.  needed : without the breaks that a sharp edge explains as well.
     """
     sigma = common = 0.0
     now: list[LaidPair] = list(views)
@@ -92,7 +97,7 @@ def refined(
         if model.breaks_mm.any():
             widths, sigma, common = widths_by_profiles(model, now)
             model = with_breaks(model, widths)
-    if model.breaks_mm.any():
+    if needed and model.breaks_mm.any():
         model = _without_needless(model, now)
     found = [_misfits(model, [view]) for view in now]
     squares = tuple(square for _, square, _ in found)
@@ -207,11 +212,15 @@ def likeliest_form(
     forms: list[RefinedForm | None] = []
     for model in models:
         laid = [there for view in views if (there := _laid(model, view)) is not None]
-        form = refined(model, laid, held, BREAKS.rounds_of_choice) if len(laid) == len(views) else None
+        form = refined(model, laid, held, 1, needed=False) if len(laid) == len(views) else None
         forms.append(form if form is not None and len(form.views) == len(views) else None)
-    known = [form for form in forms if form is not None]
-    if not known:
+    if not any(forms):
         return None
+    roughly = min((form for form in forms if form is not None), key=lambda form: form.misfit)
+    for k, form in enumerate(forms):
+        if form is not None and form.sigmas_behind(roughly) < BREAKS.in_question:
+            forms[k] = refined(form.model, form.views, held, BREAKS.rounds_of_choice) or form
+    known = [form for form in forms if form is not None]
     best = min(known, key=lambda form: form.misfit)
     behind = [math.inf if form is None else form.sigmas_behind(best) for form in forms]
     likely = np.exp(-0.5 * np.square(behind))

@@ -115,6 +115,9 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
 def wanted_of(job: Job) -> SearchedPart:
     """What is looked for, of a job."""
     models = models_of(job)
+    if job.body is None and job.break_mm is None:  # to be near; which form it is, is asked there
+        widths = {0.0, BREAKS.looked_mm}
+        models = tuple(model for model, form in zip(models, forms_of(job), strict=True) if form[0] in widths)
     model = models[0]
     place = apply(job.rig_from_part, model.centre)
     # as the search has it, within the limits, which are of the reference point

@@ -308,6 +308,8 @@ class BreaksParams:
     """Of the lock, from a millimetre off."""
     rounds: int = 4  # of pose and widths in turn
     rounds_of_choice: int = 2  # the same, where the start is half of what lies between `unknown_mm` off
+    in_question: float = 8.0
+    """Sigmas behind the best after one round, from which a form is not refined: twice what decides."""
     blur_px: float = 0.6  # of a lens in focus and its pixels
     most_misfit: float = 1 / 3
     """px² of the profiles that show something: half of what chance leaves, of shifts within 2 px that each

@@ -163,8 +163,7 @@ def test_a_changed_limit_is_tried_on_all_cycles(recorded: Recorded, tmp_path: Pa
         assert 0.0 == loose["spread"]["max_um"]
         (cell.state / "regressions" / "20990101-000000-0000.json").write_text("{")
         _, listed = await cell.ask("GET", "/regressions")
-        newest_first = sorted([loose["id"], result["id"]], reverse=True)  # ids tell whole seconds
-        assert newest_first == [one["id"] for one in listed["regressions"]]
+        assert [loose["id"], result["id"]] == [one["id"] for one in listed["regressions"]]
 
         for wrong in ({}, {"release": 1, "change": strict}, {"change": {"job": "../x"}}, {"release": 0}):
             assert 400 == (await cell.ask("POST", "/regressions", wrong))[0], wrong
