@@ -14,6 +14,7 @@ from edged.setup.documents import (
 )
 from edged.setup.outlines import Line
 from edged.setup.teaching.model import Shape
+from edged.vision.part.job import BreakEnd
 
 Pixel = tuple[float, float]
 
@@ -112,7 +113,9 @@ class DrawingDocument(Frozen):
 
 class TeachingDocument(DraftHead):
     """A draft of a job. shapes : the region; those with `add` in region, the others in exclude; none: the
-    whole picture. proposing : the task that learns it. job : the one that it replaces.
+    whole picture. proposing : the task that learns it. job : the one that it replaces. further : names of
+    pairs beside the first. break_mm : width of the part's edge breaks, null where it is not known.
+    break_end : which edge of each was taught, null: either.
     """
 
     name: str
@@ -133,6 +136,9 @@ class TeachingDocument(DraftHead):
     gripping: GrippingDocument | None
     sizes: list[SizeDocument]
     tilt_deg: float | None
+    further: list[str]
+    break_mm: float | None
+    break_end: BreakEnd | None
     rivals: list[RivalDocument]
     warnings: list[WarningDocument]
     predicted: PredictedDocument | None

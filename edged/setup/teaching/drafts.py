@@ -1,17 +1,20 @@
 """Drafts of jobs: what people are at, on disc after each step, so that a kill loses nothing.
 
 ID/state.json            written last: what it names is there
-ID/pictures/             left.png, right.png: the pair, every grey value; and as JPEG for the page
+ID/pictures/             left.png, right.png: the pair, every grey value; and as JPEG for the page; of further
+                         pairs HASH-left.png, HASH-right.png
 
 The pair and what was wanted of it stay with the job that comes of it:
 
-JOB/taught/              left.png, right.png, content.json: `edged` reads none of them to measure
+JOB/taught/              left.png, right.png, content.json, and further pairs: `edged` reads none of them
+                         to measure
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -46,11 +49,12 @@ class KeptContent(Kept):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptPair:
-    """Raw pictures. content : by which a job was taught from them; None: none was."""
+    """Raw pictures. content : by which a job was taught from them; None: none was. further : by name."""
 
     left: Image
     right: Image
     content: Content | None = None
+    further: Mapping[str, tuple[Image, Image]] = field(default_factory=dict)
 
 
 class TeachingDraft(DraftFile[TeachState]):
@@ -58,9 +62,15 @@ class TeachingDraft(DraftFile[TeachState]):
 
     error = TeachError
 
-    def picture(self, side: str, suffix: str = "png") -> Path:
-        """A raw picture; as "jpg" for people."""
-        return self.pictures / f"{side}.{suffix}"
+    def picture(self, side: str, suffix: str = "png", pair: str = "") -> Path:
+        """A raw picture; as "jpg" for people.  pair : a further one."""
+        return self.pictures / picture_name(side, suffix, pair)
+
+    def put_further(self, pair: KeptPair) -> str:
+        """Keep the pictures of a further pair; returns its name. Raises `TeachError` for another size."""
+        if pair.left.shape != (self.state.height, self.state.width):
+            raise TeachError("the pair is of another size than the first one", "further_size")
+        return _write_pair(self.pictures, pair.left, pair.right)
 
     def propose(self, shapes: list[JsonValue]) -> None:
         """The region that is proposed before anybody says another."""
@@ -88,7 +98,13 @@ class TeachingDraft(DraftFile[TeachState]):
     def kept(self) -> dict[str, bytes]:
         """What stays with the job, by its name in the job's folder."""
         content = KeptContent(content=self.state.content).model_dump_json(indent=1).encode()
-        pictures = {f"{TAUGHT}/{side}.png": read_bytes(self.picture(side), "a picture") for side in SIDES}
+        pictures = {
+            f"{TAUGHT}/{picture_name(side, 'png', pair)}": read_bytes(
+                self.picture(side, pair=pair), "a picture"
+            )
+            for pair in ("", *self.state.content.further)
+            for side in SIDES
+        }
         return {**pictures, f"{TAUGHT}/{_CONTENT}": content}
 
 
@@ -112,14 +128,31 @@ class TeachingDrafts(DraftFolders[TeachState, TeachingDraft]):
             for side, image in zip(SIDES, (pair.left, pair.right), strict=True):
                 write_atomically(place / f"{side}.png", png(image))
                 write_atomically(place / f"{side}.jpg", jpeg(image, JPEG_QUALITY))
+            for left, right in pair.further.values():
+                _write_pair(place, left, right)
             return self.add(state)
         except OSError:  # a disc that is full is not filled further
             self.clear(state.id)
             raise
 
 
-def _pictures(_state: TeachState) -> list[str]:
-    return [f"{side}.png" for side in SIDES]
+def picture_name(side: str, suffix: str, pair: str = "") -> str:
+    """A file of a pair, of a further one by its name."""
+    return f"{pair}-{side}.{suffix}" if pair else f"{side}.{suffix}"
+
+
+def _write_pair(place: Path, left: Image, right: Image) -> str:
+    """Write a further pair; returns its name."""
+    files = [png(image) for image in (left, right)]
+    name = hashlib.sha256(b"".join(files)).hexdigest()[:12]
+    for side, image, data in zip(SIDES, (left, right), files, strict=True):
+        write_atomically(place / picture_name(side, "jpg", name), jpeg(image, JPEG_QUALITY))
+        write_atomically(place / picture_name(side, "png", name), data)
+    return name
+
+
+def _pictures(state: TeachState) -> list[str]:
+    return [picture_name(side, "png", pair) for pair in ("", *state.content.further) for side in SIDES]
 
 
 def keeps_pair(folder: Path) -> bool:
@@ -139,5 +172,9 @@ def kept_pair(folder: Path) -> KeptPair:
         kept = KeptContent.model_validate_json(read_bytes(place / _CONTENT, "what a job was taught by"))
     except ValidationError as error:
         raise FileFormatError(f"{place / _CONTENT}: {problem_of(error.errors()[0], KeptContent)}") from error
-    left, right = (load_image(place / f"{side}.png") for side in SIDES)
-    return KeptPair(left, right, kept.content)
+
+    def read(pair: str) -> tuple[Image, Image]:
+        left, right = (load_image(place / picture_name(side, "png", pair)) for side in SIDES)
+        return left, right
+
+    return KeptPair(*read(""), kept.content, {pair: read(pair) for pair in kept.content.further})

@@ -44,6 +44,9 @@ Row = tuple[float, float, float]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 Way = Annotated[float, Field(ge=0, le=2000)]
 MOST_DRAWN_POINTS = 20_000
+PairName = Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
+"""A further pair, by the beginning of what its pictures hash to."""
+MOST_FURTHER = 8
 MOST_OUTLINES = 500
 """Outlines of a drawing: a face of one part."""
 FeatureKind = Literal["circle", "slot", "edge", "corner"]
@@ -162,6 +165,7 @@ class Content(Kept):
     """What the job is to be. shapes : the region; None: not proposed yet; (): the whole picture.
 
     drawing : what it is learnt from instead; the pair then shows where its part lies.
+    further : pairs that show the part otherwise; a drawing has none.
     sizes, gripping : None: as taught, and as in the job that it replaces.
     """
 
@@ -174,6 +178,7 @@ class Content(Kept):
     sizes: Annotated[tuple[Size, ...], Field(max_length=200)] | None = None
     tilt_deg: Annotated[float, Field(gt=0, le=MAX_TILT_DEG)] | None = None
     drawing: Drawing | None = None
+    further: Annotated[tuple[PairName, ...], Field(max_length=MOST_FURTHER)] = ()
 
     def with_(self, sets: Mapping[str, JsonValue]) -> Content:
         """With other fields, as JSON has them."""
@@ -183,7 +188,7 @@ class Content(Kept):
 class TeachOperation(Kept):
     """Something that can be undone. sets : fields of the content."""
 
-    what: Literal["region", "tap", "features", "about", "drawing"]
+    what: Literal["region", "tap", "features", "about", "drawing", "further"]
     sets: dict[str, JsonValue]
 
     @model_validator(mode="after")

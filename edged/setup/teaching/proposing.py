@@ -48,7 +48,7 @@ from edged.setup.teaching.model import Content, Drawing, Mark, Shapes, region_of
 from edged.setup.teaching.proposal import Proposal, WantedJob, propose_from_drawing, propose_from_pair
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec
+from edged.vision.part.job import BreakEnd, Job, MeasurementKind, MeasurementSpec
 from edged.vision.part.measured import MeasuredPart
 from edged.vision.teaching.foreground import likely_part
 
@@ -89,6 +89,8 @@ class JobSeen:
     rivals: list[RivalDocument]
     warnings: list[WarningDocument]
     predicted: PredictedDocument | None
+    break_mm: float | None
+    break_end: BreakEnd | None
 
 
 def propose_region(pictures: Path) -> Line | None:
@@ -101,8 +103,9 @@ def see(order: LearningOrder, progress: Progress = silent) -> JobSeen:
     """Learn the job that is wanted, and look at it. Raises `TeachError`, `ImageError`, `FileFormatError`."""
     content, former = order.content, order.former
     progress("learn", 0, 2)
+    further = () if content.drawing is not None else content.further
     known = _learnt(
-        order.pictures, content.shapes or (), content.drawing, content.tilt_deg, order.rig, former
+        order.pictures, content.shapes or (), content.drawing, content.tilt_deg, order.rig, former, further
     )
     taught = replace(known.proposal.job, name=content.name, number=content.number)
     if former is not None:
@@ -132,6 +135,8 @@ def see(order: LearningOrder, progress: Progress = silent) -> JobSeen:
         ],
         warnings=[*known.warnings, *_doubts(found)],
         predicted=None if target is None else _predicted(target),
+        break_mm=job.break_mm,
+        break_end=job.break_end,
     )
 
 
@@ -178,6 +183,7 @@ def _learnt(
     tilt_deg: float | None,
     rig: RigInUse,
     former: FormerFiles | None,
+    further: tuple[str, ...],
 ) -> _Learnt:
     """A step that leaves the region alone teaches nothing new."""
     prepared = _prepared(rig)
@@ -190,7 +196,13 @@ def _learnt(
         proposal = propose_from_drawing(outlines_mm, rectification, drawing.depth_mm, wanted)
     else:
         region, exclude = region_of(shapes, left.shape[1], left.shape[0])
-        proposal = propose_from_pair(left, right, rectification, wanted, region=region, exclude=exclude)
+        pairs = [
+            (load_image(pictures / f"{name}-left.png"), load_image(pictures / f"{name}-right.png"))
+            for name in further
+        ]
+        proposal = propose_from_pair(
+            left, right, rectification, wanted, region=region, exclude=exclude, further=pairs
+        )
     pair = FramePair.of_images(left, right)
     job = proposal.job
     found, moved = _measured(pair, job, prepared), None

@@ -21,11 +21,13 @@ from edged.setup.releases.routes import (
 from edged.setup.releases.service import Activation
 from edged.setup.teaching.documents import TeachingDocument, TeachingList
 from edged.setup.teaching.model import (
+    MOST_FURTHER,
     FeatureName,
     GripWanted,
     JobName,
     Length,
     Number,
+    PairName,
     Pixels,
     Shapes,
     SizeWanted,
@@ -99,6 +101,25 @@ class DrawingUpload(Revised):
         return Drawn(data, self.name, self.depth_mm, self.unit, self.layers)
 
 
+class AddedPair(Revised):
+    """token : take a fresh pair. cycle : take that of a recorded cycle."""
+
+    token: Token | None = None
+    cycle: Annotated[int, Field(ge=0, le=10**9)] | None = None
+
+    @model_validator(mode="after")
+    def _from_one(self) -> AddedPair:
+        if (self.token is None) == (self.cycle is None):
+            raise ValueError("expected a token, for a fresh pair, or a cycle")
+        return self
+
+
+class KeptPairs(Revised):
+    """Names of the further pairs that stay."""
+
+    further: Annotated[tuple[PairName, ...], Field(max_length=MOST_FURTHER)]
+
+
 class Wishing(Revised):
     """What the job is to be; what is left out stays. null of gripping, sizes and tilt_deg: as taught."""
 
@@ -134,6 +155,14 @@ class TeachingRoutes:
         routes.add(
             "POST", "/dxf", self._draw, "Learn from a drawing", DrawingUpload, limit_bytes=2 * DRAWING_BYTES
         )
+        routes.add_file(
+            "/{pair:[0-9a-f]{12}}-{side:left|right}.jpg",
+            lambda draft, call: draft.picture(call.part("side"), "jpg", call.part("pair")),
+            "A picture of a further pair, in full size",
+            {"Cache-Control": "private, max-age=86400, immutable"},
+        )
+        routes.add("POST", "/further", self._add_pair, "Learn from a further pair, too", AddedPair)
+        routes.add("PUT", "/further", self._keep_pairs, "Which further pairs stay", KeptPairs)
         routes.add("POST", "/tap", self._tap, "What was tapped is the part", Tap)
         what = "Take features, or leave them"
         routes.add("PUT", "/features", self._take, what, Taking, limit_bytes=64 * 1024)
@@ -151,6 +180,13 @@ class TeachingRoutes:
 
     async def _draw(self, draft: str, call: Call[DrawingUpload]) -> DraftHead:
         return await self._teachings.draw(draft, call.body.revision, call.body.drawn())
+
+    async def _add_pair(self, draft: str, call: Call[AddedPair]) -> DraftHead:
+        body = call.body
+        return await self._teachings.add_pair(draft, body.revision, token=body.token, cycle=body.cycle)
+
+    async def _keep_pairs(self, draft: str, call: Call[KeptPairs]) -> DraftHead:
+        return await self._teachings.keep_pairs(draft, call.body.revision, call.body.further)
 
     async def _take(self, draft: str, call: Call[Taking]) -> DraftHead:
         return await self._teachings.take(draft, call.body.revision, call.body.features)

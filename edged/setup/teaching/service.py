@@ -47,7 +47,7 @@ FUNCTIONS = {
 PLACE = "/api/v1/teachings"
 NOTHING_SEEN: Mapping[str, Any] = {
     **dict.fromkeys(("features", "sizes", "rivals", "warnings"), ()),
-    **dict.fromkeys(("reference", "gripping", "predicted")),
+    **dict.fromkeys(("reference", "gripping", "predicted", "break_mm", "break_end")),
     "outlines": ContoursDocument(left=[], right=[]),
 }
 """Fields of a `TeachingDocument` while the pair has not been looked at."""
@@ -141,6 +141,28 @@ class Teachings:
                 "drawing_depth",
             ) from error
         return round(float(seen.job.rig_from_part[2, 3]), 1)
+
+    async def add_pair(
+        self, identity: str, revision: int | None, *, token: str | None, cycle: int | None
+    ) -> DraftHead:
+        """A further pair, fresh or of a recorded cycle: the part tilted, or in other light.
+
+        Raises `TeachError`, `SetupRefused`, `CaptureError`, `StaleDraft`, and `KeyError` for a cycle that
+        there is not.
+        """
+        opened = await self.drafts.get(identity)
+        self.drafts.check(opened, revision)
+        taken = await self._sources.take(token, cycle, None)
+        name = await asyncio.to_thread(opened.draft.put_further, taken)
+        return await self.keep_pairs(identity, revision, [*opened.draft.state.content.further, name])
+
+    async def keep_pairs(self, identity: str, revision: int | None, names: Sequence[str]) -> DraftHead:
+        """Let these further pairs stay. Raises `KeyError` for what there is not, `StaleDraft`."""
+        draft = (await self.drafts.get(identity)).draft
+        for name in names:
+            if not draft.picture("left", pair=name).is_file():
+                raise KeyError(name)
+        return await self._operate(identity, revision, "further", {"further": list(dict.fromkeys(names))})
 
     async def tap(self, identity: str, revision: int | None, place: TapPlace) -> DraftHead:
         """Let the region be what is there: the largest thing, at the next tap the next smaller one.
@@ -359,6 +381,7 @@ class Teachings:
             proposing=opened.task if self._tasks.is_running(opened.task) else None,
             trouble=trouble_in(opened.trouble),
             tilt_deg=content.tilt_deg,
+            further=list(content.further),
             active=self._is_active(state),
             **self._shown(opened),
         )

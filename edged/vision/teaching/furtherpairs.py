@@ -39,13 +39,15 @@ def with_further_pairs(
     """
     if job.body is not None or not has_enough_curves(job):
         what = "a CAD model" if job.body is not None else "that few curves"
-        raise TeachError(f"further pairs: a part with {what} has nothing to learn from them", "further_pairs")
+        raise TeachError(
+            f"further pairs: a part with {what} has nothing to learn from them", "further_needless"
+        )
     views = [_view(StereoImages.of(rectification, *pair), job.rig_from_part)]
     views += [_found(job, StereoImages.of(rectification, *raw), k) for k, raw in enumerate(further, 2)]
     unknown = replace(job, break_mm=None, break_end=None)
     choice = likeliest_form(models_of(unknown), views)
     if choice is None:
-        raise TeachError("further pairs: together they show too little of the part", "further_pairs")
+        raise TeachError("further pairs: together they show too little of the part", "further_little")
     said = tuple(_brought(choice, job, views, k) for k in range(1, len(views)))
     settled, what = _settled(job, choice, forms_of(unknown))
     return settled, (*said, what)
@@ -72,7 +74,8 @@ def _found(job: Job, images: StereoImages, number: int) -> LaidPair:
             why += ", or too little of it"
         raise TeachError(
             f"pair {number}: {why}: expected one part, the one that pair 1 shows, whole in both pictures",
-            "further_pairs",
+            "further_none",
+            pair=number,
         )
     target = good[0].target
     return _view(images, target.rig_from_part @ transform(np.eye(3), -job.place_of(job.reference)))

@@ -234,7 +234,7 @@ def solid_features(view: TeachingView, levels: Levels) -> SolidFeatures | None:
     by_face = []
     for face_mm in (main_mm, *(face for face in levels.faces_mm if face != main_mm)):
         down = transform(np.eye(3), np.array([0.0, 0.0, main_mm - face_mm]))
-        same = [replace(one, height_mm=0.0) for one in circles if one.height_mm == main_mm - face_mm]
+        same = [replace(circle, height_mm=0.0) for circle in circles if circle.height_mm == main_mm - face_mm]
         found, pose = find_features(view, frame @ down, same)
         by_face.append(_carried(found, invert(frame) @ pose, main_mm - face_mm))
     return _together(view, frame, circles, _merged(view, frame, by_face))

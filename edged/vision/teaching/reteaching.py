@@ -23,6 +23,9 @@ def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
     if taught.tilt_rad is None and former.tilt_rad is not None:
         taught = replace(taught, tilt_rad=former.tilt_rad)
         said.append(f"kept: search.tilt_deg = {math.degrees(former.tilt_rad):.6g}")
+    if taught.body is None and taught.break_mm is None and former.break_mm is not None:
+        taught = replace(taught, break_mm=former.break_mm, break_end=former.break_end)
+        said.append(f"kept: break_mm = {former.break_mm:g}")
     if taught.part_from_model is not None and (former.report != taught.report or former.points):
         taught = replace(taught, report=former.report, points=former.points)
         said.append(f"kept: report = {former.report}")

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers.browsersession import BrowserSession
 from helpers.cells import flange, frame_pair
-from helpers.partcell import PartCell
+from helpers.partcell import PartCell, turned
 from helpers.samepage import worker_of
 from rich.console import Console
 
@@ -119,6 +119,37 @@ def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
         assert [(draft["id"], "flange", 7)] == [
             (one["id"], one["name"], one["number"]) for one in listed["teachings"]
         ]
+
+    PartCell(tmp_path).run(test)
+
+
+@pytest.mark.slow
+def test_a_further_pair_says_what_the_breaks_are_and_one_without_the_part_is_named(tmp_path: Path) -> None:
+    """The flange is sharp; what shows nothing is told by its number, removed, and taken back by undo."""
+
+    async def test(cell: PartCell) -> None:
+        token = await cell.take()
+        first = await cell.begun(**token)
+        assert ([], None, None) == (first["further"], first["break_mm"], first["break_end"])
+        cell.world.shown = turned(70.0)
+        draft = await cell.change("POST", first, "/further", token)
+        (name,) = draft["further"]
+        assert (None, 0.0) == (draft["trouble"], draft["break_mm"])
+        async with cell.session.get(f"/api/v1/teachings/{draft['id']}/{name}-left.jpg") as answer:
+            shown = cv2.imdecode(np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert np.abs(shown.astype(float) - cell.world.shown[0]).mean() < 3
+        cell.world.shown = (np.full_like(flange().left, 30),) * 2
+        draft = await cell.change("POST", draft, "/further", token)
+        assert ("teach_further_none", 3) == (draft["trouble"]["code"], draft["trouble"]["params"]["pair"])
+        draft = await cell.change("PUT", draft, "/further", {"further": [name]})
+        assert (None, 0.0) == (draft["trouble"], draft["break_mm"])
+        draft = await cell.change("POST", draft, "/undo", {})
+        assert 2 == len(draft["further"])
+        draft = await cell.change("POST", draft, "/redo", {})
+        assert [name] == draft["further"]
+        gone = await refused(cell, "PUT", f"/teachings/{draft['id']}/further", {"further": ["0" * 12]})
+        assert 404 == gone[0]
+        assert 400 == (await refused(cell, "POST", f"/teachings/{draft['id']}/further", {}))[0]
 
     PartCell(tmp_path).run(test)
 

@@ -158,9 +158,13 @@ def test_a_picture_that_is_gone_or_elsewhere_is_missed(tmp_path: Path) -> None:
 
 
 def test_the_pair_stays_with_the_job(tmp_path: Path) -> None:
-    """Years later it is edited from the same grey values; a job without is told apart."""
+    """Years later it is edited from the same grey values, of further ones, too; a job without is told."""
     draft = begin(tmp_path / "drafts")
     steps(draft)
+    other = draft.put_further(KeptPair(PAIR[1], PAIR[0]))
+    draft.operate("further", {"further": [other]})
+    with pytest.raises(TeachError, match="another size"):
+        draft.put_further(KeptPair(PAIR[0][:10], PAIR[1][:10]))
     job = tmp_path / "jobs" / "flange"
     (job / "taught").mkdir(parents=True)
     with pytest.raises(TeachError, match="flange does not keep the pair"):
@@ -170,6 +174,10 @@ def test_the_pair_stays_with_the_job(tmp_path: Path) -> None:
     pair = kept_pair(job)
     assert all(np.array_equal(*images) for images in zip(PAIR, (pair.left, pair.right), strict=True))
     assert draft.state.content == pair.content
+    assert [other] == list(pair.further)
+    assert all(np.array_equal(*images) for images in zip(PAIR[::-1], pair.further[other], strict=True))
+    again = TeachingDrafts(tmp_path / "again").create("Anna", pair.content or START, pair, NOW)
+    assert again.picture("right", pair=other).is_file()
     (job / "taught" / "content.json").write_text("{}")
     with pytest.raises(FileFormatError, match=r"content\.json"):
         kept_pair(job)

@@ -162,6 +162,23 @@ problem-teach-no-pair = Dieser Auftrag wurde anderswo eingelernt und hat kein Bi
 problem-teach-nothing-left = Es bleibt nichts, womit zu messen wäre: nehmen Sie mindestens einen Kreis, ein Langloch oder zwei Kanten.
 problem-teach-no-pictures = Dieser Zyklus hat keine Bilder: die Kameras gaben keine.
 problem-teach-other-rig = Dieser Zyklus wurde mit einer anderen Kalibrierung gemessen: was seine Bilder zeigen, liegt inzwischen woanders. Nehmen Sie einen jüngeren.
+problem-teach-further-none = Paar { $pair } zeigt dieses Teil nicht einmal und ganz in beiden Bildern: nehmen Sie ein anderes auf oder entfernen Sie es.
+problem-teach-further-little = Alle Paare zusammen zeigen zu wenig vom Teil.
+problem-teach-further-needless = Dieses Teil hat zu wenige Kurven, um aus weiteren Paaren zu lernen: entfernen Sie diese.
+problem-teach-further-size = Dieses Paar ist anders groß als das erste.
+
+teach-further = Weitere Paare
+teach-further-what = Gefertigte Kanten sind gebrochen, und ein Teil, das gerade vor den Kameras liegt, zeigt nicht, wie. Legen Sie es um 10 bis 40 Grad gekippt hin oder beleuchten Sie es anders, und nehmen Sie dieses Paar hinzu.
+teach-further-add = Ein Paar hinzunehmen
+teach-further-said = Das Paar ist dabei.
+teach-further-removed = Das Paar ist entfernt.
+teach-further-pair = Paar { $number }
+teach-further-remove-pair = Paar { $number } entfernen
+teach-further-open = Wie die Kanten gebrochen sind, steht nicht fest: Jedes Bild sagt es neu, und das Sigma, wie gut.
+teach-further-none = Die Kanten sind scharf.
+teach-further-face = Kantenbrüche von { $width } mm; gelernt sind die Kanten in der Fläche.
+teach-further-wall = Kantenbrüche von { $width } mm; gelernt sind die Kanten in der Wand.
+teach-further-either = Kantenbrüche von { $width } mm; gelernt ist die eine oder die andere Kante.
 
 ## Eine Zeichnung statt des Bereichs
 teach-drawing = Zeichnung

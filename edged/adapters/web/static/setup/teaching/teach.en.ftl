@@ -162,6 +162,23 @@ problem-teach-no-pair = This job was taught elsewhere and keeps no pair: teach i
 problem-teach-nothing-left = Nothing is left to measure by: take one circle, one slot or two edges at least.
 problem-teach-no-pictures = That cycle has no pictures: the cameras gave none.
 problem-teach-other-rig = That cycle was measured with another calibration, and what its pictures show is elsewhere by now. Take a newer one.
+problem-teach-further-none = Pair { $pair } does not show this part, once and whole, in both pictures: take another, or remove it.
+problem-teach-further-little = All pairs together show too little of the part.
+problem-teach-further-needless = This part has too few curves to learn from further pairs: remove them.
+problem-teach-further-size = That pair is of another size than the first one.
+
+teach-further = Further pairs
+teach-further-what = Machined edges are broken, and a part that lies square to the cameras does not show how. Lay it tilted by 10 to 40 degrees, or light it otherwise, and add that pair.
+teach-further-add = Add a pair
+teach-further-said = The pair is added.
+teach-further-removed = The pair is removed.
+teach-further-pair = Pair { $number }
+teach-further-remove-pair = Remove pair { $number }
+teach-further-open = What its edge breaks are is not settled: each picture tells it anew, and the sigma says how well.
+teach-further-none = The edges are sharp.
+teach-further-face = Edge breaks of { $width } mm; the edges in the face were taught.
+teach-further-wall = Edge breaks of { $width } mm; the edges in the wall were taught.
+teach-further-either = Edge breaks of { $width } mm; either edge may have been taught.
 
 ## A drawing instead of the region
 teach-drawing = Drawing

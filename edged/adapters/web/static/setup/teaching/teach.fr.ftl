@@ -162,6 +162,23 @@ problem-teach-no-pair = Cette tâche a été apprise ailleurs et ne garde pas de
 problem-teach-nothing-left = Il ne reste rien avec quoi mesurer : prenez au moins un cercle, un trou oblong ou deux bords.
 problem-teach-no-pictures = Ce cycle n’a pas d’images : les caméras n’en ont pas donné.
 problem-teach-other-rig = Ce cycle a été mesuré avec un autre calibrage, et ce que ses images montrent est ailleurs à présent. Prenez-en un plus récent.
+problem-teach-further-none = La paire { $pair } ne montre pas cette pièce une fois et entière dans les deux images : prenez-en une autre, ou retirez-la.
+problem-teach-further-little = Toutes les paires ensemble montrent trop peu de la pièce.
+problem-teach-further-needless = Cette pièce a trop peu de courbes pour apprendre d’autres paires : retirez-les.
+problem-teach-further-size = Cette paire n’a pas la taille de la première.
+
+teach-further = Autres paires
+teach-further-what = Les arêtes usinées sont cassées, et une pièce posée bien en face des caméras ne montre pas comment. Inclinez-la de 10 à 40 degrés, ou éclairez-la autrement, et ajoutez cette paire.
+teach-further-add = Ajouter une paire
+teach-further-said = La paire est ajoutée.
+teach-further-removed = La paire est retirée.
+teach-further-pair = Paire { $number }
+teach-further-remove-pair = Retirer la paire { $number }
+teach-further-open = La forme des arêtes cassées n’est pas établie : chaque image la donne à nouveau, et le sigma dit à quel point.
+teach-further-none = Les arêtes sont vives.
+teach-further-face = Arêtes cassées sur { $width } mm ; les arêtes de la face ont été apprises.
+teach-further-wall = Arêtes cassées sur { $width } mm ; les arêtes de la paroi ont été apprises.
+teach-further-either = Arêtes cassées sur { $width } mm ; l’une ou l’autre arête a été apprise.
 
 ## A drawing instead of the region
 teach-drawing = Dessin

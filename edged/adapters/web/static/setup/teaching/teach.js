@@ -23,6 +23,7 @@ import {
   toggle,
   Warnings,
 } from "./features.js";
+import { FurtherPairs } from "./further.js";
 import { draws, Region, RegionTools, stroked, TOOLS, tapped, tool } from "./region.js";
 import { Naming, Reference, Sizes } from "./sizes.js";
 import { change, drafts, find, jobs, lit, lookAgain, open, pushed, see, teaching } from "./teaching.js";
@@ -284,6 +285,7 @@ export default function Teach() {
       <${Warnings} size=${size} />
       <${Reference} />
       <${Sizes} />
+      <${FurtherPairs} />
       <${Drawing} />
       <${Activate} />
     </div>`;

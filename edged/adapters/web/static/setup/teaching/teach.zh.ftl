@@ -162,6 +162,23 @@ problem-teach-no-pair = 此作业在别处示教，没有保存图像对：请�
 problem-teach-nothing-left = 没有可用于测量的特征：至少采用一个圆、一个长圆孔或两条边。
 problem-teach-no-pictures = 该循环没有图像：相机没有输出。
 problem-teach-other-rig = 该循环使用另一标定测量，其图像内容的位置现已不同。请选用较新的循环。
+problem-teach-further-none = 图像对 { $pair } 的两幅图像中没有完整显示一个该工件：请重拍，或将其移除。
+problem-teach-further-little = 所有图像对合起来显示的工件内容仍太少。
+problem-teach-further-needless = 该工件的曲线太少，无法从更多图像对中学习：请将其移除。
+problem-teach-further-size = 该图像对的尺寸与第一对不同。
+
+teach-further = 更多图像对
+teach-further-what = 加工棱边带有倒角或圆角，正对相机放置的工件看不出其形状。将工件倾斜 10 至 40 度，或改变光照，然后添加该图像对。
+teach-further-add = 添加图像对
+teach-further-said = 已添加图像对。
+teach-further-removed = 已移除图像对。
+teach-further-pair = 图像对 { $number }
+teach-further-remove-pair = 移除图像对 { $number }
+teach-further-open = 棱边倒角的形状尚未确定：由每幅图像重新判断，其可信程度见 sigma。
+teach-further-none = 棱边为锐边。
+teach-further-face = 棱边倒角 { $width } mm；示教的是顶面一侧的边缘。
+teach-further-wall = 棱边倒角 { $width } mm；示教的是侧壁一侧的边缘。
+teach-further-either = 棱边倒角 { $width } mm；示教的可能是任一侧的边缘。
 
 ## A drawing instead of the region
 teach-drawing = 图纸
