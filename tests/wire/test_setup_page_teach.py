@@ -285,6 +285,26 @@ def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> None:
     stand.run(test)
 
 
+def test_a_further_pair_is_added_shown_and_removed(stand: Stand) -> None:
+    """Both pictures of it stand there, and that the flange's edges are sharp; axe finds nothing."""
+
+    async def test() -> None:
+        page = stand.page
+        await stand.open()
+        await stand.take()
+        await press(page, "Add a pair")
+        await page.until(f"{said('The edges are sharp')} && {QUIET}")
+        shown = "[...document.querySelectorAll('[aria-labelledby=teach-further] img')]"
+        await page.value(f"{shown}[0].scrollIntoView()")
+        await page.until(f"{shown}.filter((one) => one.naturalWidth > 0).length === 2")
+        assert [] == await page.violations()
+        assert 1 == len((await stand.until(lambda now: now["proposing"] is None))["further"])
+        await page.click('[aria-label="Remove pair 2"]')
+        await page.until(f"{said('is not settled')} && {shown}.length === 0")
+
+    stand.run(test)
+
+
 def test_a_job_is_learnt_from_a_drawing_instead(stand: Stand, tmp_path: Path) -> None:
     """A chosen DXF file gives the drawing's own sizes, on the part in the pictures; what is wrong with one is
     said with its place; one step back is what the pair taught.
