@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import cv2
 import pytest
@@ -71,13 +71,20 @@ INPUTS = {
 """Every other path that a command takes: it is only read."""
 
 
+def kinds_in(kind: Any) -> Iterator[Any]:
+    """A type, and those that it is made of."""
+    yield kind
+    for inner in get_args(kind):
+        yield from kinds_in(inner)
+
+
 def paths_of(group: typer.Typer, above: str = "") -> Iterator[tuple[str, str]]:
     """Each command, and each of its parameters that is a path."""
     for command in group.registered_commands:
         assert command.callback is not None
         name = f"{above} {command.name or command.callback.__name__}".strip()
         for parameter, kind in get_type_hints(command.callback).items():
-            if Path in (kind, *get_args(kind)):
+            if Path in kinds_in(kind):
                 yield name, parameter
     for inner in group.registered_groups:
         assert inner.typer_instance is not None

@@ -348,9 +348,15 @@ def _across_rows(images: StereoImages) -> FloatArray:
     return np.asarray(along / np.linalg.norm(along))
 
 
-STEP_END, STEPS_PER_UNIT = 6, 512
+STEP_END = 6
+"""Sigmas from a blurred step, beyond which it is 0 or 1 to 1e-9."""
+STEPS_PER_UNIT = 512
+"""Rows of the table of a blurred step: between two of them a line is good to 1e-7."""
 STEPS = np.array(
-    [0.5 * (1.0 + math.erf(k / STEPS_PER_UNIT / math.sqrt(2.0))) for k in range(-6 * 512, 6 * 512 + 2)]
+    [
+        0.5 * (1.0 + math.erf(k / STEPS_PER_UNIT / math.sqrt(2.0)))
+        for k in range(-STEP_END * STEPS_PER_UNIT, STEP_END * STEPS_PER_UNIT + 2)
+    ]
 )
 """A step blurred by a Gaussian of unit width, from -STEP_END on."""
 

@@ -70,7 +70,9 @@ export function Keys({ go }) {
           ([what, ...keys]) => html`<tr key=${what}>
             <th scope="row">${t(`keys-${what}`)}</th>
             <td>
-              ${keys.map((key) => html`<kbd translate=${false}>${key === "ctrl" ? t("keys-ctrl") : key}</kbd> `)}
+              ${keys.map(
+                (key) => html`<kbd translate=${false}>${key === "ctrl" ? t("keys-ctrl") : key}</kbd> `,
+              )}
             </td>
           </tr>`,
         )}
