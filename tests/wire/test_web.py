@@ -727,17 +727,12 @@ def test_log_ins_at_once_cost_one_hash_after_another(monkeypatch: pytest.MonkeyP
 
 def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who breaks off each guess has spent it all the same: after five the sixth is not looked at."""
-    hashed, looked_at = list[str](), threading.Semaphore(0)
-
-    def check(_: str, password: str) -> None:
-        hashed.append(password)
-        looked_at.release()
-
-    monkeypatch.setattr("edged.identity.access.is_password", check)
+    hashed = list[str]()
+    monkeypatch.setattr("edged.identity.access.is_password", lambda _, password: hashed.append(password))
 
     async def test() -> None:
         access = Access(HASH, lambda: 0.0)
-        while len(hashed) < 6:
+        for _ in range(1000):
             guess = asyncio.create_task(access.log_in("10.0.0.9", "guess"))
             await asyncio.sleep(0)
             guess.cancel()
@@ -745,9 +740,10 @@ def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch)
             refused = None if guess.cancelled() else guess.exception()
             if isinstance(refused, TooManyAttempts) and refused.wait_s == 30.0:
                 break
-        for _ in range(5):  # the last one may still be on its way to a thread
-            assert await asyncio.to_thread(looked_at.acquire, timeout=10.0)
-        assert 5 == len(hashed)
+        else:
+            pytest.fail("no guess was refused for a while")
+        # whoever broke off before a thread was free was not looked at either
+        assert len(hashed) <= 5
 
     run(test)
 
