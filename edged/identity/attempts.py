@@ -132,7 +132,8 @@ class _Turns:
             last = max(reversed(self._waiting), key=self._rank)
             if self._rank(last) <= self._rank(place):
                 raise _busy()
-            self._waiting.pop(last).set_exception(_busy())
+            if not (gone := self._waiting.pop(last)).done():
+                gone.set_exception(_busy())
         turn = self._waiting[place] = asyncio.get_running_loop().create_future()
         try:
             await turn
@@ -152,9 +153,12 @@ class _Turns:
 
     def end(self) -> None:
         """Give the turn to the next, if anybody waits."""
-        self._is_taken = bool(self._waiting)
-        if self._waiting:
-            self._waiting.pop(min(self._waiting, key=self._rank)).set_result(None)
+        while self._waiting:
+            following = self._waiting.pop(min(self._waiting, key=self._rank))
+            if not following.done():  # who has hung up in this very moment is still among them
+                following.set_result(None)
+                return
+        self._is_taken = False
 
     def _ended(self, done: asyncio.Future[Any]) -> None:
         if not done.cancelled():

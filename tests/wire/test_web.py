@@ -10,6 +10,7 @@ import json
 import math
 import re
 import threading
+import time
 from asyncio import StreamReader, StreamWriter
 from base64 import b64encode
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
@@ -744,6 +745,34 @@ def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch)
             pytest.fail("no guess was refused for a while")
         # whoever broke off before a thread was free was not looked at either
         assert len(hashed) <= 5
+
+    run(test)
+
+
+def test_who_hangs_up_as_it_is_their_turn_takes_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log-in that ends at the moment when the one before it does: the next is looked at all the same."""
+    may_end, ended = threading.Event(), threading.Event()
+
+    def check(_: str, password: str) -> bool:
+        may_end.wait(LIMIT_S)
+        ended.set()
+        return password == "right"
+
+    monkeypatch.setattr("edged.identity.access.is_password", check)
+
+    async def test() -> None:
+        access = Access(HASH, lambda: 0.0)
+        asked = [("10.0.0.1", "wrong"), ("10.0.0.2", "right"), ("10.0.0.3", "right")]
+        first, second, third = (asyncio.create_task(access.log_in(*one)) for one in asked)
+        await asyncio.sleep(0.1)  # the others wait
+        may_end.set()
+        ended.wait(LIMIT_S)
+        time.sleep(0.2)  # noqa: ASYNC251  (the loop stands still: what the thread says is in its queue)
+        await asyncio.sleep(0)  # that it has ended is known; its turn is not given on yet
+        second.cancel()
+        await asyncio.wait({first, second, third}, timeout=LIMIT_S)
+        assert third.done()
+        assert third.exception() is None
 
     run(test)
 
