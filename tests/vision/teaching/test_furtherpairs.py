@@ -103,6 +103,7 @@ def test_a_pair_of_another_part_is_refused_by_its_number() -> None:
         with_further_pairs(few, pair(DESIGN, 0.0), [pair(DESIGN, 25.0)], rig().rectification)
 
 
+@pytest.mark.slow
 def test_chance_leaves_two_thirds_of_a_square_pixel() -> None:
     """Of profiles in a picture that shows nothing: twice of what a part may leave."""
     job = taught()
