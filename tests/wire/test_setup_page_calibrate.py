@@ -46,16 +46,21 @@ GAUGES = '[...document.querySelectorAll(".gauge")].map((one) => one.getAttribute
 CHECK_STEP = """document.querySelector('a[href="#/check"] .state').textContent.trim()"""
 
 
+async def ask_for_a_board(page: Browser, newcomer: Newcomer) -> None:
+    """The page of calibrating, with the cell taken, as it asks which board there is."""
+    await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+    await take_over(page)
+    await go(page, "calibrate")
+    await page.until(said("Which board?"))
+
+
 def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path) -> None:
     """The seen board and the next one are drawn over the pictures; what was begun goes on anywhere."""
 
     async def test(newcomer: Newcomer) -> None:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
-            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
-            await take_over(page)
-            await go(page, "calibrate")
-            await page.until(said("Which board?"))
+            await ask_for_a_board(page, newcomer)
             assert [] == await page.violations()
             await page.click(".choice:nth-child(2)")
             await page.type("[name=mm]", "4,0")
@@ -92,10 +97,7 @@ def test_the_hand_follows_until_something_else_is_laid_there(tmp_path: Path) -> 
     async def test(newcomer: Newcomer) -> None:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
-            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
-            await take_over(page)
-            await go(page, "calibrate")
-            await page.until(said("Which board?"))
+            await ask_for_a_board(page, newcomer)
             await page.click(".choice:nth-child(2)")
             await page.type("[name=mm]", "4")
             await press(page, "Begin")
@@ -119,10 +121,7 @@ def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
     async def test(newcomer: Newcomer) -> None:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
-            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
-            await take_over(page)
-            await go(page, "calibrate")
-            await page.until(said("Which board?"))
+            await ask_for_a_board(page, newcomer)
             await page.click(".choice:nth-child(2)")
             await page.type("[name=columns]", "9")
             await page.type("[name=mm]", "4")

@@ -70,7 +70,10 @@ class TeachingDraft(DraftFile[TeachState]):
         """Keep the pictures of a further pair; returns its name. Raises `TeachError` for another size."""
         if pair.left.shape != (self.state.height, self.state.width):
             raise TeachError("the pair is of another size than the first one", "further_size")
-        return _write_pair(self.pictures, pair.left, pair.right)
+        pixels = pair.left.tobytes() + pair.right.tobytes()
+        name = hashlib.sha256(pixels).hexdigest()[:12]
+        _write_pair(self.pictures, pair.left, pair.right, name)
+        return name
 
     def propose(self, shapes: list[JsonValue]) -> None:
         """The region that is proposed before anybody says another."""
@@ -125,11 +128,9 @@ class TeachingDrafts(DraftFolders[TeachState, TeachingDraft]):
         )
         try:
             place = self.place(state.id) / "pictures"
-            for side, image in zip(SIDES, (pair.left, pair.right), strict=True):
-                write_atomically(place / f"{side}.png", png(image))
-                write_atomically(place / f"{side}.jpg", jpeg(image, JPEG_QUALITY))
-            for left, right in pair.further.values():
-                _write_pair(place, left, right)
+            _write_pair(place, pair.left, pair.right)
+            for name, (left, right) in pair.further.items():
+                _write_pair(place, left, right, name)
             return self.add(state)
         except OSError:  # a disc that is full is not filled further
             self.clear(state.id)
@@ -141,14 +142,11 @@ def picture_name(side: str, suffix: str, pair: str = "") -> str:
     return f"{pair}-{side}.{suffix}" if pair else f"{side}.{suffix}"
 
 
-def _write_pair(place: Path, left: Image, right: Image) -> str:
-    """Write a further pair; returns its name."""
-    files = [png(image) for image in (left, right)]
-    name = hashlib.sha256(b"".join(files)).hexdigest()[:12]
-    for side, image, data in zip(SIDES, (left, right), files, strict=True):
+def _write_pair(place: Path, left: Image, right: Image, name: str = "") -> None:
+    """Write both pictures, for the cell and for people.  name : of a further pair."""
+    for side, image in zip(SIDES, (left, right), strict=True):
+        write_atomically(place / picture_name(side, "png", name), png(image))
         write_atomically(place / picture_name(side, "jpg", name), jpeg(image, JPEG_QUALITY))
-        write_atomically(place / picture_name(side, "png", name), data)
-    return name
 
 
 def _pictures(state: TeachState) -> list[str]:

@@ -43,6 +43,7 @@ from edged.setup.teaching.documents import (
     SizeDocument,
     WarningDocument,
 )
+from edged.setup.teaching.drafts import picture_name
 from edged.setup.teaching.editing import FormerFiles, edited, lying, picking_of, with_tolerances
 from edged.setup.teaching.model import Content, Drawing, Mark, Shapes, region_of
 from edged.setup.teaching.proposal import Proposal, WantedJob, propose_from_drawing, propose_from_pair
@@ -197,8 +198,9 @@ def _learnt(
     else:
         region, exclude = region_of(shapes, left.shape[1], left.shape[0])
         pairs = [
-            (load_image(pictures / f"{name}-left.png"), load_image(pictures / f"{name}-right.png"))
+            (load_image(pictures / left_file), load_image(pictures / right_file))
             for name in further
+            for left_file, right_file in [[picture_name(side, "png", name) for side in SIDES]]
         ]
         proposal = propose_from_pair(
             left, right, rectification, wanted, region=region, exclude=exclude, further=pairs

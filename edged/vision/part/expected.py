@@ -18,7 +18,7 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.params import FIT
 from edged.vision.curves.planefit import CurveFit, PlaneFit, Scatter
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import apply, transform
+from edged.vision.geometry.rigid import apply
 from edged.vision.part.circles import placed
 from edged.vision.part.consistency import vaguest_mm
 from edged.vision.part.job import Job
@@ -55,7 +55,7 @@ def expected_target(
     noises : then its covariance is what they alone leave: the scatter of a part that lies still.
     None where both pictures do not hold enough of it.
     """
-    own = rig_from_part @ transform(np.eye(3), -job.place_of(job.reference))
+    own = rig_from_part @ job.reference_from_part
     x, y = rectification.rig.left.project(rig_from_part[None, :3, 3])[0]
     sight = _Sight(rectification, job, own, Match(float(x), float(y), 0.0, 1.0, 1.0, 1.0), scatters, noises)
     if job.solid:

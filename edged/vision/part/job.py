@@ -215,6 +215,11 @@ class Job:
         return next((circle for circle in self.circles if circle.name == self.reference), self.circles[0])
 
     @property
+    def reference_from_part(self) -> FloatArray:
+        """(4, 4) to axes like the part's, but at its reference: where a `Target` has its pose."""
+        return transform(np.eye(3), -self.place_of(self.reference))
+
+    @property
     def part_from_reported(self) -> FloatArray | None:
         """(4, 4) of the frame whose pose is published: the model's, or its axes at a point; None: neither."""
         if self.report == "reference" or self.part_from_model is None:

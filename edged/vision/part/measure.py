@@ -81,7 +81,7 @@ def published(job: Job, target: Target) -> Target:
     """The target with where the job's CAD model lies, and with the pose that the job wants published."""
     if job.part_from_model is None:
         return target
-    from_reference = transform(np.eye(3), -job.place_of(job.reference))
+    from_reference = job.reference_from_part
     placed = target.rig_from_part @ from_reference @ job.part_from_model
     target = replace(target, rig_from_model=placed)
     if job.sigma_mm:

@@ -97,7 +97,7 @@ def all_edges_agree(images: StereoImages, job: Job, targets: Sequence[Target]) -
 
 def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: Target) -> bool:
     """Whether the first of some models stays where a target is, and none of the others is likelier there."""
-    pose = target.rig_from_part @ transform(np.eye(3), -job.place_of(job.reference))
+    pose = target.rig_from_part @ job.reference_from_part
     steps = schedule(0)[1]
     laid = lay(models[0], pyramids, pose, steps)
     if laid is None or turn_between(laid.pose, pose) > DECISION.same_turn_rad:

@@ -17,7 +17,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject
 from edged.errors import TeachError
 from edged.vision.geometry.rectification import Rectification, StereoImages
-from edged.vision.geometry.rigid import transform, turn_between
+from edged.vision.geometry.rigid import turn_between
 from edged.vision.part.job import MAX_TILT_DEG, BreakEnd, Job
 from edged.vision.solid.curvemodel import has_enough_curves
 from edged.vision.solid.edgemodel import EdgeModel
@@ -78,7 +78,7 @@ def _found(job: Job, images: StereoImages, number: int) -> LaidPair:
             pair=number,
         )
     target = good[0].target
-    return _view(images, target.rig_from_part @ transform(np.eye(3), -job.place_of(job.reference)))
+    return _view(images, target.rig_from_part @ job.reference_from_part)
 
 
 def _brought(choice: FormChoice, job: Job, views: Sequence[LaidPair], k: int) -> str:
