@@ -17,6 +17,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rigid import apply, transform, turn_between
 from edged.vision.solid.edgemodel import EdgeModel, with_open_forms
 from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over
 from edged.vision.solid.forms import (
@@ -54,20 +55,19 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     None where the pair does not show it there.
     """
     pyramids = Pyramids(images.rig, images.raw, BREAKS.levels)
-    best: tuple[float, RefinedForm] | None = None
+    known: list[tuple[float, RefinedForm]] = []
     for width in BREAKS.tried_mm:
         broken = with_breaks(model, np.full(len(model.start), width))
-        laid = lay(broken, pyramids, pose, BREAKS.steps)
-        found = None if laid is None else refined(broken, [LaidPair(images, pyramids, laid.pose)])
-        if found is None:
-            continue
-        # a model with breaks can take the form of one without: it has to be better to be believed
-        cost = math.sqrt(found.misfit) * (1.0 if width == 0 else 1.0 + BREAKS.better)
-        if best is None or cost < best[0]:
-            best = cost, found
-    if best is None:
+        for laid in _laid_from(_starts(pose, width), broken, pyramids):
+            found = refined(broken, [LaidPair(images, pyramids, laid)])
+            if found is None:
+                continue
+            # a model with breaks can take the form of one without: it has to be better to be believed
+            cost = math.sqrt(found.misfit) * (1.0 if width == 0 else 1.0 + BREAKS.better)
+            known.append((cost, found))
+    if not known:
         return None
-    found = best[1]
+    found = _that_explains_most([form for _, form in sorted(known, key=lambda scored: scored[0])], pyramids)
     if found.model.breaks_mm.any():
         found = _each_by_itself(found)
     pose = found.views[0].pose
@@ -81,6 +81,47 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     by_light_mm = PROFILE.light_px / scale_at(images.rig, fit.pose, model) if found.sigma_mm else 0.0
     sigma_break_mm = math.hypot(found.sigma_mm, 2 * by_light_mm)
     return LaidBody(laid_model, fit, sigma_break_mm, merged_mm, evidence)
+
+
+def _starts(pose: FloatArray, width_mm: float) -> list[FloatArray]:
+    """Where a model with breaks of one width may lie: as given, and higher by that width.
+
+    The lower edges of breaks have the model's radii: where curves were taught by those, they lie a width
+    below where the model has them, and nothing about them says so.
+    """
+    return [pose, pose @ transform(np.eye(3), np.array([0.0, 0.0, -width_mm]))][: 2 if width_mm else 1]
+
+
+def _laid_from(starts: Sequence[FloatArray], model: EdgeModel, pyramids: Pyramids) -> list[FloatArray]:
+    """The poses that a model comes to from several starts, each once."""
+    found: list[FloatArray] = []
+    for start in starts:
+        laid = lay(model, pyramids, start, BREAKS.steps)
+        if laid is not None and not any(_is_same(model, laid.pose, other) for other in found):
+            found.append(laid.pose)
+    return found
+
+
+def _is_same(model: EdgeModel, pose: FloatArray, other: FloatArray) -> bool:
+    apart = float(np.linalg.norm(apply(pose, model.centre) - apply(other, model.centre)))
+    return apart < BREAKS.least_mm and turn_between(pose, other) * model.size_mm < BREAKS.least_mm
+
+
+def _that_explains_most(forms: Sequence[RefinedForm], pyramids: Pyramids) -> RefinedForm:
+    """The form with the least misfit, unless the picture shows edges that only a later one predicts.
+
+    forms : by rising misfit, which says nothing of edges that a form does not have.
+    """
+    best = forms[0]
+    shapes = [grey.shape for grey in pyramids.grey[0]]
+    shown = evidence_of(best.model, pyramids, best.views[0].pose)
+    for other in forms[1:]:
+        if other.contradicts > BREAKS.most_misfit:
+            continue
+        theirs = evidence_of(other.model, pyramids, other.views[0].pose)
+        if margin_over(theirs, shown, shapes) > DECISION.certain:
+            best, shown = other, theirs
+    return best
 
 
 def _each_by_itself(found: RefinedForm) -> RefinedForm:

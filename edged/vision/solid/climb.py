@@ -6,6 +6,7 @@ cameras' responses is compared, and climbed, before any edge is looked for.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ U8 = npt.NDArray[np.uint8]
 HALVINGS = CLIMB.halvings
 ROUNDS = CLIMB.rounds
 SOUGHT_EVERY = CLIMB.every
+HALF_BIN, HALF_BIN_MORE = math.tan(math.pi / 16), math.tan(3 * math.pi / 16)
+"""Tangents of 11.25 and 33.75 degrees: the borders between directions."""
 FULL = 15
 """Response of a gradient that fits: sums of 16 fit a byte."""
 
@@ -48,13 +51,25 @@ def eye_of(camera: CameraModel, from_rig: FloatArray) -> Eye:
     )  # fmt: skip
 
 
+@kernel("i8(f8, f8)", inline=True)
+def direction_of(up: float, aside: float) -> int:
+    """The one of eight directions, 22.5 degrees apart and sign aside, that a vector is nearest to."""
+    size_up, size_aside = abs(up), abs(aside)
+    if size_up < HALF_BIN * size_aside:
+        return 0
+    if size_aside <= HALF_BIN * size_up:
+        return 4
+    steps = 1 if size_up < HALF_BIN_MORE * size_aside else (3 if size_aside <= HALF_BIN_MORE * size_up else 2)
+    return steps if (up > 0.0) == (aside > 0.0) else 8 - steps
+
+
 @kernel("f8(f8[:, ::1], f8[:, ::1], f8[:, ::1], Eye, u1[:, :, ::1], i8)", tuples=(Eye,))
 def response_of(points: F64, along: F64, pose: F64, eye: Eye, maps: U8, every: int) -> float:
     """Mean response in [0, 1] of one camera's maps (8, H, W) to a part at rig_from_part (4, 4).
 
     points, along (P, 3) : what is seen of its edges.  every : of the points that is asked for.
     """
-    bins, height, width = maps.shape
+    _, height, width = maps.shape
     move, there, way = np.empty((3, 4)), np.empty(3), np.empty(3)
     for i in range(3):
         for j in range(4):
@@ -79,8 +94,7 @@ def response_of(points: F64, along: F64, pose: F64, eye: Eye, maps: U8, every: i
             continue
         du, dv = way[0] - u * way[2], way[1] - v * way[2]
         tx, ty = eye.focal[0] * (xu * du + xv * dv), eye.focal[1] * (yu * du + yv * dv)
-        number = int(np.rint(np.arctan2(tx, -ty) * bins / np.pi)) % bins
-        total += maps[number, row, column]
+        total += maps[direction_of(tx, -ty), row, column]
     return total / (FULL * count)
 
 

@@ -38,6 +38,8 @@ class EdgeModel:
     taught_px : sigma of the place at which either camera had all of its edges at teaching.
     sigma_break_mm : of the widths of all breaks together.  sigma_own_mm : of each curve's besides.
     sigma_form_mm (E, 2) : of how deep both edges of each break lie whose form is open; all have one form.
+    upwards (E, 3) : from the lower to the upper edge of a break too narrow to be seen, by its width, where
+    the upper face looks to the cameras; 0 elsewhere. None: no such breaks.
     """
 
     sides: I64
@@ -57,14 +59,15 @@ class EdgeModel:
     sigma_break_mm: float = 0.0
     sigma_own_mm: float = 0.0
     sigma_form_mm: FloatArray | None = None
+    upwards: FloatArray | None = None
 
 
 class EdgePoints(NamedTuple):
     """Points along the edges of a model.
 
     points (N, 3), along (N, 3) unit; normals (N, 6) : of both faces.  by_break (N, 3) : motion by the width
-    of the edge break.  curve (N,) : number of the edge, other for both edges of a break; samples of one
-    follow each other.  sharp (N,) : as in the model.
+    of the edge break; of an edge without one as `EdgeModel.upwards`.  curve (N,) : number of the edge, other
+    for both edges of a break; samples of one follow each other.  sharp (N,) : as in the model.
     """
 
     points: F2
@@ -103,9 +106,17 @@ def model_of(body: PartBody) -> EdgeModel:
     model = EdgeModel(
         sides, start, end, normals[beside], chain, sharp, breakable, inward, breaks, body.points_mm,
         body.triangles, 0.5 * (low + high), float(np.linalg.norm(high - low)),
-        sigma_break_mm=body.sigma_break_mm,
+        sigma_break_mm=body.sigma_break_mm, upwards=_upwards(normals[beside], inward, breakable),
     )  # fmt: skip
     return with_open_forms(model, body.merged_mm) if body.merged_mm > 0 else model
+
+
+def _upwards(normals: FloatArray, by_break: FloatArray, breakable: npt.NDArray[np.bool_]) -> FloatArray:
+    """(E, 3) of `EdgeModel`."""
+    height, rows = normals[:, :, 2], np.arange(len(normals))  # a part's z leads away from the cameras
+    upper = height.argmin(axis=1)
+    is_open = breakable & (height.min(axis=1) < -MODEL.steep)
+    return np.asarray(is_open[:, None] * (by_break[rows, upper] - by_break[rows, 1 - upper]))
 
 
 def with_open_forms(model: EdgeModel, merged_mm: float) -> EdgeModel:
@@ -212,7 +223,10 @@ def sampled(model: EdgeModel, spacing_mm: float) -> EdgePoints:
 
 def _along(model: EdgeModel, rows: I64, side: int | None, spacing_mm: float) -> EdgePoints:
     """Samples of some segments; of broken ones, of the edge within one of both faces."""
-    by_break = np.zeros((len(rows), 3)) if side is None else model.by_break[rows, side]
+    if side is not None:
+        by_break = model.by_break[rows, side]
+    else:
+        by_break = np.zeros((len(rows), 3)) if model.upwards is None else model.upwards[rows]
     shift = model.breaks_mm[rows, None] * by_break
     start, end = model.start[rows] + shift, model.end[rows] + shift
     curve = model.chain[rows] * 3 + (0 if side is None else side + 1)

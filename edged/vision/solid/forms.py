@@ -21,7 +21,7 @@ from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.lock import Pyramids, lay, scale_at, schedule
 from edged.vision.solid.params import BREAKS, DECISION, PROFILE
-from edged.vision.solid.profiles import Profiles, fit_profiles, profiles_of
+from edged.vision.solid.profiles import Profiles, pose_by_profiles, profiles_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,9 +37,11 @@ class LaidPair:
         return profiles_of(model, self.pyramids, self.images, self.pose, BREAKS.blur_px)
 
     def fitted(self, model: EdgeModel, held: FloatArray | None = None, *, alike: bool) -> LaidPair | None:
-        """At the pose that the profiles of a model give; see `fit_profiles`."""
-        fit = fit_profiles(model, self.pyramids, self.images, self.pose, BREAKS.blur_px, held, alike=alike)
-        return None if fit is None else replace(self, pose=fit.pose)
+        """At the pose that the profiles of a model give; see `pose_by_profiles`."""
+        pose = pose_by_profiles(
+            model, self.pyramids, self.images, self.pose, BREAKS.blur_px, held, alike=alike
+        )
+        return None if pose is None else replace(self, pose=pose)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +87,7 @@ def refined(
 ) -> RefinedForm | None:
     """The poses and the breaks in turn, from breaks of one width; None where pairs say too little.
 
-    held : as in `fit_profiles`.  needed : without the breaks that a sharp edge explains as well.
+    held : as in `pose_by_profiles`.  needed : without the breaks that a sharp edge explains as well.
     """
     sigma = common = 0.0
     now: list[LaidPair] = list(views)
@@ -152,7 +154,7 @@ def widths_by_profiles(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[Flo
     power, pull = np.zeros(count), np.zeros(count)
     for view in views:
         profiles = view.profiles(model)
-        curve, by_break = profiles.seen.curve // 3, profiles.seen.by_break
+        curve, by_break = profiles.seen.curve // 3, profiles.by_width
         shift, base = profiles.shift_px, profiles.weight
         weight = np.where(
             (np.abs(by_break) > 0) & (base > BREAKS.min_weight),
@@ -207,7 +209,7 @@ def likeliest_form(
     Others count by the likelihood that their misfit is worse by chance. Source: J. A. Hoeting et al.,
     "Bayesian model averaging: a tutorial", Statistical Science 14, 1999.
 
-    views : pairs at poses good to a pixel or two.  held : as in `fit_profiles`.
+    views : pairs at poses good to a pixel or two.  held : as in `pose_by_profiles`.
     """
     forms: list[RefinedForm | None] = []
     for model in models:

@@ -20,9 +20,18 @@ from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
-from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.edgemodel import EdgeModel, EdgePoints
 from edged.vision.solid.params import LOCK, VISIBILITY, LockStep
-from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, samples_at, see
+from edged.vision.solid.visible import (
+    Cameras,
+    PartView,
+    VisibleSamples,
+    find_neighbours,
+    hidden_samples,
+    moved,
+    samples_at,
+    see,
+)
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -102,21 +111,45 @@ def scale_at(rig: StereoRig, pose: FloatArray, model: EdgeModel) -> float:
     return rig.left.fx / max(depth, 1.0)
 
 
+class Occlusion:
+    """Which samples of a model are hidden from each camera, kept while a pose moves by little."""
+
+    def __init__(self) -> None:
+        self._level = -1
+        self._samples: EdgePoints | None = None
+        self._hidden: list[npt.NDArray[np.bool_]] = []
+
+    def of(
+        self, model: EdgeModel, samples: EdgePoints, views: Sequence[PartView], level: int, buffer_px: int
+    ) -> list[npt.NDArray[np.bool_]]:
+        """(N,) of each camera; as found before, for the same samples at the same level."""
+        if samples is not self._samples or level != self._level:
+            self._level, self._samples = level, samples
+            self._hidden = [hidden_samples(model, samples, view, buffer_px) for view in views]
+        return self._hidden
+
+
 def seen_by(
-    model: EdgeModel, pyramids: Pyramids, pose: FloatArray, level: int, spacing_px: float
-) -> list[VisibleSamples]:
+    model: EdgeModel, pyramids: Pyramids, pose: FloatArray, level: int, spacing_px: float,
+    occlusion: Occlusion | None = None,
+) -> list[VisibleSamples]:  # fmt: skip
     """What each camera sees of the model at a level of the pyramids."""
     samples = samples_at(model, scale_at(pyramids.rig, pose, model) / 2**level, spacing_px)
     buffer_px = VISIBILITY.buffer_px[min(level, len(VISIBILITY.buffer_px) - 1)]
-    cameras = pyramids.cameras[level]
-    return [see(model, samples, cameras.view(k, model, pose), buffer_px) for k in (0, 1)]
+    views = [pyramids.cameras[level].view(k, model, pose) for k in (0, 1)]
+    if occlusion is None:
+        return [see(model, samples, view, buffer_px) for view in views]
+    hidden = occlusion.of(model, samples, views, level, buffer_px)
+    return [see(model, samples, views[k], buffer_px, hidden[k]) for k in (0, 1)]
 
 
-def step(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, how: LockStep) -> LaidPose | None:
+def step(
+    model: EdgeModel, pyramids: Pyramids, pose: FloatArray, how: LockStep, occlusion: Occlusion
+) -> LaidPose | None:
     """Move a pose to the edges within reach; None where too little of the part is seen."""
     if not pose[2, :3] @ model.centre + pose[2, 3] > 0:
         return None
-    both = seen_by(model, pyramids, pose, how.level, how.spacing_px)
+    both = seen_by(model, pyramids, pose, how.level, how.spacing_px, occlusion)
     if min(len(seen.row) for seen in both) < LOCK.fewest:
         return None
     together = max(0, round(how.along_px / how.spacing_px / 2))
@@ -168,8 +201,9 @@ def _intervals(near: FloatArray) -> tuple[FloatArray, FloatArray]:
 def lay(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[LockStep]) -> LaidPose | None:
     """Several steps from a pose; None where the part is lost on the way."""
     laid: LaidPose | None = None
+    occlusion = Occlusion()
     for how in steps:
-        laid = step(model, pyramids, pose, how)
+        laid = step(model, pyramids, pose, how, occlusion)
         if laid is None:
             return None
         pose = laid.pose

@@ -183,6 +183,9 @@ class ProfileParams:
     blurs_px: tuple[float, ...] = (0.45, 0.6, 0.8, 1.1, 1.5)  # of lens and pixel, the best of them
     min_weight: float = 4.0  # 1 / px²: half a pixel
     model_px: float = 0.1  # of an edge against its model: grain, burrs
+    unseen_mm: float = 0.1
+    """Width of breaks at edges that a drawing has sharp and that no picture has shown broken: those of any
+    deburred part (ISO 13715), half a pixel of the part."""
     light_px: float = 0.08
     """Another light draws all edges to their darker side by up to a sixth of a pixel (`LIGHT_PX`): half."""
     first_sigmas_px: tuple[float, ...] = (1.0, 0.5)  # of each round of profiles

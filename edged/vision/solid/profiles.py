@@ -20,7 +20,7 @@ from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.cholesky import factorise, substitute
-from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.jit import for_both, kernel
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, mad_sigma, tukey_weights
 from edged.vision.solid.edgemodel import EdgeModel, EdgePoints
 from edged.vision.solid.lock import Pyramids, scale_at
@@ -54,6 +54,16 @@ class Profiles:
     weight: FloatArray
     height: FloatArray
 
+    @property
+    def by_width(self) -> FloatArray:
+        """(M,) px / mm by the width of the break that an edge belongs to; 0 of one without."""
+        return np.where(self.seen.curve % 3 != 0, self.seen.by_break, 0.0)
+
+    @property
+    def unseen(self) -> FloatArray:
+        """(M, 1) px by which edges shift if light shows the upper ends of breaks that nobody has seen."""
+        return np.where(self.seen.curve % 3 == 0, PROFILE.unseen_mm * self.seen.by_break, 0.0)[:, None]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileFit:
@@ -85,12 +95,12 @@ def profiles_of(
 
     forms : sigmas by which the edges of breaks of open form are laid deeper.
     """
-    by_camera: list[VisibleSamples] = []
-    measured: list[list[FloatArray]] = []
     samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
     if forms:
         samples = samples._replace(points=samples.points + forms * _by_form(model, samples))
-    for k, image in enumerate(images.raw):
+
+    def measured(k: int) -> tuple[VisibleSamples, list[FloatArray]]:
+        """What one camera sees, and shift, weight and height of it."""
         dense = see(model, samples, pyramids.cameras[0].view(k, model, pose), VISIBILITY.buffer_px[0])
         near = np.empty((len(dense.row), EDGES - 1))
         find_neighbours(
@@ -105,14 +115,16 @@ def profiles_of(
         some = slice(None, None, PROFILE.every)
         seen = VisibleSamples._make(np.ascontiguousarray(field[some]) for field in dense)
         near = np.ascontiguousarray(near[some])
-        grey, _ = edge_profiles(image, seen.pixels, seen.normals, PROFILE.half_px, PROFILE.step_px)
+        grey, _ = edge_profiles(images.raw[k], seen.pixels, seen.normals, PROFILE.half_px, PROFILE.step_px)
         found = [np.zeros(len(seen.row)) for _ in range(3)]
         find_shifts(grey, seen.curve, near, blur_px, PROFILE.together, *found)
-        measured.append(found)
-        by_camera.append(seen)
+        return seen, found
+
+    left, right = for_both(measured)
+    by_camera = (left[0], right[0])
     both = VisibleSamples._make(np.concatenate(field) for field in zip(*by_camera, strict=True))
     camera = np.repeat([0, 1], [len(seen.row) for seen in by_camera])
-    shift, weight, height = (np.concatenate(values) for values in zip(*measured, strict=True))
+    shift, weight, height = (np.concatenate(values) for values in zip(left[1], right[1], strict=True))
     return Profiles(both, camera, samples.points[both.row], shift, weight, height)
 
 
@@ -141,27 +153,42 @@ def _moved_by_form(
     return moved
 
 
-def fit_profiles(
+@dataclass(frozen=True, slots=True, eq=False)
+class _Adjusted:
+    """A pose by profiles, and what its covariance is made of.
+
+    before : the pose that the profiles were taken at.  blur_px : of theirs.  scale (6,) : of its unknowns.
+    design (M, 6 + K) : of them, and of what else is not known, in sigmas.  left, weights (M,) : of the
+    profiles.  inverse (6 + K, 6 + K) : of the normal equations.
+    """
+
+    pose: FloatArray
+    before: FloatArray
+    blur_px: float
+    profiles: Profiles
+    scale: FloatArray
+    design: FloatArray
+    left: FloatArray
+    weights: FloatArray
+    inverse: FloatArray
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the residuals, weighted."""
+        return float(np.sqrt(np.sum(self.weights * self.left**2) / self.weights.sum()))
+
+
+def pose_by_profiles(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
     held: FloatArray | None = None, *, alike: bool = False,
-) -> ProfileFit | None:  # fmt: skip
-    """The pose by profiles from one that is good to a pixel; None where they say too little.
+) -> FloatArray | None:  # fmt: skip
+    """The pose (4, 4) by profiles from one that is good to a pixel; None where they say too little.
 
     held (3,) : axis of the part about which nothing tells its turn.  alike : all curves are worth the same,
     as long as their breaks are not known.
     """
-    fit: ProfileFit | None = None
-    last = len(PROFILE.first_sigmas_px) - 1
-    for number, first_sigma_px in enumerate(PROFILE.first_sigmas_px):
-        profiles = profiles_of(model, pyramids, images, pose, blur_px)
-        by_form = None
-        if number == last:  # whose covariance is that of the result
-            by_form = _moved_by_form(model, pyramids, images, pose, blur_px, profiles)
-        fit = _fitted(model, images, pose, profiles, first_sigma_px, held, alike, by_form)
-        if fit is None:
-            return None
-        pose = fit.pose
-    return fit
+    fit = _adjusted(model, pyramids, images, pose, blur_px, held, alike)
+    return None if fit is None else fit.pose
 
 
 def best_fit(
@@ -171,22 +198,37 @@ def best_fit(
     pose: FloatArray,
     held: FloatArray | None = None,
 ) -> ProfileFit | None:
-    """The fit of profiles with the blur that leaves least."""
-    found: ProfileFit | None = None
+    """The fit of profiles with the blur that leaves least; None where they say too little."""
+    best: _Adjusted | None = None
     for blur in PROFILE.blurs_px:
-        fit = fit_profiles(model, pyramids, images, pose, blur, held)
-        if fit is None or (found is not None and fit.rms_px > found.rms_px):
+        fit = _adjusted(model, pyramids, images, pose, blur, held, alike=False)
+        if fit is None or (best is not None and fit.rms_px > best.rms_px):
             break
-        found = fit
-    return found
+        best = fit
+    return None if best is None else _with_covariance(model, pyramids, images, best)
 
 
-def _fitted(
-    model: EdgeModel, images: StereoImages, pose: FloatArray, profiles: Profiles, first_sigma_px: float,
-    held: FloatArray | None, alike: bool, by_form: FloatArray | None,
-) -> ProfileFit | None:  # fmt: skip
+def _adjusted(
+    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
+    held: FloatArray | None, alike: bool,
+) -> _Adjusted | None:  # fmt: skip
+    fit: _Adjusted | None = None
+    for first_sigma_px in PROFILE.first_sigmas_px:
+        profiles = profiles_of(model, pyramids, images, pose, blur_px)
+        fit = adjusted_to(model, pose, blur_px, profiles, first_sigma_px, held, alike)
+        if fit is None:
+            return None
+        pose = fit.pose
+    return fit
+
+
+def adjusted_to(
+    model: EdgeModel, pose: FloatArray, blur_px: float, profiles: Profiles, first_sigma_px: float,
+    held: FloatArray | None, alike: bool,
+) -> _Adjusted | None:  # fmt: skip
+    """The motion of a pose that explains most profiles best."""
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
-    design = profiles.seen.design / scale
+    design = np.hstack([profiles.seen.design / scale, profiles.unseen])
     shift, base = profiles.shift_px, profiles.weight
     good = base > PROFILE.min_weight
     if good.sum() < PROFILE.fewest:
@@ -195,49 +237,69 @@ def _fitted(
     stretch = np.zeros(len(shift), np.int64)
     if not alike:
         _, stretch = np.unique(2 * (profiles.seen.curve // 3) + profiles.seen.walled, return_inverse=True)
-    delta, weights = np.zeros(6), np.where(good, 1 / variance, 0.0)
+    delta = np.zeros(design.shape[1])
+    weights = np.where(good, 1 / variance, 0.0)
     for number in range(PROFILE.rounds):
         left = shift - design @ delta
         sigma = scatter_of(left, stretch, good) if number else np.full(len(left), first_sigma_px)
         own = sigma**2 if number else 0.0
         weights = np.where(good, tukey_weights(left / sigma, 1.0), 0.0) / (variance + own)
-        normal = design.T @ (weights[:, None] * design)
+        normal = _normal(design, weights)
         if held is not None:
             normal[:3, :3] += np.trace(normal) * np.outer(held, held)
         if not np.linalg.cond(normal) < PROFILE.max_condition:
             return None
-        new = np.linalg.solve(normal, design.T @ (weights * shift))
+        new = np.asarray(np.linalg.solve(normal, design.T @ (weights * shift)), np.float64)
         still, delta = float(np.abs(new - delta).max()) < PROFILE.still_mm, new
         if still:
             break
-    left = shift - design @ delta
-    inverse = np.linalg.inv(normal)
+    there = moved(model, pose, delta[:6] / scale)
+    inverse = np.asarray(np.linalg.inv(normal), np.float64)
+    return _Adjusted(there, pose, blur_px, profiles, scale, design, shift - design @ delta, weights, inverse)
+
+
+def _normal(design: FloatArray, weights: FloatArray) -> FloatArray:
+    """Normal equations of a pose and of what else is not known, whose sigma is 1 before anything is seen."""
+    normal = design.T @ (weights[:, None] * design)
+    beside = np.arange(6, len(normal))
+    normal[beside, beside] += PROFILE.correlated
+    return np.asarray(normal)
+
+
+def _with_covariance(
+    model: EdgeModel, pyramids: Pyramids, images: StereoImages, fit: _Adjusted
+) -> ProfileFit:
+    """A fit with what its blocks of curves, light, the part's breaks and the rig say of its error."""
+    profiles = fit.profiles
+    design, left, weights = fit.design, fit.left, fit.weights
+    inverse = fit.inverse[:6]
     response = inverse @ (weights[:, None] * design).T  # (6, M): of the twist to each shift
     by_light = PROFILE.light_px * (response @ np.sign(profiles.height))
     block = _blocks(2 * profiles.seen.curve + profiles.camera)
-    edges = _jackknife(design, weights, left, inverse, block) + np.outer(by_light, by_light)
+    edges = _jackknife(design, weights, left, fit.inverse, block)[:6, :6] + np.outer(by_light, by_light)
     for camera, axis in itertools.product((0, 1), (0, 1)):
         by_teaching = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
         edges += model.taught_px**2 * np.outer(by_teaching, by_teaching)
     # how much more the edges scatter than their weights say, as the jackknife has seen it
-    excess = max(float(np.trace(edges @ np.linalg.inv(inverse))) / 6, 1.0)
-    curve = profiles.seen.curve // 3
-    by_own = np.zeros((int(curve.max()) + 1, len(left)))
-    by_own[curve, np.arange(len(left))] = profiles.seen.by_break
-    by_breaks = np.vstack([model.sigma_break_mm * profiles.seen.by_break, model.sigma_own_mm * by_own])
+    excess = max(float(np.trace(edges @ np.linalg.inv(inverse[:, :6]))) / 6, 1.0)
+    by_breaks = model.sigma_break_mm * profiles.by_width[None]
+    if model.sigma_own_mm:
+        curve = profiles.seen.curve // 3
+        by_own = np.zeros((int(curve.max()) + 1, len(left)))
+        by_own[curve, np.arange(len(left))] = profiles.by_width
+        by_breaks = np.vstack([by_breaks, model.sigma_own_mm * by_own])
+    by_form = _moved_by_form(model, pyramids, images, fit.before, fit.blur_px, profiles)
     if by_form is not None:
         by_breaks = np.vstack([by_breaks, by_form])
-    moves = response @ by_breaks.T
+    # widths that were settled, and what the edges leave open of the rest
+    moves = np.hstack([response @ by_breaks.T, PROFILE.correlated * inverse[:, 6:]])
     edges += moves @ moves.T
-    units = np.outer(scale, scale)
-    calibration = _by_calibration(images, pose, profiles, response)
+    units = np.outer(fit.scale, fit.scale)
+    calibration = _by_calibration(images, fit.before, profiles, response)
     # a width that a pair has shown explains no growth
     unknown = by_breaks if model.sigma_own_mm or by_form is not None else by_breaks[:0]
-    extra = _extra(_added(model, images, profiles), design, left, weights, excess, inverse, unknown)
-    return ProfileFit(
-        moved(model, pose, delta / scale), edges / units, calibration / units,
-        float(np.sqrt(np.sum(weights * left**2) / weights.sum())), *extra,
-    )  # fmt: skip
+    extra = _extra(_added(model, images, profiles), design, left, weights, excess, fit.inverse, unknown)
+    return ProfileFit(fit.pose, edges / units, calibration / units, fit.rms_px, *extra)
 
 
 def scatter_of(left: FloatArray, stretch: I64, good: npt.NDArray[np.bool_]) -> FloatArray:
@@ -274,14 +336,14 @@ def _blocks(curve: I64) -> I64:
 def _jackknife(
     design: FloatArray, weights: FloatArray, left: FloatArray, inverse: FloatArray, block: I64
 ) -> FloatArray:
-    """Covariance (6, 6), each block left out once.
+    """Covariance of the unknowns, each block left out once.
 
     Source: C. F. J. Wu, "Jackknife, bootstrap and other resampling methods", Annals of Statistics, 1986.
 
     left (M,) : residuals of the fit.
     """
-    count = int(block.max()) + 1
-    normals, rights = np.zeros((count, 6, 6)), np.zeros((count, 6))
+    count, size = int(block.max()) + 1, design.shape[1]
+    normals, rights = np.zeros((count, size, size)), np.zeros((count, size))
     weighted = weights[:, None] * design
     np.add.at(rights, block, weighted * left[:, None])
     np.add.at(normals, block, weighted[:, :, None] * design[:, None, :])

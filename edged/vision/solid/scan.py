@@ -19,7 +19,7 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix, transform, unit
-from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.jit import for_both, kernel
 from edged.vision.solid.climb import FULL, Eye, climb, eye_of, seek
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.params import CLIMB, SCAN, VISIBILITY
@@ -31,6 +31,8 @@ U8 = npt.NDArray[np.uint8]
 
 BINS = 8
 """Directions of an edge, sign aside."""
+BYTE_SUMS = 255 // FULL
+"""Responses whose sum fits a byte."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +154,7 @@ def scan(
     lean = min(tilt_rad + vergence, SCAN.max_lean_rad)
     views = view_set(model, full, level, round(lean, 3), round(middle_mm, 1))
     # what a view's part leans against the bisector, for a part on the line of sight to the place
-    to_place = _turn_onto(np.array([0.0, 0.0, 1.0]), ray)
+    to_place = _from_axis_onto(ray[None])[0]
     leaning = (to_place @ views.rotations)[:, :, 2] @ bisector
     allowed = np.flatnonzero(leaning > math.cos(tilt_rad))
     if not len(allowed):  # too little is seen of it from anywhere
@@ -160,21 +162,15 @@ def scan(
     spread = math.log(distances_mm[1] / distances_mm[0])
     count = max(1, math.ceil(spread / SCAN.scale))
     scales = np.exp(np.linspace(0.5 * spread, -0.5 * spread, count)) if count > 1 else np.ones(1)
-    found = _best(views, allowed, scales, maps)
-    poses = [_start(model, views, own, rig_from_camera, view) for view in found]
-    return views, np.array([view for _, view, *_ in found], np.int64), np.array(poses).reshape(-1, 4, 4)
-
-
-def _start(
-    model: EdgeModel, views: ViewSet, camera: CameraModel, rig_from_camera: FloatArray,
-    found: tuple[float, int, float, float, float],
-) -> FloatArray:  # fmt: skip
-    """The pose rig_from_part (4, 4) of a view at a place of the picture."""
-    _, view, size, x, y = found
-    ray = unit(np.append(camera.normalise(np.array([x, y])), 1.0))
-    rotation = _turn_onto(np.array([0.0, 0.0, 1.0]), ray) @ views.rotations[view]
-    pose = transform(rotation, ray * views.distance_mm / size - rotation @ model.centre)
-    return np.asarray(rig_from_camera @ pose)
+    numbers, sizes, places = _best(views, allowed, scales, maps)
+    # the poses at which the part looks so from there
+    rays = np.column_stack([own.normalise(places), np.ones(len(places))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rotations = _from_axis_onto(rays) @ views.rotations[numbers]
+    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
+    poses[:, :3, :3] = rotations
+    poses[:, :3, 3] = rays * (views.distance_mm / sizes)[:, None] - rotations @ model.centre
+    return views, numbers, np.ascontiguousarray(rig_from_camera @ poses)
 
 
 def _unlike(model: EdgeModel, poses: FloatArray, most: int, elsewhere: int) -> list[int]:
@@ -205,84 +201,80 @@ def _unlike(model: EdgeModel, poses: FloatArray, most: int, elsewhere: int) -> l
     return kept
 
 
-def _turn_onto(source: FloatArray, to: FloatArray) -> FloatArray:
-    """The least rotation (3, 3) that takes one unit vector to another."""
-    axis = np.cross(source, to)
-    size = float(np.linalg.norm(axis))
-    if size < 1e-12:
-        return np.eye(3)
-    return np.asarray(rotation_matrix(axis / size * math.atan2(size, float(source @ to))))
+def _from_axis_onto(rays: FloatArray) -> FloatArray:
+    """(K, 3, 3) the least rotations that take +z to rays (K, 3), unit, in front of the camera."""
+    x, y, z = rays.T
+    share = 1.0 / (1.0 + z)
+    return np.stack(
+        [1 - share * x * x, -share * x * y, x, -share * x * y, 1 - share * y * y, y, -x, -y, z], axis=1
+    ).reshape(-1, 3, 3)
 
 
-def _best(
-    views: ViewSet, allowed: I64, scales: FloatArray, maps: U8
-) -> list[tuple[float, int, float, float, float]]:
-    """(response, view, scale, x, y), best first: all views at every second pixel, the best of them finely."""
+def _best(views: ViewSet, allowed: I64, scales: FloatArray, maps: U8) -> tuple[I64, FloatArray, FloatArray]:
+    """Views (K,), scales (K,) and places (K, 2), best first.
+
+    All views are compared at every second pixel, the best of them finely.
+    """
     reach = int(np.abs(views.offsets[allowed]).max() * scales.max()) + 3
     reach += reach % 2
     padded = np.pad(maps, ((0, 0), (reach, reach + 1), (reach, reach + 1)))
     height, width = maps.shape[1] // 2, maps.shape[2] // 2
     # every second pixel, by phase
-    phases = np.ascontiguousarray(
-        np.stack(
-            [[padded[:, y::2, x::2][:, : height + reach, : width + reach] for x in (0, 1)] for y in (0, 1)]
-        )
-    )
+    parts = [[padded[:, y::2, x::2][:, : height + reach, : width + reach] for x in (0, 1)] for y in (0, 1)]
+    phases = np.stack(parts).reshape(2, 2, BINS, -1)
     pairs = list(itertools.product(allowed.tolist(), scales.tolist()))
     chosen = np.array([view for view, _ in pairs], np.int64)
     sizes = np.array([scale for _, scale in pairs])
     peaks = np.empty((len(pairs), SCAN.peaks, 3))
-    glance(phases, views.offsets, views.bins, chosen, sizes, reach, SCAN.glance_points, peaks)
+    glance(
+        phases, width, height, views.offsets, views.bins, chosen, sizes, reach // 2, SCAN.glance_points, peaks
+    )  # fmt: skip
     flat = peaks.reshape(-1, 3)
     order = np.argsort(-flat[:, 0], kind="stable")[: SCAN.looked_at]
     rows = order // SCAN.peaks
     result = np.empty((len(order), 3))
     look(padded, views.offsets, views.bins, chosen[rows], sizes[rows], reach, flat[order, 1:], result)
     best = np.argsort(-result[:, 0], kind="stable")
-    return [
-        (
-            float(result[k, 0]),
-            int(chosen[rows[k]]),
-            float(sizes[rows[k]]),
-            float(result[k, 1]),
-            float(result[k, 2]),
-        )
-        for k in best
-    ]
+    return chosen[rows[best]], sizes[rows[best]], result[best, 1:]
 
 
-@kernel("void(u1[:, :, :, :, ::1], f8[:, :, ::1], i8[:, ::1], i8[::1], f8[::1], i8, i8, f8[:, :, ::1])")
+@kernel("void(u1[:, :, :, ::1], i8, i8, f8[:, :, ::1], i8[:, ::1], i8[::1], f8[::1], i8, i8, f8[:, :, ::1])")
 def glance(
-    phases: U8, offsets: F64, bins: I64, chosen: I64, sizes: F64, reach: int, points: int, peaks: F64
-) -> None:
+    phases: U8, width: int, height: int, offsets: F64, bins: I64, chosen: I64, sizes: F64, pad: int,
+    points: int, peaks: F64,
+) -> None:  # fmt: skip
     """Fill peaks (K, N, 3): the N best places of each view at its size, at every second pixel: sum, x, y.
 
-    phases (2, 2, 8, H, W) : responses at every second pixel, padded by reach / 2.  points : of a view, that
-    are summed.
+    phases (2, 2, 8, S) : responses at every second pixel, by phase, padded on all sides, row behind row.
+    points : of a view, that are summed.
     """
-    pad = reach // 2
-    height, width = phases.shape[3] - 2 * pad, phases.shape[4] - 2 * pad
-    total = np.empty((height, width), np.uint16)
+    row = width + 2 * pad
+    size = (height - 1) * row + width  # from the first place to the last one, what lies between rows included
+    few, total, best = np.empty(size, np.uint8), np.empty(size, np.uint16), np.empty(height, np.uint16)
     for k in range(len(chosen)):
         view = chosen[k]
         total[:] = 0
-        for p in range(points):
-            dx = int(np.rint(offsets[view, p, 0] * sizes[k]))
-            dy = int(np.rint(offsets[view, p, 1] * sizes[k]))
-            plane = phases[dy & 1, dx & 1, bins[view, p]]
-            x0, y0 = pad + (dx >> 1), pad + (dy >> 1)
-            for y in range(height):
-                row, sums = plane[y0 + y, x0 : x0 + width], total[y]
-                for x in range(width):
-                    sums[x] += row[x]
+        for first in range(0, points, BYTE_SUMS):
+            few[:] = 0
+            for p in range(first, min(first + BYTE_SUMS, points)):
+                dx = int(np.rint(offsets[view, p, 0] * sizes[k]))
+                dy = int(np.rint(offsets[view, p, 1] * sizes[k]))
+                start = (pad + (dy >> 1)) * row + pad + (dx >> 1)
+                seen = phases[dy & 1, dx & 1, bins[view, p], start : start + size]
+                for n in range(size):
+                    few[n] += seen[n]
+            for n in range(size):
+                total[n] += few[n]
+        for y in range(height):
+            best[y] = total[y * row : y * row + width].max()
         for n in range(peaks.shape[1]):
-            most, at_x, at_y = 0, 0, 0
-            for y in range(height):
-                for x in range(width):
-                    if total[y, x] > most:
-                        most, at_x, at_y = total[y, x], x, y
-            peaks[k, n, 0], peaks[k, n, 1], peaks[k, n, 2] = most, 2 * at_x, 2 * at_y
-            total[max(0, at_y - 2) : at_y + 3, max(0, at_x - 2) : at_x + 3] = 0
+            at_y = int(np.argmax(best))
+            at_x = int(np.argmax(total[at_y * row : at_y * row + width]))
+            peaks[k, n, 0], peaks[k, n, 1], peaks[k, n, 2] = best[at_y], 2 * at_x, 2 * at_y
+            for y in range(max(0, at_y - 2), min(at_y + 3, height)):
+                line = total[y * row : y * row + width]
+                line[max(0, at_x - 2) : at_x + 3] = 0
+                best[y] = line.max()
 
 
 @kernel("void(u1[:, :, ::1], f8[:, :, ::1], i8[:, ::1], i8[::1], f8[::1], i8, f8[:, ::1], f8[:, ::1])")
@@ -323,8 +315,9 @@ def starts_of(
     reach = CLIMB.sought_share * SCAN.scale
     step = CLIMB.sought_px / (coarse.eyes[0].focal[0] * rig.baseline_mm / float(place[2]))
     shares = np.exp(np.arange(-reach, reach + step, step))
-    found: list[tuple[float, FloatArray]] = []
-    for camera in (0, 1):
+
+    def suggested(camera: int) -> list[tuple[float, FloatArray]]:
+        """Scored poses that a camera's views suggest."""
         eye = invert(Cameras.of(rig, 0).from_rig[camera])[:3, 3]
         share = float(np.linalg.norm(place - eye)) / float(np.linalg.norm(place))
         near, far = distances_mm[0] * share, distances_mm[1] * share
@@ -343,7 +336,10 @@ def starts_of(
         lean, poses, scores = lean[rows], poses[rows], scores[rows]
         climb(views.points, views.along, lean, poses, *fine.eyes, *fine.maps, model.centre,
               fine.steps, 1, scores)  # fmt: skip
-        found += [(float(score), pose) for score, pose in zip(scores, poses, strict=True)]
+        return [(float(score), pose) for score, pose in zip(scores, poses, strict=True)]
+
+    left, right = for_both(suggested)
+    found = left + right
     found.sort(key=lambda scored: -scored[0])
     poses = np.array([pose for _, pose in found]).reshape(-1, 4, 4)
     return [poses[k] for k in _unlike(model, poses, CLIMB.kept_at_place, CLIMB.kept_elsewhere)[: CLIMB.kept]]

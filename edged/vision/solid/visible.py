@@ -111,15 +111,23 @@ def moved(model: EdgeModel, pose: FloatArray, twist: FloatArray) -> FloatArray:
     return np.asarray(pose @ transform(turn, model.centre - turn @ model.centre + twist[3:]))
 
 
-def see(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -> VisibleSamples:
-    """The samples that a camera sees.  buffer_px : side of the z-buffer; the part fills it."""
+def see(
+    model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int, hidden: B64 | None = None
+) -> VisibleSamples:
+    """The samples that a camera sees.  buffer_px : side of the z-buffer; the part fills it.
+
+    hidden (N,) : by the part's own surface, if that is known, as from a pose nearby.
+    """
     count = len(samples.points)
     facing, walled = np.empty(count, np.bool_), np.empty(count, np.bool_)
     find_facing(samples, view, facing, walled)
-    rows = np.flatnonzero(facing)
-    if len(rows) and len(model.triangles):
-        points = samples.points[rows]
-        rows = rows[~hidden_points(model.vertices, model.triangles, points, view.eye, buffer_px)]
+    if hidden is not None:
+        rows = np.flatnonzero(facing & ~hidden)
+    else:
+        rows = np.flatnonzero(facing)
+        if len(rows) and len(model.triangles):
+            points = samples.points[rows]
+            rows = rows[~hidden_points(model.vertices, model.triangles, points, view.eye, buffer_px)]
     seen = VisibleSamples(
         rows, np.empty((len(rows), 2)), np.empty((len(rows), 2)), np.empty((len(rows), 6)),
         np.empty(len(rows)), samples.curve[rows], walled[rows],
@@ -127,6 +135,13 @@ def see(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -
     kept = np.empty(len(rows), np.bool_)
     project_samples(samples, rows, view, seen.pixels, seen.normals, seen.design, seen.by_break, kept)
     return seen if kept.all() else VisibleSamples._make(field[kept] for field in seen)
+
+
+def hidden_samples(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -> B64:
+    """(N,) which samples the part's own surface hides from a camera."""
+    if not len(model.triangles):
+        return np.zeros(len(samples.points), np.bool_)
+    return hidden_points(model.vertices, model.triangles, samples.points, view.eye, buffer_px)
 
 
 def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> EdgePoints:

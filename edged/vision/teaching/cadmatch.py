@@ -99,10 +99,10 @@ def register(
     rivals = _rivals(found, drawn)
     which = tell([one @ transform(turned, np.zeros(3)) for one in rivals]) if len(rivals) > 1 else 0
     if which is None:
-        turn = math.degrees(_turn_of(np.linalg.inv(rivals[0]) @ rivals[1]))
+        turn = round(abs(math.degrees(_turn_of(np.linalg.inv(rivals[0]) @ rivals[1]))))
+        otherwise = f"turned by {turn}°" if turn else "at another of its holes"
         raise TeachError(
-            f"{what}: fits the part turned by {abs(turn):.0f}° as well: expected a pair that shows what "
-            "tells its rotation",
+            f"{what}: fits the part {otherwise} as well: expected a pair that shows what tells its rotation",
             "open_turn",
         )
     pose, partners = _refined(circles, edges, taught, model, drawn, rivals[which])

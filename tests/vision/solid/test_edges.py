@@ -14,11 +14,11 @@ from helpers.tilted import lying
 
 from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
-from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.kernels.jit import for_kernel
 from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled, widths_of, with_open_forms
 from edged.vision.solid.forms import with_breaks
-from edged.vision.solid.profiles import find_shifts, scatter_of
+from edged.vision.solid.profiles import Profiles, adjusted_to, find_shifts, scatter_of
 from edged.vision.solid.symmetry import like_turns
 from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, see
 from edged.vision.teaching.cadbody import body_of
@@ -133,6 +133,30 @@ def test_two_merged_edges_are_measured_as_one_pair(gap_px: float) -> None:
     assert found == pytest.approx(shift, abs=0.02)
     assert (weight > 0).all()
     assert height == pytest.approx(130.0, rel=0.12)  # damped, where both hardly part
+
+
+def test_light_that_shows_the_upper_ends_of_unseen_breaks_moves_no_part() -> None:
+    """All edges at the upper ends of breaks of 0.07 mm: holes grow, outlines shrink, and the pose stays.
+
+    An edge that can lie nowhere else turns the part instead: path-traced ones by up to 0.6 degrees.
+    """
+    where = lying(small_rig(), 20.0, 20.0, 40.0)
+    both = [seen(model(), where, camera) for camera in (0, 1)]
+    camera = np.repeat([0, 1], [len(each.row) for each in both])
+    samples = VisibleSamples._make(np.concatenate(field) for field in zip(*both, strict=True))
+    ones = np.ones(len(camera))
+    shown = Profiles(
+        samples, camera, sampled(model(), 0.5).points[samples.row], 0.07 * samples.by_break, 100 * ones, ones
+    )
+    turned_deg = []
+    for unseen in (samples.by_break, 0 * samples.by_break):  # known to be possible, and not
+        profiles = replace(shown, seen=samples._replace(by_break=unseen))
+        fit = adjusted_to(model(), where, 0.6, profiles, 0.5, None, alike=True)
+        assert fit is not None
+        turned_deg.append(math.degrees(turn_between(fit.pose, where)))
+        assert apply(fit.pose, model().centre) == pytest.approx(apply(where, model().centre), abs=0.01)
+    assert turned_deg[0] < 0.01
+    assert turned_deg[1] > 0.2
 
 
 def test_each_curve_says_by_its_own_scatter_what_it_is_worth() -> None:
