@@ -90,7 +90,8 @@ def recorder(folder: Path, clock: list[int] | None = None, **limits: float) -> R
 
 def test_a_recording_is_lossless(tmp_path: Path) -> None:
     """Images, times and the published result come back as they were."""
-    pair, snapshot = make_pair(), make_snapshot(3)
+    pair, snapshot = make_pair(), replace(make_snapshot(3), exposed_count=42)
+    pair = replace(pair, right=replace(pair.right, count=42))
     entry = recording.save(tmp_path, 12, datetime(2026, 1, 31, 23, 59, 59, 123456, UTC), snapshot, pair)
 
     taken = recording.load(entry.path)
@@ -99,9 +100,9 @@ def test_a_recording_is_lossless(tmp_path: Path) -> None:
     assert taken.pair is not None
     for before, after in ((pair.left, taken.pair.left), (pair.right, taken.pair.right)):
         assert np.array_equal(before.image, after.image)
-        for name in ("camera", "frame_id", "device_ns", "exposed_ns"):
+        for name in ("camera", "frame_id", "device_ns", "exposed_ns", "count"):
             assert getattr(before, name) == getattr(after, name)
-    assert taken.snapshot["cycle"] == 3
+    assert (3, 42) == (taken.snapshot["cycle"], taken.snapshot["exposed_count"])
     assert taken.versions == recording.versions()
 
 

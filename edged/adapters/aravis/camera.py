@@ -228,8 +228,9 @@ class AravisCamera:
         exposed, base = self._exposed(session, arrival)
         utc = to_utc(exposed)
         return Frame(
-            self._name, arrival.frame_id, arrival.image, arrival.device_ns, utc.at_ns, utc.bound_ns, base
-        )
+            self._name, arrival.frame_id, arrival.image, arrival.device_ns, utc.at_ns, utc.bound_ns, base,
+            arrival.count,
+        )  # fmt: skip
 
     # --- setting up ----------------------------------------------------------------------------
 
