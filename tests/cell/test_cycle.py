@@ -456,6 +456,26 @@ def phases(ear: Ear) -> list[CellPhase]:
     return [event.state for event in ear.events if isinstance(event, CellState)]
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_an_encoders_count_is_that_of_the_result_whichever_camera_has_it(side: str) -> None:
+    """Also 0; without one there is none, and a fault of the cameras has none."""
+
+    class Counting(Head):
+        async def capture(self) -> FramePair:
+            pair = await super().capture()
+            counted = dataclasses.replace(getattr(pair, side), count=self.captures - 1)
+            return dataclasses.replace(pair, **{side: counted})
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        for number in range(4):
+            head.broken = number == 2
+            cycle.submit(locate_command(number + 1))
+            await until(lambda number=number: len(ear.snapshots()) == number + 1)
+
+    ear, _ = drive(make_setup(), script, Counting())
+    assert [0, 1, None, 2] == [snapshot.exposed_count for snapshot in ear.snapshots()]
+
+
 def test_late_ticks_slip_and_are_counted_instead_of_bursting() -> None:
     """A cycle of four periods is followed by the next tick, not by a burst of the missed ones."""
     starts: list[float] = []
