@@ -15,7 +15,7 @@ from helpers.scriptedhead import Ear, Head, held, locate_command, make_setup, ru
 from helpers.snapshots import make_target, make_transform
 from helpers.waiting import LIMIT_S, until
 
-from edged.cell.context import IDLE_S, QUEUE_LENGTH
+from edged.cell.context import QUEUE_LENGTH
 from edged.cell.cycle import FAULT_REST_S, Cycle
 from edged.cell.loaded import LoadedJob, Setup
 from edged.domain.cell import CellPhase, CellState
@@ -434,7 +434,7 @@ def test_an_idle_cell_exposes_at_a_steady_pace_and_publishes_none_of_it() -> Non
 
 
 def test_what_moves_between_the_two_exposures_of_an_idle_cell_is_no_fault() -> None:
-    """A robot that lays the next part there: nobody measures these pictures. READY stays, and the pace."""
+    """A robot that lays the next part there: nobody measures these pictures. READY stays."""
 
     class Lively(Head):
         async def capture(self) -> FramePair:
@@ -444,11 +444,8 @@ def test_what_moves_between_the_two_exposures_of_an_idle_cell_is_no_fault() -> N
     async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
         await until(lambda: head.captures >= 5)
 
-    began_s = time.monotonic()
     ear, _ = drive(dataclasses.replace(make_setup(), idle_s=0.01), script, Lively())
-    assert CellPhase.FAULT not in phases(ear)
-    assert CellPhase.READY is phases(ear)[-1]
-    assert time.monotonic() - began_s < 4 * IDLE_S  # the pause after each fault
+    assert [CellPhase.STARTING, CellPhase.READY, CellPhase.STOPPING] == phases(ear)
 
 
 def phases(ear: Ear) -> list[CellPhase]:
