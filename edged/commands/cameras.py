@@ -87,7 +87,7 @@ def report(file: Path, devices: list[str], minutes: float, console: Console) -> 
         return 1
     write_file(file, json.dumps(seen, indent=1).encode() + b"\n")
     for line in _lines(seen):
-        console.print(line, highlight=False, markup=False)
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(f"written to {file}, without serial numbers and addresses", markup=False)
     return 0
 
