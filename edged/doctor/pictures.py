@@ -16,6 +16,7 @@ from edged.errors import (
     CameraUnreachable,
     CaptureError,
     EdgedError,
+    ExposuresDiffer,
     FrameIncomplete,
     FrameTimeout,
     PairingError,
@@ -33,6 +34,7 @@ REMEDIES: dict[type[EdgedError], str] = {
     CameraUnreachable: "cable and power; what answers: edged cameras",
     FrameIncomplete: "packets are lost: MTU, receive buffers and link above; a switch without flow control",
     FrameTimeout: "no image came: trigger source, exposure_us against cameras.timeout_s, firewall above",
+    ExposuresDiffer: "hold part and light still between both exposures of cameras.exposure_ratio",
     PairingError: "one trigger for both cameras? cameras.max_skew_ms",
 }
 """By what went wrong, the first that fits."""

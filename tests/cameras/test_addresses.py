@@ -152,8 +152,9 @@ def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixt
         assert (FOREIGN, True) == (info.address, camera.is_lost)
 
         out = io.StringIO()
-        list_them(as_json=False, console=Console(file=out, width=250))
-        assert f"edged cameras --give-address {SERIAL}" in out.getvalue()
+        list_them(as_json=False, console=Console(file=out, width=70))
+        assert f"help: edged cameras --give-address {SERIAL}\n" in out.getvalue()
+        assert FOREIGN in out.getvalue().partition("help:")[0]
         list_them(as_json=True, console=Console(file=out))
         (document,) = [one for one in json.loads(capsys.readouterr().out) if one["serial"] == SERIAL]
         assert ("DHCP", False) == (document["address_by"], document["in_network"])

@@ -13,12 +13,13 @@ from helpers.gigecell import LEFT, RIGHT, Cell, Sensor, gige_camera, left_camera
 from helpers.waiting import LIMIT_S
 from pydantic import ValidationError
 
-from edged.adapters.aravis import AravisCamera, Output, aravis_missing
+from edged.adapters.aravis import AravisCamera, LineTrigger, Output, aravis_missing
 from edged.adapters.aravis.clock import CLOCK_DRIFT
 from edged.app.cameras import CellHead, head_of
 from edged.cell.pairing import Pairing
 from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CamerasSection
+from edged.domain.exposure import CameraValues
 from edged.domain.frames import Frame, FramePair, TimeBase
 from edged.errors import CameraSetupError, CaptureError, FrameIncomplete, FrameTimeout, FrameUnpaired
 from edged.sim.gige import genicam as g
@@ -426,12 +427,45 @@ def test_a_count_that_a_camera_cannot_send_is_refused_by_name(cell: Cell) -> Non
     def refused(trouble: str, **settings: Any) -> None:
         asyncio.run(asyncio.wait_for(script(left_camera(**settings), trouble), 60))
 
-    refused("count: it cannot send CounterValue with an image", count="CounterValue")
-    for quirk, trouble in ((Quirk.FEW_NODES, "cannot send"), (Quirk.OLD_CHUNKS, "leave out count for this")):
+    offers = "ChunkSelector offers FrameID, Timestamp, ExposureTime, EncoderValue"
+    refused(f"count: it cannot send CounterValue with an image: {offers}", count="CounterValue")
+    for quirk, trouble in (
+        (Quirk.FEW_NODES, "it has no ChunkSelector"),
+        (Quirk.OLD_CHUNKS, "leave out count for this"),
+    ):
         cell.left.stop()
         with gige_camera(LEFT, "EDGED-T3", Sensor(1), quirks=(quirk,)):
             refused(trouble, count="EncoderValue")
         cell.left.start()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("configured", [True, False])
+def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
+    cell: Cell, configured: bool
+) -> None:
+    """The image leaves when the exposure has ended, here 0.4 s after the pulse; also after an adjustment."""
+
+    async def script(camera: AravisCamera) -> list[Frame]:
+        await camera.open()
+        if configured:
+            await shot(camera)
+        await camera.adjust(CameraValues(exposure_us=400_000.0))
+        cell.left.faults.delay_s = 0.4
+        return [await shot(camera) for _ in range(2)]
+
+    async def shot(camera: AravisCamera) -> Frame:
+        await camera.trigger()
+        cell.left.line("Line1").pulse()
+        return await camera.frame()
+
+    exposure = {"exposure_us": 1000.0} if configured else {}
+    frames = run(script, left_camera(trigger=LineTrigger("Line1"), **exposure))
+    for frame, request in zip(frames, cell.left_sensor.requests[-2:], strict=True):
+        assert frame.time_base is TimeBase.CAMERA
+        assert frame.exposed_bound_ns is not None
+        assert abs(frame.exposed_ns - request.exposed_ns) <= frame.exposed_bound_ns + 5 * MS
+        assert frame.exposed_bound_ns < 100 * MS
 
 
 @pytest.mark.slow

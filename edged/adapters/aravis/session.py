@@ -142,6 +142,7 @@ class CameraSession:
         self._linear: tuple[str, Value] = ("Gamma", 1.0)
         self._lacks: tuple[CameraLack, ...] = ()
         self._packet_delay_us: float | None = None
+        self.exposure_ns = 0
         self._looked_s = 0.0
         self._library = library(name)
         self._on_lost = lost
@@ -249,6 +250,7 @@ class CameraSession:
             made = exposure.adjust(self.name, self._nodes(), values)
         if isinstance(made, exposure.StreamLocks):
             return made
+        self._note_exposure_time(made)
         if values.exposure_us is not None and self._chunks is not None:
             self._chunks.wanted_us = made.exposure_us
         return made
@@ -280,8 +282,13 @@ class CameraSession:
         """Write what was found and compare it. Raises `CameraSetupError`."""
         with self._talking("writing its settings back"):
             self._nodes().require(nodes)
+            self._note_exposure_time(exposure.values_of(self._nodes()))
         if self._chunks is not None:
             self._chunks.wanted_us = self.settings.exposure_us
+
+    def _note_exposure_time(self, values: CameraValues) -> None:
+        """An image leaves when its exposure has ended."""
+        self.exposure_ns = round((values.exposure_us or 0.0) * 1e3)
 
     def _nodes(self) -> Features:
         if self._features is None:
@@ -393,6 +400,7 @@ class CameraSession:
         placement = set_up(self.name, camera, features, settings)
         with self._talking("asking for its response"):
             self._gamma, self._linear = gamma_in_effect(features), gamma_switch(features)
+            self._note_exposure_time(exposure.values_of(features))
         self._latch = find_latch(device, features, gige=camera.is_gv_device())
         with self._talking("asking what it has"):
             self._lacks = lacks(features, clock=self._latch is not None)
@@ -457,8 +465,10 @@ class CameraSession:
         wanted = ["ExposureTime"] * exposure + [count] * bool(count)
         if not wanted:
             return None
-        if count and count not in self._nodes().choices("ChunkSelector"):
-            raise CameraSetupError(self.name, f"count: it cannot send {count} with an image")
+        offered = self._nodes().choices("ChunkSelector") if count else ()
+        if count and count not in offered:
+            has = f"ChunkSelector offers {', '.join(offered)}" if offered else "it has no ChunkSelector"
+            raise CameraSetupError(self.name, f"count: it cannot send {count} with an image: {has}")
         with self._talking(f"asking for {' and '.join(wanted)} with each image"):
             self._camera.set_chunks(",".join(wanted))
             with PARSING:
