@@ -127,9 +127,11 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
     ]
     rejected = [target for target in snapshot.targets if target not in usable]
     robot, registration = snapshot.robot_from_rig, snapshot.registration_covariance
-    golden: Json = {}
+    asked: Json = {}  # what is there only where the cell is set up for it
+    if snapshot.exposed_count is not None:
+        asked["exposed_count"] = snapshot.exposed_count
     if snapshot.golden is not GoldenState.NONE:
-        golden["golden"] = {"state": snapshot.golden.name, "exposed_ns": snapshot.golden_ns or None}
+        asked["golden"] = {"state": snapshot.golden.name, "exposed_ns": snapshot.golden_ns or None}
     return {
         "status": str(snapshot.status),
         "cycle": snapshot.cycle,
@@ -154,7 +156,7 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         },
         "error": snapshot.error,
         "error_code": snapshot.error_code,
-        **golden,
+        **asked,
     }
 
 

@@ -215,6 +215,15 @@ def test_reject_reasons_are_named_one_by_one(bits):
     assert {str(bit.name) for bit in bits} == set(reject_names(combined))
 
 
+def test_an_encoders_count_is_published_where_a_camera_counted() -> None:
+    """As the schema says, also 0; without one no key is there."""
+    plain = publish(snapshot_to_json(make_snapshot()), "target")
+    for count in (0, 2**32):
+        document = publish(snapshot_to_json(replace(make_snapshot(), exposed_count=count)), "target")
+        assert [] == violations(document, SCHEMA, SCHEMA)
+        assert {**plain, "exposed_count": count} == document
+
+
 @pytest.mark.parametrize("state", GoldenState)
 def test_an_offset_is_published_beside_the_pose_and_without_golden_nothing_changes(
     state: GoldenState,

@@ -24,6 +24,8 @@ from edged.payload import Json
 TOGETHER_SHARE = 0.5
 """Share of the time for pairs by software trigger; the rest is for both at full rate."""
 PERCENTILES = (50, 99)
+REST_S = 0.1
+"""After a fault: cameras that are closed are opened again no sooner than the head thinks fit."""
 
 
 async def camera_report(devices: Sequence[str], seconds: float) -> Json:
@@ -42,7 +44,7 @@ async def camera_report(devices: Sequence[str], seconds: float) -> Json:
     report: Json = {}
     async with _opened({**wide, "trigger": {"mode": "software"}}) as head:
         report["cameras"] = [await _said(camera) for camera in _cameras(head)]
-        report["together"] = await _together(head, seconds * TOGETHER_SHARE)
+        report["together"] = await together(head, seconds * TOGETHER_SHARE)
     async with _opened({**wide, "trigger": {"mode": "free-run"}}) as head:
         report["full_rate"] = await _full_rate(head, seconds * (1 - TOGETHER_SHARE))
     return report
@@ -69,16 +71,19 @@ async def _said(camera: AravisCamera) -> Json:
     return {**asdict(await camera.description()), "lacks": lacks, "gamma": gamma}
 
 
-async def _together(head: CellHead, seconds: float) -> Json:
+async def together(head: CellHead, seconds: float) -> Json:
+    """Pairs by software trigger for so long: how many, how soon, how far apart; a fault that lasts is one."""
     times_ms, skews_us = list[float](), list[float]()
-    faults = Counter[str]()
+    faults, lasting = Counter[str](), None
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
         began_s = time.perf_counter()
         try:
             pair = await head.capture()
         except CaptureError as error:
-            faults[type(error).__name__] += 1
+            faults[type(error).__name__] += error is not lasting
+            lasting = error
+            await asyncio.sleep(REST_S)
             continue
         times_ms.append((time.perf_counter() - began_s) * 1e3)
         skews_us.append(abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-3)

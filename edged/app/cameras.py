@@ -130,7 +130,7 @@ def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: 
             return Triggering((Software(), Software()))
 
 
-ALIKE = ("device", "serial", "exposure_us", "gain_db", "packet_size", "packet_delay_us")
+ALIKE = ("device", "serial", "exposure_us", "gain_db", "packet_size", "packet_delay_us", "count")
 """What the configuration of a camera and the settings of its adapter call alike."""
 
 

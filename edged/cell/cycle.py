@@ -9,6 +9,7 @@ miss and a fault of the cameras are statuses; a bug in the pipeline propagates: 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
 from collections.abc import Callable, Iterable
@@ -44,6 +45,7 @@ from edged.errors import (
     CaptureError,
     CommandRefused,
     EdgedError,
+    ExposuresDiffer,
 )
 from edged.logs import cycle_number, fields
 from edged.ports import Head, Publisher
@@ -261,11 +263,15 @@ class Cycle:
         return due_s
 
     async def _expose_for_nobody(self) -> None:
-        """One exposure that keeps the sensors as warm as they are at work; a fault of it is the cameras'."""
+        """One exposure that keeps the sensors as warm as they are at work; a fault of it is the cameras'.
+
+        The pair goes no further: whatever is to be watched while a cell waits is in it.
+        """
         cell = self._cell
         self._exposed_s = time.monotonic()
         try:
-            await cell.head.capture()
+            with contextlib.suppress(ExposuresDiffer):  # whoever brings the next part may move
+                await cell.head.capture()
         except CaptureError as error:
             self._rests_until_s = time.monotonic() + IDLE_S
             cell.tell_fault(error)

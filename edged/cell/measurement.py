@@ -110,6 +110,7 @@ class CycleRun:
             self._blank(job, outcome.status),
             exposed_ns=pair.exposed_ns,
             exposed_bound_ns=pair.exposed_bound_ns,
+            exposed_count=pair.count,
             targets=outcome.targets,
             dismissed=outcome.dismissed,
             nearest=outcome.nearest,

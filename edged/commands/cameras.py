@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from edged.app.camerareport import camera_report
 from edged.app.discovery import (
@@ -33,15 +33,19 @@ def cameras(as_json: bool, console: Console) -> int:
     if as_json:
         print(json.dumps([_fields(info, heard) for info, heard in found]))
     elif found:
-        table = Table("serial", "vendor", "model", "address", "by", "protocol", "use")
+        whole = [Column(name, no_wrap=True) for name in ("serial", "address")]  # they are copied
+        table = Table(whole[0], "vendor", "model", whole[1], "by", "protocol", "use")
+        helps = []
         for info, heard in found:
             by = "" if heard is None else heard.ways
             use = info.control or "not asked"
             if heard is not None and heard.is_lost:
-                command = f"edged cameras --give-address {info.serial}"
-                use = f"not in {heard.host.network} of {heard.port}: {command}"
+                use = f"not in {heard.host.network} of {heard.port}"
+                helps.append(f"edged cameras --give-address {info.serial}")
             table.add_row(info.serial, info.vendor, info.model, info.address, by, info.protocol, use)
         console.print(table)
+        for command in helps:
+            console.print(f"help: {command}", highlight=False, markup=False, soft_wrap=True)
     else:
         console.print(
             "no camera answers: cable, power, and is a port of this machine in the camera's network?"
@@ -87,7 +91,7 @@ def report(file: Path, devices: list[str], minutes: float, console: Console) -> 
         return 1
     write_file(file, json.dumps(seen, indent=1).encode() + b"\n")
     for line in _lines(seen):
-        console.print(line, highlight=False, markup=False)
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(f"written to {file}, without serial numbers and addresses", markup=False)
     return 0
 

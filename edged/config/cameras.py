@@ -49,6 +49,11 @@ class CameraSection(Section):
         None, ge=0, le=100_000, description="pause after each packet; from the link's speed when left out"
     )
     strobe: StrobeSection | None = Field(None, description="left out: no line is touched")
+    count: Literal["", "EncoderValue", "CounterValue"] = Field(
+        "",
+        description="have the encoder's or counter's value at each exposure sent with the image, and publish "
+        "it; of one camera; left out: none",
+    )
     features: Annotated[list[FeatureGroup], BeforeValidator(_groups)] = Field(
         default_factory=list,
         description="any other GenICam node by name, checked and read back; a list of tables is written one "
@@ -160,7 +165,17 @@ class CamerasSection(Section):
             raise ValueError(f"trigger.mode {self.trigger.mode!r} needs cameras, not source {self.source!r}")
         if self.exposure_ratio is not None:
             self._check_two_exposures()
+        if self.left.count or self.right.count:
+            self._check_count()
         return self
+
+    def _check_count(self) -> None:
+        if self.source not in ("aravis", "virtual"):
+            raise ValueError(f"count: needs cameras, not source {self.source!r}")
+        if self.left.count and self.right.count:
+            raise ValueError("count: of one camera only: a result has one")
+        if self.exposure_ratio is not None:
+            raise ValueError("count: not with exposure_ratio, for which the part lies still")
 
     def _check_two_exposures(self) -> None:
         if self.source == "replay":

@@ -16,6 +16,7 @@ from edged.errors import (
     CameraUnreachable,
     CaptureError,
     EdgedError,
+    ExposuresDiffer,
     FrameIncomplete,
     FrameTimeout,
     PairingError,
@@ -33,13 +34,17 @@ REMEDIES: dict[type[EdgedError], str] = {
     CameraUnreachable: "cable and power; what answers: edged cameras",
     FrameIncomplete: "packets are lost: MTU, receive buffers and link above; a switch without flow control",
     FrameTimeout: "no image came: trigger source, exposure_us against cameras.timeout_s, firewall above",
+    ExposuresDiffer: "hold part and light still between both exposures of cameras.exposure_ratio",
     PairingError: "one trigger for both cameras? cameras.max_skew_ms",
 }
 """By what went wrong, the first that fits."""
 
 
-def take_pictures(config: Config, rig: StereoRig) -> Iterator[Check]:
-    """Open the cameras, take a few pairs, and see whether they and the cameras' response fit the rig."""
+def take_pictures(config: Config, rig: StereoRig | None) -> Iterator[Check]:
+    """Open the cameras, take a few pairs, and see whether they and the cameras' response fit the rig.
+
+    rig : None before the calibration.
+    """
     source, mode = config.cameras.source, config.cameras.trigger.mode
     if mode == "line" or config.cycle.mode == "external" or config.cameras.trigger.first_line:
         yield Check("test pictures", CheckResult.SKIP, "somebody else triggers the cameras: run it and see")
@@ -56,10 +61,10 @@ def take_pictures(config: Config, rig: StereoRig) -> Iterator[Check]:
         )
 
 
-async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> list[Check]:
+async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | None) -> list[Check]:
     head = head_of(config.cameras, world)
     times_ms, skews_ms, faults = [], [], list[CaptureError]()
-    sizes = [(camera.height, camera.width) for camera in (rig.left, rig.right)]
+    sizes = None if rig is None else [(camera.height, camera.width) for camera in (rig.left, rig.right)]
     try:
         await head.open()
         for _ in range(TRIGGERS):
@@ -71,7 +76,7 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
                 continue
             times_ms.append((time.perf_counter() - start) * 1e3)
             skews_ms.append(abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-6)
-            if [pair.left.image.shape, pair.right.image.shape] != sizes:
+            if sizes is not None and [pair.left.image.shape, pair.right.image.shape] != sizes:
                 return [
                     Check(
                         "test pictures",
@@ -111,17 +116,21 @@ async def _shoot(config: Config, rig: StereoRig, world: VirtualWorld | None) -> 
     return [Check("test pictures", CheckResult.OK, text), *lacking, *_responses(rig, gammas)]
 
 
-def _responses(rig: StereoRig, gammas: dict[str, tuple[float, str]]) -> Iterator[Check]:
+def _responses(rig: StereoRig | None, gammas: dict[str, tuple[float, str]]) -> Iterator[Check]:
     """A warning for each camera whose grey values are not in proportion to the light."""
     for side, (gamma, linear) in gammas.items():
-        calibrated = rig.left.gamma if side == "left" else rig.right.gamma
+        measured, then = "edges are measured best where it is 1", "before you calibrate"
+        calibrated = 1.0
+        if rig is not None:
+            calibrated = rig.left.gamma if side == "left" else rig.right.gamma
+            measured, then = f"the calibration measured {calibrated:g}", "and calibrate again"
         if gamma != 1.0 or calibrated != 1.0:
             yield Check(
                 f"{side} response",
                 CheckResult.WARN,
-                f"the camera's Gamma is {gamma:g}, the calibration measured {calibrated:g}",
+                f"the camera's Gamma is {gamma:g}, and {measured}",
                 "a response that the calibration does not know moves every edge: radii by about 10 µm",
-                f"set {linear} under cameras.{side}.features and calibrate again",
+                f"set {linear} under cameras.{side}.features {then}",
             )
 
 

@@ -122,6 +122,7 @@ class Snapshot:
 
     exposed_ns : UTC ns of the exposure; 0 if there was none.
     exposed_bound_ns : bound of its error; None: not known.
+    exposed_count : of the encoder at the exposure; None: no camera sends it.
     published_ns : UTC ns when the result was complete.
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
@@ -150,6 +151,7 @@ class Snapshot:
     registration_covariance: FloatArray | None = None
     drift: DriftState = field(default_factory=DriftState)
     exposed_bound_ns: int | None = None
+    exposed_count: int | None = None
     dismissed: tuple[NotMeasured, ...] = ()
     nearest: Nearest | None = None
     basis: int = 0

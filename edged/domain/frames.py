@@ -29,6 +29,7 @@ class Frame:
     exposed_bound_ns : the true time, by the host's clock, is no further away; None: not known.
     time_base : PTP and CAMERA: the camera's stamp, by a map between its clock and the host's. HOST: when the
         command left. ARRIVAL: when the image came.
+    count : of the encoder or counter at the exposure, as the camera sent it along; None: it was not asked to.
     """
 
     camera: str
@@ -38,6 +39,7 @@ class Frame:
     exposed_ns: int
     exposed_bound_ns: int | None = None
     time_base: TimeBase = TimeBase.HOST
+    count: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +71,11 @@ class FramePair:
     def exposed_bound_ns(self) -> int | None:
         """The bound of its error; None: not known."""
         return self._earlier.exposed_bound_ns
+
+    @property
+    def count(self) -> int | None:
+        """The encoder's count at the exposure of the camera that has it; None without one."""
+        return self.right.count if self.left.count is None else self.left.count
 
     @property
     def _earlier(self) -> Frame:

@@ -118,6 +118,7 @@ def encode(snapshot: Snapshot, pair: FramePair | None) -> bytes:
                 "frame_id": frame.frame_id,
                 "device_ns": frame.device_ns,
                 "exposed_ns": frame.exposed_ns,
+                **({} if frame.count is None else {"count": frame.count}),
             }
             for side, frame in frames.items()
         },
@@ -303,6 +304,9 @@ def _frame(side: Side, frames: Mapping[str, Any], members: Mapping[str, bytes], 
     numbers = [facts.get(key) for key in ("frame_id", "device_ns", "exposed_ns")]
     if not all(isinstance(number, int) for number in numbers):
         raise FileFormatError(f"{place}: frames.{side}: expected integers frame_id, device_ns, exposed_ns")
+    count = facts.get("count")
+    if not isinstance(count, int | None):
+        raise FileFormatError(f"{place}: frames.{side}.count: expected an integer")
     name = PICTURES[side]
     if name not in members:
         raise FileFormatError(f"{place}: {name} is missing")
@@ -311,4 +315,4 @@ def _frame(side: Side, frames: Mapping[str, Any], members: Mapping[str, bytes], 
     except ImageError as error:
         raise FileFormatError(str(error)) from error
     frame_id, device_ns, exposed_ns = (int(number) for number in numbers if number is not None)
-    return Frame(str(facts.get("camera", side)), frame_id, image, device_ns, exposed_ns)
+    return Frame(str(facts.get("camera", side)), frame_id, image, device_ns, exposed_ns, count=count)

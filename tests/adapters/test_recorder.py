@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from helpers.cells import small_rig
+from helpers.cells import pose, small_rig
 from helpers.snapshots import make_snapshot
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -37,6 +37,7 @@ from edged.errors import FileFormatError
 from edged.files import recording
 from edged.setup.recordings.regression import compare
 from edged.sim.cell import VirtualCell, demo_part
+from edged.sim.showing import Thing
 from edged.sim.world import VirtualWorld
 
 FINGERPRINT = "0badcafe"
@@ -89,7 +90,8 @@ def recorder(folder: Path, clock: list[int] | None = None, **limits: float) -> R
 
 def test_a_recording_is_lossless(tmp_path: Path) -> None:
     """Images, times and the published result come back as they were."""
-    pair, snapshot = make_pair(), make_snapshot(3)
+    pair, snapshot = make_pair(), replace(make_snapshot(3), exposed_count=42)
+    pair = replace(pair, right=replace(pair.right, count=42))
     entry = recording.save(tmp_path, 12, datetime(2026, 1, 31, 23, 59, 59, 123456, UTC), snapshot, pair)
 
     taken = recording.load(entry.path)
@@ -98,9 +100,9 @@ def test_a_recording_is_lossless(tmp_path: Path) -> None:
     assert taken.pair is not None
     for before, after in ((pair.left, taken.pair.left), (pair.right, taken.pair.right)):
         assert np.array_equal(before.image, after.image)
-        for name in ("camera", "frame_id", "device_ns", "exposed_ns"):
+        for name in ("camera", "frame_id", "device_ns", "exposed_ns", "count"):
             assert getattr(before, name) == getattr(after, name)
-    assert taken.snapshot["cycle"] == 3
+    assert (3, 42) == (taken.snapshot["cycle"], taken.snapshot["exposed_count"])
     assert taken.versions == recording.versions()
 
 
@@ -389,25 +391,33 @@ class _StopAfter:
     async def close(self) -> None: ...
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a daemon with a recorder left of three cycles of a virtual cell."""
-    folder = tmp_path_factory.mktemp("cell")
+def recordings_of(folder: Path, cameras: str = "") -> Path:
+    """What a daemon with a recorder left of three cycles of a virtual cell where nothing moves.
+
+    cameras : further settings of them, as TOML behind their table.
+    """
     cell = VirtualCell(small_rig(), demo_part())
     path = prepare_cell(folder, cell, DemoOptions(period_s=0.3), gige=False)
     text = (
         path.read_text()
         .replace("port = 1502", "enabled = false")
         .replace("[zenoh]", "[zenoh]\nenabled = false")
-        .replace("max_skew_ms = 25.0", "max_skew_ms = 50.0")  # so far apart both see one scene
+        .replace("max_skew_ms = 25.0", f"max_skew_ms = 1000.0\n{cameras}")
     )
     path.write_text(f'{text}\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n')
     observer = _StopAfter(3)
     with VirtualWorld(gige=False, rig=small_rig()) as world:
+        world.cell.show(Thing.PART, pose())
         observer.daemon = Daemon(path, load_cell(path), observers=[observer], world=world)
         asyncio.run(observer.daemon.run())
     assert [snapshot.status for snapshot in observer.snapshots] == [Status.OK] * 3
     return folder / "recordings"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a cell that exposes once in a cycle."""
+    return recordings_of(tmp_path_factory.mktemp("cell"))
 
 
 def run_replay(
@@ -425,6 +435,28 @@ def test_a_replay_is_bit_identical(recorded: Path, capsys: pytest.CaptureFixture
 
     assert (code, report["different"], report["skipped"]) == (0, [], [])
     assert report["same"] >= 2
+
+
+@pytest.mark.slow
+def test_a_replay_of_two_exposures_in_a_cycle_is_bit_identical(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The merged pair is recorded, as it was measured; neither exposure is needed, nor merged again.
+
+    The long exposure alone would be white where the merged picture is not.
+    """
+    cameras = "exposure_ratio = 8\n" + "".join(
+        f"[cameras.{side}]\nexposure_us = 8000.0\n" for side in ("left", "right")
+    )
+    folder = recordings_of(tmp_path, cameras)
+    code, report = run_replay(folder, capsys)
+
+    assert (code, report["different"], report["skipped"]) == (0, [], [])
+    assert report["same"] >= 2
+    pair = recording.load(recording.entries(folder)[0].path).pair
+    assert pair is not None
+    for frame in (pair.left, pair.right):
+        assert 130 < int(frame.image.max()) < 255
 
 
 @pytest.mark.slow

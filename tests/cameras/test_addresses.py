@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import ipaddress
 import json
+import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.browser import browser
+from helpers.browsersession import PASSWORD
 from helpers.gigecell import LEFT, NOBODY, RIGHT, Sensor, gige_camera
+from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, go, log_in, press, said, take_over
 from helpers.stagecell import Newcomer, run
 from rich.console import Console
 
@@ -20,6 +24,7 @@ from edged.adapters.aravis import addresses, aravis_missing, give_address, list_
 from edged.adapters.aravis.addresses import HeardCamera, free_address, hear_cameras
 from edged.commands.cameras import address as give
 from edged.commands.cameras import cameras as list_them
+from edged.commands.stage import USER
 from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable
 from edged.sim.gige import genicam as g
 from edged.sim.gige.camera import GigeCamera
@@ -28,6 +33,7 @@ from edged.sim.world import SERIALS
 FOREIGN = "198.51.100.77"
 SERIAL = "EDGED-LOST"
 needs_aravis = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+needs_chromium = pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
 
 
 @pytest.fixture(autouse=True)
@@ -146,8 +152,9 @@ def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixt
         assert (FOREIGN, True) == (info.address, camera.is_lost)
 
         out = io.StringIO()
-        list_them(as_json=False, console=Console(file=out, width=250))
-        assert f"edged cameras --give-address {SERIAL}" in out.getvalue()
+        list_them(as_json=False, console=Console(file=out, width=70))
+        assert f"help: edged cameras --give-address {SERIAL}\n" in out.getvalue()
+        assert FOREIGN in out.getvalue().partition("help:")[0]
         list_them(as_json=True, console=Console(file=out))
         (document,) = [one for one in json.loads(capsys.readouterr().out) if one["serial"] == SERIAL]
         assert ("DHCP", False) == (document["address_by"], document["in_network"])
@@ -194,3 +201,46 @@ def test_no_socket_is_left() -> None:
         assert number == after.fileno()
     finally:
         after.close()
+
+
+@needs_aravis
+@needs_chromium
+@pytest.mark.slow
+def test_a_person_moves_it_by_the_button_beside_it(tmp_path: Path) -> None:
+    """In a browser: trouble and button stand beside this camera alone, which is offered as left or right
+    only afterwards; then it is said where it is. Where a program controls it, that is said."""
+    tile = f'[...document.querySelectorAll(".tile")].find((tile) => tile.innerText.includes("{SERIAL}"))'
+    buttons = '[...document.querySelectorAll("button")].filter((b) => b.innerText.startsWith("Give it an"))'
+
+    async def test(newcomer: Newcomer) -> None:
+        async with browser() as page:
+            with lost() as camera:
+                await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (360, 740))
+                await take_over(page)
+                await go(page, "cameras")
+                await page.until(f'{tile}?.innerText.includes("its address is in another subnet")')
+                assert 1 == await page.value(f"{buttons}.length")
+                assert await page.value(f"{tile}.contains({buttons}[0])")
+                assert not await page.value(f'{tile}.innerText.includes("Use as left")')
+                assert f"{FOREIGN} · DHCP" in await page.value(f"{tile}.innerText")
+                assert [] == await page.violations()
+                assert [] == await page.value(SMALL_TARGETS)
+                assert 0 == await page.value(TOO_WIDE)
+
+                camera.steal_control()
+                await press(page, "Give it an address here")
+                await page.until(said("Another computer controls a camera."))
+                assert 1 == await page.value(f"{buttons}.length")
+                camera.release_control()
+                page.complaints.clear()  # the browser's own, of the answer that refuses
+
+                await press(page, "Give it an address here")
+                await page.until(said(f"{SERIAL} is at 127.0.0.77 now, and keeps that."))
+                # a look that was under way when it moved may still come, and then the last one
+                await page.until(f"{tile}.innerText.includes('127.0.0.77 · persistent')")
+                await page.until(f"{buttons}.length === 0 && !{tile}.querySelector('.wrong')")
+                assert await page.value(f'{tile}.innerText.includes("Use as left")')
+                assert number_of("127.0.0.77") == camera.registers.word(g.PERSISTENT_IP)
+                assert [] == page.complaints
+
+    run(tmp_path, test)

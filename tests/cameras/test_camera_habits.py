@@ -16,14 +16,16 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.gigecell import LEFT, RIGHT, Cell, left_camera, run, running, settles, shoot
+from helpers.scriptedhead import Head
 from helpers.waiting import LIMIT_S
 from rich.console import Console
 
 from edged.adapters.aravis import AravisCamera, FreeRun, Output, Software, aravis_missing, library, link
+from edged.app.camerareport import together
 from edged.commands.cameras import report
 from edged.domain.exposure import CameraValues
-from edged.domain.frames import Frame
-from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout, UserError
+from edged.domain.frames import Frame, FramePair
+from edged.errors import CameraSetupError, CameraUnreachable, FrameIncomplete, FrameTimeout, UserError
 from edged.sim.gige import genicam as g
 from edged.sim.gige.camera import GigeCamera, Make
 from edged.sim.gige.faults import BLOCKS_TO_RESTART, Quirk
@@ -324,6 +326,27 @@ def test_two_cameras_are_reported_on(tmp_path: Path) -> None:
     assert all(camera["complete"] > 0 for camera in seen["full_rate"]["cameras"])
     assert not {"EDGED-T1", "EDGED-T2", LEFT, RIGHT} & set(file.read_text().split('"'))
     assert "skew of both exposures" in told.getvalue()
+
+
+def test_a_fault_that_lasts_is_one_in_a_report_and_is_waited_for() -> None:
+    """A head whose cameras are gone says so at once, as often as it is asked, until they are opened again."""
+
+    class Gone(Head):
+        tries = 0
+        cameras = ()
+        fault = CameraUnreachable("left", "gone")
+
+        async def capture(self) -> FramePair:
+            self.tries += 1
+            if self.tries == 1:
+                raise FrameTimeout("left", "no image")
+            raise self.fault
+
+    head = Gone()
+    seen = asyncio.run(together(head, 0.45))
+    assert {"FrameTimeout": 1, "CameraUnreachable": 1} == seen["faults"]
+    assert head.tries <= 6
+    assert (0, []) == (seen["pairs"], seen["skew_us"])
 
 
 def test_a_report_needs_two_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

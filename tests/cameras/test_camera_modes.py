@@ -9,18 +9,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.gigecell import LEFT, RIGHT, Cell, left_camera, run, running, shoot
+from helpers.gigecell import LEFT, RIGHT, Cell, Sensor, gige_camera, left_camera, run, running, shoot
 from helpers.waiting import LIMIT_S
+from pydantic import ValidationError
 
-from edged.adapters.aravis import AravisCamera, Output, aravis_missing
+from edged.adapters.aravis import AravisCamera, LineTrigger, Output, aravis_missing
 from edged.adapters.aravis.clock import CLOCK_DRIFT
-from edged.app.cameras import head_of
+from edged.app.cameras import CellHead, head_of
 from edged.cell.pairing import Pairing
 from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CamerasSection
+from edged.domain.exposure import CameraValues
 from edged.domain.frames import Frame, FramePair, TimeBase
-from edged.errors import CameraSetupError, FrameIncomplete, FrameTimeout, FrameUnpaired
+from edged.errors import CameraSetupError, CaptureError, FrameIncomplete, FrameTimeout, FrameUnpaired
 from edged.sim.gige import genicam as g
+from edged.sim.gige.camera import ENCODER_NS
 from edged.sim.gige.clock import DeviceClock
 from edged.sim.gige.faults import Quirk
 
@@ -368,6 +371,101 @@ def test_an_exposure_that_changed_behind_our_back_is_a_fault(cell: Cell) -> None
             await shoot(camera)
 
     run(script, left_camera(exposure_us=2000.0, chunks=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chunks", [True, False])
+def test_an_encoders_count_comes_with_the_image_of_its_exposure(cell: Cell, chunks: bool) -> None:
+    """That of this exposure and no other; beside the exposure time, or alone; and it is the pair's."""
+
+    async def script(head: CellHead) -> list[FramePair]:
+        return [await head.capture() for _ in range(3)]
+
+    sides = {"left": {"device": LEFT, "count": "EncoderValue"}, "right": {"device": RIGHT}}
+    timing = {"timeout_s": 5.0, "max_skew_ms": 1000.0, "chunks": chunks}
+    pairs = run(script, head_of(CamerasSection.model_validate({"source": "aravis", **timing, **sides})))
+
+    assert [request.device_ns // ENCODER_NS for request in cell.left_sensor.requests] == [
+        pair.count for pair in pairs
+    ]
+    assert [None] * 3 == [pair.right.count for pair in pairs]
+
+
+@pytest.mark.parametrize(
+    ("cameras", "trouble"),
+    [
+        ({"right": {"device": RIGHT, "count": "EncoderValue"}}, "count: of one camera only"),
+        ({"source": "virtual-inprocess"}, "count: needs cameras, not source 'virtual-inprocess'"),
+        (
+            {
+                "exposure_ratio": 8,
+                "left": {"device": LEFT, "exposure_us": 1, "count": "CounterValue"},
+                "right": {"device": RIGHT, "exposure_us": 1},
+            },
+            "count: not with exposure_ratio",
+        ),
+        ({"left": {"device": LEFT, "count": "FrameID"}}, "Input should be"),
+    ],
+)
+def test_a_count_is_of_one_camera_and_one_exposure(cameras: dict[str, Any], trouble: str) -> None:
+    """A result has one count, and it must be clear of which moment."""
+    left = {"device": LEFT, "count": "EncoderValue"}
+    with pytest.raises(ValidationError, match=trouble):
+        CamerasSection.model_validate({"left": left, "right": {"device": RIGHT}, **cameras})
+
+
+@pytest.mark.slow
+def test_a_count_that_a_camera_cannot_send_is_refused_by_name(cell: Cell) -> None:
+    """No entry of its ChunkSelector; no chunk data at all; chunk data that Aravis does not read."""
+
+    async def script(camera: AravisCamera, trouble: str) -> None:
+        with pytest.raises(CaptureError, match=trouble):
+            await camera.open()
+            await shoot(camera)
+        await camera.close()
+
+    def refused(trouble: str, **settings: Any) -> None:
+        asyncio.run(asyncio.wait_for(script(left_camera(**settings), trouble), 60))
+
+    offers = "ChunkSelector offers FrameID, Timestamp, ExposureTime, EncoderValue"
+    refused(f"count: it cannot send CounterValue with an image: {offers}", count="CounterValue")
+    for quirk, trouble in (
+        (Quirk.FEW_NODES, "it has no ChunkSelector"),
+        (Quirk.OLD_CHUNKS, "leave out count for this"),
+    ):
+        cell.left.stop()
+        with gige_camera(LEFT, "EDGED-T3", Sensor(1), quirks=(quirk,)):
+            refused(trouble, count="EncoderValue")
+        cell.left.start()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("configured", [True, False])
+def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
+    cell: Cell, configured: bool
+) -> None:
+    """The image leaves when the exposure has ended, here 0.4 s after the pulse; also after an adjustment."""
+
+    async def script(camera: AravisCamera) -> list[Frame]:
+        await camera.open()
+        if configured:
+            await shot(camera)
+        await camera.adjust(CameraValues(exposure_us=400_000.0))
+        cell.left.faults.delay_s = 0.4
+        return [await shot(camera) for _ in range(2)]
+
+    async def shot(camera: AravisCamera) -> Frame:
+        await camera.trigger()
+        cell.left.line("Line1").pulse()
+        return await camera.frame()
+
+    exposure = {"exposure_us": 1000.0} if configured else {}
+    frames = run(script, left_camera(trigger=LineTrigger("Line1"), **exposure))
+    for frame, request in zip(frames, cell.left_sensor.requests[-2:], strict=True):
+        assert frame.time_base is TimeBase.CAMERA
+        assert frame.exposed_bound_ns is not None
+        assert abs(frame.exposed_ns - request.exposed_ns) <= frame.exposed_bound_ns + 5 * MS
+        assert frame.exposed_bound_ns < 100 * MS
 
 
 @pytest.mark.slow

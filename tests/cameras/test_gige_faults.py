@@ -93,7 +93,8 @@ def test_chunk_data_lie_behind_the_image(camera: GigeCamera) -> None:
     with acquiring(ADDRESS, **BY_SOFTWARE) as stream:
         client = stream.client
         client.set(ACQUISITION_STOP=1, CHUNK_MODE=1, EXPOSURE_TIME=123.0)
-        assert client.write(g.CHUNK_ENABLE + 4, 0) == SUCCESS, "no time stamp"
+        for index in (1, 3):
+            assert client.write(g.CHUNK_ENABLE + 4 * index, 0) == SUCCESS, "no time stamp and no count"
         client.set(ACQUISITION_START=1)
         image = shot(stream)
         size = client.read(g.PAYLOAD_SIZE)[1]

@@ -33,7 +33,7 @@ from edged.domain.events import (
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.picking import Bounds, Box, Order, Picking
-from edged.errors import CameraUnreachable, CommandRefused, FrameUnpaired
+from edged.errors import CameraUnreachable, CommandRefused, ExposuresDiffer, FrameUnpaired
 
 
 def drive(setup: Setup, script, head: Head | None = None) -> tuple[Ear, Head]:
@@ -433,9 +433,44 @@ def test_an_idle_cell_exposes_at_a_steady_pace_and_publishes_none_of_it() -> Non
     assert head.captures <= (time.monotonic() - began_s) / 0.05 + 2
 
 
+def test_what_moves_between_the_two_exposures_of_an_idle_cell_is_no_fault() -> None:
+    """A robot that lays the next part there: nobody measures these pictures. READY stays."""
+
+    class Lively(Head):
+        async def capture(self) -> FramePair:
+            await super().capture()
+            raise ExposuresDiffer("left", "something moved")
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        await until(lambda: head.captures >= 5)
+
+    ear, _ = drive(dataclasses.replace(make_setup(), idle_s=0.01), script, Lively())
+    assert [CellPhase.STARTING, CellPhase.READY, CellPhase.STOPPING] == phases(ear)
+
+
 def phases(ear: Ear) -> list[CellPhase]:
     """Every state that was told."""
     return [event.state for event in ear.events if isinstance(event, CellState)]
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_an_encoders_count_is_that_of_the_result_whichever_camera_has_it(side: str) -> None:
+    """Also 0; without one there is none, and a fault of the cameras has none."""
+
+    class Counting(Head):
+        async def capture(self) -> FramePair:
+            pair = await super().capture()
+            counted = dataclasses.replace(getattr(pair, side), count=self.captures - 1)
+            return dataclasses.replace(pair, **{side: counted})
+
+    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+        for number in range(4):
+            head.broken = number == 2
+            cycle.submit(locate_command(number + 1))
+            await until(lambda number=number: len(ear.snapshots()) == number + 1)
+
+    ear, _ = drive(make_setup(), script, Counting())
+    assert [0, 1, None, 2] == [snapshot.exposed_count for snapshot in ear.snapshots()]
 
 
 def test_late_ticks_slip_and_are_counted_instead_of_bursting() -> None:

@@ -113,7 +113,7 @@ def test_mistakes_of_the_configuration_come_first(folder: Path, capsys: pytest.C
 
 @pytest.mark.slow
 def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folder: Path) -> None:
-    """Machine, ports and cameras come before rig and jobs; pictures, which the rig judges, do not."""
+    """Machine, ports, cameras and their pictures come before rig and jobs."""
     (folder / "rig.json").unlink()
     path = edit(folder, 'source = "virtual-inprocess"', 'source = "aravis"')
     edit(folder, "[modbus]", '[cameras.left]\ndevice = "L"\n[cameras.right]\ndevice = "R"\n\n[modbus]')
@@ -122,7 +122,24 @@ def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folde
     assert "rig.json: cannot read a rig" in found["configuration"].finding
     assert {"kernel cache", "Modbus port", "Zenoh port"} <= set(found)
     assert ("left camera" in found) != bool(aravis_missing())
-    assert "test pictures" not in found
+    assert CheckResult.BAD is found["test pictures"].verdict
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing())
+def test_what_must_be_set_before_the_calibration_is_told_before_it(folder: Path) -> None:
+    """Pictures of cameras that have no rig yet: how they fare, and a response that is bent."""
+    (folder / "rig.json").unlink()
+    edit(folder, 'source = "virtual-inprocess"', 'source = "virtual"')
+    path = folder / "cell.toml"
+    path.write_text(patient(path.read_text()) + "\n[cameras.left.features]\nGamma = 0.5\n")
+    found = checks(path, trigger=True)
+
+    assert found["test pictures"].verdict is CheckResult.OK
+    assert "5 of 5 pairs" in found["test pictures"].finding
+    assert found["left response"].finding.startswith("the camera's Gamma is 0.5, and edges are measured best")
+    assert "before you calibrate" in found["left response"].remedy
+    assert "right response" not in found
 
 
 @pytest.mark.slow

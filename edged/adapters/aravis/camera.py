@@ -65,7 +65,7 @@ STAMP_NS = 1_000_000
 """Firmware stamps an exposure up to so long before the command's echo, or after the first packet."""
 
 DELIVERY_NS = 100_000_000
-"""A camera that stamps nothing: its first packet leaves no later than this after the exposure's begin."""
+"""A camera that others trigger: its first packet comes no later than this after the exposure's end."""
 
 Result = TypeVar("Result")
 
@@ -228,8 +228,9 @@ class AravisCamera:
         exposed, base = self._exposed(session, arrival)
         utc = to_utc(exposed)
         return Frame(
-            self._name, arrival.frame_id, arrival.image, arrival.device_ns, utc.at_ns, utc.bound_ns, base
-        )
+            self._name, arrival.frame_id, arrival.image, arrival.device_ns, utc.at_ns, utc.bound_ns, base,
+            arrival.count,
+        )  # fmt: skip
 
     # --- setting up ----------------------------------------------------------------------------
 
@@ -383,7 +384,8 @@ class AravisCamera:
 
     def _exposed(self, session: CameraSession, arrival: Arrival) -> tuple[Mapped, TimeBase]:
         """Host time of the exposure, the bound of its error, and where it comes from."""
-        earliest_ns = self._sent_ns if session.fires else arrival.arrived_ns - DELIVERY_NS
+        took_ns = DELIVERY_NS + session.exposure_ns
+        earliest_ns = self._sent_ns if session.fires else arrival.arrived_ns - took_ns
         session.note_exposure(earliest_ns, arrival)
         mapped = session.clock.at(arrival.device_ns) if arrival.device_ns else None
         if mapped is not None:

@@ -41,10 +41,10 @@ from edged.adapters.aravis.pacing import pace, share_usb
 from edged.adapters.aravis.processing import gamma_in_effect, gamma_switch
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.setup import Placement, set_up
-from edged.adapters.aravis.stream import Arrival, Decoder, ExposureCheck, FrameCounter, pump
+from edged.adapters.aravis.stream import Arrival, ChunkReader, Decoder, FrameCounter, pump
 from edged.adapters.aravis.trigger import Action, Software, fires, send_action
 from edged.domain.exposure import CameraLimits, CameraValues
-from edged.errors import CameraBusy, CameraRestarted, CameraUnreachable, FrameTimeout
+from edged.errors import CameraBusy, CameraRestarted, CameraSetupError, CameraUnreachable, FrameTimeout
 from edged.logs import LogLimit
 
 log = logging.getLogger(__name__)
@@ -142,6 +142,7 @@ class CameraSession:
         self._linear: tuple[str, Value] = ("Gamma", 1.0)
         self._lacks: tuple[CameraLack, ...] = ()
         self._packet_delay_us: float | None = None
+        self.exposure_ns = 0
         self._looked_s = 0.0
         self._library = library(name)
         self._on_lost = lost
@@ -149,7 +150,7 @@ class CameraSession:
         self._handler = 0
         self._heartbeat_ms = 0
         self._stream: Any = None
-        self._check: ExposureCheck | None = None
+        self._chunks: ChunkReader | None = None
         self._placement: Placement | None = None
         self._pump: threading.Thread | None = None
         self._stop_pump = threading.Event()
@@ -249,8 +250,9 @@ class CameraSession:
             made = exposure.adjust(self.name, self._nodes(), values)
         if isinstance(made, exposure.StreamLocks):
             return made
-        if values.exposure_us is not None and self._check is not None:
-            self._check.wanted_us = made.exposure_us
+        self._note_exposure_time(made)
+        if values.exposure_us is not None and self._chunks is not None:
+            self._chunks.wanted_us = made.exposure_us
         return made
 
     def description(self) -> CameraDescription:
@@ -280,8 +282,13 @@ class CameraSession:
         """Write what was found and compare it. Raises `CameraSetupError`."""
         with self._talking("writing its settings back"):
             self._nodes().require(nodes)
-        if self._check is not None:
-            self._check.wanted_us = self.settings.exposure_us
+            self._note_exposure_time(exposure.values_of(self._nodes()))
+        if self._chunks is not None:
+            self._chunks.wanted_us = self.settings.exposure_us
+
+    def _note_exposure_time(self, values: CameraValues) -> None:
+        """An image leaves when its exposure has ended."""
+        self.exposure_ns = round((values.exposure_us or 0.0) * 1e3)
 
     def _nodes(self) -> Features:
         if self._features is None:
@@ -393,6 +400,7 @@ class CameraSession:
         placement = set_up(self.name, camera, features, settings)
         with self._talking("asking for its response"):
             self._gamma, self._linear = gamma_in_effect(features), gamma_switch(features)
+            self._note_exposure_time(exposure.values_of(features))
         self._latch = find_latch(device, features, gige=camera.is_gv_device())
         with self._talking("asking what it has"):
             self._lacks = lacks(features, clock=self._latch is not None)
@@ -415,7 +423,7 @@ class CameraSession:
                 camera.gv_set_stream_options(aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
         elif camera.is_uv_device():
             share_usb(self.name, self._nodes(), settings)
-        self._check = self._exposure_check()
+        self._chunks = self._chunk_reader()
 
     def _start_stream(self) -> None:
         aravis, camera, settings = self._library.aravis, self._camera, self.settings
@@ -429,7 +437,7 @@ class CameraSession:
         for _ in range(BUFFERS):
             self._stream.push_buffer(aravis.Buffer.new_allocate(payload))
         self._stop_pump = threading.Event()
-        decoder = Decoder(aravis, self._counter, self._placement, self._check)
+        decoder = Decoder(aravis, self._counter, self._placement, self._chunks)
         self._pump = threading.Thread(
             target=pump,
             args=(decoder, self._stream, self._stop_pump, self._deliver),
@@ -450,15 +458,23 @@ class CameraSession:
         self._stream = None
         gc.collect()
 
-    def _exposure_check(self) -> ExposureCheck | None:
-        """Checks the exposure time in an image's chunk data against the configured one."""
-        if not self.settings.chunks:
+    def _chunk_reader(self) -> ChunkReader | None:
+        """Have what is wanted sent with each image, and read it; None where nothing is."""
+        settings = self.settings
+        exposure, count = settings.chunks, settings.count
+        wanted = ["ExposureTime"] * exposure + [count] * bool(count)
+        if not wanted:
             return None
-        with self._talking("chunks: asking for the exposure time with each image"):
-            self._camera.set_chunks("ExposureTime")
+        offered = self._nodes().choices("ChunkSelector") if count else ()
+        if count and count not in offered:
+            has = f"ChunkSelector offers {', '.join(offered)}" if offered else "it has no ChunkSelector"
+            raise CameraSetupError(self.name, f"count: it cannot send {count} with an image: {has}")
+        with self._talking(f"asking for {' and '.join(wanted)} with each image"):
+            self._camera.set_chunks(",".join(wanted))
             with PARSING:
                 parser = self._camera.create_chunk_parser()
-        return ExposureCheck(parser, self._library.glib.Error, self.settings.exposure_us)
+        error = self._library.glib.Error
+        return ChunkReader(parser, error, settings.exposure_us, exposure=exposure, count=count)
 
     def _control_lost(self, _device: Any) -> None:
         """Called in Aravis' heartbeat thread."""

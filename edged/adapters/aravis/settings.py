@@ -19,6 +19,8 @@ class AravisSettings:
     serial : the serial number that is expected there; "" takes any camera.
     trigger : what starts an exposure. outputs : lines that show something, a strobe for example.
     chunks : have the exposure time sent with each image and compare it with exposure_us.
+    count : have the encoder's or counter's value at each exposure sent with it: "EncoderValue",
+        "CounterValue"; "": none.
     ptp : None leaves the PTP clock as the camera has it.
     calibrated : (width, height) of the image that the rig was calibrated with; None takes any.
     packet_delay_us : pause after each packet; None: what the link and the neighbour ask for.
@@ -36,6 +38,7 @@ class AravisSettings:
     trigger: Trigger = field(default_factory=Software)
     outputs: tuple[Output, ...] = ()
     chunks: bool = False
+    count: str = ""
     ptp: bool | None = None
     calibrated: tuple[int, int] | None = None
     packet_size: int | None = None

@@ -36,6 +36,7 @@ class Arrival:
 
     image : (H, W) uint8, or None with the `problem`. frame_id : counted on over restarts and over the
     wrap of 16-bit counters. arrived_ns : host time (`clock.host_ns`) of the first packet.
+    count : of the encoder at the exposure, where it is sent along.
     """
 
     frame_id: int
@@ -43,6 +44,7 @@ class Arrival:
     arrived_ns: int
     image: Image | None
     problem: str = ""
+    count: int | None = None
 
 
 class FrameCounter:
@@ -94,13 +96,13 @@ def pump(decoder: Decoder, stream: Any, stop: threading.Event, deliver: Callable
 class Decoder:
     """Makes arrivals of buffers.
 
-    placement : where a region belongs. check : of the exposure time, for a camera that sends it along.
+    placement : where a region belongs. chunks : of a camera that sends something along.
     """
 
     def __init__(
-        self, aravis: Any, counter: FrameCounter, placement: Placement | None, check: ExposureCheck | None
+        self, aravis: Any, counter: FrameCounter, placement: Placement | None, chunks: ChunkReader | None
     ) -> None:
-        self._aravis, self._counter, self._placement, self._check = aravis, counter, placement, check
+        self._aravis, self._counter, self._placement, self._chunks = aravis, counter, placement, chunks
         self._extended = aravis.BufferPayloadType.EXTENDED_CHUNK_DATA
 
     def was_filled(self, buffer: Any) -> bool:
@@ -112,9 +114,10 @@ class Decoder:
         frame_id = self._counter.count(buffer.get_frame_id())
         device_ns = buffer.get_timestamp()
         arrived_ns = host_ns() - (time.time_ns() - buffer.get_system_timestamp())
-        problem, image = self._problem(buffer), None
+        problem, image, count = self._problem(buffer), None, None
         if not problem:
             try:
+                count = None if self._chunks is None else self._chunks.read(buffer)
                 image = self._image(buffer)
             except ValueError as error:
                 problem = str(error)
@@ -122,7 +125,7 @@ class Decoder:
             return Arrival(frame_id, device_ns, arrived_ns, None, f"frame {frame_id}: {problem}")
         if self._placement is not None:
             image = _placed(image, self._placement)
-        return Arrival(frame_id, device_ns, arrived_ns, image)
+        return Arrival(frame_id, device_ns, arrived_ns, image, count=count)
 
     def _image(self, buffer: Any) -> Image:
         width, height = buffer.get_image_width(), buffer.get_image_height()
@@ -140,36 +143,42 @@ class Decoder:
             return f"it carries {kind.value_nick}, not an image"
         if buffer.get_image_pixel_format() not in BY_CODE:
             return f"unknown pixel format 0x{buffer.get_image_pixel_format():08x}"
-        return "" if self._check is None else self._check.problem(buffer)
+        return ""
 
 
-class ExposureCheck:
-    """Compares what chunk data say of an exposure with what was asked for.
+class ChunkReader:
+    """Reads chunk data: how long an image was exposed, which is compared, and where an encoder stood.
 
     Firmware that shortens exposures without a word, or a forgotten automatic, gives pictures that look alike.
     parser : Aravis' parser of chunk data; error : what it raises. wanted_us : None takes any exposure; may
-    change at any time.
+    change at any time. exposure : whether its time is there. count : name of the chunk with a count, or "".
     """
 
-    def __init__(self, parser: Any, error: type[Exception], wanted_us: float | None) -> None:
+    def __init__(
+        self, parser: Any, error: type[Exception], wanted_us: float | None, *, exposure: bool, count: str
+    ) -> None:
         self._parser, self._error, self.wanted_us = parser, error, wanted_us
+        self._exposure, self._count = exposure, count
 
-    def problem(self, buffer: Any) -> str:
-        """Why the exposure of the image in a buffer is wrong; "" if it is not."""
+    def read(self, buffer: Any) -> int | None:
+        """The count, where it is wanted. Raises ValueError for data that are not there, a wrong exposure."""
         if not buffer.has_chunks():
             # of the extended chunk payload of GigE Vision 1.x Aravis 0.8 reads the image only
-            return "no chunk data that could be read: set chunks = false for this camera"
+            settings = " and ".join(["chunks = true"] * self._exposure + ["count"] * bool(self._count))
+            raise ValueError(f"no chunk data that could be read: leave out {settings} for this camera")
         try:
-            exposed_us = float(self._parser.get_float_value(buffer, "ChunkExposureTime"))
+            if self._exposure:
+                self._compare(float(self._parser.get_float_value(buffer, "ChunkExposureTime")))
+            return int(self._parser.get_integer_value(buffer, f"Chunk{self._count}")) if self._count else None
         except self._error as error:
-            return f"chunk data without exposure time: {error}"
+            raise ValueError(f"chunk data that are not whole: {error}") from error
+
+    def _compare(self, exposed_us: float) -> None:
         wanted_us = self.wanted_us
-        if (
-            wanted_us is None
-            or abs(exposed_us - wanted_us) <= EXPOSURE_TOLERANCE * wanted_us + EXPOSURE_STEP_US
-        ):
-            return ""
-        return f"exposed for {exposed_us:g} us, not {wanted_us:g} us"
+        if wanted_us is None:
+            return
+        if abs(exposed_us - wanted_us) > EXPOSURE_TOLERANCE * wanted_us + EXPOSURE_STEP_US:
+            raise ValueError(f"exposed for {exposed_us:g} us, not {wanted_us:g} us")
 
 
 def _placed(region: Image, placement: Placement) -> Image:

@@ -55,6 +55,8 @@ log = logging.getLogger(__name__)
 SHORTEST_HEARTBEAT_MS = 500
 HEADERS_BYTES = 36  # IP 20, UDP 8, GVSP 8
 FASTEST_HZ = 100.0
+ENCODER_NS = 1_000_000
+"""Its belt never stops: one count in so long, by the camera's own clock."""
 RESET, LATCH = 0x01, 0x02  # of the time stamp control register
 
 
@@ -394,6 +396,7 @@ class GigeCamera:
                 "FrameID": request.frame_id.to_bytes(8, "big"),
                 "Timestamp": ticks.to_bytes(8, "big"),
                 "ExposureTime": struct.pack(">f", request.exposure_us),
+                "EncoderValue": (request.device_ns // ENCODER_NS).to_bytes(8, "big"),
             }
             chunks = [(chunk.id, content[chunk.name]) for chunk in registers.chunks]
             data = with_chunks(data, g.IMAGE_CHUNK_ID, chunks)

@@ -114,6 +114,7 @@ CHUNKS = (
     Chunk("FrameID", 0, 0x1001, "integer", 8),
     Chunk("Timestamp", 1, 0x1002, "integer", 8),
     Chunk("ExposureTime", 2, 0x1003, "float", 4),
+    Chunk("EncoderValue", 3, 0x1004, "integer", 8),
 )
 IMAGE_CHUNK_ID = 0x1000
 LARGEST = 2**62

@@ -112,6 +112,7 @@ export default function Cameras() {
               </p>
               ${
                 isChoosable(serial) &&
+                !isLost &&
                 html`<div class="actions">
                   ${SIDES.filter((one) => one !== side).map(
                     (one) => html`<button
