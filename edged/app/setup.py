@@ -73,6 +73,7 @@ class SetupServices:
         """Objects with the routes; aiohttp is imported only for a page."""
         from edged.setup.calibration.routes import CalibrationRoutes, CheckRoutes
         from edged.setup.cameras.routes import CameraRoutes
+        from edged.setup.cellsettings import SettingsRoutes
         from edged.setup.plcroutes import PlcRoutes
         from edged.setup.plcsettings import PlcSettingsRoutes
         from edged.setup.recordings.routes import CycleRoutes, RegressionRoutes
@@ -91,6 +92,7 @@ class SetupServices:
             RegistrationRoutes(self._registrations, self._activation),
             PlcRoutes(self._running),
             PlcSettingsRoutes(self.cell, self._activation),
+            SettingsRoutes(self.cell, self._activation),
             TeachingRoutes(self._teachings, self._activation),
             TrialRoutes(self._trials),
             SceneRoutes(self.cell, self._calibrations),

@@ -192,6 +192,7 @@ const DID = [
   [/^PUT cameras\//, "camera"],
   [/^PUT plc\/settings/, "connect"],
   [/^DELETE plc\/settings/, "connect-back"],
+  [/^PUT settings$/, "settings"],
   [/^POST users/, "person"],
   [/^PUT users/, "person-changed"],
   [/^DELETE users/, "person-removed"],

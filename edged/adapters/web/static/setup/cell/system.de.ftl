@@ -91,6 +91,7 @@ audit-did-address = hat einer Kamera eine Adresse gegeben
 audit-did-wave = hat links und rechts durch Winken bestimmt
 audit-did-connect = hat Verbindungen von SPS und Roboter gewählt
 audit-did-connect-back = ist zu den konfigurierten Verbindungen zurückgekehrt
+audit-did-settings = hat Einstellungen gewählt
 audit-did-person = hat eine Person hinzugefügt
 audit-did-person-changed = hat eine Person geändert
 audit-did-person-removed = hat eine Person entfernt

@@ -91,6 +91,7 @@ audit-did-address = gave a camera an address
 audit-did-wave = told left from right by a wave
 audit-did-connect = chose connections of PLC and robot
 audit-did-connect-back = went back to the configured connections
+audit-did-settings = chose settings
 audit-did-person = added a person
 audit-did-person-changed = changed a person
 audit-did-person-removed = removed a person

@@ -91,6 +91,7 @@ audit-did-address = a donné une adresse à une caméra
 audit-did-wave = a distingué gauche et droite d’un geste
 audit-did-connect = a choisi les connexions de l’automate et du robot
 audit-did-connect-back = est revenu aux connexions configurées
+audit-did-settings = a choisi des réglages
 audit-did-person = a ajouté une personne
 audit-did-person-changed = a modifié une personne
 audit-did-person-removed = a supprimé une personne

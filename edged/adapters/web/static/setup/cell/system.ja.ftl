@@ -91,6 +91,7 @@ audit-did-address = カメラにアドレスを割り当て
 audit-did-wave = 手を振って左右を判別
 audit-did-connect = PLC とロボットの接続を選択
 audit-did-connect-back = 接続を設定ファイルのとおりに戻した
+audit-did-settings = 設定を選んだ
 audit-did-person = ユーザーを追加
 audit-did-person-changed = ユーザーを変更
 audit-did-person-removed = ユーザーを削除

@@ -91,6 +91,7 @@ audit-did-address = 为相机分配地址
 audit-did-wave = 挥手区分左右
 audit-did-connect = 选择 PLC 和机器人的连接
 audit-did-connect-back = 恢复配置文件中的连接
+audit-did-settings = 选择了设置
 audit-did-person = 添加人员
 audit-did-person-changed = 更改人员
 audit-did-person-removed = 删除人员
