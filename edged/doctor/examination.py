@@ -17,8 +17,10 @@ from edged.setup.cellfiles import doubts, exposed_secrets, read_cell
 from edged.vision.geometry.camera import StereoRig
 
 
-def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
+def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> Iterator[Check]:
     """All checks for a configuration, as they are done. trigger : take test pictures too.
+
+    process : of the daemon that runs it, where that is known.
 
     A cell without a rig or jobs is examined as far as that goes: its network comes before its calibration.
     Where its daemon runs, that is asked, and no picture is taken beside it.
@@ -54,9 +56,10 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
             f"{secret.place}: every user of this machine may read {secret.file}",
             "a private key is theirs, a password's hash they can try guesses on",
             secret.remedy,
+            "secrets" if secret.can_be_closed else "",
         )
     yield from look_at_machine(config)
-    daemon = our_daemon(path, config)
+    daemon = our_daemon(path, config, process)
     if daemon is not None:
         yield daemon.look(fingerprint)
     yield from look_at_ports(config, daemon)
