@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from edged.adapters.modbus import ModbusPublisher
+from edged.app.cameras import open_cameras
 from edged.app.cell import LoadedCell
 from edged.app.examiner import Examiner, close_secrets
 from edged.app.installer import Installer
@@ -87,6 +88,7 @@ class CellService:
             holder=session.holder,
             is_locked=session.is_locked,
             camera_changes=session.camera_changes,
+            cameras=open_cameras(session.head),
             uses=self._use.uses,
             active_job=self._use.active,
             plc=None if modbus is None else plc_now(modbus),

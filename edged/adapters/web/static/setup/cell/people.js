@@ -188,6 +188,7 @@ const DID = [
   [/^DELETE setup$/, "give"],
   [/^POST cameras\/keep/, "keep"],
   [/^POST cameras\/address/, "address"],
+  [/^POST cameras\/packets/, "packets"],
   [/^POST cameras\/wave/, "wave"],
   [/^PUT cameras\//, "camera"],
   [/^PUT plc\/settings/, "connect"],

@@ -119,6 +119,7 @@ audit-did-ended = EINRICHTEN wurde beendet
 audit-did-keep = hat Einstellungen der Kameras behalten
 audit-did-camera = hat eine Kamera eingestellt
 audit-did-address = hat einer Kamera eine Adresse gegeben
+audit-did-packets = hat die Pakete geprüft
 audit-did-wave = hat links und rechts durch Winken bestimmt
 audit-did-connect = hat Verbindungen von SPS und Roboter gewählt
 audit-did-connect-back = ist zu den konfigurierten Verbindungen zurückgekehrt

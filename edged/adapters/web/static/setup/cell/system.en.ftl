@@ -119,6 +119,7 @@ audit-did-ended = SETUP was ended
 audit-did-keep = kept camera settings
 audit-did-camera = set a camera
 audit-did-address = gave a camera an address
+audit-did-packets = tested the packets
 audit-did-wave = told left from right by a wave
 audit-did-connect = chose connections of PLC and robot
 audit-did-connect-back = went back to the configured connections

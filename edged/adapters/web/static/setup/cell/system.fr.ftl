@@ -119,6 +119,7 @@ audit-did-ended = le réglage a été terminé
 audit-did-keep = a gardé des réglages de caméra
 audit-did-camera = a réglé une caméra
 audit-did-address = a donné une adresse à une caméra
+audit-did-packets = a testé les paquets
 audit-did-wave = a distingué gauche et droite d’un geste
 audit-did-connect = a choisi les connexions de l’automate et du robot
 audit-did-connect-back = est revenu aux connexions configurées

@@ -119,6 +119,7 @@ audit-did-ended = 設定を終了
 audit-did-keep = カメラの設定を保存
 audit-did-camera = カメラを設定
 audit-did-address = カメラにアドレスを割り当て
+audit-did-packets = パケットを試した
 audit-did-wave = 手を振って左右を判別
 audit-did-connect = PLC とロボットの接続を選択
 audit-did-connect-back = 接続を設定ファイルのとおりに戻した

@@ -119,6 +119,7 @@ audit-did-ended = 结束设置
 audit-did-keep = 保存相机设置
 audit-did-camera = 设置相机
 audit-did-address = 为相机分配地址
+audit-did-packets = 测试了数据包
 audit-did-wave = 挥手区分左右
 audit-did-connect = 选择 PLC 和机器人的连接
 audit-did-connect-back = 恢复配置文件中的连接
