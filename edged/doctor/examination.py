@@ -13,7 +13,7 @@ from edged.doctor.ourdaemon import our_daemon
 from edged.doctor.pictures import take_pictures
 from edged.doctor.plc import look_at_plc
 from edged.errors import ConfigError
-from edged.setup.cellfiles import doubts, exposed_secrets, read_cell
+from edged.setup.cellfiles import UnfinishedCell, doubts, exposed_secrets, read_any_cell
 from edged.vision.geometry.camera import StereoRig
 
 
@@ -34,10 +34,21 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
     rig: StereoRig | None = None
     fingerprint = ""
     try:
-        cell = read_cell(path)
+        cell = read_any_cell(path)
     except ConfigError as error:
         yield from _mistakes(path, error)
-    else:
+        cell = None
+    if isinstance(cell, UnfinishedCell):
+        rig, fingerprint = cell.rig, cell.fingerprint
+        for missing in cell.missing:
+            yield Check(
+                "configuration",
+                CheckResult.WARN,
+                f"not yet: {missing}",
+                "the cell starts in SETUP, and does not measure",
+                "set it up on its page, /setup; or edged calibrate and edged teach, then reload",
+            )
+    elif cell is not None:
         rig, fingerprint = cell.rig, cell.fingerprint
         jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
         yield Check("configuration", CheckResult.OK, jobs)

@@ -123,6 +123,7 @@ def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folde
     found = checks(path, trigger=True)
 
     assert "rig.json: cannot read a rig" in found["configuration"].finding
+    assert CheckResult.WARN is found["configuration"].verdict  # it starts, and is set up on its page
     assert {"kernel cache", "Modbus port", "Zenoh port"} <= set(found)
     assert ("left camera" in found) != bool(aravis_missing())
     assert "test pictures" not in found

@@ -126,10 +126,11 @@ function Packets() {
   };
   const verdict = ({ packet_bytes: bytes, lost, resent }) => {
     if (bytes === null) return ["none", t("packets-none")];
-    if (lost || resent) return ["doubt", t("packets-lost", { bytes, lost: lost ?? 0, resent: resent ?? 0 })];
+    if (lost || resent)
+      return ["doubt", t("packets-lost", { bytes: number(bytes), lost: lost ?? 0, resent: resent ?? 0 })];
     return [
       bytes < LARGE_BYTES ? "doubt" : "tick",
-      t(bytes < LARGE_BYTES ? "packets-small" : "packets-good", { bytes }),
+      t(bytes < LARGE_BYTES ? "packets-small" : "packets-good", { bytes: number(bytes) }),
     ];
   };
   return html`<section aria-labelledby="packets">
@@ -195,7 +196,7 @@ export default function Cameras() {
                   ${t("camera-firmware", { version: configured[side].open.firmware || "–" })}
                   ${
                     configured[side].open.packet_bytes !== null &&
-                    ` · ${t("camera-packets", { bytes: configured[side].open.packet_bytes })}`
+                    ` · ${t("camera-packets", { bytes: number(configured[side].open.packet_bytes) })}`
                   }
                 </p>`
               }

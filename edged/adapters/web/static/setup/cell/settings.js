@@ -160,7 +160,7 @@ export default function Settings() {
     </form>
     <section aria-labelledby="not-here">
       <h2 id="not-here">${t("settings-not-here")}</h2>
-      <dl class="facts">
+      <dl class="reasons">
         ${Object.entries(reasons).map(
           ([reason, names]) => html`<dt key=${reason} translate=${false}>${names.join(", ")}</dt>
             <dd>${t(`settings-not-${reason}`)}</dd>`,
