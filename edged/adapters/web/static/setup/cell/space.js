@@ -141,7 +141,7 @@ function lens({ yaw, pitch, zoom }, lines) {
 
 // Turned so, and as near as all of it can be seen; the picture grows with the zoom, whatever the turn.
 const FILLED = 0.92;
-function whole(turned, lines) {
+function fitted(turned, lines) {
   const seen = lens({ ...turned, zoom: 1 }, lines);
   const off = lines.flatMap(({ kind, points }) => (kind === "robot" ? [] : points.flatMap(seen)));
   const most = Math.max(...off.map((value) => Math.abs(value - SIZE / 2)), 1);
@@ -151,7 +151,7 @@ function whole(turned, lines) {
 function View({ lines }) {
   const svg = useRef(null);
   const fingers = useRef(new Map());
-  const [eye, setEye] = useState(() => whole(FIRST, lines));
+  const [eye, setEye] = useState(() => fitted(FIRST, lines));
   const turn = (yaw, pitch) =>
     setEye((now) => ({
       ...now,
@@ -190,7 +190,7 @@ function View({ lines }) {
     "+": () => zoom(STEP.zoom),
     "=": () => zoom(STEP.zoom),
     "-": () => zoom(1 / STEP.zoom),
-    0: () => setEye(whole(FIRST, lines)),
+    0: () => setEye(fitted(FIRST, lines)),
   };
   const onKey = (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || !KEYS[event.key]) return;
@@ -200,7 +200,7 @@ function View({ lines }) {
   const seen = lens(eye, lines);
   return html`<div class="space-tools">
       ${Object.entries(VIEWS).map(
-        ([name, view]) => html`<button key=${name} onClick=${() => setEye(whole(view, lines))}>
+        ([name, view]) => html`<button key=${name} onClick=${() => setEye(fitted(view, lines))}>
           ${t(`space-from-${name}`)}
         </button>`,
       )}
