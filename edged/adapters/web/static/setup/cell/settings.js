@@ -74,7 +74,7 @@ function Setting({ setting, value: entered, isChosen, onValue, onWrong }) {
       <span translate=${false}>${name}</span>
       <${Entry} key=${isChosen} setting=${setting} value=${entered} onValue=${onValue} onWrong=${onWrong} />
     </label>
-    <p class="hint" lang="en" translate=${false}>${help}</p>
+    <p class="hint" lang="en" translate=${false}>${help.replaceAll("`", "")}</p>
     ${
       isChosen &&
       html`<p>
