@@ -32,6 +32,8 @@ PLACES = 'document.querySelectorAll(".covered").length'
 VIEWS = 'document.querySelectorAll(".strip li").length'
 REACHED = '/reached/.test(document.querySelector(".big.figure")?.innerText ?? "")'
 ASKED = 'document.querySelector("dialog[open] [type=password]")'
+PICTURES = 'document.querySelector(".pair")?.scrollIntoView({ block: "center" })'
+"""Where a person looks meanwhile."""
 BORROWED = """document.querySelector("[name=pasted]").value"""
 
 
@@ -75,6 +77,7 @@ class Clicks:
     async def wait(self, least_ms: int) -> None:
         """Let some time pass, in which a film may get a picture."""
         if self._film is not None and self._film.is_due():
+            await self._page.value(PICTURES)
             self._film.see(await self._page.picture())
         await self._page.value(f"new Promise((done) => setTimeout(done, {least_ms}))")
 
@@ -157,7 +160,7 @@ async def log_in(page: Browser, origin: str, name: str, password: str) -> None:
     await page.type("#name", name)
     await page.type("#password", password)
     await page.click("button")
-    await page.until('document.querySelector("main h1")')
+    await page.until('document.querySelector("main[data-page] h1")')  # the form has a heading, too
     page.complaints.clear()  # of the form: that it was typed into before it had the focus
 
 

@@ -32,9 +32,11 @@ WIDTH, HEIGHT, CAPTION = 960, 675, 45
 WHOLE_S = 120.0
 QUALITIES = (60, 50, 42, 35, 28, 22)
 """Of WebP, the best that is small enough."""
-LOOK_S = 9.0
-"""Between pictures while nobody clicks."""
-NOISE_GREY = 14
+LOOK_S, LONGER = 6.0, 1.35
+"""Between pictures while nobody clicks; each takes longer to come than the one before, on a slow machine."""
+CELL = 5
+"""px: pictures are compared by the means of such squares."""
+NOISE_GREY = 12
 """Less is no change: two pictures of a camera are never the same."""
 CAPTIONS = {
     "log in": "Log in by name and password",
@@ -42,7 +44,7 @@ CAPTIONS = {
     "open the stage": "The virtual stage: these buttons are your hands",
     "cameras": "Wave before the left camera: left and right are told apart",
     "light": "Light and focus, judged with a board before the cameras",
-    "calibrate": "Hold the board where it is drawn: views are taken by themselves, until the goal is reached",
+    "calibrate": "Hold the board where it is drawn: views are taken by themselves",
     "check": "Check the calibration with one fresh pair",
     "teach": "Teach the part: one pair, and the proposal is taken",
     "try": "Try it: the part anywhere, and 30 pictures while it lies still",
@@ -66,6 +68,7 @@ class Film:
     shots: list[Shot] = field(default_factory=list)
     steps: list[tuple[str, int]] = field(default_factory=list)
     _looked_s: float = 0.0
+    _pause_s: float = LOOK_S
 
     def see(self, png: bytes, click: tuple[float, float] | None = None) -> None:
         """A picture, at a click or in between."""
@@ -74,45 +77,53 @@ class Film:
         place = None if click is None else (click[0] * WIDTH / SIZE[0], click[1] * HEIGHT / SIZE[1])
         self.shots.append(Shot(np.asarray(picture), place))
         self._looked_s = time.monotonic()
+        self._pause_s = self._pause_s * LONGER if click is None else LOOK_S
 
     def is_due(self) -> bool:
         """Whether a picture is wanted though nobody clicks."""
-        return time.monotonic() - self._looked_s > LOOK_S
+        return time.monotonic() - self._looked_s > self._pause_s
 
     def end(self, step: str) -> None:
         """A step is done."""
         self.steps.append((step, len(self.shots)))
 
 
-def changed(before: Image, after: Image) -> tuple[int, int, int, int] | None:
-    """Left, top, right, bottom of what is other; None where nothing is."""
-    other = np.abs(after.astype(np.int16) - before).max(axis=2) > NOISE_GREY
-    if not other.any():
-        return None
-    columns, rows = np.flatnonzero(other.any(axis=0)), np.flatnonzero(other.any(axis=1))
-    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+def changed(before: Image, after: Image) -> list[tuple[int, int, int, int]]:
+    """Left, top, right, bottom of each place where something is other."""
+    small = (-(-WIDTH // CELL), -(-HEIGHT // CELL))
+    first, second = (
+        cv2.resize(picture, small, interpolation=cv2.INTER_AREA).astype(np.int16)
+        for picture in (before, after)
+    )
+    other = (np.abs(second - first).max(axis=2) > NOISE_GREY).astype(np.uint8)
+    count, _, stats, _ = cv2.connectedComponentsWithStats(cv2.dilate(other, np.ones((3, 3), np.uint8)))
+    return [
+        (CELL * x, CELL * y, min(CELL * (x + width), WIDTH), min(CELL * (y + height), HEIGHT))
+        for x, y, width, height in stats[1:count, :4].tolist()
+    ]
 
 
 def svg_of(film: Film, quality: int) -> str:
     """The animation. quality : of its pictures, 1 to 100."""
     each_s = WHOLE_S / len(film.shots)
-    shown = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    shown = film.shots[0].picture
     images, clicks, rules = [], [], []
     for number, shot in enumerate(film.shots):
         at = 100.0 * number / len(film.shots)
-        place = changed(shown, shot.picture)
-        if place is not None:
-            left, top, right, bottom = place
+        parts = changed(shown, shot.picture) if number else [(0, 0, WIDTH, HEIGHT)]
+        shown = shown.copy()
+        for count, (left, top, right, bottom) in enumerate(parts):
+            name = f"i{number}-{count}"
             part = shot.picture[top:bottom, left:right]
             _, data = cv2.imencode(".webp", part, [cv2.IMWRITE_WEBP_QUALITY, quality])
             text = base64.b64encode(data.tobytes()).decode()
             images.append(
-                f'<image id="i{number}" x="{left}" y="{top}" width="{right - left}" height="{bottom - top}" '
+                f'<image id="{name}" x="{left}" y="{top}" width="{right - left}" height="{bottom - top}" '
                 f'href="data:image/webp;base64,{text}"/>'
             )
-            shown = shot.picture
+            shown[top:bottom, left:right] = part
             if number:
-                rules.append(_from(f"i{number}", at))
+                rules.append(_from(name, at))
         if shot.click is not None:
             x, y = shot.click
             clicks.append(f'<circle id="c{number}" class="click" cx="{x:.0f}" cy="{y:.0f}" r="16"/>')

@@ -25,4 +25,4 @@ settings-not-web = Wer Leute einlässt, darf nicht von denen geändert werden, d
 settings-not-wiring = Das hängt an der Verkabelung der Maschine und wird von denen eingestellt, die sie verkabeln.
 settings-not-strangers = Auf diesem Weg kommen andere Programme herein. Wer das darf, sagt nur der Administrator des Rechners.
 settings-not-plc = Die Zelle schreibt in den Speicher der SPS: Wohin, vereinbart deren Programmierer mit dem Administrator.
-settings-not-bounds = Das schützt den Roboter vor Programmen und Fremden, bei jedem Auftrag. Was ein Auftrag erlaubt, steht unter Einlernen.
+settings-not-bounds = Das schützt den Roboter vor Programmen und Fremden, bei jedem Auftrag.

@@ -25,4 +25,4 @@ settings-not-web = Who lets people in must not be changed by those who came in.
 settings-not-wiring = This depends on how the machine is wired, and is set by whoever wires it.
 settings-not-strangers = Other programs get in this way. Only the administrator of the machine says who may.
 settings-not-plc = The cell writes into the PLC's memory: where, its programmer agrees with the administrator.
-settings-not-bounds = This protects the robot from programs and strangers, in every job. What a job allows is on Teach.
+settings-not-bounds = This protects the robot from programs and strangers, in every job.

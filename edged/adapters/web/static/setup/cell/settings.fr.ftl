@@ -25,4 +25,4 @@ settings-not-web = Ce qui laisse entrer les gens ne doit pas être changé par c
 settings-not-wiring = Cela dépend du câblage de la machine, et se règle par qui la câble.
 settings-not-strangers = D’autres programmes entrent par là. Seul l’administrateur de la machine dit qui peut le faire.
 settings-not-plc = La cellule écrit dans la mémoire de l’automate : son programmeur convient de l’endroit avec l’administrateur.
-settings-not-bounds = Cela protège le robot des programmes et des inconnus, pour chaque tâche. Ce qu’une tâche permet se règle sous Apprentissage.
+settings-not-bounds = Cela protège le robot des programmes et des inconnus, pour chaque tâche.

@@ -25,4 +25,4 @@ settings-not-web = 人を入れる設定を、入ってきた人が変えては�
 settings-not-wiring = 機械の配線によるもので、配線する人が設定します。
 settings-not-strangers = ほかのプログラムの入り口です。誰に許すかは PC の管理者だけが決めます。
 settings-not-plc = セルが PLC のメモリーに書き込みます。場所は PLC のプログラマーと管理者が決めます。
-settings-not-bounds = すべてのジョブで、プログラムや部外者からロボットを守ります。ジョブごとの範囲は「ティーチング」にあります。
+settings-not-bounds = すべてのジョブで、プログラムや部外者からロボットを守ります。

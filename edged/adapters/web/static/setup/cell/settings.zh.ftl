@@ -25,4 +25,4 @@ settings-not-web = 决定谁能进入的设置,不能由已进入的人更改。
 settings-not-wiring = 取决于机器的接线,由接线的人设置。
 settings-not-strangers = 其他程序由此进入。谁可以进入,只由本机管理员决定。
 settings-not-plc = 单元会写入 PLC 的内存:写到哪里,由其程序员与管理员商定。
-settings-not-bounds = 在每个作业中保护机器人不受程序和外人影响。每个作业的允许范围在“示教”页面。
+settings-not-bounds = 在每个作业中保护机器人不受程序和外人影响。
