@@ -41,7 +41,7 @@ def picture(grey: int, x: int) -> bytes:
 
 
 def test_only_what_is_other_is_kept_and_each_click_has_its_time(filming: ModuleType) -> None:
-    """Of the second picture two places, where something was and is; of a third one that is the same nothing."""
+    """The second picture is two places, where something was and is; a third one, the same, is nothing."""
     film = filming.Film()
     film.see(picture(0, 100), (640.0, 450.0))
     film.see(picture(0, 300))
