@@ -217,7 +217,8 @@ async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, An
             if options.browser:
                 await newcomer.ask("DELETE", "setup", newcomer.token)  # the page takes it
                 port = (await newcomer.ask("GET", "plc"))["port"]
-                found = await set_up(newcomer.origin, (USER, PASSWORD), port, options.goal, TRIED)
+                user, film = (USER, PASSWORD), getattr(options, "film", None)
+                found = await set_up(newcomer.origin, user, port, options.goal, TRIED, film)
             else:
                 found = await calibrate(newcomer, options.goal, options.lens)
             error_um = true_error_um(folder / "rig.json", world)

@@ -11,7 +11,7 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from pymodbus.client import ModbusTcpClient
 
@@ -32,6 +32,8 @@ PLACES = 'document.querySelectorAll(".covered").length'
 VIEWS = 'document.querySelectorAll(".strip li").length'
 REACHED = '/reached/.test(document.querySelector(".big.figure")?.innerText ?? "")'
 ASKED = 'document.querySelector("dialog[open] [type=password]")'
+PICTURES = 'document.querySelector(".pair")?.scrollIntoView({ block: "center" })'
+"""Where a person looks meanwhile."""
 BORROWED = """document.querySelector("[name=pasted]").value"""
 
 
@@ -42,21 +44,55 @@ WATCH = """window.spent = {}; new PerformanceObserver((list) => {
 """From a press to the picture that answers it, ms, by the browser's own clock; shorter ones are not told."""
 
 
+class Watcher(Protocol):
+    """Who makes a film of it."""
+
+    def see(self, png: bytes, click: tuple[float, float] | None = None) -> None:
+        """A picture, with the place of the click that comes next."""
+
+    def is_due(self) -> bool:
+        """Whether a picture is wanted though nobody clicks."""
+
+    def end(self, step: str) -> None:
+        """A step is done."""
+
+
 class Clicks:
     """Clicks of each step; a field that is typed into counts as one, for it is clicked first."""
 
-    def __init__(self, page: Browser) -> None:
+    def __init__(self, page: Browser, film: Watcher | None) -> None:
         self._page, self.by_step = page, dict[str, int]()
         self._before = 0
+        self._film = film
+        if film is not None:
+            page.on_click = self._see
 
     def end(self, step: str) -> None:
         """A step is done."""
         self.by_step[step] = self._page.clicks - self._before
         self._before = self._page.clicks
+        if self._film is not None:
+            self._film.end(step)
+
+    async def wait(self, least_ms: int) -> None:
+        """Let some time pass, in which a film may get a picture."""
+        if self._film is not None and self._film.is_due():
+            await self._page.value(PICTURES)
+            self._film.see(await self._page.picture())
+        await self._page.value(f"new Promise((done) => setTimeout(done, {least_ms}))")
+
+    async def _see(self, x: float, y: float) -> None:
+        if self._film is not None:
+            self._film.see(await self._page.picture(), (x, y))
 
 
 async def set_up(
-    origin: str, user: tuple[str, str], modbus: int, goal_um: float, tried: int
+    origin: str,
+    user: tuple[str, str],
+    modbus: int,
+    goal_um: float,
+    tried: int,
+    film: Watcher | None = None,
 ) -> dict[str, Any]:
     """From an empty folder to a cell that a PLC reads a VALID result from; figures by their names.
 
@@ -68,7 +104,7 @@ async def set_up(
         raise RuntimeError("no chromium")
     begun_s = time.monotonic()
     async with browser() as page:
-        clicks = Clicks(page)
+        clicks = Clicks(page, film)
         await log_in(page, origin, *user)
         await page.value(WATCH)
         clicks.end("log in")
@@ -81,7 +117,7 @@ async def set_up(
         clicks.end("cameras")
         await light(page)
         clicks.end("light")
-        views = await calibrate(page, goal_um, user[1])
+        views = await calibrate(page, clicks, goal_um, user[1])
         clicks.end("calibrate")
         calibrated_s = time.monotonic() - begun_s
         await check(page)
@@ -93,6 +129,8 @@ async def set_up(
         await register(page, user[1])
         clicks.end("robot")
         await go_live(page, modbus)
+        if film is not None:
+            film.see(await page.picture())
         clicks.end("go live")
         spent_ms = sorted(await page.value("Object.values(window.spent)"))
         complaints = page.complaints
@@ -122,7 +160,7 @@ async def log_in(page: Browser, origin: str, name: str, password: str) -> None:
     await page.type("#name", name)
     await page.type("#password", password)
     await page.click("button")
-    await page.until('document.querySelector("main h1")')
+    await page.until('document.querySelector("main[data-page] h1")')  # the form has a heading, too
     page.complaints.clear()  # of the form: that it was typed into before it had the focus
 
 
@@ -170,7 +208,7 @@ async def light(page: Browser) -> None:
     await long(page, 'document.querySelectorAll(".quality").length === 2')
 
 
-async def calibrate(page: Browser, goal_um: float, password: str) -> int:
+async def calibrate(page: Browser, clicks: Clicks, goal_um: float, password: str) -> int:
     """Hold the board where it is drawn until the goal is reached, solve, use it; the number of views."""
     await follow(page, "calibrate")
     await page.type("[name=mm]", SQUARE_MM)
@@ -182,7 +220,7 @@ async def calibrate(page: Browser, goal_um: float, password: str) -> int:
     while not await page.value(REACHED):
         if time.monotonic() - begun_s > LIMIT_S:
             raise RuntimeError(await page.value("document.querySelector('main').innerText"))
-        await page.value("new Promise((done) => setTimeout(done, 100))")
+        await clicks.wait(100)
     views = int(await page.value(VIEWS))
     await press(page, "Solve")
     await long(page, 'document.querySelector("#solve").parentElement.querySelector("dl")')

@@ -24,8 +24,9 @@ from edged.cell.twoexposures import TwoExposureHead
 from edged.config.cameras import CameraSection, CamerasSection, TriggerSection
 from edged.domain.arrays import SIDES
 from edged.errors import ConfigError
+from edged.link.summary import OpenCamera
 from edged.payload import Json, said
-from edged.ports import Camera
+from edged.ports import Camera, Head
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
     from edged.sim.world import VirtualWorld
@@ -208,6 +209,16 @@ def camera_gammas(head: CellHead) -> dict[str, tuple[float, str]]:
     and how to make it 1."""
     return {
         camera: (health.gamma, f"{health.linear[0]} = {json.dumps(health.linear[1])}")
+        for camera, health in _healths(head)
+    }
+
+
+def open_cameras(head: Head) -> dict[str, OpenCamera]:
+    """The cameras that are open, by side, for who sets them up."""
+    if not isinstance(head, StereoHead | TwoExposureHead):
+        return {}
+    return {
+        camera: OpenCamera(health.firmware, health.packet_bytes, health.resent, health.lost)
         for camera, health in _healths(head)
     }
 

@@ -9,7 +9,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from edged.adapters.modbus import ModbusPublisher
+from edged.app.cameras import open_cameras
 from edged.app.cell import LoadedCell
+from edged.app.examiner import Examiner, close_secrets
 from edged.app.installer import Installer
 from edged.app.running import Running
 from edged.cell.commandends import CommandEnds
@@ -19,7 +21,7 @@ from edged.domain.arrays import Side
 from edged.domain.events import Command, CommandFailed, CommandKind
 from edged.domain.exposure import CameraValues
 from edged.domain.golden import GoldenState
-from edged.errors import CommandRefused, SetupRefused
+from edged.errors import CommandRefused, SetupRefused, UserError
 from edged.link import requests as ask
 from edged.link.summary import CellSummary, FilesInUse, PageTask, PlcNow
 from edged.ports import Head
@@ -67,6 +69,7 @@ class CellService:
         self._head_with = head_with
         self._stage = stage
         self._commands = 0
+        self._examiner = Examiner(running.path)
         self._installs = Rate(1 / INSTALL_S, burst=INSTALLS_AT_ONCE)
 
     @property
@@ -85,6 +88,7 @@ class CellService:
             holder=session.holder,
             is_locked=session.is_locked,
             camera_changes=session.camera_changes,
+            cameras=open_cameras(session.head),
             uses=self._use.uses,
             active_job=self._use.active,
             plc=None if modbus is None else plc_now(modbus),
@@ -128,6 +132,8 @@ class CellService:
                 self._take_job(request.number)
             case ask.KeepGolden():
                 await self._keep_golden(request.number)
+            case ask.Mend():
+                await self._mend(request.what)
             case _:
                 return await self._looked_up(request)
         return None
@@ -150,6 +156,15 @@ class CellService:
         await self._installer.install(memory)
         log.info("%s has let the cell run by other files: %s", request.author, request.note)
 
+    async def _mend(self, what: str) -> None:
+        """Raises `SetupRefused`, `CommandRefused`, `UserError` for files that the cell cannot run by."""
+        if self._running.session.is_locked:
+            raise SetupRefused(LOCKED)
+        if what == "secrets":
+            await asyncio.to_thread(close_secrets, self._running.path, self._running.files.config)
+        elif refused := await self._running.reload():
+            raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")
+
     async def _looked_up(self, request: ask.Asked) -> object:
         """What changes nothing, but on a stage."""
         match request:
@@ -161,6 +176,8 @@ class CellService:
                 return [replace(exchange, rungs=list(exchange.rungs)) for exchange in found]  # it goes on
             case ask.AskMetrics():
                 return self._metrics()
+            case ask.Examine():
+                return await self._examiner.examine()
             case ask.OnStage() if self._stage is not None:
                 return await self._stage.answer(request.route, request.body)
         raise CommandRefused("this cell has no stage")

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Side
@@ -176,6 +176,15 @@ class RemoteCell:
     async def keep_golden(self, number: int) -> None:
         """Keep where the part of a job lies. Raises `SetupRefused`, `CommandRefused`."""
         await self._link.ask(ask.KeepGolden(number=number))
+
+    async def examine(self) -> Sequence[Mapping[str, str]]:
+        """What `edged doctor` finds on the machine. Raises `CommandRefused`."""
+        found: Sequence[Mapping[str, str]] = await self._link.ask(ask.Examine())
+        return found
+
+    async def mend(self, what: Literal["reload", "secrets"]) -> None:
+        """Do what a finding needs. Raises `SetupRefused`, `CommandRefused`, `UserError`."""
+        await self._link.ask(ask.Mend(what=what))
 
     async def exchanges(self) -> Sequence[Exchange]:
         """The last commands of a PLC and their outcome, newest first."""

@@ -16,6 +16,7 @@ from edged.setup.cameras.service import CameraService
 from edged.setup.inuse import CellInUse
 from edged.setup.jobs.tasks import Tasks
 from edged.setup.jobs.worker import Worker
+from edged.setup.machine.service import MachineService
 from edged.setup.recordings import regressions
 from edged.setup.recordings import service as cycles
 from edged.setup.recordings.candidates import CandidateContents
@@ -67,12 +68,15 @@ class SetupServices:
         self._trials = Trials(cell, self._teachings.job)
         self._jobs = Jobs(cell, releases, self._activation)
         self._cameras = CameraService(cell, live, addresses, self._activation)
+        self._machine = MachineService(cell, self._activation)
         self._stop = live.listen(self._offer)
 
     def routes(self) -> Sequence[object]:
         """Objects with the routes; aiohttp is imported only for a page."""
         from edged.setup.calibration.routes import CalibrationRoutes, CheckRoutes
         from edged.setup.cameras.routes import CameraRoutes
+        from edged.setup.cellsettings import SettingsRoutes
+        from edged.setup.machine.routes import MachineRoutes
         from edged.setup.plcroutes import PlcRoutes
         from edged.setup.plcsettings import PlcSettingsRoutes
         from edged.setup.recordings.routes import CycleRoutes, RegressionRoutes
@@ -91,10 +95,12 @@ class SetupServices:
             RegistrationRoutes(self._registrations, self._activation),
             PlcRoutes(self._running),
             PlcSettingsRoutes(self.cell, self._activation),
+            SettingsRoutes(self.cell, self._activation),
             TeachingRoutes(self._teachings, self._activation),
             TrialRoutes(self._trials),
             SceneRoutes(self.cell, self._calibrations),
             JobRoutes(self._jobs, self._activation),
+            MachineRoutes(self._machine),
             RegressionRoutes(self._regressions, self._candidates),
         ]
 

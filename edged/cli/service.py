@@ -28,6 +28,12 @@ def check(
 def doctor(
     config: Annotated[Path, typer.Argument(help="configuration file")],
     trigger: Annotated[bool, typer.Option(help="take test pictures")] = True,
+    daemon: Annotated[
+        int | None,
+        typer.Option(
+            metavar="PID", min=1, help="process of the daemon that runs this cell; left out: looked for"
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Examine machine, network and cameras: likely problems, and the command that fixes each."""
@@ -35,7 +41,7 @@ def doctor(
 
     from edged.commands.doctor import doctor as command
 
-    raise typer.Exit(command(config, as_json, Console(), trigger=trigger))
+    raise typer.Exit(command(config, as_json, Console(), trigger=trigger, daemon=daemon))
 
 
 @app.command()

@@ -18,10 +18,10 @@ MARKS = {
 }
 
 
-def doctor(config: Path, as_json: bool, console: Console, *, trigger: bool) -> int:
-    """Examine and tell; 0 when nothing is bad, else 1."""
+def doctor(config: Path, as_json: bool, console: Console, *, trigger: bool, daemon: int | None = None) -> int:
+    """Examine and tell; 0 when nothing is bad, else 1. daemon : process that runs it; None: looked for."""
     checks = []
-    for check in examine(config, trigger=trigger):
+    for check in examine(config, trigger=trigger, process=daemon):
         checks.append(check)
         if not as_json:
             show(check, console)

@@ -1,24 +1,40 @@
-"""Connections of PLCs and robots as they were chosen on the page, in a file beside the rig.
+"""Connections of PLCs and robots, and other settings, as they were chosen on the page: a file beside the rig.
 
 The configuration is the administrator's, and the page cannot write it. What was chosen counts before it:
-`rig.json` has `rig.connections.json`, with keys of `[modbus]` and `[opcua]`; a key that is null is left out.
+`rig.json` has `rig.connections.json`, with keys of `[modbus]` and `[opcua]`, and `settings` by their dotted
+names (`chosensettings`); a key that is null is left out.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import AfterValidator
+
+from edged.config import chosensettings
 from edged.config.chosen import choice_of, read_choice
 from edged.config.fields import Section
 
+Settings = Annotated[
+    dict[str, chosensettings.Scalar | None],
+    AfterValidator(lambda names: dict(chosensettings.refuse_unknown(names))),
+]
+
 
 class ChosenConnections(Section):
-    """Keys of both sections. opcua : None: there is to be no such server."""
+    """Keys of both sections, and settings. opcua : None: there is to be no such server."""
 
     modbus: dict[str, Any] = {}  # noqa: RUF012  (pydantic copies it)
     opcua: dict[str, Any] | None = {}  # noqa: RUF012  (likewise)
+    settings: Settings = {}  # noqa: RUF012  (likewise)
+
+    @property
+    def connects(self) -> bool:
+        """Whether it says how PLCs and robots connect."""
+        return bool(self.modbus) or self.opcua != {}
 
     def over(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """A configuration's tables with what was chosen."""
@@ -32,7 +48,16 @@ class ChosenConnections(Section):
                 merged[name] = (
                     {key: value for key, value in both.items() if value is not None} if chosen else both
                 )
-        return merged
+        return chosensettings.over(self.settings, merged)
+
+    def content(self) -> bytes | None:
+        """The file's content; None where nothing is chosen."""
+        chosen = self.model_dump(mode="json")
+        if not self.connects:
+            del chosen["modbus"], chosen["opcua"]
+        if not self.settings:
+            del chosen["settings"]
+        return (json.dumps(chosen, indent=2) + "\n").encode() if chosen else None
 
 
 def connections_file(rig: Path) -> Path:
@@ -49,7 +74,14 @@ def read_connections(rig: Path) -> bytes | None:
     return read_choice(connections_file(rig), "connections")
 
 
-def connections_of(content: bytes, file: Path) -> ChosenConnections:
-    """Parse a choice. Raises `ConfigError`."""
-    without = "PLCs and robots connect as configured"
+def connections_of(content: bytes | None, file: Path) -> ChosenConnections:
+    """Parse a choice; of no content, that of nothing. Raises `ConfigError`."""
+    if content is None:
+        return ChosenConnections()
+    without = "PLCs and robots connect as configured, and all else is as configured"
     return choice_of(ChosenConnections, content, file, "connections", without)
+
+
+def chosen_connections(rig: Path) -> ChosenConnections:
+    """What is chosen for a cell. Raises `ConfigError`."""
+    return connections_of(read_connections(rig), connections_file(rig))

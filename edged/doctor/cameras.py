@@ -114,7 +114,7 @@ def camera(
     if info is None:
         return _absent(name, section.device, found, ports)
     text = f"{info.vendor} {info.model} {info.serial} at {info.address}"
-    if info.control == "controlled" and daemon is not None and daemon.ready is not False:
+    if info.control == "controlled" and daemon is not None and daemon.has_cameras:
         return Check(name, CheckResult.OK, f"{text}: this cell's own daemon has it")
     if info.control == "controlled":
         return Check(

@@ -13,12 +13,14 @@ from edged.doctor.ourdaemon import our_daemon
 from edged.doctor.pictures import take_pictures
 from edged.doctor.plc import look_at_plc
 from edged.errors import ConfigError
-from edged.setup.cellfiles import doubts, exposed_secrets, read_cell
+from edged.setup.cellfiles import UnfinishedCell, doubts, exposed_secrets, read_any_cell
 from edged.vision.geometry.camera import StereoRig
 
 
-def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
+def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> Iterator[Check]:
     """All checks for a configuration, as they are done. trigger : take test pictures too.
+
+    process : of the daemon that runs it, where that is known.
 
     A cell without a rig or jobs is examined as far as that goes: its network comes before its calibration.
     Where its daemon runs, that is asked, and no picture is taken beside it.
@@ -32,10 +34,21 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
     rig: StereoRig | None = None
     fingerprint = ""
     try:
-        cell = read_cell(path)
+        cell = read_any_cell(path)
     except ConfigError as error:
         yield from _mistakes(path, error)
-    else:
+        cell = None
+    if isinstance(cell, UnfinishedCell):
+        rig, fingerprint = cell.rig, cell.fingerprint
+        for missing in cell.missing:
+            yield Check(
+                "configuration",
+                CheckResult.WARN,
+                f"not yet: {missing}",
+                "the cell starts in SETUP, and does not measure",
+                "set it up on its page, /setup; or edged calibrate and edged teach, then reload",
+            )
+    elif cell is not None:
         rig, fingerprint = cell.rig, cell.fingerprint
         jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
         yield Check("configuration", CheckResult.OK, jobs)
@@ -54,9 +67,10 @@ def examine(path: Path, *, trigger: bool = True) -> Iterator[Check]:
             f"{secret.place}: every user of this machine may read {secret.file}",
             "a private key is theirs, a password's hash they can try guesses on",
             secret.remedy,
+            "secrets" if secret.can_be_closed else "",
         )
     yield from look_at_machine(config)
-    daemon = our_daemon(path, config)
+    daemon = our_daemon(path, config, process)
     if daemon is not None:
         yield daemon.look(fingerprint)
     yield from look_at_ports(config, daemon)

@@ -17,13 +17,18 @@ class CheckResult(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One finding; consequence and remedy are empty when all is well."""
+    """One finding; consequence and remedy are empty when all is well.
+
+    mend : what the cell's page can do about it when asked: "reload", "secrets", or "address" and a camera's
+    serial number; "" where only a person at the machine can.
+    """
 
     name: str
     verdict: CheckResult
     finding: str
     consequence: str = ""
     remedy: str = ""
+    mend: str = ""
 
     def to_json(self) -> dict[str, str]:
         """Plain values."""

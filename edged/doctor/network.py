@@ -82,6 +82,7 @@ def _homeless(name: str, info: CameraInfo, interfaces: Sequence[Interface]) -> C
         "it is seen, but nothing can be sent to it: CAPTURE_FAULT in every cycle",
         f"edged cameras --give-address {info.serial}   (the port must have an address of the network "
         "that it is to be in)",
+        f"address {info.serial}",
     )
 
 

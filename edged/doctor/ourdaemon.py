@@ -37,6 +37,16 @@ class OurDaemon:
     ready: bool | None
     why: str
 
+    @property
+    def is_set_up(self) -> bool:
+        """Whether a person has the cell, who sees what its cameras see."""
+        return self.why.startswith("setup by ")
+
+    @property
+    def has_cameras(self) -> bool:
+        """Whether it is the program that controls them."""
+        return self.ready is not False or self.is_set_up
+
     def has(self, port: int) -> bool:
         """Whether it, or a process that it started, listens there; True where it cannot be seen who does."""
         listeners = run("ss", "-Hltnp", f"sport = :{port}") or ""
@@ -55,7 +65,10 @@ class OurDaemon:
                 f"{text}, by configuration {self.loaded}; the files are {fingerprint} now",
                 "what was changed does not count yet",
                 f"sudo systemctl reload edged   (in a terminal: kill -HUP {self.process})",
+                "reload",
             )
+        if self.is_set_up:
+            return Check(name, CheckResult.OK, f"{text}, {self.why}")
         if self.ready is False:
             return Check(
                 name,
@@ -67,9 +80,12 @@ class OurDaemon:
         return Check(name, CheckResult.OK, text + (", ready" if self.ready else ""))
 
 
-def our_daemon(path: Path, config: Config) -> OurDaemon | None:
-    """The daemon that runs this configuration file on this machine; None where none does."""
-    process = next(_running(path), None)
+def our_daemon(path: Path, config: Config, process: int | None = None) -> OurDaemon | None:
+    """The daemon that runs this configuration file on this machine; None where none does.
+
+    process : its number, where that is known: it need not be visible.
+    """
+    process = next(_running(path), None) if process is None else process
     if process is None:
         return None
     ready, why = _readiness(config)

@@ -64,6 +64,19 @@ def closing(path: Path) -> str:
     return f"sudo chown root:{CONFIG_GROUP} {file}; sudo chmod 640 {file}"
 
 
+def can_close(path: Path) -> bool:
+    """Whether this process may take a file from other users, and no group of daemons is to have it."""
+    try:
+        return path.stat().st_uid == os.geteuid() and _config_group() is None
+    except OSError:
+        return False
+
+
+def close_to_others(path: Path) -> None:
+    """Let owner and group do what they may, and others nothing. Raises `OSError`."""
+    path.chmod(path.stat().st_mode & 0o777 & ~OTHERS)
+
+
 def _config_group() -> int | None:
     try:
         return grp.getgrnam(CONFIG_GROUP).gr_gid

@@ -136,6 +136,19 @@ class AskMetrics(Request):
     ask: Literal["metrics"] = "metrics"
 
 
+class Examine(Request):
+    """Examine the machine; answered by a list of findings, as `edged doctor --json` has them."""
+
+    ask: Literal["examine"] = "examine"
+
+
+class Mend(Request):
+    """Do what a finding needs: read the files again, or take those with secrets from other users."""
+
+    ask: Literal["mend"] = "mend"
+    what: Literal["reload", "secrets"]
+
+
 class OnStage(Request):
     """A request to the stage before virtual cameras. route : of its handler; body : of it.
 
@@ -162,6 +175,8 @@ Asked = (
     | AskRegisters
     | AskExchanges
     | AskMetrics
+    | Examine
+    | Mend
     | OnStage
 )
 

@@ -29,11 +29,25 @@ class PlcNow:
 
 
 @dataclass(frozen=True, slots=True)
+class OpenCamera:
+    """A camera that the cell has open. packet_bytes : None where it sends no packets.
+
+    resent, lost : packets since it was opened; None: not counted.
+    """
+
+    firmware: str
+    packet_bytes: int | None
+    resent: int | None
+    lost: int | None
+
+
+@dataclass(frozen=True, slots=True)
 class CellSummary:
     """State of a cell that no event tells.
 
     facts : groups of name to value, as the status page shows them. jobs : number and name. holder : of the
     lease, "" without one. is_locked : the plant forbids SETUP. camera_changes : on trial, by side.
+    cameras : those that are open.
     uses : of each job by its number; active_job : the number of the job in use, 0: none. plc : None without
     a Modbus server.
     """
@@ -44,6 +58,7 @@ class CellSummary:
     holder: str = ""
     is_locked: bool = False
     camera_changes: Mapping[Side, ChosenCamera] = field(default_factory=dict)
+    cameras: Mapping[str, OpenCamera] = field(default_factory=dict)
     uses: Mapping[int, Use] = field(default_factory=dict)
     active_job: int = 0
     plc: PlcNow | None = None

@@ -64,6 +64,7 @@ TYPES: tuple[type, ...] = (
     registration.Registration,
     summary.CellSummary,
     summary.FilesInUse,
+    summary.OpenCamera,
     summary.PageTask,
     summary.PlcNow,
     summary.ProgramStep,

@@ -23,7 +23,7 @@ from edged.domain.numerals import json_of
 from edged.errors import ConfigError, FileFormatError, UserError, printable
 from edged.files.golden import golden_file, load_golden
 from edged.files.jobs import job_folders, job_of, read_job
-from edged.files.private import closing, is_exposed, read_shared_key
+from edged.files.private import can_close, closing, is_exposed, read_shared_key
 from edged.files.rig import read_rig, rig_of
 from edged.files.secrettext import without_secrets
 from edged.link.summary import FilesInUse
@@ -180,11 +180,15 @@ def _is_empty(folder: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ExposedSecret:
-    """A file that every user of this machine may read, and the secret in it. remedy : a command."""
+    """A file that every user of this machine may read, and the secret in it. remedy : a command.
+
+    can_be_closed : by this very process.
+    """
 
     place: str
     file: Path
     remedy: str
+    can_be_closed: bool
 
     def __str__(self) -> str:
         """One line."""
@@ -223,7 +227,11 @@ def exposed_secrets(path: Path, config: Config) -> list[ExposedSecret]:
 
         with contextlib.suppress(ConfigError):  # `read_cell` says so
             secrets += [("zenoh.config_file", file) for file in secret_files(config.zenoh.config_file)]
-    return [ExposedSecret(place, file, closing(file)) for place, file in secrets if is_exposed(file)]
+    return [
+        ExposedSecret(place, file, closing(file), can_close(file))
+        for place, file in secrets
+        if is_exposed(file)
+    ]
 
 
 def _unguarded(config: Config) -> list[str]:

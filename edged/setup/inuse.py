@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from edged.errors import SetupRefused
 from edged.files.rig import rig_of
@@ -120,6 +120,12 @@ class RunningCell(Protocol):
 
     async def keep_golden(self, number: int) -> None:
         """Measure, and keep where the part of a job lies. Raises as `take_job`; then nothing is kept."""
+
+    async def examine(self) -> Sequence[Mapping[str, str]]:
+        """What `edged doctor` finds on the machine, check by check. Raises `CommandRefused`."""
+
+    async def mend(self, what: Literal["reload", "secrets"]) -> None:
+        """Do what a finding needs. Raises `SetupRefused`, `CommandRefused`, `UserError`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

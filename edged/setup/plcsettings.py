@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from edged.adapters.web.routes import Answer, Body, Call, Leased, route
-from edged.config.chosenconnections import connections_of, read_connections
+from edged.config.chosenconnections import ChosenConnections, chosen_connections
 from edged.errors import UserError
 from edged.identity.passwords import hash_password
 from edged.identity.visitors import Role
@@ -115,9 +114,9 @@ class PlcSettingsRoutes:
         needs_password=True,
     )
     async def _choose(self, call: Call[PlcChoice]) -> PlcSettings:
-        before = await asyncio.to_thread(read_connections, self._cell.files.config.cell.rig)
-        content = await asyncio.to_thread(self._content, call.body, before)
-        return await self._changed(content, call.body.token)
+        before = await asyncio.to_thread(chosen_connections, self._cell.files.config.cell.rig)
+        chosen = await asyncio.to_thread(self._chosen, call.body, before)
+        return await self._changed(chosen, call.body.token)
 
     @route(
         "DELETE",
@@ -128,16 +127,17 @@ class PlcSettingsRoutes:
         needs_password=True,
     )
     async def _forget(self, call: Call[Leased]) -> PlcSettings:
-        return await self._changed(None, call.body.token)
+        before = await asyncio.to_thread(chosen_connections, self._cell.files.config.cell.rig)
+        return await self._changed(ChosenConnections(settings=before.settings), call.body.token)
 
-    async def _changed(self, content: bytes | None, token: str) -> PlcSettings:
-        """Let the cell run by a choice, or without one. Raises `EdgedError`, `OSError`, and is as before."""
+    async def _changed(self, chosen: ChosenConnections, token: str) -> PlcSettings:
+        """Let the cell run by a choice. Raises `EdgedError`, `OSError`, and is as before."""
         by = Mandate(self._cell.session.holder, "how PLCs and robots connect", token=token)
-        await self._activation.keep_connections(content, by)
+        await self._activation.keep_connections(chosen.content(), by)
         return await asyncio.to_thread(self._now)
 
-    def _content(self, wanted: PlcChoice, before: bytes | None) -> bytes:
-        """The file's content. Raises `UserError` for a file elsewhere than beside the configuration."""
+    def _chosen(self, wanted: PlcChoice, before: ChosenConnections) -> ChosenConnections:
+        """The choice. Raises `UserError` for a file elsewhere than beside the configuration."""
         chosen: dict[str, Any] = wanted.model_dump(mode="json", exclude={"token"})
         now = self._now()
         for section, known in ((wanted.modbus.tls, now.modbus.tls), (wanted.opcua, now.opcua)):
@@ -147,12 +147,12 @@ class PlcSettingsRoutes:
                     raise UserError(f"{name}: {path}: expected a file beside the configuration, by its name")
         if wanted.opcua is not None:
             password = chosen["opcua"].pop("password")
-            old = {} if before is None else connections_of(before, Path("chosen")).opcua or {}
+            old = before.opcua or {}
             if password is not None:
                 chosen["opcua"]["password_hash"] = hash_password(password)
             elif "password_hash" in old:
                 chosen["opcua"]["password_hash"] = old["password_hash"]
-        return (json.dumps(chosen, indent=2) + "\n").encode()
+        return ChosenConnections(modbus=chosen["modbus"], opcua=chosen["opcua"], settings=before.settings)
 
     def _now(self) -> PlcSettings:
         config = self._cell.files.config
@@ -163,7 +163,7 @@ class PlcSettingsRoutes:
             if config.opcua is None
             else OpcUaChoice(**_shown(config.opcua.model_dump(), OpcUaChoice, folder)),
             opcua_password=config.opcua is not None and bool(config.opcua.password_hash.get_secret_value()),
-            is_chosen=read_connections(config.cell.rig) is not None,
+            is_chosen=chosen_connections(config.cell.rig).connects,
             conventions={brand.value: angles.name.lower() for brand, angles in BRAND_CONVENTIONS.items()},
         )
 

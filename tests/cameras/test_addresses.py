@@ -186,6 +186,10 @@ def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> None:
             assert {"address": "127.0.0.77", "is_kept": True} == given
             found = {one["serial"]: one for one in (await newcomer.ask("GET", "cameras"))["found"]}
             assert ("127.0.0.77", False) == (found[SERIAL]["address"], found[SERIAL]["is_lost"])
+            given = await newcomer.ask("POST", "cameras/address", {**body, "address": "127.0.0.78"})
+            assert {"address": "127.0.0.78", "is_kept": True} == given
+            refused = await newcomer.ask("POST", "cameras/address", {**body, "address": "10.9.9.9"}, 503)
+            assert "10.9.9.9: expected an address of" in refused["detail"]
 
     run(tmp_path, test)
 

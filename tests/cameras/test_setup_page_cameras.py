@@ -57,6 +57,12 @@ def test_cameras_are_told_apart_by_a_wave_and_set_with_their_own_limits(tmp_path
             await press(page, "Take a test pair")
             await page.until(said("ms between the two exposures"))
             await page.until('[...document.querySelectorAll(".pair img")].every((image) => image.complete)')
+            await page.until(said("packets of "))
+            assert "firmware" in (await page.value(TILES))[0]
+            await press(page, "Test the packets")
+            await page.until(said("10 of 10 pairs came."))
+            await page.until(said("bytes, none lost"))
+            assert await page.value(said("edged triggers each camera by a command"))
             assert [] == await page.violations()
             assert [] == await page.value(SMALL_TARGETS)
 

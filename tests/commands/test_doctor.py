@@ -23,9 +23,11 @@ from helpers.plcmemories import S7Controller
 from helpers.ports import free_port
 from helpers.smallcell import DaemonProcess, SmallCell
 from helpers.waiting import WHOLE_S, wait_until
+from helpers.webcell import HASH
 from rich.console import Console
 
 from edged.adapters.aravis import CameraInfo, aravis_missing
+from edged.app.examiner import close_secrets
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.doctor import doctor as command
 from edged.config.cameras import CameraSection
@@ -38,6 +40,7 @@ from edged.doctor.firewall import Rules
 from edged.doctor.host import Interface
 from edged.doctor.ourdaemon import OurDaemon, our_daemon
 from edged.doctor.plc import look_at_plc
+from edged.files.private import can_close
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 
@@ -120,6 +123,7 @@ def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folde
     found = checks(path, trigger=True)
 
     assert "rig.json: cannot read a rig" in found["configuration"].finding
+    assert CheckResult.WARN is found["configuration"].verdict  # it starts, and is set up on its page
     assert {"kernel cache", "Modbus port", "Zenoh port"} <= set(found)
     assert ("left camera" in found) != bool(aravis_missing())
     assert CheckResult.BAD is found["test pictures"].verdict
@@ -140,6 +144,25 @@ def test_what_must_be_set_before_the_calibration_is_told_before_it(folder: Path)
     assert found["left response"].finding.startswith("the camera's Gamma is 0.5, and edges are measured best")
     assert "before you calibrate" in found["left response"].remedy
     assert "right response" not in found
+
+
+def test_a_daemon_that_is_set_up_by_a_person_is_well_and_has_its_cameras() -> None:
+    """Nobody needs to close another program, or look why; one without a calibration is told."""
+    person = OurDaemon(5, "0badcafe", ready=False, why="setup by Anna")
+    assert (CheckResult.OK, True) == (person.look("0badcafe").verdict, person.has_cameras)
+    nobody = OurDaemon(5, "0badcafe", ready=False, why="setup: no calibration yet")
+    assert (CheckResult.WARN, False) == (nobody.look("0badcafe").verdict, nobody.has_cameras)
+
+
+def test_a_page_is_told_what_it_can_mend(folder: Path) -> None:
+    """Files that were changed are read again; a secret that others read is closed, where this process may."""
+    assert "reload" == OurDaemon(5, "0badcafe", ready=True, why="").look("00000001").mend
+    path = edit(folder, "[modbus]", f'[web]\npassword_hash = "{HASH}"\n[modbus]')
+    path.chmod(0o644)
+    secrets = next(check for check in examine(path, trigger=False) if check.name == "secrets")
+    assert ("secrets" if can_close(path) else "") == secrets.mend
+    close_secrets(path, load(path))
+    assert 0o640 == path.stat().st_mode & 0o777
 
 
 @pytest.mark.slow

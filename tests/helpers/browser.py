@@ -11,7 +11,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from functools import cache
 from pathlib import Path
@@ -51,6 +51,7 @@ class Browser:
     """One page.
 
     complaints : what its console said: errors, and what the security policy forbade. clicks : made so far.
+    on_click : told of each before it is made, with its place in the window.
     """
 
     def __init__(self, devtools: aiohttp.ClientWebSocketResponse) -> None:
@@ -58,6 +59,7 @@ class Browser:
         self._number = 0
         self.complaints: list[str] = []
         self.clicks = 0
+        self.on_click: Callable[[float, float], Awaitable[None]] | None = None
 
     async def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
         """One command of the protocol, and its result."""
@@ -133,6 +135,8 @@ class Browser:
     async def click_on(self, element: str) -> None:
         """The same for an expression; once more where the page moved it away under the pointer."""
         self.clicks += 1
+        if self.on_click is not None:
+            await self.on_click(*await self._middle(element))
         while True:
             x, y = await self._middle(element)
             await self.value(f"({GUARD})(document.elementFromPoint({x}, {y}))")

@@ -18,5 +18,7 @@ EXAMPLES: tuple[ask.Asked, ...] = (
     ask.AskRegisters(),
     ask.AskExchanges(),
     ask.AskMetrics(),
+    ask.Examine(),
+    ask.Mend(what="reload"),
     ask.OnStage(route="PUT /stage", body={"showing": "part", "rings": {"left": 0.5}}),
 )

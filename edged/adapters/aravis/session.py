@@ -86,7 +86,8 @@ class CameraHealth:
     resent, lost : packets resent on request, and lost. None: not counted by the driver.
     gamma : exponent between light and grey value, by the camera; 1: linear. linear : the setting that makes
     it so.
-    lacks : what it has not. packet_delay_us : its pause after each packet; None where it has none.
+    lacks : what it has not. packet_delay_us : its pause after each packet, packet_bytes : their size; None
+    where it has none. firmware : its version, "" if unknown.
     """
 
     temperature_c: float | None = None
@@ -100,6 +101,8 @@ class CameraHealth:
     linear: tuple[str, Value] = ("Gamma", 1.0)
     lacks: tuple[CameraLack, ...] = ()
     packet_delay_us: float | None = None
+    firmware: str = ""
+    packet_bytes: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +113,12 @@ class CameraDescription:
     model: str
     firmware: str
     features: tuple[Mapping[str, Any], ...]
+
+
+def firmware_of(features: Features) -> str:
+    """Version of a camera's firmware; "" where it does not say."""
+    node = features.first("DeviceFirmwareVersion", "DeviceVersion")
+    return str((features.value(node) if node else None) or "")
 
 
 class CameraSession:
@@ -143,6 +152,8 @@ class CameraSession:
         self._lacks: tuple[CameraLack, ...] = ()
         self._packet_delay_us: float | None = None
         self.exposure_ns = 0
+        self._packet_bytes: int | None = None
+        self._firmware = ""
         self._looked_s = 0.0
         self._library = library(name)
         self._on_lost = lost
@@ -259,9 +270,7 @@ class CameraSession:
         """Maker, model, firmware and every feature."""
         features = self._nodes()
         with self._talking("reading its description"):
-            firmware = features.first("DeviceFirmwareVersion", "DeviceVersion")
-            version = features.value(firmware) if firmware else None
-            return CameraDescription(*features.maker, str(version or ""), tuple(features.described()))
+            return CameraDescription(*features.maker, firmware_of(features), tuple(features.described()))
 
     def values(self) -> CameraValues:
         """The present values."""
@@ -338,7 +347,7 @@ class CameraSession:
         return CameraHealth(
             self._temperature_c, bound_ns, self.ptp, complete, failed, resent, lost, self._gamma,
             self._linear,
-            self._lacks, self._packet_delay_us,
+            self._lacks, self._packet_delay_us, self._firmware, self._packet_bytes,
         )  # fmt: skip
 
     def close(self) -> None:
@@ -404,6 +413,7 @@ class CameraSession:
         self._latch = find_latch(device, features, gige=camera.is_gv_device())
         with self._talking("asking what it has"):
             self._lacks = lacks(features, clock=self._latch is not None)
+            self._firmware = firmware_of(features)
         for _ in range(CLOCK_READINGS):
             self._read_clock()
         self._look()
@@ -417,6 +427,7 @@ class CameraSession:
         if camera.is_gv_device():
             if settings.packet_size is None:
                 camera.gv_auto_packet_size()
+            self._packet_bytes = int(camera.gv_get_packet_size())
             self._packet_delay_us = pace(self.name, camera, self._nodes(), settings)
             camera.gv_set_packet_size_adjustment(aravis.GvPacketSizeAdjustment.NEVER)
             if settings.user_socket:

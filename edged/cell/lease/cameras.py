@@ -116,6 +116,10 @@ class SetupCameras:
         self._draft, self._by_head = draft, dict(changes or {})
         self._changes = dict(self._by_head)
 
+    def in_use(self, configured: Head) -> Head:
+        """The head that takes pictures."""
+        return self._draft or configured
+
     async def put_down(self, configured: Head) -> None:
         """Close every camera, and go back to the configured head."""
         draft, self._draft = self._draft, None

@@ -113,6 +113,11 @@ class SetupSession:
         return await self.lease.ask(token, lambda: self._cell.cameras.limits(self._cell.head, side))
 
     @property
+    def head(self) -> Head:
+        """The cameras in use: those on trial, else the configured ones."""
+        return self._cell.cameras.in_use(self._cell.head)
+
+    @property
     def holder(self) -> str:
         """Name of the lease's holder; "" without a lease."""
         return self._cell.lease.name

@@ -35,7 +35,7 @@ from edged.setup.calibration.guidance import (
     waits_for,
 )
 from edged.setup.calibration.model import DraftState, ViewState
-from edged.setup.calibration.shown import Stillness, Watched
+from edged.setup.calibration.shown import Stillness, Watched, corners_in_space
 from edged.setup.documents import DraftHead
 from edged.setup.drafts import Latest, OpenDrafts, trouble_in
 from edged.setup.inuse import CellInUse
@@ -44,7 +44,6 @@ from edged.vision.boards.board import NominalBoard
 from edged.vision.boards.detection import agreed_board, of_size
 from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.triangulation import triangulate_raw
 
 log = logging.getLogger(__name__)
 
@@ -130,7 +129,7 @@ class Calibrations:
             if isinstance(state, FileFormatError):
                 continue
             found = [
-                (name, name in state.used, triangulate_raw(rig, *_outlines(view)))
+                (name, name in state.used, corners_in_space(rig, _outlines(view)))
                 for name, view in state.views.items()
                 if view.left.outline and view.right.outline
             ]

@@ -19,6 +19,9 @@ from edged.setup.calibration.boards import may_be
 from edged.setup.pairs import work_on
 from edged.vision.boards.board import Detection, NominalBoard, NotDetected, outline_mm
 from edged.vision.boards.detection import detect_board, recognise_board
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import apply
+from edged.vision.geometry.triangulation import triangulate_raw
 
 HALVED_FROM_PX = 800
 """Live pictures of this width are looked at in half the size, which takes half the time or less."""
@@ -35,6 +38,8 @@ NEW_SHARE = 0.35
 """Share of the diagonal: a view whose corners are off by more from every other is useful anyway."""
 SAME_SHARE = 0.05
 """Share of the diagonal: a view whose corners are off by no more repeats another one."""
+MEET_PX = 5.0
+"""Corners of one board are off by a pixel or two in the raw picture, of another one by tens."""
 _WHITE, _CLIPPED_SHARE = 255, 0.01
 _DARK_GREY, _BRIGHT_SHARE = 40, 0.2
 
@@ -116,6 +121,28 @@ def off_px(outlines: FloatArray, others: FloatArray) -> float:
         for turn in range(4)
     ]
     return float(min(distances))
+
+
+def corners_in_space(rig: StereoRig, outlines: FloatArray) -> FloatArray:
+    """A board's corners (4, 3) in mm, rig frame, of its outlines (2, 4, 2) in both pictures.
+
+    Each outline may begin anywhere, and go either way round: of all orders the one whose rays meet best is
+    taken. NaN where they meet in none.
+    """
+    left, right = outlines
+    found, least_px = np.full((4, 3), np.nan), MEET_PX
+    for order in (np.roll(np.arange(4)[::way], first) for way in (1, -1) for first in range(4)):
+        corners = triangulate_raw(rig, left, right[order])
+        if not np.isfinite(corners).all():
+            continue
+        seen = (
+            rig.left.project(corners) - left,
+            rig.right.project(apply(rig.right_from_left, corners)) - right[order],
+        )
+        off = float(np.abs(seen).max())
+        if off < least_px:
+            found, least_px = corners, off
+    return found
 
 
 def diagonal_px(outlines: FloatArray) -> float:

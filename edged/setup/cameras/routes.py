@@ -9,9 +9,21 @@ from pydantic import Field, model_validator
 from edged.adapters.web.routes import Answer, Call, Leased, Problem, route
 from edged.domain.arrays import SIDES
 from edged.domain.exposure import CameraValues
-from edged.setup.cameras.service import CameraService
+from edged.setup.cameras.service import TEST_PAIRS, CameraService
 
 SIDE = "{side:left|right}"
+
+
+class OpenNow(Answer):
+    """A camera that the cell has open. packet_bytes : null: it sends no packets.
+
+    resent, lost : packets since it was opened; null: not counted.
+    """
+
+    firmware: str
+    packet_bytes: int | None
+    resent: int | None
+    lost: int | None
 
 
 class ConfiguredCamera(Answer):
@@ -22,6 +34,7 @@ class ConfiguredCamera(Answer):
     exposure_us: float | None
     gain_db: float | None
     tried: dict[str, str | float]
+    open: OpenNow | None
 
 
 class FoundCamera(Answer):
@@ -68,11 +81,28 @@ class BothLimits(Answer):
     right: CameraBounds
 
 
+class TriggerNow(Answer):
+    """What starts an exposure. line : the input, where a pulse does. rate_hz : of cameras that run free."""
+
+    mode: str
+    line: str
+    rate_hz: float | None
+
+
+class PacketTest(Answer):
+    """How many pairs were asked for, how many came, and how the cameras are after them."""
+
+    pairs: int
+    came: int
+    open: dict[str, OpenNow]
+
+
 class CamerasNow(Answer):
     """As configured, and those that answer."""
 
     configured: dict[str, ConfiguredCamera]
     found: list[FoundCamera]
+    trigger: TriggerNow
 
 
 class CameraSettings(Answer):
@@ -97,9 +127,10 @@ class Adjusting(Leased):
 
 
 class Addressing(Leased):
-    """Serial number of a camera that is to get an address in this machine's network."""
+    """Serial number of a camera that is to get an address in this machine's network; left out: a free one."""
 
     serial: str = Field(min_length=1, max_length=64)
+    address: str = Field("", max_length=15)
 
 
 class Addressed(Answer):
@@ -165,12 +196,29 @@ class CameraRoutes:
 
     @route("GET", "/cameras", "Which cameras there are")
     async def _now(self, _call: Call[None]) -> CamerasNow:
+        opened, trigger = self._opened(), self._cameras.trigger
         return CamerasNow(
             configured={
-                side: ConfiguredCamera(**camera) for side, camera in self._cameras.configured().items()
+                side: ConfiguredCamera(**camera, open=opened.get(side))
+                for side, camera in self._cameras.configured().items()
             },
             found=[FoundCamera(**camera) for camera in await self._cameras.found()],
+            trigger=TriggerNow.model_validate(trigger),
         )
+
+    def _opened(self) -> dict[str, OpenNow]:
+        return {side: OpenNow.model_validate(camera) for side, camera in self._cameras.open_cameras().items()}
+
+    @route(
+        "POST",
+        "/cameras/packets",
+        "Open both cameras anew, with the largest packets that arrive, and take pairs",
+        audit=True,
+        needs_lease=True,
+    )
+    async def _test_packets(self, call: Call[Leased]) -> PacketTest:
+        came = await self._cameras.test_packets(call.body.token)
+        return PacketTest(pairs=TEST_PAIRS, came=came, open=self._opened())
 
     @route(
         "POST",
@@ -228,7 +276,9 @@ class CameraRoutes:
         needs_lease=True,
     )
     async def _address(self, call: Call[Addressing]) -> Addressed:
-        address, is_kept = await self._cameras.give_address(call.body.token, call.body.serial)
+        address, is_kept = await self._cameras.give_address(
+            call.body.token, call.body.serial, call.body.address
+        )
         return Addressed(address=address, is_kept=is_kept)
 
     @route("GET", "/cameras/quality", "Light and focus of the last live pictures")

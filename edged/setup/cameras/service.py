@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,18 +17,21 @@ from edged.adapters.aravis import (
 )
 from edged.cell.lease.judging import PictureJudge
 from edged.cell.lease.live import LivePictures
-from edged.config.cameras import CameraSection
+from edged.config.cameras import CameraSection, TriggerSection
 from edged.config.chosencameras import UNCHOSEN, ChosenCamera
 from edged.domain.arrays import SIDES, Side
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import FramePair
-from edged.errors import ExposuresDiffer, UserError
+from edged.errors import CaptureError, ExposuresDiffer, UserError
+from edged.link.summary import OpenCamera
 from edged.pictures.change import changed_most, changed_share
 from edged.setup.inuse import CellInUse
 from edged.setup.releases.service import Activation, Mandate
 
 WAVE_S = 8.0
 """Time to walk to the camera, wave, and come back."""
+TEST_PAIRS = 10
+"""As many as fill the time of a walk to the switch and back, at two pairs a second."""
 SURE = 2
 """Consecutive pairs that must show a hand before the same camera."""
 VIRTUAL = {
@@ -93,13 +97,42 @@ class CameraService:
         devices = self._devices()
         return [_described(info, heard, _side_of(info, devices)) for info, heard in cameras]
 
-    async def give_address(self, token: str, serial: str) -> tuple[str, bool]:
-        """Give a camera a free address in this machine's network; also whether it keeps that.
+    async def give_address(self, token: str, serial: str, address: str = "") -> tuple[str, bool]:
+        """Give a camera an address in this machine's network, "": a free one; also whether it keeps that.
 
         Raises `SetupRefused`, and `CaptureError` where it is not there, is controlled, or refuses.
         """
         await self._cell.session.renew_setup(token)
-        return await asyncio.to_thread(give_address, serial)
+        return await asyncio.to_thread(give_address, serial, address)
+
+    async def test_packets(self, token: str) -> int:
+        """Open both cameras anew, which lets each find the largest packet that arrives, and take pairs.
+
+        Returns how many of `TEST_PAIRS` came; what was lost is in the summary. Raises `SetupRefused`,
+        `CaptureError` where they cannot be opened.
+        """
+        kept = self._cell.session.camera_changes.items()
+        changes = {
+            side: ChosenCamera(device=change.device, serial=change.serial)
+            for side, change in kept
+            if change.device is not None
+        }
+        await self._try(token, changes)
+        came = 0
+        for _ in range(TEST_PAIRS):
+            with contextlib.suppress(CaptureError):  # a lost frame is what is looked for
+                await self._cell.session.capture(token)
+                came += 1
+        return came
+
+    @property
+    def trigger(self) -> TriggerSection:
+        """What starts an exposure."""
+        return self._cell.files.config.cameras.trigger
+
+    def open_cameras(self) -> Mapping[str, OpenCamera]:
+        """Those that the cell has open, by side."""
+        return self._cell.running.summary.cameras
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
         """Limits of exposure and gain. Raises `SetupRefused`, `CaptureError`."""

@@ -15,12 +15,14 @@ from edged.files.rig import rig_of
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.setups import RIG, Contents
 from edged.setup.releases.archive import (
+    Backup,
     Made,
     Parts,
     RigFiles,
     make,
     pack,
     parts_at,
+    parts_of,
     rig_in,
     with_parts,
 )
@@ -158,6 +160,15 @@ class Activation:
 
         note = f"what release {number} has: {by.note}"
         return await self._activate(wanted, replace(by, note=note, signed=by.note))
+
+    async def activate_backup(self, taken: Backup, by: Mandate) -> Release:
+        """Let the cell run by rig, cameras and jobs of an archive; settings stay. Raises as `activate`."""
+        parts = parts_of(taken)
+
+        def wanted(there: Parts) -> Parts:
+            return Parts(parts.rig, parts.cameras, there.connections, parts.jobs or there.jobs)
+
+        return await self._activate(wanted, by)
 
     async def _activate(self, wanted: Callable[[Parts], Parts], by: Mandate) -> Release:
         # the client may disconnect: it must not stay half done

@@ -28,11 +28,13 @@ from edged.setup.calibration.shown import (
     Seen,
     Stillness,
     Watched,
+    corners_in_space,
     diagonal_px,
     off_px,
     watch,
 )
-from edged.vision.boards.board import parse_board
+from edged.vision.boards.board import outline_mm, parse_board
+from edged.vision.geometry.rigid import apply
 
 POSE = board_poses(RIG, BOARD, 1, seed=3)[0]
 TRUE = np.array(outlines_of(RIG, BOARD, POSE))
@@ -47,6 +49,23 @@ def watched(outlines: FloatArray = TRUE) -> Watched:
 def ghost(outlines: FloatArray) -> Ghost:
     """To bring the board there."""
     return Ghost(outlines[0], outlines[1], None, "", "")
+
+
+@pytest.mark.parametrize("turned", range(4))
+def test_a_board_in_space_is_where_it_was_whichever_corner_comes_first(turned: int) -> None:
+    """A plain board looks the same upside down: each picture may begin with another corner of it."""
+    for number, pose in enumerate(board_poses(RIG, BOARD, 6, seed=3)):
+        outlines = np.array(outlines_of(RIG, BOARD, pose))
+        right = np.roll(outlines[1] if turned < 3 else outlines[1][::-1], turned, axis=0)
+        corners = corners_in_space(RIG, np.array([outlines[0], right]))
+        assert np.abs(corners - apply(pose, outline_mm(BOARD))).max() < 0.01, number
+
+
+def test_what_no_order_explains_is_no_board_in_space() -> None:
+    """Corners of two boards do not meet anywhere."""
+    first, other = board_poses(RIG, BOARD, 2, seed=3)
+    left, right = outlines_of(RIG, BOARD, first)[0], outlines_of(RIG, BOARD, other)[1]
+    assert np.isnan(corners_in_space(RIG, np.array([left, right]))).all()
 
 
 def test_an_outline_is_where_the_board_is() -> None:

@@ -8,6 +8,7 @@ nav-setup = Einrichten
 nav-jobs = Aufträge
 nav-cycles = Zyklen
 nav-space = 3D
+nav-settings = Einstellungen
 nav-system = System
 nav-manual = Handbuch
 menu = Konto und Sprache:

@@ -8,6 +8,7 @@ nav-setup = Set up
 nav-jobs = Jobs
 nav-cycles = Cycles
 nav-space = 3D
+nav-settings = Settings
 nav-system = System
 nav-manual = Manual
 menu = Account and language:

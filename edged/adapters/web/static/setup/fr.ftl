@@ -8,6 +8,7 @@ nav-setup = Réglage
 nav-jobs = Tâches
 nav-cycles = Cycles
 nav-space = 3D
+nav-settings = Réglages
 nav-system = Système
 nav-manual = Manuel
 menu = Compte et langue :

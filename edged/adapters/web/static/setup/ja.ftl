@@ -8,6 +8,7 @@ nav-setup = セットアップ
 nav-jobs = ジョブ
 nav-cycles = サイクル
 nav-space = 3D
+nav-settings = 設定
 nav-system = システム
 nav-manual = マニュアル
 menu = アカウントと言語：

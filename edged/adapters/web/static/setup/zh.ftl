@@ -8,6 +8,7 @@ nav-setup = 设置
 nav-jobs = 作业
 nav-cycles = 循环
 nav-space = 3D
+nav-settings = 设置
 nav-system = 系统
 nav-manual = 手册
 menu = 账户和语言：

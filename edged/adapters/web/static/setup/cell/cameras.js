@@ -80,15 +80,95 @@ async function use(side, serial) {
   await lookAtCameras();
 }
 
-async function giveAddress(serial) {
-  const given = await attempt(() => ask("POST", "cameras/address", { token: token.value, serial }));
+async function giveAddress(serial, wanted = "") {
+  const given = await attempt(() =>
+    ask("POST", "cameras/address", { token: token.value, serial, ...(wanted ? { address: wanted } : {}) }),
+  );
   if (given) say(t(given.is_kept ? "address-kept" : "address-given", { serial, address: given.address }));
   await lookAtCameras();
 }
 
+// An address that the plant has for it. A camera that the cell controls keeps its own.
+function Address({ serial }) {
+  const [wanted, setWanted] = useState("");
+  const give = (event) => {
+    event.preventDefault();
+    giveAddress(serial, wanted.trim());
+  };
+  return html`<details>
+    <summary>${t("address-other")}</summary>
+    <form onSubmit=${give}>
+      <label class="field">
+        <span>${t("address-wanted")}</span>
+        <input
+          name="address" autocomplete="off" inputmode="text" maxlength="15" value=${wanted}
+          onInput=${({ currentTarget }) => setWanted(currentTarget.value)}
+        />
+      </label>
+      <div class="actions"><button disabled=${!holds.value || !wanted.trim()}>${t("address-give")}</button></div>
+    </form>
+  </details>`;
+}
+
+// Whether packets as large as the link allows arrive, and all of them.
+const LARGE_BYTES = 8000;
+function Packets() {
+  const [tested, setTested] = useState(null);
+  const [isTesting, setTesting] = useState(false);
+  const test = async () => {
+    setTesting(true);
+    const found = await attempt(() => ask("POST", "cameras/packets", { token: token.value }));
+    setTesting(false);
+    if (!found) return;
+    setTested(found);
+    say(t("packets-came", { came: found.came, pairs: found.pairs }));
+    await lookAtCameras();
+  };
+  const verdict = ({ packet_bytes: bytes, lost, resent }) => {
+    if (bytes === null) return ["none", t("packets-none")];
+    if (lost || resent)
+      return ["doubt", t("packets-lost", { bytes: number(bytes), lost: lost ?? 0, resent: resent ?? 0 })];
+    return [
+      bytes < LARGE_BYTES ? "doubt" : "tick",
+      t(bytes < LARGE_BYTES ? "packets-small" : "packets-good", { bytes: number(bytes) }),
+    ];
+  };
+  return html`<section aria-labelledby="packets">
+    <h2 id="packets">${t("packets-title")}</h2>
+    <p>${t("packets-what")}</p>
+    <div class="actions">
+      <button disabled=${!holds.value || isTesting} onClick=${test}>
+        ${t(isTesting ? "packets-testing" : "packets-test")}
+      </button>
+    </div>
+    ${
+      tested &&
+      html`<p class="verdict">
+          <${Shape} is=${tested.came === tested.pairs ? "tick" : "gap"} />${" "}
+          ${t("packets-came", { came: tested.came, pairs: tested.pairs })}
+        </p>
+        <dl class="facts">
+          ${SIDES.filter((side) => tested.open[side]).map((side) => {
+            const [shape, text] = verdict(tested.open[side]);
+            return html`<dt key=${side}>${t(side)}</dt><dd><${Shape} is=${shape} /> ${text}</dd>`;
+          })}
+        </dl>`
+    }
+  </section>`;
+}
+
+function Trigger() {
+  const { mode, line, rate_hz: rate } = cameras.value.trigger;
+  return html`<section aria-labelledby="trigger">
+    <h2 id="trigger">${t("trigger-title")}</h2>
+    <p>${t(`trigger-${mode}`, { line, rate: number(rate, 1) })}</p>
+    <div class="actions"><a class="button" href="#/settings">${t("trigger-change")}</a></div>
+  </section>`;
+}
+
 export default function Cameras() {
   useFresh(lookAtCameras, [holds.value]);
-  const found = cameras.value?.found;
+  const { found, configured } = cameras.value ?? {};
   return html`<h1>${t("cameras-title")}</h1>
     <p class="lead">${t("cameras-what")}</p>
     <${Pair} />
@@ -111,6 +191,16 @@ export default function Cameras() {
                 }
               </p>
               ${
+                configured[side]?.open &&
+                html`<p class="muted">
+                  ${t("camera-firmware", { version: configured[side].open.firmware || "–" })}
+                  ${
+                    configured[side].open.packet_bytes !== null &&
+                    ` · ${t("camera-packets", { bytes: number(configured[side].open.packet_bytes) })}`
+                  }
+                </p>`
+              }
+              ${
                 isChoosable(serial) &&
                 !isLost &&
                 html`<div class="actions">
@@ -124,6 +214,7 @@ export default function Cameras() {
                   )}
                 </div>`
               }
+              ${address && !side && isChoosable(serial) && html`<${Address} serial=${serial} />`}
               ${trouble && html`<p class="wrong"><${Shape} is="doubt" /> ${inWords("trouble", trouble)}</p>`}
               ${
                 isLost &&
@@ -143,5 +234,7 @@ export default function Cameras() {
     </section>
     <${Wave} />
     <${Keep} />
-    <${Test} />`;
+    <${Test} />
+    ${found?.some(({ address }) => address) && html`<${Packets} />`}
+    ${cameras.value && html`<${Trigger} />`}`;
 }

@@ -12,13 +12,13 @@ const STEP = { turn: 0.12, zoom: 1.2 };
 const EVERY_MS = 1000;
 const REACH = 6; // times the farthest part: a robot's base beyond would make all else small
 const ERROR_SHARE = 0.08; // of the size of the scene: how large the ellipsoid is drawn
-const FRONT = { yaw: 0, pitch: 0, zoom: 1 };
+const FRONT = { yaw: 0, pitch: 0 };
 const VIEWS = {
   front: FRONT,
   above: { ...FRONT, pitch: -Math.PI / 2 },
   side: { ...FRONT, yaw: Math.PI / 2 },
 };
-const FIRST = { yaw: 0.7, pitch: -0.45, zoom: 1 };
+const FIRST = { yaw: 0.7, pitch: -0.45 };
 
 // --- vectors: [x, y, z] in mm, rig frame ---
 
@@ -139,10 +139,19 @@ function lens({ yaw, pitch, zoom }, lines) {
   };
 }
 
+// Turned so, and as near as all of it can be seen; the picture grows with the zoom, whatever the turn.
+const FILLED = 0.92;
+function fitted(turned, lines) {
+  const seen = lens({ ...turned, zoom: 1 }, lines);
+  const off = lines.flatMap(({ kind, points }) => (kind === "robot" ? [] : points.flatMap(seen)));
+  const most = Math.max(...off.map((value) => Math.abs(value - SIZE / 2)), 1);
+  return { ...turned, zoom: (FILLED * SIZE) / (2 * most) };
+}
+
 function View({ lines }) {
   const svg = useRef(null);
   const fingers = useRef(new Map());
-  const [eye, setEye] = useState(FIRST);
+  const [eye, setEye] = useState(() => fitted(FIRST, lines));
   const turn = (yaw, pitch) =>
     setEye((now) => ({
       ...now,
@@ -181,7 +190,7 @@ function View({ lines }) {
     "+": () => zoom(STEP.zoom),
     "=": () => zoom(STEP.zoom),
     "-": () => zoom(1 / STEP.zoom),
-    0: () => setEye(FIRST),
+    0: () => setEye(fitted(FIRST, lines)),
   };
   const onKey = (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || !KEYS[event.key]) return;
@@ -191,7 +200,7 @@ function View({ lines }) {
   const seen = lens(eye, lines);
   return html`<div class="space-tools">
       ${Object.entries(VIEWS).map(
-        ([name, view]) => html`<button key=${name} onClick=${() => setEye(view)}>
+        ([name, view]) => html`<button key=${name} onClick=${() => setEye(fitted(view, lines))}>
           ${t(`space-from-${name}`)}
         </button>`,
       )}

@@ -5,6 +5,7 @@ import { ask, attempt, glance } from "../shared/api.js";
 import { holds, look, mayTake, offers, token, useFresh } from "../shared/live.js";
 import { Dialog, Shape, say } from "../shared/pieces.js";
 import { moment, t } from "../shared/texts.js";
+import { Care, Machine } from "./machine.js";
 import { People } from "./people.js";
 
 const releases = signal(null);
@@ -121,5 +122,7 @@ function Releases() {
 }
 
 export default () => html`<h1>${t("nav-system")}</h1>
+  ${mayTake.value && offers("machine") && html`<${Machine} />`}
   ${offers("releases") && html`<${Releases} />`}
+  ${mayTake.value && offers("backup") && html`<${Care} onRestored=${find} />`}
   <${People} />`;

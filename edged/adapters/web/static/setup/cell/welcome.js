@@ -1,6 +1,7 @@
 // What the cell has and lacks, and the next step as a big button.
-import { html } from "../../vendor/ui.js";
-import { cameras, cell, hasManual } from "../shared/live.js";
+import { html, useState } from "../../vendor/ui.js";
+import { ask, glance } from "../shared/api.js";
+import { cameras, cell, hasManual, mayTake, offers, useFresh } from "../shared/live.js";
 import { number, t } from "../shared/texts.js";
 import { isBuilt, next, STEPS, State } from "../steps.js";
 
@@ -15,6 +16,18 @@ const MANUAL = {
   robot: "robot-frame",
   plc: "plc",
 };
+
+// What edged doctor found the last time; the page System has it, and what helps.
+function Machine() {
+  const [found, setFound] = useState(null);
+  useFresh(() => glance(async () => setFound(await ask("GET", "machine"))));
+  const count = (verdict) => found.checks.filter((check) => check.verdict === verdict).length;
+  return html`<dt>${t("fact-machine")}</dt>
+    <dd>
+      ${found?.at ? t("fact-machine-found", { bad: count("bad"), warn: count("warn") }) : t("fact-machine-new")}${" "}
+      <a class="button" href="#/system">${t("fact-machine-look")}</a>
+    </dd>`;
+}
 
 export default function Welcome() {
   const { name, missing, rig, jobs, plc, error } = cell.value;
@@ -76,6 +89,7 @@ export default function Welcome() {
               : t("fact-no-plc")
           }
         </dd>
+        ${mayTake.value && offers("machine") && html`<${Machine} />`}
         ${error && html`<dt>${t("fact-error")}</dt><dd translate=${false}>${error}</dd>`}
       </dl>
     </section>

@@ -61,10 +61,14 @@ export async function ask(method, path, body) {
   const request = { method };
   if (method !== "GET") {
     const key = [...crypto.getRandomValues(new Uint32Array(4))].map((word) => word.toString(36)).join("");
-    request.headers = { "Content-Type": "application/json", "Idempotency-Key": key };
-    request.body = JSON.stringify(body ?? {});
+    const isFile = body instanceof Blob;
+    const type = isFile ? "application/octet-stream" : "application/json";
+    request.headers = { "Content-Type": type, "Idempotency-Key": key };
+    request.body = isFile ? body : JSON.stringify(body ?? {});
   }
   const answer = await send(path, request);
+  const [, name] = answer.headers.get("Content-Disposition")?.split('"') ?? [];
+  if (name) return new File([await answer.blob()], name);
   const isJson = /json/.test(answer.headers.get("Content-Type") ?? "");
   const document = isJson ? await answer.json() : {};
   if (answer.ok) return document;

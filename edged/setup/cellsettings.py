@@ -1,0 +1,205 @@
+"""Settings of the configuration, chosen on the page, tried by a reload, and put back where that fails."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from edged.adapters.web.routes import Answer, Call, Leased, route
+from edged.config.cameras import MODE_KEYS
+from edged.config.chosenconnections import chosen_connections
+from edged.config.chosensettings import CHOOSABLE, TRIGGER, Scalar, at, refuse_unknown
+from edged.config.configuration import Config
+from edged.config.tomltext import toml_of
+from edged.errors import UserError
+from edged.identity.visitors import Role
+from edged.setup.inuse import CellInUse
+from edged.setup.releases.service import Activation, Mandate
+
+ON_A_PAGE: Mapping[str, str] = {
+    **{f"cameras.{side}.{key}": "cameras" for side in ("left", "right") for key in ("device", "serial")},
+    **{f"cameras.{side}.{key}": "light" for side in ("left", "right") for key in ("exposure_us", "gain_db")},
+    **{
+        f"modbus.{key}": "plc"
+        for key in (
+            *("enabled", "host", "port", "unit_id", "word_order", "base_address", "convention"),
+            *("readers", "writers", "tls", "socket"),
+        )
+    },
+    **{
+        f"opcua.{key}": "plc"
+        for key in (
+            *("host", "port", "certificate", "key", "trusted", "user", "password_hash"),
+            *("anonymous", "readers"),
+        )
+    },
+    "cell.job": "jobs",
+}
+"""What a page of its own has, by its name or that of its section, and which."""
+NOT_HERE: Mapping[str, str] = {
+    "cell.name": "names",
+    "cell.rig": "names",
+    "cell.jobs": "names",
+    "recorder.folder": "names",
+    "web": "web",
+    "cameras.source": "wiring",
+    "cameras.folder": "wiring",
+    "cameras.left.strobe": "wiring",
+    "cameras.right.strobe": "wiring",
+    "cameras.left.features": "wiring",
+    "cameras.right.features": "wiring",
+    "modbus.serial": "wiring",
+    "modbus.reserved": "strangers",
+    "plc": "plc",
+    "zenoh.enabled": "strangers",
+    "zenoh.listen": "strangers",
+    "zenoh.connect": "strangers",
+    "zenoh.config_file": "strangers",
+    "zenoh.commands": "strangers",
+    "zenoh.shared_key": "strangers",
+    "limits": "bounds",
+    "registration": "bounds",
+}
+"""What only who writes the configuration may change, and the page's reason for it (`settings-not-...`)."""
+
+
+class Setting(Answer):
+    """One that can be chosen. value : in force. configured : in the file, else its default; null: left out.
+
+    low, high : bounds that are known. can_be_left_out : null is a value. modes : of the trigger that it
+    belongs to; empty: all. help : in English, as the manual has it.
+    """
+
+    name: str
+    kind: Literal["yes_no", "choice", "whole", "number", "text"]
+    options: list[str]
+    low: float | None
+    high: float | None
+    can_be_left_out: bool
+    modes: list[str]
+    help: str
+    value: Scalar | None
+    configured: Scalar | None
+    chosen: bool
+
+
+class SettingsNow(Answer):
+    """All of them, in the order of the configuration; and why others are not among them."""
+
+    settings: list[Setting]
+    not_here: dict[str, list[str]]
+
+
+class Choosing(Leased):
+    """All that is chosen, by dotted names; what is not named is as configured. null: left out."""
+
+    chosen: Annotated[
+        dict[str, Annotated[Scalar, Field(union_mode="left_to_right")] | None], Field(max_length=200)
+    ]
+
+
+class SettingsRoutes:
+    """The routes."""
+
+    def __init__(self, cell: CellInUse, activation: Activation) -> None:
+        self._cell = cell
+        self._activation = activation
+
+    @route("GET", "/settings", "Settings that can be chosen here, and what is in force", role=Role.VIEWER)
+    async def _settings(self, _call: Call[None]) -> SettingsNow:
+        return await asyncio.to_thread(self._now)
+
+    @route(
+        "PUT",
+        "/settings",
+        "Choose settings; the cell tries them, and keeps what was where that fails",
+        limit_bytes=32 * 1024,
+        audit=True,
+        needs_lease=True,
+        needs_password=True,
+    )
+    async def _choose(self, call: Call[Choosing]) -> SettingsNow:
+        try:
+            chosen = dict(refuse_unknown(call.body.chosen))
+        except ValueError as error:
+            raise UserError(str(error)) from None
+        call.trail.object = ", ".join(sorted(call.body.chosen))[:500]
+        before = await asyncio.to_thread(chosen_connections, self._cell.files.config.cell.rig)
+        wanted = before.model_copy(update={"settings": chosen})
+        by = Mandate(self._cell.session.holder, "settings", token=call.body.token)
+        await self._activation.keep_connections(wanted.content(), by)
+        return await asyncio.to_thread(self._now)
+
+    def _now(self) -> SettingsNow:
+        config = self._cell.files.config
+        file = toml_of(self._cell.files.contents["cell.toml"])
+        in_force = config.model_dump(mode="json", by_alias=True)
+        chosen = chosen_connections(config.cell.rig).settings
+        not_here: dict[str, list[str]] = {}
+        for name, reason in NOT_HERE.items():
+            not_here.setdefault(reason, []).append(name)
+        return SettingsNow(
+            settings=list(_settings_of(in_force, file, chosen)),
+            not_here=not_here,
+        )
+
+
+def _settings_of(
+    in_force: Mapping[str, Any], file: Mapping[str, Any], chosen: Mapping[str, Scalar | None]
+) -> Iterator[Setting]:
+    whole = Config.model_json_schema()
+    for name in CHOOSABLE:
+        section = name.partition(".")[0]
+        if in_force.get(section) is None:
+            continue
+        form = _form(whole, name)
+        written = at(file, name)
+        default = form.get("default")
+        yield Setting(
+            name=name,
+            modes=_modes(name),
+            help=str(form.get("description", "")),
+            value=at(in_force, name),
+            configured=default if written is None else written,
+            chosen=name in chosen,
+            **_kind(form),
+        )
+
+
+def _modes(name: str) -> list[str]:
+    section, _, key = name.rpartition(".")
+    if section != TRIGGER:
+        return []
+    return [mode for mode, keys in MODE_KEYS.items() if key in keys]
+
+
+def _form(whole: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """JSON schema of a setting."""
+    form: Mapping[str, Any] = whole
+    for key in name.split("."):
+        form = _resolved(whole, form)["properties"][key]
+    return dict(form)
+
+
+def _resolved(whole: Mapping[str, Any], form: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A section's schema, where it stands. One that may be left out is either that, or null."""
+    for part in (form, *form.get("anyOf", ())):
+        if "$ref" in part:
+            return dict(whole["$defs"][part["$ref"].rpartition("/")[2]])
+    return form
+
+
+def _kind(form: Mapping[str, Any]) -> dict[str, Any]:
+    """What can be entered."""
+    value = next((part for part in form.get("anyOf", ()) if part.get("type") != "null"), form)
+    kinds = {"boolean": "yes_no", "integer": "whole", "number": "number"}
+    return {
+        "kind": "choice" if "enum" in value else kinds.get(value["type"], "text"),
+        "options": value.get("enum", []),
+        "low": value.get("minimum", value.get("exclusiveMinimum")),
+        "high": value.get("maximum", value.get("exclusiveMaximum")),
+        "can_be_left_out": any(other.get("type") == "null" for other in form.get("anyOf", ())),
+    }

@@ -1,0 +1,144 @@
+"""/api/v1/machine, /backup, /support: findings and mending, an archive and back, a file for who helps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from aiohttp import web
+from pydantic import StringConstraints
+
+from edged.adapters.web.gate import chunks
+from edged.adapters.web.routes import Answer, Body, Call, Reason, Token, route
+from edged.errors import UserError
+from edged.setup.draftroutes import Nothing
+from edged.setup.machine.service import ArchiveSummary, Examination, MachineService
+from edged.setup.releases.routes import ReleaseDocument, document_of_release
+from edged.setup.releases.service import Mandate
+
+MOST_BYTES = 64 * 1024 * 1024
+"""The largest archive: one of a hundred jobs has a tenth of it."""
+Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
+
+
+class MachineCheck(Answer):
+    """A check of `edged doctor`. verdict : ok, warn, bad or skip. mend : see `edged.doctor.findings`."""
+
+    name: str
+    verdict: str
+    finding: str
+    consequence: str
+    remedy: str
+    mend: str
+
+
+class Findings(Answer):
+    """The last examination. at : when; null: none yet."""
+
+    at: str | None
+    checks: list[MachineCheck]
+
+
+class Mending(Body):
+    """What is to be done."""
+
+    what: Literal["reload", "secrets"]
+
+
+class Restoring(Body):
+    """The archive that was checked, and why; the token, while somebody has the cell.
+
+    signed : why it may become active though recorded cycles get worse by it, or were not tried.
+    """
+
+    digest: Digest
+    token: Token | None = None
+    note: Reason
+    signed: Reason | None = None
+
+
+class MachineRoutes:
+    """The routes."""
+
+    def __init__(self, machine: MachineService) -> None:
+        self._machine = machine
+
+    @route("GET", "/machine", "What edged doctor found on the machine the last time")
+    async def _last(self, _call: Call[None]) -> Findings:
+        return _findings(self._machine.last)
+
+    @route("POST", "/machine/examination", "Let edged doctor look again; no picture is taken")
+    async def _examine(self, _call: Call[Nothing]) -> Findings:
+        return _findings(await self._machine.examine())
+
+    @route(
+        "POST",
+        "/machine/mend",
+        "Do what a finding needs: read the cell's files again, or take those with secrets from other users",
+        audit=True,
+        needs_password=True,
+    )
+    async def _mend(self, call: Call[Mending]) -> Findings:
+        call.trail.object = call.body.what
+        return _findings(await self._machine.mend(call.body.what))
+
+    @route(
+        "POST",
+        "/backup",
+        "All that the cell stands on, as edged backup writes it, with the hashes of its passwords",
+        answer="application/gzip",
+        audit=True,
+        needs_password=True,
+    )
+    async def _back_up(self, _call: Call[Nothing]) -> web.Response:
+        return _file(*await self._machine.backup(), "application/gzip")
+
+    @route("PUT", "/backup", "Check an archive; its bytes are the body")
+    async def _check(self, call: Call[None]) -> ArchiveSummary:
+        archive = b"".join([chunk async for chunk in chunks(call.request, MOST_BYTES)])
+        if not archive:
+            raise UserError("an archive of no bytes")
+        return await self._machine.check_archive(archive)
+
+    @route(
+        "POST",
+        "/backup/activate",
+        "Let the cell run by rig, cameras and jobs of the archive that was checked; settings stay",
+        audit=True,
+        needs_password=True,
+    )
+    async def _restore(self, call: Call[Restoring]) -> ReleaseDocument:
+        body = call.body
+        call.trail.object, call.trail.before = body.digest, self._machine.fingerprint
+        if body.signed is not None:
+            call.trail.reason = f"{body.note}; signed: {body.signed}"
+        by = Mandate(call.visitor.name, body.note, body.signed, body.token)
+        release = await self._machine.restore(body.digest, by)
+        call.trail.after = release.fingerprint
+        return document_of_release(release, is_active=True)
+
+    @route(
+        "POST",
+        "/support",
+        "A file for who helps from afar: findings, configuration, figures; no picture, no password, no key",
+        answer="application/json",
+        audit=True,
+    )
+    async def _support(self, _call: Call[Nothing]) -> web.Response:
+        return _file(*await self._machine.support(), "application/json")
+
+
+def _findings(found: Examination | None) -> Findings:
+    if found is None:
+        return Findings(at=None, checks=[])
+    return Findings(at=found.at.isoformat(), checks=[MachineCheck(**_known(check)) for check in found.checks])
+
+
+def _known(check: Mapping[str, str]) -> dict[str, Any]:
+    """What the page has fields for: the command that found it may be another version."""
+    return {name: check.get(name, "") for name in MachineCheck.model_fields}
+
+
+def _file(name: str, content: bytes, kind: str) -> web.Response:
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return web.Response(body=content, content_type=kind, headers=headers)

@@ -1,0 +1,167 @@
+"""What people do for a cell's machine on its page: look at findings, mend, back up, restore, ask for help."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from edged import __version__
+from edged.config.chosenconnections import chosen_connections
+from edged.errors import FileFormatError, UserError
+from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.setup.cellfiles import CellFiles
+from edged.setup.documents import Frozen
+from edged.setup.inuse import CellInUse
+from edged.setup.releases.archive import MAX_BYTES, Backup, fits_map, make, restored, unpack
+from edged.setup.releases.releasefolder import Release
+from edged.setup.releases.service import Activation, Mandate
+
+UPLOADED = "uploaded.tar.gz"
+PLACE = "the archive"
+
+
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """Findings, in the order of the checks, and when."""
+
+    at: datetime
+    checks: Sequence[Mapping[str, str]]
+
+
+class ArchiveSummary(Frozen):
+    """An archive that was checked. digest : by which it is restored. left_out : files that are not in it.
+
+    jobs : their names. is_same : the cell runs by this already. fits_map : its PLC's program reads this
+    version's registers.
+    """
+
+    digest: str
+    cell: str
+    created: str
+    version: str
+    rig: str
+    jobs: list[str]
+    files: int
+    left_out: dict[str, str]
+    is_same: bool
+    fits_map: bool
+
+
+class MachineService:
+    """Serves one cell; used on the event loop."""
+
+    def __init__(self, cell: CellInUse, activation: Activation) -> None:
+        self._cell = cell
+        self._activation = activation
+        self.last: Examination | None = None
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the cell."""
+        return self._cell.files.fingerprint
+
+    async def examine(self) -> Examination:
+        """What `edged doctor` finds. Raises `CommandRefused`."""
+        checks = await self._cell.running.examine()
+        self.last = Examination(datetime.now(UTC), checks)
+        return self.last
+
+    async def mend(self, what: Literal["reload", "secrets"]) -> Examination:
+        """Do what a finding needs, and look again. Raises `SetupRefused`, `CommandRefused`, `UserError`."""
+        await self._cell.running.mend(what)
+        return await self.examine()
+
+    async def backup(self) -> tuple[str, bytes]:
+        """Name and content of an archive, proven by restoring it once. Raises `UserError`."""
+        made = await asyncio.to_thread(make, self._cell.path)
+        return f"{made.backup.cell}-{made.backup.created:%Y%m%d-%H%M}.tar.gz", made.archive
+
+    async def check_archive(self, archive: bytes) -> ArchiveSummary:
+        """Check an archive, every checksum of it, and keep it to be restored. Raises `FileFormatError`."""
+        return await asyncio.to_thread(self._checked, archive)
+
+    def _checked(self, archive: bytes) -> ArchiveSummary:
+        taken = unpack(archive, PLACE)
+        cell = restored(taken)
+        if cell.rig is None:
+            raise FileFormatError(f"{PLACE}: there is no calibration in it")
+        make_folders(self._cell.folder)
+        write_atomically(self._cell.folder / UPLOADED, archive, mode=0o600)
+        return ArchiveSummary(
+            digest=hashlib.sha256(archive).hexdigest(),
+            cell=taken.cell,
+            created=taken.created.isoformat(),
+            version=taken.version,
+            rig=cell.rig.calibration_id,
+            jobs=sorted(job.name for job in cell.jobs) if isinstance(cell, CellFiles) else [],
+            files=len(taken.files),
+            left_out=dict(taken.left_out),
+            is_same=taken.fingerprint == self._cell.files.fingerprint,
+            fits_map=fits_map(taken),
+        )
+
+    async def restore(self, digest: str, by: Mandate) -> Release:
+        """Let the cell run by rig, cameras and jobs of the archive that was checked last.
+
+        Raises as `Activation.activate`; `UserError` where another one was checked meanwhile.
+        """
+        await self._activation.check(by.token)
+        taken = await asyncio.to_thread(self._uploaded, digest)
+        release = await self._activation.activate_backup(taken, by)
+        (self._cell.folder / UPLOADED).unlink(missing_ok=True)
+        return release
+
+    def _uploaded(self, digest: str) -> Backup:
+        file = self._cell.folder / UPLOADED
+        archive = read_bytes(file, PLACE, MAX_BYTES) if file.exists() else b""
+        if hashlib.sha256(archive).hexdigest() != digest:
+            raise UserError(f"{PLACE}: another one was chosen meanwhile, or it was restored: choose it again")
+        return unpack(archive, PLACE)
+
+    async def support(self) -> tuple[str, bytes]:
+        """Name and content of a file for who helps from afar: no picture, no password and no key.
+
+        Raises `CommandRefused`.
+        """
+        found = self.last or await self.examine()
+        releases, active = await self._activation.listed()
+        now = datetime.now(UTC)
+        document = await asyncio.to_thread(self._document, found, releases, active, now)
+        name = f"{self._cell.files.config.cell.name}-support-{now:%Y%m%d-%H%M}.json"
+        return name, json.dumps(document, indent=1, default=str).encode()
+
+    def _document(
+        self, found: Examination, releases: Sequence[Release], active: int | None, now: datetime
+    ) -> dict[str, Any]:
+        files, summary = self._cell.files, self._cell.running.summary
+        chosen = chosen_connections(files.config.cell.rig).model_dump(mode="json")
+        if chosen["opcua"]:
+            chosen["opcua"].pop("password_hash", None)
+        rig = json.loads(files.contents.get("rig.json", b"{}"))
+        return {
+            "edged": __version__,
+            "python": platform.python_version(),
+            "system": platform.platform(),
+            "created": now.isoformat(),
+            "cell": files.config.cell.name,
+            "fingerprint": files.fingerprint,
+            "missing": summary.overview.missing,
+            "facts": summary.facts,
+            "jobs": summary.jobs,
+            "plc": None if summary.plc is None else asdict(summary.plc),
+            "configuration": files.contents["cell.toml"].decode("utf-8", "replace"),
+            "chosen": chosen,
+            "calibration": rig.get("quality"),
+            "active_release": active,
+            "releases": [
+                release.model_dump(mode="json", exclude={"digests", "pictures"}) for release in releases
+            ],
+            "examined": found.at.isoformat(),
+            "checks": found.checks,
+        }

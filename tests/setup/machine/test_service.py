@@ -1,0 +1,104 @@
+"""A backup made on the page restores the cell; what is no archive, or another one, changes nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from helpers.cellinuse import StillCell
+from helpers.smallcell import SmallCell
+from helpers.webcell import HASH
+
+from edged.config.chosenconnections import ChosenConnections, connections_file
+from edged.errors import FileFormatError, UserError
+from edged.files.rig import load_rig, rig_text
+from edged.link.summary import CellSummary
+from edged.setup.machine.service import MachineService
+from edged.setup.releases.archive import RigFiles, make
+from edged.setup.releases.releasefolder import ReleaseFolder
+from edged.setup.releases.service import Activation, Mandate
+
+ANNA = Mandate("Anna", "from the backup")
+
+
+class ExaminedCell(StillCell):
+    """A cell whose machine has one finding."""
+
+    summary = CellSummary(jobs=((1, "token"),))
+
+    async def examine(self) -> Sequence[Mapping[str, str]]:
+        """It."""
+        return [{"name": "clock", "verdict": "warn", "finding": "not synchronised"}]
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files of a complete cell."""
+    return SmallCell(tmp_path_factory.mktemp("cell"), source="virtual-inprocess").config.parent
+
+
+def machine_of(template: Path, folder: Path) -> tuple[MachineService, ExaminedCell]:
+    """Of a copy of the cell."""
+    shutil.copytree(template, folder)
+    running = ExaminedCell(folder / "cell.toml")
+    cell = running.in_use()
+    return MachineService(cell, Activation(ReleaseFolder(cell.folder / "releases"), cell)), running
+
+
+@pytest.mark.slow
+def test_a_backup_of_another_day_becomes_a_release(template: Path, tmp_path: Path) -> None:
+    """Its calibration is in use then, what was chosen meanwhile stays, and it is not restored twice."""
+    machine, running = machine_of(template, tmp_path / "cell")
+    rig = load_rig(running.files.config.cell.rig)
+    other = rig_text(replace(rig, calibration_id="cal-of-before"))
+    archive = make(running.path, RigFiles(other, None)).archive
+    chosen = ChosenConnections(settings={"cycle.period_s": 3.0})
+    connections_file(running.files.config.cell.rig).write_bytes(chosen.content() or b"")
+
+    async def restored() -> None:
+        summary = await machine.check_archive(archive)
+        assert ("cal-of-before", False, True) == (summary.rig, summary.is_same, summary.fits_map)
+        assert summary.jobs == sorted(job.name for job in running.in_use().jobs().values())
+        with pytest.raises(UserError, match="another one was chosen"):
+            await machine.restore("0" * 64, ANNA)
+        release = await machine.restore(summary.digest, ANNA)
+        assert ("Anna", "cal-of-before") == (release.author, release.rig)
+        with pytest.raises(UserError, match="another one was chosen"):
+            await machine.restore(summary.digest, ANNA)
+
+    asyncio.run(restored())
+    assert running.files.rig is not None
+    assert "cal-of-before" == running.files.rig.calibration_id
+    assert 3.0 == running.files.config.cycle.period_s
+
+
+@pytest.mark.slow
+def test_what_the_page_gives_is_what_it_takes(template: Path, tmp_path: Path) -> None:
+    """A download is an archive of the cell as it is, with a name of its own; one that is cut is refused."""
+    machine, _running = machine_of(template, tmp_path / "cell")
+    name, archive = asyncio.run(machine.backup())
+    assert name.endswith(".tar.gz")
+    assert asyncio.run(machine.check_archive(archive)).is_same
+    for broken in (archive[:-100], b"", b"{}", archive[:100] + b"x" + archive[101:]):
+        with pytest.raises(FileFormatError, match="the archive"):
+            asyncio.run(machine.check_archive(broken))
+
+
+@pytest.mark.slow
+def test_a_file_for_help_holds_no_secret(template: Path, tmp_path: Path) -> None:
+    """Findings, configuration and choices are in it, and of passwords not even a hash."""
+    machine, running = machine_of(template, tmp_path / "cell")
+    chosen = ChosenConnections(opcua={"password_hash": HASH, "anonymous": True})
+    connections_file(running.files.config.cell.rig).write_bytes(chosen.content() or b"")
+    name, told = asyncio.run(machine.support())
+    document = json.loads(told)
+    assert name.endswith(".json")
+    assert b"argon2id" not in told
+    assert "clock" == document["checks"][0]["name"]
+    assert "[cell]" in document["configuration"]
+    assert {"anonymous": True} == document["chosen"]["opcua"]

@@ -1,0 +1,94 @@
+"""What else the configuration can say, chosen on the page in a real browser, and what became of it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from helpers.browser import Browser, browser
+from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
+from helpers.stagecell import PASSWORD, Newcomer, run
+
+from edged.commands.stage import USER
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
+]
+PERIOD = '[name="cycle.period_s"]'
+CHOSEN = 'document.querySelectorAll(".setting button").length'
+
+
+async def choose(page: Browser, name: str, value: str) -> None:
+    """From a list, as its change is told."""
+    await page.value(
+        f"""{{ const list = document.querySelector('[name="{name}"]'); list.value = {json.dumps(value)};
+        list.dispatchEvent(new Event("change", {{ bubbles: true }})); }}"""
+    )
+
+
+async def use(page: Browser) -> None:
+    """What was entered, until the cell runs by it."""
+    await press(page, "Use these settings")
+    button = 'document.querySelector("main form > .actions .primary")'
+    await page.until(f'{button}.disabled && {button}.textContent.trim() === "Use these settings"')
+
+
+def test_a_setting_is_chosen_and_goes_back(tmp_path: Path) -> None:
+    """Twice and in any order; what fails changes nothing; connections that are chosen later leave it."""
+
+    async def test(newcomer: Newcomer) -> None:
+        def config():  # type: ignore[no-untyped-def]  # the daemon's, as it is now
+            return newcomer.daemon.loaded.cell.config
+
+        async with browser() as page:
+            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+            await take_over(page)
+            await go(page, "settings")
+            await page.until(f"document.querySelector('{PERIOD}')")
+            assert not await page.value("""document.querySelector('[name="cameras.trigger.line"]')""")
+            await page.type(PERIOD, "-1")
+            await page.until(said("Not a value for this"))
+            await page.type(PERIOD, "1,5")
+            await choose(page, "cameras.ptp", "false")
+            assert [] == await page.violations()
+            assert [] == await page.value(SMALL_TARGETS)
+            await use(page)
+            await page.until(f"{CHOSEN} === 2")
+            assert (1.5, False) == (config().cycle.period_s, config().cameras.ptp)
+
+            await page.value("document.querySelectorAll('form details').forEach((one) => (one.open = true))")
+            await page.type('[name="drift.warn_rows_px"]', "9")
+            await press(page, "Use these settings")
+            await page.until(said("warn_rows_px 9 is beyond invalid_rows_px 1"))
+            assert (1.5, 0.5) == (config().cycle.period_s, config().drift.warn_rows_px)
+            page.complaints.clear()  # of the refusal
+            await press(page, "Undo what was entered")
+            await press(page, "Understood")
+
+            await press(page, "As in the file: 0.2")
+            await page.until(f"{CHOSEN} === 1")
+            await use(page)
+            await page.until(f"{CHOSEN} === 1")
+            assert (0.2, False) == (config().cycle.period_s, config().cameras.ptp)
+
+            await go(page, "plc")
+            await page.until('document.querySelector("#plc-settings ~ details")')
+            await page.value('document.querySelector("#plc-settings ~ details").open = true')
+            await page.type("[name=writers]", "127.0.0.1/32")
+            await press(page, "Use these connections")
+            await page.until(said("As chosen on this page"))
+            await press(page, "As in the configuration file")
+            await page.until(said("As in the configuration file."))
+            assert config().cameras.ptp is False
+
+            await page.open(f"{newcomer.origin}/setup?pseudo#/settings", 360, 740)
+            await page.until(f"document.querySelector('{PERIOD}')")
+            await page.value("document.querySelectorAll('form details').forEach((one) => (one.open = true))")
+            assert [] == await page.value(UNTRANSLATED)
+            assert 0 == await page.value(TOO_WIDE)
+            assert [] == page.complaints
+
+    run(tmp_path, test, gige=False)
