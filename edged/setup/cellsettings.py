@@ -47,6 +47,8 @@ NOT_HERE: Mapping[str, str] = {
     "web": "web",
     "cameras.source": "wiring",
     "cameras.folder": "wiring",
+    "cameras.left.count": "wiring",
+    "cameras.right.count": "wiring",
     "cameras.left.strobe": "wiring",
     "cameras.right.strobe": "wiring",
     "cameras.left.features": "wiring",

@@ -105,7 +105,9 @@ function Address({ serial }) {
           onInput=${({ currentTarget }) => setWanted(currentTarget.value)}
         />
       </label>
-      <div class="actions"><button disabled=${!holds.value || !wanted.trim()}>${t("address-give")}</button></div>
+      <div class="actions">
+        <button disabled=${!holds.value || !wanted.trim()}>${t("address-give")}</button>
+      </div>
     </form>
   </details>`;
 }

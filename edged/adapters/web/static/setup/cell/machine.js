@@ -1,4 +1,4 @@
-// The machine under the cell: what edged doctor finds, with what helps; a backup and back; a file for who helps.
+// The machine under the cell: what edged doctor finds, with what helps; backups; a file for who helps.
 import { html, useState } from "../../vendor/ui.js";
 import { Releasing } from "../releases/releasing.js";
 import { ask, attempt, glance } from "../shared/api.js";
@@ -38,7 +38,9 @@ function Check({ check, isBusy, onMend }) {
         ${
           what
             ? html`<div class="actions">
-              <button type="button" disabled=${isBusy || (what === "address" && !holds.value)} onClick=${onMend}>
+              <button
+                type="button" disabled=${isBusy || (what === "address" && !holds.value)} onClick=${onMend}
+              >
                 ${t(`machine-mend-${what}`)}
               </button>
             </div>`
@@ -126,11 +128,17 @@ function Archive({ archive, onUse }) {
     <dl class="facts">
       <dt>${t("fact-rig")}</dt><dd translate=${false}>${rig}</dd>
       <dt>${t("fact-jobs")}</dt><dd translate=${false}>${jobs.join(", ") || "–"}</dd>
-      ${missing.length > 0 && html`<dt>${t("restore-left-out")}</dt><dd translate=${false}>${missing.join(", ")}</dd>`}
+      ${
+        missing.length > 0 &&
+        html`<dt>${t("restore-left-out")}</dt>
+          <dd translate=${false}>${missing.join(", ")}</dd>`
+      }
     </dl>
     ${!fitsMap && html`<p><${Shape} is="doubt" /> ${t("restore-map")}</p>`}
     ${isSame && html`<p><${Shape} is="tick" /> ${t("restore-same")}</p>`}
-    <div class="actions"><button class="primary" disabled=${isSame} onClick=${onUse}>${t("restore-use")}</button></div>`;
+    <div class="actions">
+      <button class="primary" disabled=${isSame} onClick=${onUse}>${t("restore-use")}</button>
+    </div>`;
 }
 
 export function Care({ onRestored }) {
@@ -184,7 +192,8 @@ export function Care({ onRestored }) {
       isAsked &&
       archive &&
       html`<${Releasing}
-        title=${t("restore-title")} label=${t("restore-use")} onClose=${() => setAsked(false)} onDone=${restored}
+        title=${t("restore-title")} label=${t("restore-use")}
+        onClose=${() => setAsked(false)} onDone=${restored}
         send=${(body) => ask("POST", "backup/activate", { ...body, digest: archive.digest })}
       >
         <p>${t("release-ask")}</p>

@@ -54,11 +54,15 @@ function Typed({ setting, value, onValue, onWrong }) {
     if (found !== undefined) onValue(found);
   };
   return html`<input
-      name=${setting.name} autocomplete="off" maxlength=${LETTERS} inputmode=${kind === "text" ? "text" : "decimal"}
-      placeholder=${isOptional ? t("settings-left-out") : ""} value=${typed ?? written(value)} aria-invalid=${isWrong}
+      name=${setting.name} autocomplete="off" maxlength=${LETTERS}
+      inputmode=${kind === "text" ? "text" : "decimal"}
+      placeholder=${isOptional ? t("settings-left-out") : ""}
+      value=${typed ?? written(value)} aria-invalid=${isWrong}
       onInput=${type} onBlur=${() => !isWrong && setTyped(null)}
     />
-    ${isWrong && html`<span class="wrong" role="alert"><${Shape} is="doubt" /> ${t("settings-wrong")}</span>`}`;
+    ${
+      isWrong && html`<span class="wrong" role="alert"><${Shape} is="doubt" /> ${t("settings-wrong")}</span>`
+    }`;
 }
 
 function Setting({ setting, value: entered, isChosen, onValue, onWrong }) {
@@ -79,7 +83,10 @@ function Setting({ setting, value: entered, isChosen, onValue, onWrong }) {
       isChosen &&
       html`<p>
         <${Shape} is="hand" /> ${t("settings-chosen")}${" "}
-        <button type="button" aria-label=${t("settings-back-name", { value, name })} onClick=${() => onValue(configured)}>
+        <button
+          type="button" aria-label=${t("settings-back-name", { value, name })}
+          onClick=${() => onValue(configured)}
+        >
           ${t("settings-back", { value })}
         </button>
       </p>`

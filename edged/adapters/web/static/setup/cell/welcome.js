@@ -24,7 +24,11 @@ function Machine() {
   const count = (verdict) => found.checks.filter((check) => check.verdict === verdict).length;
   return html`<dt>${t("fact-machine")}</dt>
     <dd>
-      ${found?.at ? t("fact-machine-found", { bad: count("bad"), warn: count("warn") }) : t("fact-machine-new")}${" "}
+      ${
+        found?.at
+          ? t("fact-machine-found", { bad: count("bad"), warn: count("warn") })
+          : t("fact-machine-new")
+      }${" "}
       <a class="button" href="#/system">${t("fact-machine-look")}</a>
     </dd>`;
 }
