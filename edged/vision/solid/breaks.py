@@ -55,19 +55,20 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     None where the pair does not show it there.
     """
     pyramids = Pyramids(images.rig, images.raw, BREAKS.levels)
-    known: list[tuple[float, RefinedForm]] = []
-    for width in BREAKS.tried_mm:
-        broken = with_breaks(model, np.full(len(model.start), width))
-        for laid in _laid_from(_starts(pose, width), broken, pyramids):
-            found = refined(broken, [LaidPair(images, pyramids, laid)])
-            if found is None:
-                continue
-            # a model with breaks can take the form of one without: it has to be better to be believed
-            cost = math.sqrt(found.misfit) * (1.0 if width == 0 else 1.0 + BREAKS.better)
-            known.append((cost, found))
-    if not known:
+    forms = [
+        form
+        for width in BREAKS.tried_mm
+        for start in _laid_from(_starts(pose, width), _all_broken(model, width), pyramids)
+        if (form := _refined_from(model, width, LaidPair(images, pyramids, start))) is not None
+    ]
+    if not forms:
         return None
-    found = _that_explains_most([form for _, form in sorted(known, key=lambda scored: scored[0])], pyramids)
+    found = min(forms, key=_cost)
+    if found.model.breaks_mm.any():
+        # those of a part are mostly alike: half of them explain less, and hold a pose where it is
+        width = float(np.median(found.model.breaks_mm[found.model.breaks_mm > 0]))
+        again = _refined_from(model, width, found.views[0])
+        found = found if again is None else min(found, again, key=_cost)
     if found.model.breaks_mm.any():
         found = _each_by_itself(found)
     pose = found.views[0].pose
@@ -107,21 +108,18 @@ def _is_same(model: EdgeModel, pose: FloatArray, other: FloatArray) -> bool:
     return apart < BREAKS.least_mm and turn_between(pose, other) * model.size_mm < BREAKS.least_mm
 
 
-def _that_explains_most(forms: Sequence[RefinedForm], pyramids: Pyramids) -> RefinedForm:
-    """The form with the least misfit, unless the picture shows edges that only a later one predicts.
+def _all_broken(model: EdgeModel, width_mm: float) -> EdgeModel:
+    return with_breaks(model, np.full(len(model.start), width_mm))
 
-    forms : by rising misfit, which says nothing of edges that a form does not have.
-    """
-    best = forms[0]
-    shapes = [grey.shape for grey in pyramids.grey[0]]
-    shown = evidence_of(best.model, pyramids, best.views[0].pose)
-    for other in forms[1:]:
-        if other.contradicts > BREAKS.most_misfit:
-            continue
-        theirs = evidence_of(other.model, pyramids, other.views[0].pose)
-        if margin_over(theirs, shown, shapes) > DECISION.certain:
-            best, shown = other, theirs
-    return best
+
+def _refined_from(model: EdgeModel, width_mm: float, view: LaidPair) -> RefinedForm | None:
+    return refined(_all_broken(model, width_mm), [view])
+
+
+def _cost(form: RefinedForm) -> float:
+    """What a form leaves, in px; with breaks a model can take the form of one without."""
+    share = 1.0 + BREAKS.better_whole if form.model.breaks_mm.any() else 1.0
+    return share * math.sqrt(form.cost)
 
 
 def _each_by_itself(found: RefinedForm) -> RefinedForm:

@@ -50,7 +50,8 @@ class RefinedForm:
 
     sigma_mm : of each curve's width.  sigma_common_mm : of all together.
     squares : of each pair (M,) the square misfit of each profile, px², at most 1, which is that of one that
-    shows nothing.  contradicts : mean of those that show something.
+    shows nothing.  contradicts : mean of those that show something.  cost : mean of all, where one that shows
+    nothing of an end of a break counts half: light shows either end as often as not.
     """
 
     model: EdgeModel
@@ -59,6 +60,7 @@ class RefinedForm:
     sigma_common_mm: float
     squares: tuple[FloatArray, ...]
     contradicts: float
+    cost: float
 
     @property
     def misfit(self) -> float:
@@ -107,19 +109,21 @@ def refined(
     if not all(len(each) for each in shown):
         return None
     contradicts = float(np.concatenate(shown).mean())
-    return RefinedForm(model, tuple(now), sigma, common, squares, contradicts)
+    cost = float(np.concatenate([np.where(good | (edge % 3 == 0), square, 0.5 * square)
+                                 for edge, square, good in found]).mean())  # fmt: skip
+    return RefinedForm(model, tuple(now), sigma, common, squares, contradicts, cost)
 
 
 def _misfits(
     model: EdgeModel, views: Sequence[LaidPair]
 ) -> tuple[npt.NDArray[np.int64], FloatArray, npt.NDArray[np.bool_]]:
-    """Curve, square misfit px², at most 1, of each profile (M,), and whether it shows anything."""
+    """Edge, square misfit px², at most 1, of each profile (M,), and whether it shows anything."""
     found = [view.profiles(model) for view in views]
-    curve = np.concatenate([profiles.seen.curve // 3 for profiles in found])
+    edge = np.concatenate([profiles.seen.curve for profiles in found])
     weight = np.concatenate([profiles.weight for profiles in found])
     shift = np.concatenate([profiles.shift_px for profiles in found])
     good = weight > BREAKS.min_weight
-    return curve, np.where(good, np.minimum(shift**2, 1.0), 1.0), good
+    return edge, np.where(good, np.minimum(shift**2, 1.0), 1.0), good
 
 
 def _without_needless(model: EdgeModel, views: Sequence[LaidPair]) -> EdgeModel:
@@ -136,8 +140,8 @@ def are_needed(with_own: FloatArray, without: FloatArray) -> npt.NDArray[np.bool
 
 def mean_misfits(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray:
     """(C,) mean square misfit of each curve's profiles, px²; 1 of one without any."""
-    curve, square, _ = _misfits(model, views)
-    count = int(model.chain.max()) + 1
+    edge, square, _ = _misfits(model, views)
+    curve, count = edge // 3, int(model.chain.max()) + 1
     many = np.bincount(curve, minlength=count)
     return np.where(many > 0, np.bincount(curve, square, minlength=count) / np.maximum(many, 1), 1.0)
 

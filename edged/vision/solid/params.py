@@ -317,7 +317,8 @@ class BreaksParams:
     most_misfit: float = 1 / 3
     """px² of the profiles that show something: half of what chance leaves, of shifts within 2 px that each
     count at most 1."""
-    better: float = 0.08  # by which breaks must lessen the misfit to be believed
+    better: float = 0.08  # by which breaks must lessen the misfit of a curve to be believed
+    better_whole: float = 0.2  # the same of the whole part, whose pose may move with them
     min_weight: float = 4.0  # 1 / px²
     model_px: float = 0.1  # of an edge against its model: grain, burrs, light
     min_sigma_px: float = 0.1  # of the robust scale
