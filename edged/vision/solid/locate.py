@@ -33,6 +33,7 @@ from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyram
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.solid.profiles import ProfileFit, best_fit
 from edged.vision.solid.symmetry import is_round, like_turns
+from edged.vision.solid.visible import moved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,8 +210,10 @@ def _of_likeliest_form(
         choice = likeliest_form(models_of(job), [view], _held(job, found.laid.model))
         if choice is None:
             return found
-        model = choice.form.model
+        model, is_doubtful = choice.form.model, choice.form.contradicts > BREAKS.most_misfit
         poses = [choice.form.views[0].pose, *(mode.pose for mode in place.modes)]
+        if is_doubtful:
+            poses += _leant(model, poses[0])
         laid = [lay(model, pyramids, pose, steps[-DECISION.rival_steps :]) for pose in poses]
         modes = tuple(mode for mode in laid if mode is not None)
         if not modes:
@@ -218,9 +221,16 @@ def _of_likeliest_form(
         again = weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model))
         before = found.laid.pose
         found = replace(again, between=choice.between[0], contradicts=choice.form.contradicts)
-        if turn_between(before, found.laid.pose) < DECISION.same_turn_rad:
+        if not is_doubtful and turn_between(before, found.laid.pose) < DECISION.same_turn_rad:
             break
     return found
+
+
+def _leant(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
+    """Poses that lean a little more to either side, for one askew between the edges of its breaks."""
+    twists = np.zeros((4, 6))
+    twists[[0, 1, 2, 3], [0, 0, 1, 1]] = DECISION.askew_rad * np.array([1.0, -1.0, 1.0, -1.0])
+    return [moved(model, pose, twist) for twist in twists]
 
 
 def _certain(seen: PoseEvidence, chosen: npt.NDArray[np.bool_] | None = None) -> float:
