@@ -74,7 +74,7 @@ def test_a_stranger_neither_sees_nor_moves_anything(tmp_path: Path) -> None:
                     asked.append((method, path))
                     async with stranger.request(method, path.replace("{side}", "left"), json={}) as answer:
                         assert 401 == answer.status, asked[-1]
-        assert 14 == len(asked)
+        assert 15 == len(asked)
 
     run(tmp_path, test)
 
