@@ -18,8 +18,9 @@ from edged.setup.cellfiles import exposed_secrets
 
 MOST_S = 60.0
 MOST_CHECKS, MOST_LETTERS = 200, 2000
-AGAIN_S, AT_ONCE = 5.0, 2.0
-"""A page may have so many examinations at once, and then one in so long: each takes a processor a second."""
+AGAIN_S, AT_ONCE = 5.0, 6.0
+"""A page may have six examinations one behind the other, as each mended finding asks for one, and then one in
+so long: each takes a processor a second."""
 
 
 class Examiner:
