@@ -9,12 +9,11 @@ from aiohttp import web
 from pydantic import StringConstraints
 
 from edged.adapters.web.gate import chunks
-from edged.adapters.web.routes import Answer, Body, Call, Reason, Token, route
+from edged.adapters.web.routes import Answer, Body, Call, route
 from edged.errors import UserError
 from edged.setup.draftroutes import Nothing
 from edged.setup.machine.service import ArchiveSummary, Examination, MachineService
-from edged.setup.releases.routes import ReleaseDocument, document_of_release
-from edged.setup.releases.service import Mandate
+from edged.setup.releases.routes import Activating, ReleaseDocument, document_of_release, signed_mandate
 
 MOST_BYTES = 64 * 1024 * 1024
 """The largest archive: one of a hundred jobs has a tenth of it."""
@@ -45,16 +44,10 @@ class Mending(Body):
     what: Literal["reload", "secrets"]
 
 
-class Restoring(Body):
-    """The archive that was checked, and why; the token, while somebody has the cell.
-
-    signed : why it may become active though recorded cycles get worse by it, or were not tried.
-    """
+class Restoring(Activating):
+    """Also the archive that was checked."""
 
     digest: Digest
-    token: Token | None = None
-    note: Reason
-    signed: Reason | None = None
 
 
 class MachineRoutes:
@@ -108,12 +101,9 @@ class MachineRoutes:
         needs_password=True,
     )
     async def _restore(self, call: Call[Restoring]) -> ReleaseDocument:
-        body = call.body
-        call.trail.object, call.trail.before = body.digest, self._machine.fingerprint
-        if body.signed is not None:
-            call.trail.reason = f"{body.note}; signed: {body.signed}"
-        by = Mandate(call.visitor.name, body.note, body.signed, body.token)
-        release = await self._machine.restore(body.digest, by)
+        digest = call.body.digest
+        call.trail.object, call.trail.before = digest, self._machine.fingerprint
+        release = await self._machine.restore(digest, signed_mandate(call))
         call.trail.after = release.fingerprint
         return document_of_release(release, is_active=True)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import model_validator
 
@@ -28,6 +28,9 @@ class Activating(Body):
     token: Token | None = None
     note: Reason
     signed: Reason | None = None
+
+
+AnyActivating = TypeVar("AnyActivating", bound=Activating)
 
 
 class Returning(Body):
@@ -147,7 +150,7 @@ def mandate(call: Call[Any], note: str, signed: str | None = None) -> Mandate:
     return Mandate(call.visitor.name, note, signed, call.body.token)
 
 
-def signed_mandate(call: Call[Activating]) -> Mandate:
+def signed_mandate(call: Call[AnyActivating]) -> Mandate:
     """With why recorded cycles may get worse, if somebody signs for it; the audit has it beside the note."""
     body = call.body
     if body.signed is not None:

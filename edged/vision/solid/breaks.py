@@ -55,19 +55,20 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     None where the pair does not show it there.
     """
     pyramids = Pyramids(images.rig, images.raw, BREAKS.levels)
-    forms = [
-        form
-        for width in BREAKS.tried_mm
-        for start in _laid_from(_starts(pose, width), _all_broken(model, width), pyramids)
-        if (form := _refined_from(model, width, LaidPair(images, pyramids, start))) is not None
-    ]
+    forms: list[RefinedForm] = []
+    for width in BREAKS.tried_mm:
+        broken = with_breaks(model, width)
+        tried = [
+            refined(broken, [view]) for view in _laid_from(_starts(pose, width), broken, images, pyramids)
+        ]
+        forms += [form for form in tried if form is not None]
     if not forms:
         return None
     found = min(forms, key=_cost)
     if found.model.breaks_mm.any():
         # those of a part are mostly alike: half of them explain less, and hold a pose where it is
         width = float(np.median(found.model.breaks_mm[found.model.breaks_mm > 0]))
-        again = _refined_from(model, width, found.views[0])
+        again = refined(with_breaks(model, width), found.views)
         found = found if again is None else min(found, again, key=_cost)
     if found.model.breaks_mm.any():
         found = _each_by_itself(found)
@@ -90,30 +91,24 @@ def _starts(pose: FloatArray, width_mm: float) -> list[FloatArray]:
     The lower edges of breaks have the model's radii: where curves were taught by those, they lie a width
     below where the model has them, and nothing about them says so.
     """
-    return [pose, pose @ transform(np.eye(3), np.array([0.0, 0.0, -width_mm]))][: 2 if width_mm else 1]
+    return [pose, pose @ transform(np.eye(3), np.array([0.0, 0.0, -width_mm]))]
 
 
-def _laid_from(starts: Sequence[FloatArray], model: EdgeModel, pyramids: Pyramids) -> list[FloatArray]:
-    """The poses that a model comes to from several starts, each once."""
-    found: list[FloatArray] = []
+def _laid_from(
+    starts: Sequence[FloatArray], model: EdgeModel, images: StereoImages, pyramids: Pyramids
+) -> list[LaidPair]:
+    """The pair at the poses that a model comes to from several starts, each once."""
+    found: list[LaidPair] = []
     for start in starts:
         laid = lay(model, pyramids, start, BREAKS.steps)
-        if laid is not None and not any(_is_same(model, laid.pose, other) for other in found):
-            found.append(laid.pose)
+        if laid is not None and not any(_is_same(model, laid.pose, other.pose) for other in found):
+            found.append(LaidPair(images, pyramids, laid.pose))
     return found
 
 
 def _is_same(model: EdgeModel, pose: FloatArray, other: FloatArray) -> bool:
     apart = float(np.linalg.norm(apply(pose, model.centre) - apply(other, model.centre)))
     return apart < BREAKS.least_mm and turn_between(pose, other) * model.size_mm < BREAKS.least_mm
-
-
-def _all_broken(model: EdgeModel, width_mm: float) -> EdgeModel:
-    return with_breaks(model, np.full(len(model.start), width_mm))
-
-
-def _refined_from(model: EdgeModel, width_mm: float, view: LaidPair) -> RefinedForm | None:
-    return refined(_all_broken(model, width_mm), [view])
 
 
 def _cost(form: RefinedForm) -> float:
@@ -140,12 +135,7 @@ def _each_by_itself(found: RefinedForm) -> RefinedForm:
 
 def _likeliest_widths(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray:
     """(E,) the width of a grid that each curve's profiles fit best; 0 where none explains them as well."""
-    costs = np.array(
-        [
-            mean_misfits(with_breaks(model, np.full(len(model.start), width)), views)
-            for width in BREAKS.grid_mm
-        ]
-    )
+    costs = np.array([mean_misfits(with_breaks(model, width), views) for width in BREAKS.grid_mm])
     best = np.where(are_needed(costs.min(axis=0), costs[0]), costs.argmin(axis=0), 0)
     return np.array(BREAKS.grid_mm)[best][model.chain]
 
@@ -153,7 +143,7 @@ def _likeliest_widths(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray
 def likeliest(images: StereoImages, model: EdgeModel, poses: Sequence[FloatArray]) -> int | None:
     """Which of several rig_from_part (4, 4), good to a millimetre, a pair shows; None: it does not tell."""
     pyramids = Pyramids(images.rig, images.raw, BREAKS.levels)
-    model = with_breaks(model, np.full(len(model.start), BREAKS.usual_mm))
+    model = with_breaks(model, BREAKS.usual_mm)
     laid = [lay(model, pyramids, pose, BREAKS.steps) for pose in poses]
     seen = {k: evidence_of(model, pyramids, trial.pose) for k, trial in enumerate(laid) if trial is not None}
     shapes = [image.shape for image in images.raw]

@@ -109,8 +109,8 @@ def refined(
     if not all(len(each) for each in shown):
         return None
     contradicts = float(np.concatenate(shown).mean())
-    cost = float(np.concatenate([np.where(good | (edge % 3 == 0), square, 0.5 * square)
-                                 for edge, square, good in found]).mean())  # fmt: skip
+    costs = [np.where(good | (edge % 3 == 0), square, 0.5 * square) for edge, square, good in found]
+    cost = float(np.concatenate(costs).mean())
     return RefinedForm(model, tuple(now), sigma, common, squares, contradicts, cost)
 
 
@@ -128,7 +128,7 @@ def _misfits(
 
 def _without_needless(model: EdgeModel, views: Sequence[LaidPair]) -> EdgeModel:
     """The model without the breaks of curves that a sharp edge explains as well."""
-    sharp = with_breaks(model, np.zeros(len(model.start)))
+    sharp = with_breaks(model, 0.0)
     with_own, without = (mean_misfits(variant, views) for variant in (model, sharp))
     return with_breaks(model, np.where(are_needed(with_own, without)[model.chain], model.breaks_mm, 0.0))
 
@@ -146,8 +146,8 @@ def mean_misfits(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray:
     return np.where(many > 0, np.bincount(curve, square, minlength=count) / np.maximum(many, 1), 1.0)
 
 
-def with_breaks(model: EdgeModel, widths_mm: FloatArray) -> EdgeModel:
-    """The model with edge breaks of widths (E,) at its sharp outer edges."""
+def with_breaks(model: EdgeModel, widths_mm: FloatArray | float) -> EdgeModel:
+    """The model with edge breaks of widths (E,), or all of one, at its sharp outer edges."""
     widths = np.where(model.breakable, np.clip(widths_mm, 0.0, BREAKS.most_mm), 0.0)
     return replace(model, breaks_mm=np.where(widths < BREAKS.least_mm, 0.0, widths))
 

@@ -228,9 +228,8 @@ def _of_likeliest_form(
 
 def _leant(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
     """Poses that lean a little more to either side, for one askew between the edges of its breaks."""
-    twists = np.zeros((4, 6))
-    twists[[0, 1, 2, 3], [0, 0, 1, 1]] = DECISION.askew_rad * np.array([1.0, -1.0, 1.0, -1.0])
-    return [moved(model, pose, twist) for twist in twists]
+    twists = 0.5 * DECISION.same_turn_rad * np.eye(6)[:2]  # about the part's x and y
+    return [moved(model, pose, way * twist) for twist in twists for way in (1.0, -1.0)]
 
 
 def _certain(seen: PoseEvidence, chosen: npt.NDArray[np.bool_] | None = None) -> float:

@@ -27,7 +27,7 @@ from edged.vision.solid.visible import (
     PartView,
     VisibleSamples,
     find_neighbours,
-    hidden_samples,
+    hidden_from,
     moved,
     samples_at,
     see,
@@ -125,7 +125,7 @@ class Occlusion:
         """(N,) of each camera; as found before, for the same samples at the same level."""
         if samples is not self._samples or level != self._level:
             self._level, self._samples = level, samples
-            self._hidden = [hidden_samples(model, samples, view, buffer_px) for view in views]
+            self._hidden = [hidden_from(model, samples.points, view, buffer_px) for view in views]
         return self._hidden
 
 
@@ -137,9 +137,7 @@ def seen_by(
     samples = samples_at(model, scale_at(pyramids.rig, pose, model) / 2**level, spacing_px)
     buffer_px = VISIBILITY.buffer_px[min(level, len(VISIBILITY.buffer_px) - 1)]
     views = [pyramids.cameras[level].view(k, model, pose) for k in (0, 1)]
-    if occlusion is None:
-        return [see(model, samples, view, buffer_px) for view in views]
-    hidden = occlusion.of(model, samples, views, level, buffer_px)
+    hidden = (None, None) if occlusion is None else occlusion.of(model, samples, views, level, buffer_px)
     return [see(model, samples, views[k], buffer_px, hidden[k]) for k in (0, 1)]
 
 

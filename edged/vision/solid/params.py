@@ -283,7 +283,6 @@ class DecisionParams:
     plain: float = 0.9
     """Agreement of both cameras from which a pose that some curves gave is that of all."""
     same_turn_rad: float = math.radians(3.0)  # between two poses that are one
-    askew_rad: float = math.radians(1.5)  # half of that
     likely: float = 0.01  # of all forms of a part's breaks, below which one is none of those meant
 
 

@@ -121,13 +121,9 @@ def see(
     count = len(samples.points)
     facing, walled = np.empty(count, np.bool_), np.empty(count, np.bool_)
     find_facing(samples, view, facing, walled)
-    if hidden is not None:
-        rows = np.flatnonzero(facing & ~hidden)
-    else:
-        rows = np.flatnonzero(facing)
-        if len(rows) and len(model.triangles):
-            points = samples.points[rows]
-            rows = rows[~hidden_points(model.vertices, model.triangles, points, view.eye, buffer_px)]
+    rows = np.flatnonzero(facing if hidden is None else facing & ~hidden)
+    if hidden is None:
+        rows = rows[~hidden_from(model, samples.points[rows], view, buffer_px)]
     seen = VisibleSamples(
         rows, np.empty((len(rows), 2)), np.empty((len(rows), 2)), np.empty((len(rows), 6)),
         np.empty(len(rows)), samples.curve[rows], walled[rows],
@@ -137,11 +133,11 @@ def see(
     return seen if kept.all() else VisibleSamples._make(field[kept] for field in seen)
 
 
-def hidden_samples(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -> B64:
-    """(N,) which samples the part's own surface hides from a camera."""
-    if not len(model.triangles):
-        return np.zeros(len(samples.points), np.bool_)
-    return hidden_points(model.vertices, model.triangles, samples.points, view.eye, buffer_px)
+def hidden_from(model: EdgeModel, points: FloatArray, view: PartView, buffer_px: int) -> B64:
+    """(N,) which points (N, 3) the part's own surface hides from a camera."""
+    if not len(points) or not len(model.triangles):
+        return np.zeros(len(points), np.bool_)
+    return hidden_points(model.vertices, model.triangles, points, view.eye, buffer_px)
 
 
 def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> EdgePoints:

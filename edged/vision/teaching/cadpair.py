@@ -76,7 +76,7 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     if body is None:
         return None
     sharp = model_of(body)
-    model = with_breaks(sharp, np.full(len(sharp.start), BREAKS.usual_mm))
+    model = with_breaks(sharp, BREAKS.usual_mm)
     place = _where_axes_meet(images)
     distance = float(np.linalg.norm(place))
     distances = distance / CAD.taught_range, distance * CAD.taught_range
