@@ -71,7 +71,7 @@ def locate_solid(
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
         found = weighed(pyramids, place, lambda model: _turns(job, model))
-        if job.body is None and found.certain > 0:
+        if job.body is None and found.certain > DECISION.worth_forms:
             found = _of_likeliest_form(images, job, found, place, pyramids)
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # not by the edges of another part

@@ -112,12 +112,15 @@ def profiles_of(
             PROFILE.reach_px,
             near,
         )
-        some = slice(None, None, PROFILE.every)
-        seen = VisibleSamples._make(np.ascontiguousarray(field[some]) for field in dense)
-        near = np.ascontiguousarray(near[some])
-        grey, _ = edge_profiles(images.raw[k], seen.pixels, seen.normals, PROFILE.half_px, PROFILE.step_px)
-        found = [np.zeros(len(seen.row)) for _ in range(3)]
-        find_shifts(grey, seen.curve, near, blur_px, PROFILE.together, *found)
+        # by their numbers: the same ones again where a little more or less of the part is seen
+        read = np.flatnonzero(dense.row % PROFILE.every == 0)
+        grey, _ = edge_profiles(
+            images.raw[k], dense.pixels[read], dense.normals[read], PROFILE.half_px, PROFILE.step_px
+        )
+        chosen = np.flatnonzero(dense.row[read] % (PROFILE.every * PROFILE.fitted) == 0)
+        seen = VisibleSamples._make(np.ascontiguousarray(field[read[chosen]]) for field in dense)
+        found = [np.zeros(len(chosen)) for _ in range(3)]
+        find_shifts(grey, dense.curve[read], chosen, near[read[chosen]], blur_px, PROFILE.together, *found)
         return seen, found
 
     left, right = for_both(measured)
@@ -432,93 +435,112 @@ def _edge_step(x: float) -> float:
     return low + (place - row) * (high - low)
 
 
-@kernel("f8(f8[::1], f8[::1], i8, f8, f8, f8[:, ::1], f8[:, ::1], f8[::1])")
-def misfit(
-    grey: F64, edges: F64, many: int, shift: float, blur: float, terms: F64, normal: F64, height: F64
-) -> float:
-    """Square sum that blurred steps at edges + shift leave of a profile, their heights fitted to height.
+@kernel("void(f8[::1], i8, f8, f8, f8[:, ::1])")
+def fill_steps(edges: F64, many: int, shift: float, blur: float, terms: F64) -> None:
+    """Fill terms[1 : many + 1] (S,) with blurred steps at edges + shift, at places STEP_PX apart about 0."""
+    size = terms.shape[1]
+    for e in range(many):
+        at = edges[e] + shift
+        for s in range(size):
+            x = (STEP_PX * (s - size // 2) - at) / blur
+            terms[e + 1, s] = 0.0 if x < -STEP_END else (1.0 if x > STEP_END else _edge_step(x))
 
-    grey (S,) : at places STEP_PX apart about 0.  edges (many,).  terms, normal, height : buffers.
+
+@kernel("f8(f8[::1], f8, f8[:, ::1], i8, i8, f8[:, ::1], f8[::1])")
+def misfit(grey: F64, square: float, terms: F64, many: int, first: int, normal: F64, height: F64) -> float:
+    """Square sum that steps leave of a profile, their heights (size of terms) fitted to height.
+
+    grey (S,), square : its square sum.  terms (many + 1, S or more) : a constant and steps, from column
+    first on.  normal, height : buffers.
     """
     count, size = len(grey), many + 1
-    middle = count // 2
-    for s in range(count):
-        terms[s, 0] = 1.0
-        for e in range(many):
-            x = (STEP_PX * (s - middle) - edges[e] - shift) / blur
-            terms[s, e + 1] = 0.0 if x < -6.0 else (1.0 if x > 6.0 else _edge_step(x))
     for i in range(size):
-        height[i] = 0.0
+        one = terms[i, first : first + count]
+        total = 0.0
         for s in range(count):
-            height[i] += terms[s, i] * grey[s]
+            total += one[s] * grey[s]
+        height[i] = total
         for j in range(i + 1):
+            other = terms[j, first : first + count]
             total = DAMPING if i == j else 0.0
             for s in range(count):
-                total += terms[s, i] * terms[s, j]
+                total += one[s] * other[s]
             normal[i, j] = total
+    right = height[:size].copy()
     factorise(normal, size)
     substitute(normal, height, size)
-    result = 0.0
-    for s in range(count):
-        left = grey[s]
-        for i in range(size):
-            left -= terms[s, i] * height[i]
-        result += left * left
-    return result
+    for i in range(size):  # of (N + d) h = r: |g|^2 - 2 h r + h N h
+        square -= height[i] * (right[i] + DAMPING * height[i])
+    return max(square, 0.0)
 
 
-@kernel("void(f8[:, ::1], i8[::1], f8[:, ::1], f8, i8, f8[::1], f8[::1], f8[::1])")
+@kernel("f8(f8[::1], f8, f8[::1], i8, f8, f8, f8[:, ::1], f8[:, ::1], f8[::1])")
+def misfit_at(
+    grey: F64, square: float, edges: F64, many: int, shift: float, blur: float,
+    terms: F64, normal: F64, height: F64,
+) -> float:  # fmt: skip
+    """`misfit` of blurred steps at edges + shift."""
+    fill_steps(edges, many, shift, blur, terms)
+    return misfit(grey, square, terms, many, 0, normal, height)
+
+
+@kernel("void(f8[:, ::1], i8[::1], i8[::1], f8[:, ::1], f8, i8, f8[::1], f8[::1], f8[::1])")
 def find_shifts(
-    profiles: F64, curve: I64, near: F64, blur: float, together: int, shift: F64, weight: F64, height: F64
-) -> None:
-    """Fill shift (M,), px, weight (M,), 1 / px², and height (M,) from profiles (M, S).
+    profiles: F64, curve: I64, chosen: I64, near: F64, blur: float, together: int,
+    shift: F64, weight: F64, height: F64,
+) -> None:  # fmt: skip
+    """Fill shift (M,), px, weight (M,), 1 / px², and height (M,) of chosen (M,) ones of profiles (N, S).
 
-    near (M, 4) : offsets of neighbouring edges, NaN where there are fewer.  together : profiles on either
-    side along the same curve that are averaged. weight 0: the best shift lies at the end of the search.
+    curve (N,).  near (M, 4) : offsets of neighbouring edges, NaN where there are fewer.  together : profiles
+    on either side along the same curve that are averaged. weight 0: the best shift lies at the end of the
+    search.
     """
     count, size = profiles.shape
     grey, edges = np.empty(size), np.empty(EDGES)
-    terms, normal, steps = np.empty((size, EDGES + 1)), np.empty((EDGES + 1, EDGES + 1)), np.empty(EDGES + 1)
     half = STEP_PX * (size // 2)
-    grid = round(WIDEST_PX / 0.5)
-    for m in range(count):
-        first, last = m, m
-        while first > 0 and m - first < together and curve[first - 1] == curve[m]:
+    grid = round(WIDEST_PX / STEP_PX)
+    terms, wide = np.ones((EDGES + 1, size)), np.ones((EDGES + 1, size + 2 * grid))
+    normal, steps = np.empty((EDGES + 1, EDGES + 1)), np.empty(EDGES + 1)
+    for m in range(len(chosen)):
+        own = chosen[m]
+        first, last = own, own
+        while first > 0 and own - first < together and curve[first - 1] == curve[own]:
             first -= 1
-        while last < count - 1 and last - m < together and curve[last + 1] == curve[m]:
+        while last < count - 1 and last - own < together and curve[last + 1] == curve[own]:
             last += 1
-        bad = False
+        square = 0.0
         for s in range(size):
             total = 0.0
             for n in range(first, last + 1):
                 total += profiles[n, s]
             grey[s] = total / (last - first + 1)
-            bad |= not np.isfinite(grey[s])
-        if bad:
+            square += grey[s] * grey[s]
+        if not np.isfinite(square):
             continue
         edges[0], many = 0.0, 1
         for k in range(EDGES - 1):
             if np.isfinite(near[m, k]) and abs(near[m, k]) < half + WIDEST_PX:
                 edges[many] = near[m, k]
                 many += 1
+        fill_steps(edges, many, 0.0, blur, wide)  # shifted by whole steps these are the steps of the grid
         least, at = np.inf, 0
         for g in range(-grid, grid + 1):
-            value = misfit(grey, edges, many, 0.5 * g, blur, terms, normal, steps)
+            value = misfit(grey, square, wide, many, grid - g, normal, steps)
             if value < least:
                 least, at = value, g
         if abs(at) == grid:
             continue
-        d = 0.5 * at
+        d = STEP_PX * at
         for h in (0.25, 0.12):
-            before = misfit(grey, edges, many, d - h, blur, terms, normal, steps)
-            here = misfit(grey, edges, many, d, blur, terms, normal, steps)
-            after = misfit(grey, edges, many, d + h, blur, terms, normal, steps)
+            before = misfit_at(grey, square, edges, many, d - h, blur, terms, normal, steps)
+            here = misfit_at(grey, square, edges, many, d, blur, terms, normal, steps)
+            after = misfit_at(grey, square, edges, many, d + h, blur, terms, normal, steps)
             bend = before - 2 * here + after
             if bend > 1e-9:
                 d += min(max(0.5 * h * (before - after) / bend, -h), h)
-        before = misfit(grey, edges, many, d - 0.25, blur, terms, normal, steps)
-        after = misfit(grey, edges, many, d + 0.25, blur, terms, normal, steps)
-        here = misfit(grey, edges, many, d, blur, terms, normal, steps)
+        before = misfit_at(grey, square, edges, many, d - 0.25, blur, terms, normal, steps)
+        after = misfit_at(grey, square, edges, many, d + 0.25, blur, terms, normal, steps)
+        here = misfit_at(grey, square, edges, many, d, blur, terms, normal, steps)
         shift[m], height[m] = d, steps[1]
         curvature = max((before - 2 * here + after) / 0.0625, 0.0)
         weight[m] = min(0.5 * curvature / (here / (size - 3) + 0.5), 400.0)
