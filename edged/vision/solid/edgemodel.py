@@ -78,6 +78,20 @@ class EdgePoints(NamedTuple):
     sharp: B1
 
 
+EDGES = 3
+"""Of a curve: itself where it is unbroken, and both ends of its break."""
+
+
+def chains_of(curve: I64) -> I64:
+    """(N,) numbers in `EdgeModel.chain` of edges (N,) that are numbered as in `EdgePoints`."""
+    return np.asarray(curve // EDGES)
+
+
+def are_unbroken(curve: I64) -> npt.NDArray[np.bool_]:
+    """(N,) which edges (N,) that are numbered as in `EdgePoints` are no ends of a break."""
+    return np.asarray(curve % EDGES == 0)
+
+
 def model_of(body: PartBody) -> EdgeModel:
     """The edges of a part's surface."""
     sides, beside = body.sides
@@ -229,7 +243,7 @@ def _along(model: EdgeModel, rows: I64, side: int | None, spacing_mm: float) -> 
         by_break = np.zeros((len(rows), 3)) if model.upwards is None else model.upwards[rows]
     shift = model.breaks_mm[rows, None] * by_break
     start, end = model.start[rows] + shift, model.end[rows] + shift
-    curve = model.chain[rows] * 3 + (0 if side is None else side + 1)
+    curve = model.chain[rows] * EDGES + (0 if side is None else side + 1)
     length = np.linalg.norm(end - start, axis=1)
     total = np.cumsum(length)
     new = np.r_[True, curve[1:] != curve[:-1]][: len(rows)]

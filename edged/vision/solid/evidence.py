@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of
 from edged.vision.solid.lock import MOST, Pyramids, find_edges, seen_by
 from edged.vision.solid.params import EVIDENCE, LOCK
 from edged.vision.solid.visible import find_neighbours
@@ -51,8 +51,7 @@ class PoseEvidence:
         counts = np.diff(np.r_[first, len(rows)])
         share = np.add.reduceat(self.hit[rows].astype(np.float64), first) / counts
         chance = np.clip(np.add.reduceat(self.chance[rows], first) / counts, 0.02, 0.95)
-        alone = self.curve[rows[first]] % 3 == 0
-        shows = np.where(alone, EVIDENCE.shown, EVIDENCE.shown_of_two)
+        shows = np.where(are_unbroken(self.curve[rows[first]]), EVIDENCE.shown, EVIDENCE.shown_of_two)
         hit = shows * EVIDENCE.found + (1 - shows) * chance
         whole = counts / EVIDENCE.block
         return np.asarray(
@@ -61,7 +60,7 @@ class PoseEvidence:
 
     def present(self) -> float:
         """Share of the model's curves that the pictures rather show than not, both edges of each together."""
-        numbers = self.curve // 3
+        numbers = chains_of(self.curve)
         sums = [float(self.log_ratio(numbers == number).sum()) for number in np.unique(numbers)]
         return float(np.mean(np.array(sums) > 0)) if sums else 0.0
 

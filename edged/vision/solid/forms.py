@@ -18,7 +18,7 @@ from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, rotation_vector
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
-from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of
 from edged.vision.solid.lock import Pyramids, lay, scale_at, schedule
 from edged.vision.solid.params import BREAKS, DECISION, PROFILE
 from edged.vision.solid.profiles import Profiles, pose_by_profiles, profiles_of
@@ -109,7 +109,7 @@ def refined(
     if not all(len(each) for each in shown):
         return None
     contradicts = float(np.concatenate(shown).mean())
-    costs = [np.where(good | (edge % 3 == 0), square, 0.5 * square) for edge, square, good in found]
+    costs = [np.where(good | are_unbroken(edge), square, 0.5 * square) for edge, square, good in found]
     cost = float(np.concatenate(costs).mean())
     return RefinedForm(model, tuple(now), sigma, common, squares, contradicts, cost)
 
@@ -141,7 +141,7 @@ def are_needed(with_own: FloatArray, without: FloatArray) -> npt.NDArray[np.bool
 def mean_misfits(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray:
     """(C,) mean square misfit of each curve's profiles, px²; 1 of one without any."""
     edge, square, _ = _misfits(model, views)
-    curve, count = edge // 3, int(model.chain.max()) + 1
+    curve, count = chains_of(edge), int(model.chain.max()) + 1
     many = np.bincount(curve, minlength=count)
     return np.where(many > 0, np.bincount(curve, square, minlength=count) / np.maximum(many, 1), 1.0)
 
@@ -158,7 +158,7 @@ def widths_by_profiles(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[Flo
     power, pull = np.zeros(count), np.zeros(count)
     for view in views:
         profiles = view.profiles(model)
-        curve, by_break = profiles.seen.curve // 3, profiles.by_width
+        curve, by_break = chains_of(profiles.seen.curve), profiles.by_width
         shift, base = profiles.shift_px, profiles.weight
         weight = np.where(
             (np.abs(by_break) > 0) & (base > BREAKS.min_weight),

@@ -19,23 +19,15 @@ from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
-from edged.vision.kernels.cholesky import factorise, substitute
-from edged.vision.kernels.jit import for_both, kernel
+from edged.vision.kernels.jit import for_both
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, mad_sigma, tukey_weights
-from edged.vision.solid.edgemodel import EdgeModel, EdgePoints
+from edged.vision.solid.edgemodel import EdgeModel, EdgePoints, are_unbroken, chains_of
 from edged.vision.solid.lock import Pyramids, scale_at
 from edged.vision.solid.params import PROFILE, VISIBILITY
+from edged.vision.solid.shifts import NEAR, find_shifts
 from edged.vision.solid.visible import VisibleSamples, find_neighbours, moved, samples_at, see
 
-F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
-
-# numba freezes globals when it compiles: kernels read these by name
-STEP_PX = PROFILE.step_px
-WIDEST_PX = PROFILE.widest_px
-DAMPING = PROFILE.damping
-EDGES = 5
-"""Steps of a profile: a sample's own edge, and two neighbours on either side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,12 +49,12 @@ class Profiles:
     @property
     def by_width(self) -> FloatArray:
         """(M,) px / mm by the width of the break that an edge belongs to; 0 of one without."""
-        return np.where(self.seen.curve % 3 != 0, self.seen.by_break, 0.0)
+        return np.where(are_unbroken(self.seen.curve), 0.0, self.seen.by_break)
 
     @property
     def unseen(self) -> FloatArray:
         """(M, 1) px by which edges shift if light shows the upper ends of breaks that nobody has seen."""
-        return np.where(self.seen.curve % 3 == 0, PROFILE.unseen_mm * self.seen.by_break, 0.0)[:, None]
+        return np.where(are_unbroken(self.seen.curve), PROFILE.unseen_mm * self.seen.by_break, 0.0)[:, None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +94,7 @@ def profiles_of(
     def measured(k: int) -> tuple[VisibleSamples, list[FloatArray]]:
         """What one camera sees, and shift, weight and height of it."""
         dense = see(model, samples, pyramids.cameras[0].view(k, model, pose), VISIBILITY.buffer_px[0])
-        near = np.empty((len(dense.row), EDGES - 1))
+        near = np.empty((len(dense.row), NEAR))
         find_neighbours(
             dense.pixels,
             dense.normals,
@@ -239,7 +231,7 @@ def adjusted_to(
     variance = 1 / np.maximum(base, 1e-9) + PROFILE.model_px**2
     stretch = np.zeros(len(shift), np.int64)
     if not alike:
-        _, stretch = np.unique(2 * (profiles.seen.curve // 3) + profiles.seen.walled, return_inverse=True)
+        _, stretch = np.unique(2 * chains_of(profiles.seen.curve) + profiles.seen.walled, return_inverse=True)
     delta = np.zeros(design.shape[1])
     weights = np.where(good, 1 / variance, 0.0)
     for number in range(PROFILE.rounds):
@@ -287,7 +279,7 @@ def _with_covariance(
     excess = max(float(np.trace(edges @ np.linalg.inv(inverse[:, :6]))) / 6, 1.0)
     by_breaks = model.sigma_break_mm * profiles.by_width[None]
     if model.sigma_own_mm:
-        curve = profiles.seen.curve // 3
+        curve = chains_of(profiles.seen.curve)
         by_own = np.zeros((int(curve.max()) + 1, len(left)))
         by_own[curve, np.arange(len(left))] = profiles.by_width
         by_breaks = np.vstack([by_breaks, model.sigma_own_mm * by_own])
@@ -411,136 +403,3 @@ def _across_rows(images: StereoImages) -> FloatArray:
     ends = rectification.raw_points("right", np.vstack([middle, np.add(middle, (0.0, 1.0))]))
     along = ends[1] - ends[0]
     return np.asarray(along / np.linalg.norm(along))
-
-
-STEP_END = 6
-"""Sigmas from a blurred step, beyond which it is 0 or 1 to 1e-9."""
-STEPS_PER_UNIT = 512
-"""Rows of the table of a blurred step: between two of them a line is good to 1e-7."""
-STEPS = np.array(
-    [
-        0.5 * (1.0 + math.erf(k / STEPS_PER_UNIT / math.sqrt(2.0)))
-        for k in range(-STEP_END * STEPS_PER_UNIT, STEP_END * STEPS_PER_UNIT + 2)
-    ]
-)
-"""A step blurred by a Gaussian of unit width, from -STEP_END on."""
-
-
-@kernel("f8(f8)", inline=True)
-def _edge_step(x: float) -> float:
-    """A step blurred by a Gaussian of unit width, between two rows of the table: good to 1e-7."""
-    place = (x + STEP_END) * STEPS_PER_UNIT
-    row = int(place)
-    low, high = float(STEPS[row]), float(STEPS[row + 1])
-    return low + (place - row) * (high - low)
-
-
-@kernel("void(f8[::1], i8, f8, f8, f8[:, ::1])")
-def fill_steps(edges: F64, many: int, shift: float, blur: float, terms: F64) -> None:
-    """Fill terms[1 : many + 1] (S,) with blurred steps at edges + shift, at places STEP_PX apart about 0."""
-    size = terms.shape[1]
-    for e in range(many):
-        at = edges[e] + shift
-        for s in range(size):
-            x = (STEP_PX * (s - size // 2) - at) / blur
-            terms[e + 1, s] = 0.0 if x < -STEP_END else (1.0 if x > STEP_END else _edge_step(x))
-
-
-@kernel("f8(f8[::1], f8, f8[:, ::1], i8, i8, f8[:, ::1], f8[::1])")
-def misfit(grey: F64, square: float, terms: F64, many: int, first: int, normal: F64, height: F64) -> float:
-    """Square sum that steps leave of a profile, their heights (size of terms) fitted to height.
-
-    grey (S,), square : its square sum.  terms (many + 1, S or more) : a constant and steps, from column
-    first on.  normal, height : buffers.
-    """
-    count, size = len(grey), many + 1
-    for i in range(size):
-        one = terms[i, first : first + count]
-        total = 0.0
-        for s in range(count):
-            total += one[s] * grey[s]
-        height[i] = total
-        for j in range(i + 1):
-            other = terms[j, first : first + count]
-            total = DAMPING if i == j else 0.0
-            for s in range(count):
-                total += one[s] * other[s]
-            normal[i, j] = total
-    right = height[:size].copy()
-    factorise(normal, size)
-    substitute(normal, height, size)
-    for i in range(size):  # of (N + d) h = r: |g|^2 - 2 h r + h N h
-        square -= height[i] * (right[i] + DAMPING * height[i])
-    return max(square, 0.0)
-
-
-@kernel("f8(f8[::1], f8, f8[::1], i8, f8, f8, f8[:, ::1], f8[:, ::1], f8[::1])")
-def misfit_at(
-    grey: F64, square: float, edges: F64, many: int, shift: float, blur: float,
-    terms: F64, normal: F64, height: F64,
-) -> float:  # fmt: skip
-    """`misfit` of blurred steps at edges + shift."""
-    fill_steps(edges, many, shift, blur, terms)
-    return misfit(grey, square, terms, many, 0, normal, height)
-
-
-@kernel("void(f8[:, ::1], i8[::1], i8[::1], f8[:, ::1], f8, i8, f8[::1], f8[::1], f8[::1])")
-def find_shifts(
-    profiles: F64, curve: I64, chosen: I64, near: F64, blur: float, together: int,
-    shift: F64, weight: F64, height: F64,
-) -> None:  # fmt: skip
-    """Fill shift (M,), px, weight (M,), 1 / px², and height (M,) of chosen (M,) ones of profiles (N, S).
-
-    curve (N,).  near (M, 4) : offsets of neighbouring edges, NaN where there are fewer.  together : profiles
-    on either side along the same curve that are averaged. weight 0: the best shift lies at the end of the
-    search.
-    """
-    count, size = profiles.shape
-    grey, edges = np.empty(size), np.empty(EDGES)
-    half = STEP_PX * (size // 2)
-    grid = round(WIDEST_PX / STEP_PX)
-    terms, wide = np.ones((EDGES + 1, size)), np.ones((EDGES + 1, size + 2 * grid))
-    normal, steps = np.empty((EDGES + 1, EDGES + 1)), np.empty(EDGES + 1)
-    for m in range(len(chosen)):
-        own = chosen[m]
-        first, last = own, own
-        while first > 0 and own - first < together and curve[first - 1] == curve[own]:
-            first -= 1
-        while last < count - 1 and last - own < together and curve[last + 1] == curve[own]:
-            last += 1
-        square = 0.0
-        for s in range(size):
-            total = 0.0
-            for n in range(first, last + 1):
-                total += profiles[n, s]
-            grey[s] = total / (last - first + 1)
-            square += grey[s] * grey[s]
-        if not np.isfinite(square):
-            continue
-        edges[0], many = 0.0, 1
-        for k in range(EDGES - 1):
-            if np.isfinite(near[m, k]) and abs(near[m, k]) < half + WIDEST_PX:
-                edges[many] = near[m, k]
-                many += 1
-        fill_steps(edges, many, 0.0, blur, wide)  # shifted by whole steps these are the steps of the grid
-        least, at = np.inf, 0
-        for g in range(-grid, grid + 1):
-            value = misfit(grey, square, wide, many, grid - g, normal, steps)
-            if value < least:
-                least, at = value, g
-        if abs(at) == grid:
-            continue
-        d = STEP_PX * at
-        for h in (0.25, 0.12):
-            before = misfit_at(grey, square, edges, many, d - h, blur, terms, normal, steps)
-            here = misfit_at(grey, square, edges, many, d, blur, terms, normal, steps)
-            after = misfit_at(grey, square, edges, many, d + h, blur, terms, normal, steps)
-            bend = before - 2 * here + after
-            if bend > 1e-9:
-                d += min(max(0.5 * h * (before - after) / bend, -h), h)
-        before = misfit_at(grey, square, edges, many, d - 0.25, blur, terms, normal, steps)
-        after = misfit_at(grey, square, edges, many, d + 0.25, blur, terms, normal, steps)
-        here = misfit_at(grey, square, edges, many, d, blur, terms, normal, steps)
-        shift[m], height[m] = d, steps[1]
-        curvature = max((before - 2 * here + after) / 0.0625, 0.0)
-        weight[m] = min(0.5 * curvature / (here / (size - 3) + 0.5), 400.0)

@@ -18,7 +18,8 @@ from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.kernels.jit import for_kernel
 from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled, widths_of, with_open_forms
 from edged.vision.solid.forms import with_breaks
-from edged.vision.solid.profiles import Profiles, adjusted_to, find_shifts, scatter_of
+from edged.vision.solid.profiles import Profiles, adjusted_to, scatter_of
+from edged.vision.solid.shifts import find_shifts
 from edged.vision.solid.symmetry import like_turns
 from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, see
 from edged.vision.teaching.cadbody import body_of

@@ -1,0 +1,26 @@
+"""How far the steps of a profile lie from where they were predicted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import norm
+
+from edged.vision.solid.shifts import DAMPING, NEAR, STEP_PX, misfit_at
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, NEAR + 1), st.floats(-2.5, 2.5), st.floats(0.45, 1.5))
+def test_a_misfit_is_what_fitted_steps_leave(seed: int, many: int, shift: float, blur: float) -> None:
+    """Of any profile and any steps, as the equations solved in plain numpy have it."""
+    rng = np.random.default_rng(seed)
+    grey, edges = rng.uniform(0, 255, 21), rng.uniform(-7, 7, NEAR + 1)
+    places = STEP_PX * np.arange(-10, 11)
+    design = np.column_stack([np.ones(21), norm.cdf((places[:, None] - edges[:many] - shift) / blur)])
+    heights = np.linalg.solve(design.T @ design + DAMPING * np.eye(many + 1), design.T @ grey)
+
+    terms, normal, found = np.ones((NEAR + 2, 21)), np.empty((NEAR + 2, NEAR + 2)), np.empty(NEAR + 2)
+    left = misfit_at(grey, float(grey @ grey), edges, many, shift, blur, terms, normal, found)
+    assert found[: many + 1] == pytest.approx(heights, rel=1e-4, abs=0.01)
+    assert left == pytest.approx(float(np.sum((grey - design @ heights) ** 2)), rel=1e-4, abs=0.01)
