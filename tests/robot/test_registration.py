@@ -493,10 +493,11 @@ def test_each_registration_before_is_kept(tmp_path: Path, capsys: pytest.Capture
         assert touch(rig_file, table, rig_file, 0.5, False, Console(width=200)) == 0
 
     name = f"rig.{cells.small_rig().calibration_id}"
-    kept = [tmp_path / f"{name}{number}.json" for number in ("", ".2", ".3")]
-    assert [*dict.fromkeys(former)] == [path.read_bytes() for path in kept]
-    assert 3 == len([*tmp_path.glob("rig.*.json")])
-    assert str(kept[2]) in capsys.readouterr().out.replace("\n", "")
+    different = [*dict.fromkeys(former)]  # the same points within a second are the same rig
+    kept = [tmp_path / f"{name}{number}.json" for number in ("", ".2", ".3", ".4")[: len(different)]]
+    assert different == [path.read_bytes() for path in kept]
+    assert sorted(kept) == sorted(tmp_path.glob("rig.*.json"))
+    assert str(kept[-1]) in capsys.readouterr().out.replace("\n", "")
 
 
 def test_three_touched_points_register(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
