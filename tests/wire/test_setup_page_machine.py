@@ -15,7 +15,7 @@ from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go,
 from helpers.smallcell import SmallCell
 
 from edged.files.rig import load_rig, rig_text
-from edged.setup.releases.archive import RigFiles, make, unpack
+from edged.setup.releases.archive import make, parts_at, unpack
 
 pytestmark = [
     pytest.mark.slow,
@@ -88,7 +88,12 @@ def test_a_backup_is_downloaded_and_another_one_restored(tmp_path: Path) -> None
     cell = complete(tmp_path)
     rig = rig_text(replace(load_rig(cell.rig), calibration_id="cal-of-before"))
     other = tmp_path / "before.tar.gz"
-    other.write_bytes(make(cell.config, RigFiles(rig, None)).archive)
+    other.write_bytes(
+        make(
+            cell.config,
+            replace(parts_at(cell.config.with_name("rig.json"), cell.config.with_name("jobs")), rig=rig),
+        ).archive
+    )
     wrong = tmp_path / "wrong.tar.gz"
     wrong.write_bytes(b"no archive")
 

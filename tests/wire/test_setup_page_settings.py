@@ -18,6 +18,7 @@ pytestmark = [
     pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
 ]
 PERIOD = '[name="cycle.period_s"]'
+DRAFT = 'document.querySelector("#settings-draft")'
 CHOSEN = 'document.querySelectorAll(".setting button").length'
 
 
@@ -31,9 +32,10 @@ async def choose(page: Browser, name: str, value: str) -> None:
 
 async def use(page: Browser) -> None:
     """What was entered, until the cell runs by it."""
+    await page.until(DRAFT)
     await press(page, "Use these settings")
-    button = 'document.querySelector("main form > .actions .primary")'
-    await page.until(f'{button}.disabled && {button}.textContent.trim() === "Use these settings"')
+    await press(page, "Put them in force")
+    await page.until(f"!{DRAFT}")
 
 
 def test_a_setting_is_chosen_and_goes_back(tmp_path: Path) -> None:
@@ -53,20 +55,26 @@ def test_a_setting_is_chosen_and_goes_back(tmp_path: Path) -> None:
             await page.until(said("Not a value for this"))
             await page.type(PERIOD, "1,5")
             await choose(page, "cameras.ptp", "false")
+            await page.until(said("cycle.period_s: 0.2 → 1.5"))
+            await page.until(said("in force: 0.2"))
             assert [] == await page.violations()
             assert [] == await page.value(SMALL_TARGETS)
+            assert 0.2 == config().cycle.period_s
+            await page.open(f"{newcomer.origin}/setup#/settings", 1280, 900)
+            await page.until(said("cycle.period_s: 0.2 → 1.5"))
             await use(page)
             await page.until(f"{CHOSEN} === 2")
             assert (1.5, False) == (config().cycle.period_s, config().cameras.ptp)
 
             await page.value("document.querySelectorAll('form details').forEach((one) => (one.open = true))")
             await page.type('[name="drift.warn_rows_px"]', "9")
-            await press(page, "Use these settings")
             await page.until(said("warn_rows_px 9 is beyond invalid_rows_px 1"))
+            # beside both that it names, and in the draft
+            assert 3 == await page.value("document.querySelectorAll('.wrong').length")
+            assert await page.value(f"{DRAFT}.parentElement.querySelector('.primary').disabled")
             assert (1.5, 0.5) == (config().cycle.period_s, config().drift.warn_rows_px)
-            page.complaints.clear()  # of the refusal
-            await press(page, "Undo what was entered")
-            await press(page, "Understood")
+            await press(page, "Discard")
+            await page.until(f"!{DRAFT}")
 
             await press(page, "As in the file: 0.2")
             await page.until(f"{CHOSEN} === 1")
@@ -78,10 +86,12 @@ def test_a_setting_is_chosen_and_goes_back(tmp_path: Path) -> None:
             await page.until('document.querySelector("#plc-settings ~ details")')
             await page.value('document.querySelector("#plc-settings ~ details").open = true')
             await page.type("[name=writers]", "127.0.0.1/32")
-            await press(page, "Use these connections")
+            await press(page, "Check these connections")
             await page.until(said("As chosen on this page"))
+            await use(page)
             await press(page, "As in the configuration file")
             await page.until(said("As in the configuration file."))
+            await use(page)
             assert config().cameras.ptp is False
 
             await page.open(f"{newcomer.origin}/setup?pseudo#/settings", 360, 740)
