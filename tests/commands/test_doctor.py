@@ -185,6 +185,37 @@ def by_its_daemon(check: Check, port: int) -> bool:
     return (check.verdict, check.finding) == (CheckResult.OK, said)
 
 
+@pytest.mark.parametrize(
+    ("command", "is_ours"),
+    [
+        (["run", "cell.toml"], True),
+        (["run", "."], True),
+        (["run", "cell.toml", "--page-user", "edged-page"], True),
+        (["demo", "--cycles", "2", "--folder", "../folder"], True),
+        (["run", "other.toml"], False),
+        (["check", "cell.toml"], False),
+        (["check", "run", "cell.toml"], False),
+        (["demo"], False),
+    ],
+)
+def test_a_daemon_is_known_by_how_it_was_started(tmp_path: Path, command: list[str], is_ours: bool) -> None:
+    """By the cell's file or its folder, by `run` or `demo`, with options in any place."""
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    for name in ("cell.toml", "other.toml"):
+        (folder / name).write_text(
+            '[cell]\nname = "c"\nrig = "rig.json"\njobs = "jobs"\n[cameras]\nsource = "virtual-inprocess"\n'
+        )
+    code = "print(flush=True); input()"
+    words = [sys.executable, "-c", code, "edged", *command]
+    with subprocess.Popen(words, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        found = our_daemon(folder / "cell.toml", load(folder / "cell.toml"))
+        process.communicate(b"\n")
+    assert (process.pid if is_ours else None) == (None if found is None else found.process)
+
+
 @pytest.mark.slow
 def test_a_cell_whose_daemon_runs_is_well(tmp_path: Path) -> None:
     """Its ports are its own, also those of its page's process; it says so itself, and what it runs by.
