@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
-from helpers.browser import Browser, browser
+from helpers.browser import Browser
+from helpers.firefox import BROWSERS, Opener
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
 from helpers.stagecell import PASSWORD, Newcomer, run
 
 from edged.commands.stage import USER
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = pytest.mark.slow
 PERIOD = '[name="cycle.period_s"]'
 DRAFT = 'document.querySelector("#settings-draft")'
 CHOSEN = 'document.querySelectorAll(".setting button").length'
@@ -38,14 +35,15 @@ async def use(page: Browser) -> None:
     await page.until(f"!{DRAFT}")
 
 
-def test_a_setting_is_chosen_and_goes_back(tmp_path: Path) -> None:
+@pytest.mark.parametrize("opened", BROWSERS)
+def test_a_setting_is_chosen_and_goes_back(tmp_path: Path, opened: Opener) -> None:
     """Twice and in any order; what fails changes nothing; connections that are chosen later leave it."""
 
     async def test(newcomer: Newcomer) -> None:
         def config():  # type: ignore[no-untyped-def]  # the daemon's, as it is now
             return newcomer.daemon.loaded.cell.config
 
-        async with browser() as page:
+        async with opened() as page:
             await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
             await take_over(page)
             await go(page, "settings")

@@ -71,14 +71,14 @@ const shown = ({ kind }, value) => {
   return word === "" ? t("settings-left-out") : word;
 };
 
-function Setting({ setting, value: entered, isChosen, problems, onValue }) {
+function Setting({ setting, value: entered, isChosen, problems, onValue, onBack }) {
   const { name, kind, help, configured, value: inForce } = setting;
   const Entry = kind === "yes_no" || kind === "choice" ? Choice : Typed;
   const value = shown(setting, configured);
   return html`<div class="setting">
     <label class="field">
       <span translate=${false}>${name}</span>
-      <${Entry} key=${isChosen} setting=${setting} value=${entered} onValue=${onValue} />
+      <${Entry} setting=${setting} value=${entered} onValue=${onValue} />
     </label>
     <${Wrong} problems=${problems} />
     <p class="hint" lang="en" translate=${false}>${help.replaceAll("`", "")}</p>
@@ -93,7 +93,7 @@ function Setting({ setting, value: entered, isChosen, problems, onValue }) {
         }${" "}
         <button
           type="button" aria-label=${t("settings-back-name", { value, name })}
-          onClick=${() => onValue(configured)}
+          onClick=${() => onBack(configured)}
         >
           ${t("settings-back", { value })}
         </button>
@@ -105,6 +105,7 @@ function Setting({ setting, value: entered, isChosen, problems, onValue }) {
 export default function Settings() {
   const [known, setKnown] = useState(null);
   const [wanted, setWanted] = useState(/** @type {any} */ ({})); // by name: what is other than configured
+  const [fresh, setFresh] = useState(0); // counts when fields forget what is typed in them
   const sending = useRef({ revision: -1, isOn: false, next: null });
   const learn = (found) => {
     sending.current.revision = found.draft?.revision ?? 0;
@@ -152,6 +153,10 @@ export default function Settings() {
     const gone = new Set(all.filter((one) => !stays(one)).map(({ name }) => name));
     send(Object.fromEntries(Object.entries(next).filter(([name]) => !gone.has(name))));
   };
+  const back = (setting) => (value) => {
+    setFresh(fresh + 1);
+    set(setting)(value);
+  };
   const problemsOf = (name) =>
     (draft?.problems ?? []).filter(
       (one) =>
@@ -169,10 +174,10 @@ export default function Settings() {
                 .filter(({ name }) => name.startsWith(`${group}.`))
                 .map(
                   (setting) => html`<${Setting}
-                    key=${setting.name} setting=${setting}
+                    key=${`${setting.name} ${fresh}`} setting=${setting}
                     value=${setting.name in wanted ? wanted[setting.name] : setting.configured}
                     isChosen=${setting.name in wanted} problems=${problemsOf(setting.name)}
-                    onValue=${set(setting)}
+                    onValue=${set(setting)} onBack=${back(setting)}
                   />`,
                 )}
             </div>
@@ -180,7 +185,12 @@ export default function Settings() {
         )}
       </fieldset>
     </form>
-    <${SettingsDraft} draft=${draft} onDone=${find} />
+    <${SettingsDraft} draft=${draft}
+      onDone=${() => {
+        setFresh(fresh + 1);
+        return find();
+      }}
+    />
     <section aria-labelledby="not-here">
       <h2 id="not-here">${t("settings-not-here")}</h2>
       <dl class="reasons">
