@@ -1,5 +1,5 @@
 # Texte von settings.js.
-settings-what = Was die Konfigurationsdatei (cell.toml) sagt und hier anders sein kann. Was gewählt ist, ist ein Entwurf, den die Zelle prüft; verwendet wird er eine Freigabe, von der es einen Rückweg gibt, und die Zelle arbeitet weiter wie bisher, wenn das scheitert. Kalibrierung und Aufträge bleiben.
+settings-what = Was die Konfigurationsdatei (cell.toml) sagt und hier anders sein kann. Was gewählt wird, ist ein Entwurf, den die Zelle prüft. Wird er verwendet, entsteht eine Freigabe mit Rückweg; scheitert das, arbeitet die Zelle weiter wie bisher. Kalibrierung und Aufträge bleiben.
 settings-in-cycle = Wann gemessen wird
 settings-in-cameras = Kameras: was sie auslöst, und ihr Netz
 settings-in-drift = Ab wann die Kalibrierung als verändert gilt

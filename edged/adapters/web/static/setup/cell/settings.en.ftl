@@ -1,5 +1,5 @@
 # Texts of settings.js.
-settings-what = What the configuration file (cell.toml) says, and can be other here. What is chosen is a draft that the cell checks; used, it is a release with its way back, and the cell goes on as before if that fails. Calibration and jobs stay.
+settings-what = What the configuration file (cell.toml) says, and can be other here. What is chosen is a draft that the cell checks. Used, it becomes a release with a way back; if that fails, the cell goes on as before. Calibration and jobs stay.
 settings-in-cycle = When it is measured
 settings-in-cameras = Cameras: what triggers them, and their network
 settings-in-drift = When the calibration counts as drifting

@@ -4,7 +4,7 @@ import { Changes } from "../releases/difference.js";
 import { Releasing } from "../releases/releasing.js";
 import { ask, attempt } from "../shared/api.js";
 import { mayTake } from "../shared/live.js";
-import { Shape, say } from "../shared/pieces.js";
+import { Shape, say, useMainAction } from "../shared/pieces.js";
 import { moment, t } from "../shared/texts.js";
 
 export const Wrong = ({ problems }) =>
@@ -17,6 +17,8 @@ export const Wrong = ({ problems }) =>
 // onDone: the draft is in force, or discarded.
 export function SettingsDraft({ draft, onDone }) {
   const [isAsked, setAsked] = useState(false);
+  const isGood = Boolean(draft) && draft.problems.length === 0 && mayTake.value;
+  useMainAction(isGood && t("draft-use"), () => setAsked(true));
   if (!draft) return null;
   const { changes, problems, author, created } = draft;
   const discard = () =>
@@ -31,11 +33,7 @@ export function SettingsDraft({ draft, onDone }) {
     <${Changes} list=${changes} />
     <${Wrong} problems=${problems} />
     <div class="actions">
-      <button
-        class="primary" disabled=${!mayTake.value || problems.length > 0} onClick=${() => setAsked(true)}
-      >
-        ${t("draft-use")}
-      </button>
+      <button class="primary" disabled=${!isGood} onClick=${() => setAsked(true)}>${t("draft-use")}</button>
       <button disabled=${!mayTake.value} onClick=${discard}>${t("draft-discard")}</button>
     </div>
     ${
