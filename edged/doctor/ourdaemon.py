@@ -101,16 +101,19 @@ def _running(path: Path) -> Iterator[int]:
             command = words[starts[0] + 1 :] if starts else []
             if int(folder.name) == os.getpid() or command[:1] not in (["run"], ["demo"]):
                 continue
-            here = (folder / "cwd").readlink()
-            if any(_names(here / word, path) for word in command[1:]):
+            if any(_names(word, folder, path) for word in command[1:]):
                 yield int(folder.name)
-        except OSError:  # it has just ended, or belongs to somebody else
+        except OSError:  # it has just ended
             continue
 
 
-def _names(named: Path, path: Path) -> bool:
-    """Whether it is this file, or the folder that it is in."""
-    return named.exists() and (named.samefile(path) or named.samefile(path.parent))
+def _names(word: str, process: Path, path: Path) -> bool:
+    """Whether a word that a process was started with is this file, or the folder that it is in."""
+    try:
+        named = Path(word) if Path(word).is_absolute() else (process / "cwd").readlink() / word
+        return named.samefile(path) or named.samefile(path.parent)
+    except OSError:  # there is no such file, or the process is somebody else's
+        return False
 
 
 def _with_parents(process: int) -> Iterator[int]:

@@ -55,6 +55,7 @@ def test_a_setting_is_chosen_and_goes_back(tmp_path: Path, opened: Opener) -> No
             await choose(page, "cameras.ptp", "false")
             await page.until(said("cycle.period_s: 0.2 → 1.5"))
             await page.until(said("in force: 0.2"))
+            await page.until("document.querySelector('.foot .primary')?.textContent === 'Use these settings'")
             assert [] == await page.violations()
             assert [] == await page.value(SMALL_TARGETS)
             assert 0.2 == config().cycle.period_s
