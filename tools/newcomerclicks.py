@@ -18,7 +18,8 @@ from pymodbus.client import ModbusTcpClient
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from helpers.browser import Browser, browser
-from helpers.setuppage import DIALOG, STATE, press, said
+from helpers.setuppage import DIALOG, STATE, said
+from helpers.setuppage import press as press_now
 
 from edged.plc.registers import RESULT, Flag, decode
 
@@ -230,6 +231,13 @@ async def calibrate(page: Browser, clicks: Clicks, goal_um: float, password: str
     return views
 
 
+async def press(page: Browser, text: str) -> None:
+    """A button, by what stands on it, when it can be pressed, however busy the machine is."""
+    button = f"""[...document.querySelectorAll("button")].find((b) => b.textContent.trim() === {text!r})"""
+    await long(page, f"{button}?.disabled === false")
+    await press_now(page, text)
+
+
 async def long(page: Browser, expression: str) -> None:
     """Wait for what takes the cell longer than a page may."""
     begun_s = time.monotonic()
@@ -286,19 +294,19 @@ async def register(page: Browser, password: str) -> None:
     await follow(page, "robot")
     await press(page, "Begin")
     await press(page, "Take a picture of it")
-    await page.until('document.querySelectorAll(".robot-look .place").length > 5')
+    await long(page, 'document.querySelectorAll(".robot-look .place").length > 5')
     for count in range(1, TOUCHES + 1):
         await press(page, "Stage: what the virtual robot shows")
-        await page.until(BORROWED)
+        await long(page, BORROWED)
         await press(page, "Add this point")
-        await page.until(f"{BORROWED} === '' && {said(f'Points and poses ({count})')}")
+        await long(page, f"{BORROWED} === '' && {said(f'Points and poses ({count})')}")
         if await page.value(said("All of them agree.")) and count >= TOUCHES - 1:
             break
     await press(page, "Keep this registration")
-    await page.until(said("The check: go to this place"))
+    await long(page, said("The check: go to this place"))
     await press(page, "Stage: what the virtual robot shows")
     await press(page, "How far was it off?")
-    await page.until(said("Off by "))
+    await long(page, said("Off by "))
     await press(page, "Use this registration")
     await release(page, password)
     await long(page, said("In use, as release"))

@@ -28,6 +28,7 @@ from edged.setup.registration.service import Registrations
 from edged.setup.releases.jobs import Jobs
 from edged.setup.releases.releasefolder import ReleaseFolder
 from edged.setup.releases.service import Activation
+from edged.setup.settingsdraft import SettingsDraft
 from edged.setup.teaching import service as teachings
 from edged.setup.teaching.service import Teachings
 from edged.setup.trials import service as trials
@@ -57,6 +58,7 @@ class SetupServices:
         releases = ReleaseFolder(cell.folder / "releases")
         self._regressions = Regressions(cell)
         self._activation = Activation(releases, cell, self._regressions.check)
+        self._settings = SettingsDraft(cell, self._activation)
         self._checks = Checks(cell)
         self._cycles = Cycles(cell)
         self._registrations = Registrations(cell)
@@ -94,8 +96,8 @@ class SetupServices:
             CycleRoutes(self._cycles),
             RegistrationRoutes(self._registrations, self._activation),
             PlcRoutes(self._running),
-            PlcSettingsRoutes(self.cell, self._activation),
-            SettingsRoutes(self.cell, self._activation),
+            PlcSettingsRoutes(self.cell, self._settings),
+            SettingsRoutes(self.cell, self._activation, self._settings),
             TeachingRoutes(self._teachings, self._activation),
             TrialRoutes(self._trials),
             SceneRoutes(self.cell, self._calibrations),

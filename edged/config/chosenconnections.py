@@ -85,3 +85,15 @@ def connections_of(content: bytes | None, file: Path) -> ChosenConnections:
 def chosen_connections(rig: Path) -> ChosenConnections:
     """What is chosen for a cell. Raises `ConfigError`."""
     return connections_of(read_connections(rig), connections_file(rig))
+
+
+def with_password_of(content: bytes | None, now: bytes | None, file: Path) -> bytes | None:
+    """What was chosen once, with the password that is chosen now: one that was replaced does not come back.
+
+    Raises `ConfigError`.
+    """
+    chosen, other = (connections_of(data, file) for data in (content, now))
+    password = (other.opcua or {}).get("password_hash")
+    if not chosen.opcua or password is None:
+        return content
+    return chosen.model_copy(update={"opcua": {**chosen.opcua, "password_hash": password}}).content()

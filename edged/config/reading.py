@@ -86,27 +86,47 @@ def config_of(content: bytes, path: Path) -> Config:
 
 def config_and_choice(content: bytes, path: Path) -> tuple[Config, bytes | None]:
     """The configuration with what was chosen on the page, in force; and the cameras of that as written."""
+    data = _tables(content, path)
+    configured = _validated(data, path, str(path))
+    chosen = read_chosen(configured.cell.rig)
+    return _chosen(data, path, configured, read_connections(configured.cell.rig), chosen), chosen
+
+
+def config_with(content: bytes, path: Path, connections: bytes | None) -> Config:
+    """The configuration as it would be with other connections and settings than those that are chosen.
+
+    connections : content of their file; None: as configured. Raises as `load`.
+    """
+    data = _tables(content, path)
+    configured = _validated(data, path, str(path))
+    return _chosen(data, path, configured, connections, read_chosen(configured.cell.rig))
+
+
+def _tables(content: bytes, path: Path) -> dict[str, Any]:
     try:
-        data = toml_of(content)
+        return toml_of(content)
     except UnicodeDecodeError as error:
         raise ConfigError(str(path), [not_utf8(error)]) from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(str(path), [not_toml(error, content)]) from error
     except RecursionError:
         raise ConfigError(str(path), ["not a configuration: nested too deeply"]) from None
-    config = _validated(data, path, str(path))
-    rig = config.cell.rig
-    connections = read_connections(rig)
+
+
+def _chosen(
+    data: dict[str, Any], path: Path, configured: Config, connections: bytes | None, cameras: bytes | None
+) -> Config:
+    """With what the files of connections and of cameras have."""
+    rig, config = configured.cell.rig, configured
     if connections is not None:
         file = connections_file(rig)
         data = connections_of(connections, file).over(data)
         config = _validated(data, path, f"{path} with {file}")
-    chosen = read_chosen(rig)
-    if chosen is None:
-        return config, None
-    file = chosen_file(rig)
-    cameras = chosen_of(chosen, file).over(data.get("cameras", {}))
-    return _validated({**data, "cameras": cameras}, path, f"{path} with {file}"), chosen
+    if cameras is not None:
+        file = chosen_file(rig)
+        data = {**data, "cameras": chosen_of(cameras, file).over(data.get("cameras", {}))}
+        config = _validated(data, path, f"{path} with {file}")
+    return config
 
 
 def _validated(data: dict[str, Any], path: Path, source: str) -> Config:

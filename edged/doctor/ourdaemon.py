@@ -93,21 +93,27 @@ def our_daemon(path: Path, config: Config, process: int | None = None) -> OurDae
 
 
 def _running(path: Path) -> Iterator[int]:
-    """Processes that were started as `edged run` with this file."""
+    """Processes that were started as `edged run` or `edged demo` with this file, or its folder."""
     for folder in Path("/proc").glob("[0-9]*"):
         try:
-            words = (folder / "cmdline").read_bytes().split(b"\0")[:-1]
-            if int(folder.name) == os.getpid() or b"run" not in words[1:-1]:
+            words = [os.fsdecode(word) for word in (folder / "cmdline").read_bytes().split(b"\0")[:-1]]
+            starts = [place for place, word in enumerate(words) if "edged" in Path(word).name]
+            command = words[starts[0] + 1 :] if starts else []
+            if int(folder.name) == os.getpid() or command[:1] not in (["run"], ["demo"]):
                 continue
-            if not any(b"edged" in Path(os.fsdecode(word)).name.encode() for word in words[:-1]):
-                continue
-            named = Path(os.fsdecode(words[-1]))
-            if not named.is_absolute():
-                named = (folder / "cwd").readlink() / named
-            if named.samefile(path):
+            if any(_names(word, folder, path) for word in command[1:]):
                 yield int(folder.name)
-        except OSError:  # it has just ended, or belongs to somebody else
+        except OSError:  # it has just ended
             continue
+
+
+def _names(word: str, process: Path, path: Path) -> bool:
+    """Whether a word that a process was started with is this file, or the folder that it is in."""
+    try:
+        named = Path(word) if Path(word).is_absolute() else (process / "cwd").readlink() / word
+        return named.samefile(path) or named.samefile(path.parent)
+    except OSError:  # there is no such file, or the process is somebody else's
+        return False
 
 
 def _with_parents(process: int) -> Iterator[int]:

@@ -1,4 +1,4 @@
-"""Settings of the configuration, chosen on the page, tried by a reload, and put back where that fails."""
+"""Settings of the configuration, chosen on the page as a draft, and what becomes of that draft."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from edged.adapters.web.routes import Answer, Call, Leased, route
+from edged.adapters.web.routes import Answer, Body, Call, Reason, Token, route
 from edged.config.cameras import MODE_KEYS
-from edged.config.chosenconnections import chosen_connections
 from edged.config.chosensettings import CHOOSABLE, TRIGGER, Scalar, at, refuse_unknown
 from edged.config.configuration import Config
 from edged.config.tomltext import toml_of
 from edged.errors import UserError
 from edged.identity.visitors import Role
+from edged.setup.draftroutes import Nothing, Revision
 from edged.setup.inuse import CellInUse
-from edged.setup.releases.service import Activation, Mandate
+from edged.setup.releases.routes import mandate
+from edged.setup.releases.service import Activation
+from edged.setup.settingsdraft import SettingsDraft, SettingsDraftDocument
 
 ON_A_PAGE: Mapping[str, str] = {
     **{f"cameras.{side}.{key}": "cameras" for side in ("left", "right") for key in ("device", "serial")},
@@ -71,6 +73,7 @@ NOT_HERE: Mapping[str, str] = {
 class Setting(Answer):
     """One that can be chosen. value : in force. configured : in the file, else its default; null: left out.
 
+    chosen, wanted : whether it is other than configured, in the draft if there is one, and its value there.
     low, high : bounds that are known. can_be_left_out : null is a value. modes : of the trigger that it
     belongs to; empty: all. help : in English, as the manual has it.
     """
@@ -86,66 +89,99 @@ class Setting(Answer):
     value: Scalar | None
     configured: Scalar | None
     chosen: bool
+    wanted: Scalar | None
 
 
 class SettingsNow(Answer):
-    """All of them, in the order of the configuration; and why others are not among them."""
+    """All of them, in the order of the configuration; why others are not among them; the draft, if any."""
 
     settings: list[Setting]
     not_here: dict[str, list[str]]
+    draft: SettingsDraftDocument | None
 
 
-class Choosing(Leased):
-    """All that is chosen, by dotted names; what is not named is as configured. null: left out."""
+class Choosing(Body):
+    """All that is chosen, by dotted names; what is not named is as configured. null: left out.
+
+    revision : of the draft as it was seen; 0: none.
+    """
+
+    revision: Revision
 
     chosen: Annotated[
         dict[str, Annotated[Scalar, Field(union_mode="left_to_right")] | None], Field(max_length=200)
     ]
 
 
+class ActivatingSettings(Body):
+    """Why; and the token, while somebody has the cell."""
+
+    token: Token | None = None
+    note: Reason
+
+
 class SettingsRoutes:
     """The routes."""
 
-    def __init__(self, cell: CellInUse, activation: Activation) -> None:
+    def __init__(self, cell: CellInUse, activation: Activation, draft: SettingsDraft) -> None:
         self._cell = cell
         self._activation = activation
+        self._draft = draft
 
-    @route("GET", "/settings", "Settings that can be chosen here, and what is in force", role=Role.VIEWER)
+    @route(
+        "GET",
+        "/settings",
+        "Settings that can be chosen here, what is in force, and the draft",
+        role=Role.VIEWER,
+    )
     async def _settings(self, _call: Call[None]) -> SettingsNow:
         return await asyncio.to_thread(self._now)
 
-    @route(
-        "PUT",
-        "/settings",
-        "Choose settings; the cell tries them, and keeps what was where that fails",
-        limit_bytes=32 * 1024,
-        audit=True,
-        needs_lease=True,
-        needs_password=True,
-    )
+    @route("PUT", "/settings", "Choose settings: in the draft, which is checked", limit_bytes=32 * 1024)
     async def _choose(self, call: Call[Choosing]) -> SettingsNow:
         try:
             chosen = dict(refuse_unknown(call.body.chosen))
         except ValueError as error:
             raise UserError(str(error)) from None
-        call.trail.object = ", ".join(sorted(call.body.chosen))[:500]
-        before = await asyncio.to_thread(chosen_connections, self._cell.files.config.cell.rig)
-        wanted = before.model_copy(update={"settings": chosen})
-        by = Mandate(self._cell.session.holder, "settings", token=call.body.token)
-        await self._activation.keep_connections(wanted.content(), by)
+        await self._draft.change(
+            lambda before: before.model_copy(update={"settings": chosen}),
+            call.visitor.name,
+            call.body.revision,
+        )
+        return await asyncio.to_thread(self._now)
+
+    @route("DELETE", "/settings", "Discard the draft of settings and connections", audit=True)
+    async def _discard(self, _call: Call[Nothing]) -> SettingsNow:
+        await self._draft.discard()
+        return await asyncio.to_thread(self._now)
+
+    @route(
+        "POST",
+        "/settings/activate",
+        "Let the cell run by the draft of settings and connections, as a release",
+        audit=True,
+        needs_password=True,
+    )
+    async def _activate(self, call: Call[ActivatingSettings]) -> SettingsNow:
+        await self._activation.check(call.body.token)
+        call.trail.before = self._draft.fingerprint
+        draft = await asyncio.to_thread(self._draft.document)
+        names = [] if draft is None else [change.name or "" for change in draft.changes]
+        call.trail.object = ", ".join(names)[:500]
+        await self._draft.activate(mandate(call, call.body.note))
+        call.trail.after = self._draft.fingerprint
         return await asyncio.to_thread(self._now)
 
     def _now(self) -> SettingsNow:
+        draft, chosen = self._draft.document(), self._draft.chosen().settings
         config = self._cell.files.config
         file = toml_of(self._cell.files.contents["cell.toml"])
         in_force = config.model_dump(mode="json", by_alias=True)
-        chosen = chosen_connections(config.cell.rig).settings
         not_here: dict[str, list[str]] = {}
         for name, reason in NOT_HERE.items():
             not_here.setdefault(reason, []).append(name)
         return SettingsNow(
-            settings=list(_settings_of(in_force, file, chosen)),
-            not_here=not_here,
+            settings=list(_settings_of(in_force, file, chosen)), not_here=not_here, draft=draft
         )
 
 
@@ -160,13 +196,15 @@ def _settings_of(
         form = _form(whole, name)
         written = at(file, name)
         default = form.get("default")
+        configured = default if written is None else written
         yield Setting(
             name=name,
             modes=_modes(name),
             help=str(form.get("description", "")),
             value=at(in_force, name),
-            configured=default if written is None else written,
+            configured=configured,
             chosen=name in chosen,
+            wanted=chosen.get(name, configured),
             **_kind(form),
         )
 

@@ -1,21 +1,23 @@
-"""How PLCs and robots connect: chosen on the page, tried by a reload, and put back where that fails."""
+"""How PLCs and robots connect: chosen on the page, in the draft of settings."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from edged.adapters.web.routes import Answer, Body, Call, Leased, route
-from edged.config.chosenconnections import ChosenConnections, chosen_connections
+from edged.adapters.web.routes import Answer, Body, Call, route
+from edged.config.chosenconnections import ChosenConnections
 from edged.errors import UserError
 from edged.identity.passwords import hash_password
 from edged.identity.visitors import Role
 from edged.robot.orientations import CONVENTIONS, Brand, Convention
+from edged.setup.draftroutes import Revised, Revision
 from edged.setup.inuse import CellInUse
-from edged.setup.releases.service import Activation, Mandate
+from edged.setup.settingsdraft import SettingsDraft, SettingsDraftDocument
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Networks = Annotated[list[Text], Field(max_length=64)]
@@ -74,71 +76,68 @@ class OpcUaChoice(Body):
     readers: Networks
 
 
-class PlcChoice(Leased):
-    """All of it. opcua : null: no such server."""
+class PlcChoice(Body):
+    """All of it. opcua : null: no such server. revision : of the draft as it was seen; 0: none."""
 
+    revision: Revision
     modbus: ModbusChoice
     opcua: OpcUaChoice | None
 
 
 class PlcSettings(Answer):
-    """What is in force. is_chosen : on this page; else it is the configuration's.
+    """What is chosen, in the draft if there is one. is_chosen : on this page; else it is the configuration's.
 
-    conventions : of A, B, C, by the brand of a robot. opcua_password : whether there is one.
+    opcua_password : whether there is one. draft : of all settings; null: none. conventions : of A, B, C, by
+    the brand of a robot.
     """
 
     modbus: ModbusChoice
     opcua: OpcUaChoice | None
     opcua_password: bool
     is_chosen: bool
+    draft: SettingsDraftDocument | None
     conventions: dict[str, str]
 
 
 class PlcSettingsRoutes:
     """The routes."""
 
-    def __init__(self, cell: CellInUse, activation: Activation) -> None:
+    def __init__(self, cell: CellInUse, draft: SettingsDraft) -> None:
         self._cell = cell
-        self._activation = activation
+        self._draft = draft
 
-    @route("GET", "/plc/settings", "How PLCs and robots connect", role=Role.VIEWER)
+    @route("GET", "/plc/settings", "How PLCs and robots connect, with the draft", role=Role.VIEWER)
     async def _settings(self, _call: Call[None]) -> PlcSettings:
         return await asyncio.to_thread(self._now)
 
     @route(
         "PUT",
         "/plc/settings",
-        "Choose how PLCs and robots connect; the cell tries it, and keeps what was where that fails",
-        audit=True,
-        needs_lease=True,
-        needs_password=True,
+        "Let PLCs and robots connect otherwise: in the draft, which is checked",
+        limit_bytes=32 * 1024,
     )
     async def _choose(self, call: Call[PlcChoice]) -> PlcSettings:
-        before = await asyncio.to_thread(chosen_connections, self._cell.files.config.cell.rig)
-        chosen = await asyncio.to_thread(self._chosen, call.body, before)
-        return await self._changed(chosen, call.body.token)
+        return await self._changed(lambda before: self._chosen(call.body, before), call, call.body.revision)
 
-    @route(
-        "DELETE",
-        "/plc/settings",
-        "Let PLCs and robots connect as configured",
-        audit=True,
-        needs_lease=True,
-        needs_password=True,
-    )
-    async def _forget(self, call: Call[Leased]) -> PlcSettings:
-        before = await asyncio.to_thread(chosen_connections, self._cell.files.config.cell.rig)
-        return await self._changed(ChosenConnections(settings=before.settings), call.body.token)
+    @route("DELETE", "/plc/settings", "Let PLCs and robots connect as configured: in the draft")
+    async def _forget(self, call: Call[Revised]) -> PlcSettings:
+        def forget(before: ChosenConnections) -> ChosenConnections:
+            return ChosenConnections(settings=before.settings)
 
-    async def _changed(self, chosen: ChosenConnections, token: str) -> PlcSettings:
-        """Let the cell run by a choice. Raises `EdgedError`, `OSError`, and is as before."""
-        by = Mandate(self._cell.session.holder, "how PLCs and robots connect", token=token)
-        await self._activation.keep_connections(chosen.content(), by)
+        return await self._changed(forget, call, call.body.revision)
+
+    async def _changed(
+        self,
+        change: Callable[[ChosenConnections], ChosenConnections],
+        call: Call[Any],
+        revision: int | None,
+    ) -> PlcSettings:
+        await self._draft.change(change, call.visitor.name, revision)
         return await asyncio.to_thread(self._now)
 
     def _chosen(self, wanted: PlcChoice, before: ChosenConnections) -> ChosenConnections:
         """The choice. Raises `UserError` for a file elsewhere than beside the configuration."""
-        chosen: dict[str, Any] = wanted.model_dump(mode="json", exclude={"token"})
+        chosen: dict[str, Any] = wanted.model_dump(mode="json", exclude={"revision"})
         now = self._now()
         for section, known in ((wanted.modbus.tls, now.modbus.tls), (wanted.opcua, now.opcua)):
             for name in ("certificate", "key", "authority", "trusted"):
@@ -155,15 +154,20 @@ class PlcSettingsRoutes:
         return ChosenConnections(modbus=chosen["modbus"], opcua=chosen["opcua"], settings=before.settings)
 
     def _now(self) -> PlcSettings:
-        config = self._cell.files.config
+        configured, chosen = self._draft.configured(), self._draft.chosen()
         folder = self._cell.path.parent
+        modbus = {**configured.modbus.model_dump(), **chosen.modbus}
+        server = configured.opcua or self._cell.files.config.opcua
+        is_on = bool(chosen.opcua) or (chosen.opcua is not None and configured.opcua is not None)
+        known = {} if server is None else server.model_dump()
+        opcua = {**known, **(chosen.opcua or {})} if is_on else {}
+        password = opcua.get("password_hash", "")
         return PlcSettings(
-            modbus=ModbusChoice(**_shown(config.modbus.model_dump(), ModbusChoice, folder)),
-            opcua=None
-            if config.opcua is None
-            else OpcUaChoice(**_shown(config.opcua.model_dump(), OpcUaChoice, folder)),
-            opcua_password=config.opcua is not None and bool(config.opcua.password_hash.get_secret_value()),
-            is_chosen=chosen_connections(config.cell.rig).connects,
+            modbus=ModbusChoice(**_shown(modbus, ModbusChoice, folder)),
+            opcua=OpcUaChoice(**_shown(opcua, OpcUaChoice, folder)) if opcua else None,
+            opcua_password=bool(password if isinstance(password, str) else password.get_secret_value()),
+            is_chosen=chosen.connects,
+            draft=self._draft.document(),
             conventions={brand.value: angles.name.lower() for brand, angles in BRAND_CONVENTIONS.items()},
         )
 

@@ -185,6 +185,64 @@ def by_its_daemon(check: Check, port: int) -> bool:
     return (check.verdict, check.finding) == (CheckResult.OK, said)
 
 
+@pytest.mark.parametrize(
+    ("command", "is_ours"),
+    [
+        (["run", "cell.toml"], True),
+        (["run", "."], True),
+        (["run", "cell.toml", "--page-user", "edged-page"], True),
+        (["demo", "--cycles", "2", "--folder", "../folder"], True),
+        (["run", "other.toml"], False),
+        (["check", "cell.toml"], False),
+        (["check", "run", "cell.toml"], False),
+        (["demo"], False),
+    ],
+)
+def test_a_daemon_is_known_by_how_it_was_started(tmp_path: Path, command: list[str], is_ours: bool) -> None:
+    """By the cell's file or its folder, by `run` or `demo`, with options in any place."""
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    for name in ("cell.toml", "other.toml"):
+        (folder / name).write_text(
+            '[cell]\nname = "c"\nrig = "rig.json"\njobs = "jobs"\n[cameras]\nsource = "virtual-inprocess"\n'
+        )
+    code = "print(flush=True); input()"
+    words = [sys.executable, "-c", code, "edged", *command]
+    with subprocess.Popen(words, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        found = our_daemon(folder / "cell.toml", load(folder / "cell.toml"))
+        process.communicate(b"\n")
+    assert (process.pid if is_ours else None) == (None if found is None else found.process)
+
+
+def test_a_daemon_of_another_user_is_known_by_its_whole_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where that user's folder must not be asked for."""
+    config = tmp_path / "cell.toml"
+    config.write_text(
+        '[cell]\nname = "c"\nrig = "rig.json"\njobs = "jobs"\n[cameras]\nsource = "virtual-inprocess"\n'
+    )
+
+    def refused(_: Path) -> Path:
+        raise PermissionError
+
+    monkeypatch.setattr(Path, "readlink", refused)
+    words = ["edged", "run", "--page-user", "edged-page", str(config)]
+    with subprocess.Popen(
+        [sys.executable, "-c", "print(flush=True); input()", *words],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        found = our_daemon(config, load(config))
+        process.communicate(b"\n")
+    assert found is not None
+    assert process.pid == found.process
+
+
 @pytest.mark.slow
 def test_a_cell_whose_daemon_runs_is_well(tmp_path: Path) -> None:
     """Its ports are its own, also those of its page's process; it says so itself, and what it runs by.

@@ -6,14 +6,16 @@ import asyncio
 import contextlib
 import json
 import re
+import shutil
 import tempfile
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
 
 import aiohttp
+import pytest
 
-from helpers.browser import Browser, Gone
+from helpers.browser import Browser, Gone, browser
 from helpers.waiting import WHOLE_S
 
 PROGRAM = "firefox-esr"
@@ -130,3 +132,11 @@ async def firefox() -> AsyncIterator[Firefox]:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
             await process.communicate()
+
+
+Opener = Callable[[], AbstractAsyncContextManager[Browser]]
+BROWSERS = [
+    pytest.param(opened, id=name, marks=pytest.mark.skipif(shutil.which(name) is None, reason=f"no {name}"))
+    for name, opened in (("chromium", browser), (PROGRAM, firefox))
+]
+"""Of tests that hold in both."""

@@ -39,9 +39,16 @@ async def choose(page: Browser, name: str, value: str) -> None:
 
 
 async def save(page: Browser) -> None:
-    """Use what was chosen, when the page offers it."""
-    await press(page, "Use these connections")
-    await page.until(f"{said('Use these connections')} && !{said('Trying them')}")
+    """Check what was chosen, and use it."""
+    await press(page, "Check these connections")
+    await put(page)
+
+
+async def put(page: Browser) -> None:
+    """Use the draft, until it is in force."""
+    await press(page, "Use these settings")
+    await press(page, "Put them in force")
+    await page.until("!document.querySelector('#settings-draft')")
 
 
 @pytest.mark.slow
@@ -67,7 +74,7 @@ def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
             await page.until(said("FANUC shows"))
             assert await page.value(
                 """[...document.querySelectorAll("button")]
-                  .find((b) => b.textContent.trim() === "Use these connections").disabled"""
+                  .find((b) => b.textContent.trim() === "Check these connections").disabled"""
             )
             await press(page, "The PLC gets W P R, Rx Ry Rz (FANUC, Yaskawa)")
             assert [] == await page.violations()
@@ -81,16 +88,18 @@ def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
 
             with socket.create_server(("127.0.0.1", second)):
                 await page.type("[name=port]", str(second))
-                await press(page, "Use these connections")
+                await press(page, "Check these connections")
+                await press(page, "Use these settings")
+                await press(page, "Put them in force")
                 await page.until(said("the cell cannot run with it, and goes on as before"))
                 assert answers(first)
             page.complaints.clear()  # of the refusal
-            await choose(page, "order", "low")
-            await save(page)
-            await page.until("!document.querySelector('.trouble')")
+            await press(page, "Put them in force")
+            await page.until("!document.querySelector('#settings-draft')")
             assert answers(second) and not answers(first)
             await press(page, "As in the configuration file")
             await page.until(said("As in the configuration file."))
+            await put(page)
             assert config.modbus == newcomer.daemon.loaded.cell.config.modbus
             await page.value(f"{CHANGE}.open = true")
             await page.type("[name=port]", str(first))

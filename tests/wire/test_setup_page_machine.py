@@ -11,16 +11,14 @@ import pytest
 from helpers.boardcell import BoardCell
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
+from helpers.firefox import BROWSERS, Opener
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
 from helpers.smallcell import SmallCell
 
 from edged.files.rig import load_rig, rig_text
-from edged.setup.releases.archive import RigFiles, make, unpack
+from edged.setup.releases.archive import make, parts_at, unpack
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = pytest.mark.slow
 KEPT = """{ const made = URL.createObjectURL;
   window.files = [];
   URL.createObjectURL = (file) => { files.push(file); return made(file); }; }"""
@@ -50,13 +48,17 @@ async def downloaded(page: Browser, label: str, count: int) -> tuple[str, bytes]
     return name, base64.b64decode(data)
 
 
-def test_findings_are_mended_by_a_button(tmp_path: Path) -> None:
-    """A file that others may read, and one that was changed by hand; each finding says what helps."""
+@pytest.mark.parametrize("opened", BROWSERS)
+def test_findings_are_mended_by_a_button(tmp_path: Path, opened: Opener) -> None:
+    """A file that others may read, and one that was changed by hand; each finding says what helps.
+
+    A backup of the cell is downloaded, too.
+    """
 
     async def test(cell: BoardCell) -> None:
         cell.config.chmod(0o644)
         cell.config.write_text(cell.config.read_text() + "[drift]\nmin_cycles = 30\n")
-        async with browser() as page:
+        async with opened() as page:
             await log_in(
                 page, f"http://127.0.0.1:{cell.port}", "Anna", PASSWORD, "/setup#/system", (1280, 900)
             )
@@ -72,6 +74,9 @@ def test_findings_are_mended_by_a_button(tmp_path: Path) -> None:
             await page.until(f"!{said('Read the files again')}")
             assert 30 == cell.daemon.loaded.cell.config.drift.min_cycles
             assert not await page.value(said("in use by another program"))
+            await page.value(KEPT)
+            name, archive = await downloaded(page, "Download a backup", 1)
+            assert "cell1" == unpack(archive, name).cell
             await go(page, "welcome")
             await page.until(said("bad, "))
             await page.open(f"http://127.0.0.1:{cell.port}/setup?pseudo#/system", 360, 740)
@@ -83,12 +88,18 @@ def test_findings_are_mended_by_a_button(tmp_path: Path) -> None:
     complete(tmp_path).run(test)
 
 
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
 def test_a_backup_is_downloaded_and_another_one_restored(tmp_path: Path) -> None:
     """What comes is proven to be an archive; what goes is looked at first; the file for help comes, too."""
     cell = complete(tmp_path)
     rig = rig_text(replace(load_rig(cell.rig), calibration_id="cal-of-before"))
     other = tmp_path / "before.tar.gz"
-    other.write_bytes(make(cell.config, RigFiles(rig, None)).archive)
+    other.write_bytes(
+        make(
+            cell.config,
+            replace(parts_at(cell.config.with_name("rig.json"), cell.config.with_name("jobs")), rig=rig),
+        ).archive
+    )
     wrong = tmp_path / "wrong.tar.gz"
     wrong.write_bytes(b"no archive")
 

@@ -81,6 +81,12 @@ def check_board_shown(pictures: Sequence[Picture], board: NominalBoard, progress
     )
 
 
+def shows_another(picture: Picture, board: NominalBoard) -> bool:
+    """Whether another board is recognised in it: that takes a tenth of the time of a search in vain."""
+    seen = _recognise(picture)
+    return seen is not None and not may_be(board, seen)
+
+
 def _recognise(picture: Picture) -> NominalBoard | None:
     return recognise_board(picture.read())
 

@@ -15,7 +15,7 @@ import numpy as np
 from edged.domain.arrays import SIDES, Image, Side
 from edged.errors import CalibrationError
 from edged.report.calibration import ReportExtras, calibration_report
-from edged.setup.calibration.boards import check_board_shown, spread
+from edged.setup.calibration.boards import check_board_shown, shows_another, spread
 from edged.setup.pairs import Pair, Picture, Progress, silent, work_on
 from edged.vision.boards.board import Detection, NominalBoard, NotDetected, StereoView
 from edged.vision.boards.deformation import nominal
@@ -106,9 +106,18 @@ class Views:
         where a few of many pairs show another board; then none of these pairs was added.
         """
         some = {pair.name: pair for pair in spread(pairs, FIRST_LOOKED_AT)}
+        lefts = [pair.left for pair in some.values()]
+        is_asked = len(pairs) > len(some) and len(self.boards) == 1
+        if (
+            is_asked
+            and all(shows_another(left, self.boards[0]) for left in lefts)
+            # one that is cut looks like another one, and may be found all the same
+            and not _shows_any(look_at([*some.values()][:1], self.boards, progress)[0])
+        ):
+            check_board_shown(lefts, self.boards[0], progress)
         looked = dict(zip(some, look_at([*some.values()], self.boards, progress), strict=True))
-        if len(pairs) > len(some) and len(self.boards) == 1 and not any(map(_shows_any, looked.values())):
-            check_board_shown([pair.left for pair in some.values()], self.boards[0], progress)
+        if is_asked and not any(map(_shows_any, looked.values())):
+            check_board_shown(lefts, self.boards[0], progress)
         if others := {pair.name: pair for pair in pairs if pair.name not in some}:
             looked |= zip(others, look_at([*others.values()], self.boards, progress), strict=True)
         for pair in pairs:

@@ -45,7 +45,7 @@ class CandidateContents:
         """By rig and jobs of a release, as it would become active. Raises `KeyError`, `EdgedError`."""
         kept = await asyncio.to_thread(self._releases.open, number)
         jobs, active = jobs_of(kept), self._cell.files.contents
-        return {**(contents_with(active, jobs) if jobs else active), RIG: rig_in(kept).rig}
+        return {**(contents_with(active, jobs) if jobs else active), RIG: rig_in(kept)}
 
     async def of_change(self, name: str, change: JobChange) -> Contents:
         """By one job with other limits, features or contrast. Raises `UserError`."""

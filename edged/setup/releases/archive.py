@@ -88,14 +88,6 @@ class Made:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RigFiles:
-    """A rig's file, and that of the cameras that were chosen for it; None: they are as configured."""
-
-    rig: bytes
-    cameras: bytes | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Parts:
     """What people exchange of a cell: content of its files; None: there is none."""
 
@@ -105,22 +97,16 @@ class Parts:
     jobs: Jobs
 
 
-def make(config: Path, rig: RigFiles | None = None, jobs: Jobs | None = None) -> Made:
+def make(config: Path, parts: Parts | None = None) -> Made:
     """The cell of a configuration as an archive, proven by restoring it once. Raises `UserError`.
 
-    rig, jobs : instead of the configuration's; with another rig there need not be jobs yet.
+    parts : instead of those that are there; then there need not be jobs yet.
     """
-    cell = read_cell(config, elsewhere=True) if rig is None else read_any_cell(config, elsewhere=True)
-    section = cell.config.cell
-    parts = Parts(
-        read_rig(section.rig) if rig is None else rig.rig,
-        read_chosen(section.rig) if rig is None else rig.cameras,
-        read_connections(section.rig),
-        jobs_in(section.jobs) if jobs is None else jobs,
-    )
-    taken = _taken(config, cell, parts)
-    if rig is not None:
-        taken = replace(taken, fingerprint=restored(taken).fingerprint)
+    cell = read_cell(config, elsewhere=True) if parts is None else read_any_cell(config, elsewhere=True)
+    if parts is None:
+        taken = _taken(config, cell, parts_at(cell.config.cell.rig, cell.config.cell.jobs))
+    else:
+        taken = with_parts(config, parts)
     data = pack(taken)
     if restored(unpack(data, config.name)).fingerprint != taken.fingerprint:
         raise UserError(f"{config}: it changed while the backup was made; try again")
@@ -176,12 +162,12 @@ def restored(taken: Backup) -> CellFiles | UnfinishedCell:
         return read_any_cell(Path(place) / "cell" / taken.config, elsewhere=True)
 
 
-def rig_in(taken: Backup) -> RigFiles:
+def rig_in(taken: Backup) -> bytes:
     """The rig in a backup. Raises `FileFormatError` when there is none."""
     name = _named(taken.files[taken.config], taken.config).get("cell.rig", "")
     if name not in taken.files:
         raise FileFormatError(f"{taken.config} of the backup: cell.rig: {name!r} is not in it")
-    return RigFiles(taken.files[name], taken.files.get(_chosen_member(name)))
+    return taken.files[name]
 
 
 def jobs_of(taken: Backup) -> dict[str, bytes]:

@@ -93,18 +93,23 @@ def difference(before: Backup, after: Backup) -> ReleaseDifference:
 
 def difference_of(before: Cell, after: Cell) -> ReleaseDifference:
     """Differences of two cells that were read."""
-    old, new = (_options(cell.config.model_dump()) for cell in (before, after))
-    changed = [
-        Difference(code="option", name=name, before=old.get(name), after=new.get(name))
-        for name in sorted(old.keys() | new.keys())
-        if old.get(name) != new.get(name)
-    ]
+    changed = changed_options(before.config.model_dump(), after.config.model_dump())
     return ReleaseDifference(
         jobs=_jobs(before, after),
         rig=_rig(before, after),
         cameras=[difference for difference in changed if (difference.name or "").startswith("cameras.")],
         settings=[difference for difference in changed if not (difference.name or "").startswith("cameras.")],
     )
+
+
+def changed_options(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Difference]:
+    """Options of a configuration that are other in the second, by dotted name; of secrets nothing."""
+    old, new = _options(before), _options(after)
+    return [
+        Difference(code="option", name=name, before=old.get(name), after=new.get(name))
+        for name in sorted(old.keys() | new.keys())
+        if old.get(name) != new.get(name)
+    ]
 
 
 # --- jobs ---------------------------------------------------------------------------------------

@@ -72,7 +72,7 @@ class ReleaseRoutes:
     @route(
         "POST",
         "/releases/{number:[0-9]{1,6}}/activate",
-        "Let the cell run by rig, cameras and jobs of a release again; settings stay",
+        "Let the cell run by rig, cameras, settings and jobs of a release again",
         audit=True,
         needs_password=True,
     )

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from edged.config.chosencameras import chosen_file, with_changes
+from edged.config.chosenconnections import connections_file, with_password_of
 from edged.errors import EdgedError, LinkError, SetupRefused, UserError
 from edged.files.rig import rig_of
 from edged.setup.inuse import CellInUse
@@ -18,7 +19,6 @@ from edged.setup.releases.archive import (
     Backup,
     Made,
     Parts,
-    RigFiles,
     make,
     pack,
     parts_at,
@@ -122,21 +122,29 @@ class Activation:
         return await self._activate(lambda there: replace(there, jobs=change(there.jobs)), by)
 
     async def keep_cameras(self, by: Mandate) -> None:
-        """Let the cell have the cameras that are tried; no release is kept. Raises as `activate`."""
-        await self._keep_settings(self._with_tried, by)
+        """Let the cell have the cameras that are tried. Raises as `activate`."""
+        await self._activate_settings(self._with_tried, by)
 
-    async def keep_connections(self, content: bytes | None, by: Mandate) -> None:
-        """Let PLCs and robots connect otherwise; None: as configured. No release is kept.
+    async def activate_connections(self, content: bytes | None, by: Mandate) -> None:
+        """Let PLCs and robots connect otherwise, and other settings hold; None: as configured.
 
         Raises as `activate`.
         """
-        await self._keep_settings(lambda there: replace(there, connections=content), by)
+        await self._activate_settings(lambda there: replace(there, connections=content), by)
 
-    async def _keep_settings(self, change: Callable[[Parts], Parts], by: Mandate) -> None:
+    async def _activate_settings(self, change: Callable[[Parts], Parts], by: Mandate) -> None:
+        """As a release; without one before the first calibration, and for a password, of which none tells."""
         async with self._turn:
             self._check_unlocked()
             there = await asyncio.to_thread(parts_at, self._rig, self._jobs)
-            await self._hand_over(await asyncio.to_thread(change, there), by)
+            wanted = await asyncio.to_thread(change, there)
+            if wanted.rig is None or await asyncio.to_thread(self._is_in_use, wanted):
+                await self._hand_over(wanted, by)
+                return
+        await self._activate(change, by)
+
+    def _is_in_use(self, wanted: Parts) -> bool:
+        return with_parts(self._cell.path, wanted).fingerprint == self._cell.files.fingerprint
 
     def _with_tried(self, there: Parts) -> Parts:
         """With the cameras that are tried. Raises `ConfigError`."""
@@ -147,16 +155,18 @@ class Activation:
         return replace(there, cameras=with_changes(there.cameras, chosen_file(self._rig), tried))
 
     async def activate_again(self, number: int, by: Mandate) -> Release:
-        """Let the cell run by rig, cameras and jobs of a release; settings stay. Raises `KeyError`, too.
+        """Let the cell run by rig, cameras, settings and jobs of a release. Raises `KeyError`, too.
 
-        A release of before the first job says nothing of jobs. The way back is never barred: its reason is
-        the signature.
+        A release of before the first job says nothing of jobs. No password that was replaced comes back. The
+        way back is never barred: its reason is the signature.
         """
-        files = rig_in(await asyncio.to_thread(self._releases.open, number))
+        kept = parts_of(await asyncio.to_thread(self._releases.open, number))
         jobs = await asyncio.to_thread(self._releases.jobs, number)
+        file = connections_file(self._rig)
 
         def wanted(there: Parts) -> Parts:
-            return Parts(files.rig, files.cameras, there.connections, jobs or there.jobs)
+            connections = with_password_of(kept.connections, there.connections, file)
+            return Parts(kept.rig, kept.cameras, connections, jobs or there.jobs)
 
         note = f"what release {number} has: {by.note}"
         return await self._activate(wanted, replace(by, note=note, signed=by.note))
@@ -212,7 +222,7 @@ class Activation:
         """The cell to be, proven to load, beside the cell as it is; and the release that it is already."""
         if wanted.rig is None:
             raise UserError("there is no calibration: calibrate first")
-        made = make(self._cell.path, RigFiles(wanted.rig, wanted.cameras), without_pictures(wanted.jobs))
+        made = make(self._cell.path, replace(wanted, jobs=without_pictures(wanted.jobs)))
         if made.backup.fingerprint == self._cell.files.fingerprint:
             raise UserError("the cell already runs with this")
         all_of_it = self._releases.all()
@@ -223,7 +233,7 @@ class Activation:
     def _keep(self, made: Made, wanted: Parts, former: Parts, by: Mandate) -> Release:
         """A release of the cell to be; and one of the cell as it is, if it is none: there is a way back."""
         if self._cell.is_complete and self.active is None:
-            found = make(self._cell.path, jobs=without_pictures(former.jobs))
+            found = make(self._cell.path, replace(former, jobs=without_pictures(former.jobs)))
             kept = self._add(found, former, Mandate("edged", "as it was found"), None)
             self._releases.note_active(kept.number, datetime.now(UTC))
         return self._add(made, wanted, by, self.active)
@@ -249,4 +259,4 @@ class Activation:
 
 def _rig_id(made: Made) -> str:
     """Id of the calibration."""
-    return rig_of(rig_in(made.backup).rig, Path("the rig of a release")).calibration_id
+    return rig_of(rig_in(made.backup), Path("the rig of a release")).calibration_id

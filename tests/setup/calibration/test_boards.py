@@ -9,10 +9,12 @@ from helpers.rigs import make_rig
 
 from edged.domain.arrays import Image
 from edged.errors import CalibrationError
+from edged.setup.calibration import views as views_module
 from edged.setup.calibration.boards import boards_in, check_board_shown, stated_boards
 from edged.setup.calibration.views import FIRST_LOOKED_AT, Views
 from edged.setup.pairs import Pair, Picture
 from edged.vision.boards.board import NominalBoard, parse_board
+from edged.vision.boards.detection import Detection, NotDetected, detect_board
 
 SMALL = make_rig(focal_px=1600.0, size=(640, 480))
 STATED, OTHER = parse_board("chessboard:8x6:3"), parse_board("chessboard:7x5:3")
@@ -43,9 +45,16 @@ def test_another_board_must_be_in_most_pictures(others: int, blanks: int, refuse
 
 
 @pytest.mark.slow
-def test_another_board_is_told_after_a_few_pictures() -> None:
-    """A board that was counted wrongly costs some looks, not one at each of many pictures."""
+def test_another_board_is_told_after_a_few_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A board that was counted wrongly costs some looks, and one search in vain, which takes longest."""
     looked: list[str] = []
+    searched: list[object] = []
+
+    def detect(image: Image, board: NominalBoard) -> Detection | NotDetected:
+        searched.append(board)
+        return detect_board(image, board)
+
+    monkeypatch.setattr(views_module, "detect_board", detect)
 
     def counted(shown: Picture) -> Picture:
         def read() -> Image:
@@ -59,6 +68,7 @@ def test_another_board_is_told_after_a_few_pictures() -> None:
     with pytest.raises(CalibrationError, match=r"7x5 inner corners, not 8x6"):
         Views([STATED]).add(pairs)
     assert len(looked) <= 3 * FIRST_LOOKED_AT
+    assert 2 == len(searched)
 
 
 @pytest.mark.slow

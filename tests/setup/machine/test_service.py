@@ -19,7 +19,7 @@ from edged.errors import FileFormatError, UserError
 from edged.files.rig import load_rig, rig_text
 from edged.link.summary import CellSummary
 from edged.setup.machine.service import MachineService
-from edged.setup.releases.archive import RigFiles, make
+from edged.setup.releases.archive import make, parts_at
 from edged.setup.releases.releasefolder import ReleaseFolder
 from edged.setup.releases.service import Activation, Mandate
 
@@ -56,7 +56,10 @@ def test_a_backup_of_another_day_becomes_a_release(template: Path, tmp_path: Pat
     machine, running = machine_of(template, tmp_path / "cell")
     rig = load_rig(running.files.config.cell.rig)
     other = rig_text(replace(rig, calibration_id="cal-of-before"))
-    archive = make(running.path, RigFiles(other, None)).archive
+    archive = make(
+        running.path,
+        replace(parts_at(running.path.with_name("rig.json"), running.path.with_name("jobs")), rig=other),
+    ).archive
     chosen = ChosenConnections(settings={"cycle.period_s": 3.0})
     connections_file(running.files.config.cell.rig).write_bytes(chosen.content() or b"")
 

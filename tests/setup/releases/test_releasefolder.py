@@ -14,7 +14,7 @@ from edged.errors import ConfigError, FileFormatError
 from edged.files.rig import load_rig, rig_text
 from edged.setup.cellfiles import UnfinishedCell, read_any_cell, read_cell
 from edged.setup.releases import releasefolder
-from edged.setup.releases.archive import Made, RigFiles, make, rig_in
+from edged.setup.releases.archive import Made, make, parts_at, rig_in
 from edged.setup.releases.releasefolder import Release, ReleaseFolder
 
 NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
@@ -40,6 +40,11 @@ def other_rig(config: Path, identity: str = "cal-other") -> bytes:
     return rig_text(replace(rig, right_from_left=wider, calibration_id=identity))
 
 
+def with_rig(config: Path, rig: bytes) -> Made:
+    """The cell with another rig."""
+    return make(config, replace(parts_at(config.with_name("rig.json"), config.with_name("jobs")), rig=rig))
+
+
 def add(releases: ReleaseFolder, made: Made, note: str = "why") -> Release:
     """A release of Anna's."""
     return releases.add(made, rig="cal-1", author="Anna", note=note, parent=None, now=NOW)
@@ -54,7 +59,7 @@ def test_a_release_is_read_as_it_was_kept(config: Path, made: Made, tmp_path: Pa
     assert [second, first] == releases.all()
     assert ("Anna", "why", ("flange",)) == (first.author, first.note, first.jobs)
     assert made.backup.fingerprint == releases.open(1).fingerprint == first.fingerprint
-    assert (config.parent / "rig.json").read_bytes() == rig_in(releases.open(1)).rig
+    assert (config.parent / "rig.json").read_bytes() == rig_in(releases.open(1))
     assert 0o600 == (tmp_path / "releases" / "0001.tar.gz").stat().st_mode & 0o777
     with pytest.raises(KeyError):
         releases.get(3)
@@ -65,12 +70,12 @@ def test_a_cell_with_another_rig_is_proven_before_it_is_one(config: Path, tmp_pa
     rig = other_rig(config)
     before = read_cell(config).fingerprint
 
-    made = make(config, RigFiles(rig, None))
+    made = with_rig(config, rig)
 
     assert before == read_cell(config).fingerprint != made.backup.fingerprint
-    assert rig == rig_in(made.backup).rig
+    assert rig == rig_in(made.backup)
     with pytest.raises(ConfigError, match=r"cell\.rig"):
-        make(config, RigFiles(b"{}", None))
+        with_rig(config, b"{}")
 
 
 def test_a_cell_without_rig_and_jobs_can_have_its_first_rig(config: Path, tmp_path: Path) -> None:
@@ -80,9 +85,9 @@ def test_a_cell_without_rig_and_jobs_can_have_its_first_rig(config: Path, tmp_pa
     with pytest.raises(ConfigError):
         make(bare)
 
-    made = make(bare, RigFiles(other_rig(config), None))
+    made = with_rig(bare, other_rig(config))
 
-    (tmp_path / "rig.json").write_bytes(rig_in(made.backup).rig)
+    (tmp_path / "rig.json").write_bytes(rig_in(made.backup))
     found = read_any_cell(bare)
     assert isinstance(found, UnfinishedCell)
     assert made.backup.fingerprint == found.fingerprint

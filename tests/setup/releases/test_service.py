@@ -18,6 +18,7 @@ from helpers.powercuts import Record, cut
 from helpers.smallcell import SmallCell
 
 from edged.config.chosencameras import ChosenCamera
+from edged.config.chosenconnections import ChosenConnections
 from edged.errors import FileFormatError, SetupRefused, UserError
 from edged.files.atomic import replace_folder, write_atomically
 from edged.files.rig import load_rig, rig_text
@@ -30,6 +31,9 @@ from edged.setup.releases.jobsfolder import jobs_in, of_job, renamed, with_job
 from edged.setup.releases.jobsinuse import Candidate
 from edged.setup.releases.releasefolder import Release, ReleaseFolder
 from edged.setup.releases.service import Activation, Mandate
+
+OLD_HASH = "$argon2id$v=19$m=8,t=1,p=1$c2FsdHNhbHQ$aGFzaGhhc2hoYXNoaGFzaA"
+NEW_HASH = OLD_HASH.replace("$aGFz", "$bmV3")
 
 
 @pytest.fixture(scope="module")
@@ -125,8 +129,8 @@ def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
         activate_again(cell, 7)
 
 
-def test_an_older_release_under_newer_settings_is_one_of_its_own(cell: RunningCell) -> None:
-    """Settings stay as they are: the cell that comes of it never was there before."""
+def test_an_older_release_under_a_newer_file_is_one_of_its_own(cell: RunningCell) -> None:
+    """The administrator's file stays as it is: the cell that comes of it never was there before."""
     activate(cell, cell.wider(1.001))
     cell.config.write_text(cell.config.read_text().replace("timeout_s = 10.0", "timeout_s = 3.0"))
     cell.running.files = read_cell(cell.config)
@@ -137,6 +141,83 @@ def test_an_older_release_under_newer_settings_is_one_of_its_own(cell: RunningCe
     assert "what release 1 has: that was better" == release.note
     assert "timeout_s = 3.0" in cell.config.read_text()
     assert cell.releases.get(1).rig == load_rig(cell.rig).calibration_id
+
+
+def choose(cell: RunningCell, chosen: ChosenConnections) -> None:
+    """As Anna."""
+    asyncio.run(cell.activation.activate_connections(chosen.content(), Mandate("Anna", "settings")))
+
+
+@pytest.mark.slow
+def test_settings_are_a_release_and_come_back_with_it(cell: RunningCell) -> None:
+    """Chosen, chosen again, taken back; each release has the ones that it became active with."""
+    before, files = cell.now.files.fingerprint, cell.files()
+    choose(cell, ChosenConnections(settings={"cameras.timeout_s": 3.0}))
+    assert (3.0, 2) == (cell.now.files.config.cameras.timeout_s, cell.activation.active)
+    assert ("Anna", "settings", 1) == (
+        cell.releases.get(2).author,
+        cell.releases.get(2).note,
+        cell.releases.get(2).parent,
+    )
+    activate(cell, cell.wider(1.001))
+    assert (3.0, 3) == (cell.now.files.config.cameras.timeout_s, cell.activation.active)
+
+    activate_again(cell, 1)
+
+    assert (before, files) == (cell.now.files.fingerprint, cell.files())
+    activate_again(cell, 2)
+    assert 3.0 == cell.now.files.config.cameras.timeout_s
+    choose(cell, ChosenConnections())
+    assert (files, 1) == (cell.files(), cell.activation.active)
+    cell.running.refuses = "no"
+    with pytest.raises(UserError, match="no"):
+        activate_again(cell, 2)
+    assert files == cell.files()
+
+
+@pytest.mark.slow
+def test_a_password_that_was_replaced_does_not_come_back(cell: RunningCell) -> None:
+    """No release is made for another one, and none brings an older one."""
+
+    files = {"certificate": "c.pem", "key": "k.pem", "trusted": "clients"}
+    (cell.config.parent / "clients").mkdir()
+    for file in ("c.pem", "k.pem"):
+        (cell.config.parent / file).touch(mode=0o600)
+
+    def server(hashed: str, port: int) -> ChosenConnections:
+        return ChosenConnections(opcua={**files, "password_hash": hashed, "port": port})
+
+    def now() -> object:
+        return json.loads((cell.config.parent / "rig.connections.json").read_text())["opcua"]
+
+    choose(cell, server(OLD_HASH, 4841))
+    choose(cell, server(NEW_HASH, 4841))
+    assert (2, NEW_HASH) == (cell.activation.active, now()["password_hash"])
+    choose(cell, server(NEW_HASH, 4842))
+    activate_again(cell, 2)
+    assert {**files, "password_hash": NEW_HASH, "port": 4841} == now()
+
+
+def test_settings_before_the_first_calibration_are_kept_without_a_release(cell: RunningCell) -> None:
+    """There is nothing yet that one could go back to; with the first rig they are in its release."""
+    rig = cell.wider(1.001)
+    cell.rig.unlink()
+    cell.running.files = read_any_cell(cell.config)
+    choose(cell, ChosenConnections(settings={"cameras.timeout_s": 3.0}))
+    assert ([], 3.0) == (cell.releases.all(), cell.now.files.config.cameras.timeout_s)
+    activate(cell, rig)
+    assert "rig.connections.json" in cell.releases.open(1).files
+
+
+@pytest.mark.slow
+def test_cameras_that_are_kept_are_a_release(cell: RunningCell) -> None:
+    """Exposure and gain go back, too."""
+    cell.running.session.camera_changes = {"left": ChosenCamera(exposure_us=1234.0)}
+    asyncio.run(cell.activation.keep_cameras(Mandate("Anna", "cameras")))
+    assert (2, 1234.0) == (cell.activation.active, cell.now.files.config.cameras.left.exposure_us)
+    cell.running.session.camera_changes = {}
+    activate_again(cell, 1)
+    assert 1234.0 != cell.now.files.config.cameras.left.exposure_us
 
 
 def job_files(cell: RunningCell, name: str, number: int) -> dict[str, bytes]:

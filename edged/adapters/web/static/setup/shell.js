@@ -295,11 +295,12 @@ function goTo(where) {
   const step = Number.isInteger(where) ? STEPS[where - 1] : where === "next" ? after : before;
   if (step && isBuilt(step)) location.hash = `#/${step.id}`;
 }
+const UNBROKEN = "\u00a0"; // an arrow stands in no line of its own
 function Foot() {
   const [before, step, after] = beside();
-  if (!before) return null;
+  if (!before && !mainAction.value) return null;
   return html`<nav class="foot" aria-label=${t("foot")}>
-    <a class="button" href="#/${before.id}">‹ ${t(`step-${before.id}`)}</a>
+    ${before && html`<a class="button" href="#/${before.id}">‹${UNBROKEN}${t(`step-${before.id}`)}</a>`}
     ${
       mainAction.value &&
       html`<button class="primary" onClick=${mainAction.value.act}>${mainAction.value.text}</button>`
@@ -309,7 +310,7 @@ function Foot() {
       html`<a
         class="button ${step.state() === "tick" && !mainAction.value ? "primary" : ""}"
         href="#/${after.id}">
-        ${t(`step-${after.id}`)} ›
+        ${t(`step-${after.id}`)}${UNBROKEN}›
       </a>`
     }
   </nav>`;

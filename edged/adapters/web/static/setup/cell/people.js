@@ -191,9 +191,11 @@ const DID = [
   [/^POST cameras\/packets/, "packets"],
   [/^POST cameras\/wave/, "wave"],
   [/^PUT cameras\//, "camera"],
-  [/^PUT plc\/settings/, "connect"],
+  [/^PUT plc\/settings/, "connect"], // this and the next two: of versions without a draft of settings
   [/^DELETE plc\/settings/, "connect-back"],
   [/^PUT settings/, "settings"],
+  [/^POST settings\/activate/, "settings"],
+  [/^DELETE settings/, "settings-discarded"],
   [/^POST machine\/mend/, "mend"],
   [/^POST backup$/, "backup"],
   [/^POST backup\/activate/, "restore"],

@@ -1,10 +1,11 @@
-// How PLCs and robots connect: host, writers, convention, TLS, lines for robots, OPC UA.
+// How PLCs and robots connect: host, writers, convention, TLS, lines for robots, OPC UA; as a draft.
 import { html, useEffect, useState } from "../../vendor/ui.js";
-import { ask, attempt, glance } from "../shared/api.js";
+import { ask, attempt, glance, trouble } from "../shared/api.js";
 import { BRANDS } from "../shared/brands.js";
-import { holds, mayTake, token } from "../shared/live.js";
-import { NumberField, Shape, say } from "../shared/pieces.js";
+import { mayTake, told, useFresh } from "../shared/live.js";
+import { NumberField, Shape } from "../shared/pieces.js";
 import { t } from "../shared/texts.js";
+import { SettingsDraft } from "./settingsdraft.js";
 
 const CONVENTIONS = ["fixed_xyz", "kuka_abc", "ur_rotation_vector", "staubli_xyz", "kawasaki_oat", "abb_zyx"];
 export const CONVENTION_NAMES = {
@@ -265,9 +266,8 @@ export function Settings({ robot, onSaved }) {
     setWanted({ modbus: found.modbus, opcua: found.opcua });
     setSure(false);
   };
-  useEffect(() => {
-    glance(async () => take(await ask("GET", "plc/settings")));
-  }, []);
+  const find = async () => take(await ask("GET", "plc/settings"));
+  useFresh(() => glance(find), [told("settings").value]);
   if (!wanted) return null;
   const { modbus, opcua } = wanted;
   const set = (values) => {
@@ -276,12 +276,11 @@ export function Settings({ robot, onSaved }) {
   };
   const send = (method, body) => async () => {
     setSaving(true);
-    const found = await attempt(() => ask(method, "plc/settings", { token: token.value, ...body }));
+    const revision = known.draft?.revision ?? 0;
+    const found = await attempt(() => ask(method, "plc/settings", { revision, ...body }));
     setSaving(false);
-    if (!found) return;
-    take(found);
-    say(t("plc-set-saved"));
-    onSaved();
+    if (found) take(found);
+    else if (trouble.value?.code === "stale") await glance(find);
   };
   const submit = (event) => {
     event.preventDefault();
@@ -313,7 +312,7 @@ export function Settings({ robot, onSaved }) {
       <div class="actions">
         <button
           class="primary"
-          disabled=${!holds.value || !isOther || isSaving || !isWhole || (disagrees && !isSure)}
+          disabled=${!mayTake.value || !isOther || isSaving || !isWhole || (disagrees && !isSure)}
         >
           ${t(isSaving ? "plc-set-saving" : "plc-set-save")}
         </button>
@@ -321,14 +320,20 @@ export function Settings({ robot, onSaved }) {
         ${
           known.is_chosen &&
           html`<button
-            type="button" disabled=${!holds.value || isSaving} onClick=${send("DELETE", {})}
+            type="button" disabled=${!mayTake.value || isSaving} onClick=${send("DELETE", {})}
           >
             ${t("plc-set-as-configured")}
           </button>`
         }
       </div>
-      ${!holds.value && html`<p class="hint">${t("plc-set-take-cell")}</p>`}
       </form>
     </details>
+    <${SettingsDraft}
+      draft=${known.draft}
+      onDone=${async () => {
+        await find();
+        onSaved();
+      }}
+    />
   </section>`;
 }

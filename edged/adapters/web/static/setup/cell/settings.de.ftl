@@ -1,5 +1,5 @@
 # Texte von settings.js.
-settings-what = Was die Konfigurationsdatei (cell.toml) sagt und hier anders sein kann. Die Zelle probiert es sofort aus und arbeitet weiter wie bisher, wenn das scheitert. Kalibrierung und Aufträge bleiben.
+settings-what = Was die Konfigurationsdatei (cell.toml) sagt und hier anders sein kann. Was gewählt wird, ist ein Entwurf, den die Zelle prüft. Wird er verwendet, entsteht eine Freigabe mit Rückweg; scheitert das, arbeitet die Zelle weiter wie bisher. Kalibrierung und Aufträge bleiben.
 settings-in-cycle = Wann gemessen wird
 settings-in-cameras = Kameras: was sie auslöst, und ihr Netz
 settings-in-drift = Ab wann die Kalibrierung als verändert gilt
@@ -12,13 +12,9 @@ settings-no = nein
 settings-left-out = weggelassen
 settings-wrong = Das ist hier kein gültiger Wert: siehe die Erklärung.
 settings-chosen = hier gewählt
+settings-in-force = in Kraft: { $value }
 settings-back = Wie in der Datei: { $value }
 settings-back-name = Wie in der Datei: { $value }, { $name }
-settings-use = Diese Einstellungen verwenden
-settings-trying = Werden ausprobiert …
-settings-undo = Eingaben verwerfen
-settings-saved = Die Zelle arbeitet mit diesen Einstellungen.
-settings-take-cell = Erst die Zelle übernehmen: Sie muss vielleicht ihre Kameras neu öffnen.
 settings-not-here = Nur in cell.toml, und warum
 settings-not-names = Namen und Ordner dieses Rechners: Die Seite schreibt dort keine Dateien.
 settings-not-web = Wer Leute einlässt, darf nicht von denen geändert werden, die hereingekommen sind.

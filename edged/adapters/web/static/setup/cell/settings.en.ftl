@@ -1,5 +1,5 @@
 # Texts of settings.js.
-settings-what = What the configuration file (cell.toml) says, and can be other here. The cell tries it at once, and goes on as before if that fails. Calibration and jobs stay.
+settings-what = What the configuration file (cell.toml) says, and can be other here. What is chosen is a draft that the cell checks. Used, it becomes a release with a way back; if that fails, the cell goes on as before. Calibration and jobs stay.
 settings-in-cycle = When it is measured
 settings-in-cameras = Cameras: what triggers them, and their network
 settings-in-drift = When the calibration counts as drifting
@@ -12,13 +12,9 @@ settings-no = no
 settings-left-out = left out
 settings-wrong = Not a value for this: look at its explanation.
 settings-chosen = chosen here
+settings-in-force = in force: { $value }
 settings-back = As in the file: { $value }
 settings-back-name = As in the file: { $value }, { $name }
-settings-use = Use these settings
-settings-trying = Trying them …
-settings-undo = Undo what was entered
-settings-saved = The cell runs with these settings.
-settings-take-cell = Take the cell first: it may need its cameras anew.
 settings-not-here = Only in cell.toml, and why
 settings-not-names = Names and folders of this machine: the page writes no files there.
 settings-not-web = Who lets people in must not be changed by those who came in.

@@ -1,5 +1,5 @@
 # Textes de settings.js.
-settings-what = Ce que dit le fichier de configuration (cell.toml) et qui peut être autre ici. La cellule l’essaie aussitôt, et continue comme avant en cas d’échec. L’étalonnage et les tâches restent.
+settings-what = Ce que dit le fichier de configuration (cell.toml) et qui peut être autre ici. Ce qui est choisi est un brouillon que la cellule vérifie ; utilisé, il devient une version avec son retour, et la cellule continue comme avant en cas d’échec. L’étalonnage et les tâches restent.
 settings-in-cycle = Quand on mesure
 settings-in-cameras = Caméras : ce qui les déclenche, et leur réseau
 settings-in-drift = À partir de quand l’étalonnage est jugé dérivant
@@ -12,13 +12,9 @@ settings-no = non
 settings-left-out = omis
 settings-wrong = Cette valeur ne convient pas ici : voir l’explication.
 settings-chosen = choisi ici
+settings-in-force = en vigueur : { $value }
 settings-back = Comme dans le fichier : { $value }
 settings-back-name = Comme dans le fichier : { $value }, { $name }
-settings-use = Utiliser ces réglages
-settings-trying = Essai en cours …
-settings-undo = Annuler la saisie
-settings-saved = La cellule fonctionne avec ces réglages.
-settings-take-cell = Prenez d’abord la cellule : elle devra peut-être rouvrir ses caméras.
 settings-not-here = Seulement dans cell.toml, et pourquoi
 settings-not-names = Noms et dossiers de cette machine : la page n’y écrit aucun fichier.
 settings-not-web = Ce qui laisse entrer les gens ne doit pas être changé par ceux qui sont entrés.

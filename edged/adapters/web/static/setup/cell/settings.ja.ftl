@@ -1,5 +1,5 @@
 # settings.js の文章。
-settings-what = 設定ファイル(cell.toml)の内容のうち、ここで変えられるもの。セルはすぐに試し、失敗すれば元のまま動き続けます。キャリブレーションとジョブは変わりません。
+settings-what = 設定ファイル(cell.toml)の内容のうち、ここで変えられるもの。選んだものは下書きで、セルが確認します。使うとリリースになり、元に戻せます。失敗すればセルは元のまま動き続けます。キャリブレーションとジョブは変わりません。
 settings-in-cycle = いつ測定するか
 settings-in-cameras = カメラ:トリガーとネットワーク
 settings-in-drift = キャリブレーションのずれと判断する値
@@ -12,13 +12,9 @@ settings-no = いいえ
 settings-left-out = 指定なし
 settings-wrong = この値は使えません。説明を見てください。
 settings-chosen = ここで選択
+settings-in-force = 有効な値:{ $value }
 settings-back = ファイルの値に戻す:{ $value }
 settings-back-name = ファイルの値に戻す:{ $value }, { $name }
-settings-use = この設定を使う
-settings-trying = 試しています…
-settings-undo = 入力を取り消す
-settings-saved = セルはこの設定で動いています。
-settings-take-cell = まずセルを取得してください。カメラを開き直すことがあります。
 settings-not-here = cell.toml だけで変えられるものと、その理由
 settings-not-names = この PC の名前とフォルダーです。ページはそこにファイルを書きません。
 settings-not-web = 人を入れる設定を、入ってきた人が変えてはいけません。

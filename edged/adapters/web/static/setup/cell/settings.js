@@ -1,9 +1,10 @@
-// What else the configuration can say: each setting as its schema has it, chosen here, tried at once.
-import { html, useState } from "../../vendor/ui.js";
+// What else the configuration can say: each setting as its schema has it, chosen here as a draft.
+import { html, useRef, useState } from "../../vendor/ui.js";
 import { ask, attempt, glance } from "../shared/api.js";
-import { holds, mayTake, token, useFresh } from "../shared/live.js";
-import { Shape, say } from "../shared/pieces.js";
+import { mayTake, told, useFresh } from "../shared/live.js";
+import { Shape } from "../shared/pieces.js";
 import { number, parseNumber, t } from "../shared/texts.js";
+import { SettingsDraft, Wrong } from "./settingsdraft.js";
 
 const GROUPS = ["cycle", "cameras", "drift", "modbus", "opcua", "recorder", "zenoh"];
 const MODE = "cameras.trigger.mode";
@@ -36,7 +37,7 @@ function Choice({ setting, value, onValue }) {
 }
 
 // What is typed counts when it is a value; until then it stays, and is marked.
-function Typed({ setting, value, onValue, onWrong }) {
+function Typed({ setting, value, onValue }) {
   const { kind, low, high, can_be_left_out: isOptional } = setting;
   const [typed, setTyped] = useState(null);
   const read = (text) => {
@@ -50,7 +51,6 @@ function Typed({ setting, value, onValue, onWrong }) {
   const type = ({ currentTarget }) => {
     const found = read(currentTarget.value);
     setTyped(currentTarget.value);
-    onWrong(setting.name, found === undefined);
     if (found !== undefined) onValue(found);
   };
   return html`<input
@@ -65,27 +65,35 @@ function Typed({ setting, value, onValue, onWrong }) {
     }`;
 }
 
-function Setting({ setting, value: entered, isChosen, onValue, onWrong }) {
-  const { name, kind, help, configured } = setting;
+const shown = ({ kind }, value) => {
+  const word =
+    kind === "yes_no" && value !== null ? t(value ? "settings-yes" : "settings-no") : written(value);
+  return word === "" ? t("settings-left-out") : word;
+};
+
+function Setting({ setting, value: entered, isChosen, problems, onValue, onBack }) {
+  const { name, kind, help, configured, value: inForce } = setting;
   const Entry = kind === "yes_no" || kind === "choice" ? Choice : Typed;
-  const back =
-    kind === "yes_no" && configured !== null
-      ? t(configured ? "settings-yes" : "settings-no")
-      : written(configured);
-  const value = back === "" ? t("settings-left-out") : back;
+  const value = shown(setting, configured);
   return html`<div class="setting">
     <label class="field">
       <span translate=${false}>${name}</span>
-      <${Entry} key=${isChosen} setting=${setting} value=${entered} onValue=${onValue} onWrong=${onWrong} />
+      <${Entry} setting=${setting} value=${entered} onValue=${onValue} />
     </label>
+    <${Wrong} problems=${problems} />
     <p class="hint" lang="en" translate=${false}>${help.replaceAll("`", "")}</p>
     ${
       isChosen &&
       html`<p>
-        <${Shape} is="hand" /> ${t("settings-chosen")}${" "}
+        <${Shape} is="hand" />${" "}
+        ${
+          entered === inForce
+            ? t("settings-chosen")
+            : t("settings-in-force", { value: shown(setting, inForce) })
+        }${" "}
         <button
           type="button" aria-label=${t("settings-back-name", { value, name })}
-          onClick=${() => onValue(configured)}
+          onClick=${() => onBack(configured)}
         >
           ${t("settings-back", { value })}
         </button>
@@ -96,75 +104,93 @@ function Setting({ setting, value: entered, isChosen, onValue, onWrong }) {
 
 export default function Settings() {
   const [known, setKnown] = useState(null);
-  const [wanted, setWanted] = useState(null); // by name: what is other than configured
-  const [wrong, setWrong] = useState(/** @type {string[]} */ ([]));
-  const [isTrying, setTrying] = useState(false);
-  const chosenIn = ({ settings }) =>
-    Object.fromEntries(settings.filter(({ chosen }) => chosen).map(({ name, value }) => [name, value]));
-  const take = (found) => {
+  const [wanted, setWanted] = useState(/** @type {any} */ ({})); // by name: what is other than configured
+  const [fresh, setFresh] = useState(0); // counts when fields forget what is typed in them
+  const sending = useRef({ revision: -1, isOn: false, next: null });
+  const learn = (found) => {
+    sending.current.revision = found.draft?.revision ?? 0;
     setKnown(found);
-    setWanted(chosenIn(found));
-    setWrong([]);
   };
-  useFresh(() => glance(async () => take(await ask("GET", "settings"))));
+  const find = async () => {
+    const found = await ask("GET", "settings");
+    if (sending.current.next) return; // what was entered meanwhile is newer
+    learn(found);
+    const chosen = found.settings.filter((one) => one.chosen);
+    setWanted(Object.fromEntries(chosen.map((one) => [one.name, one.wanted])));
+  };
+  useFresh(() => sending.current.isOn || glance(find), [told("settings").value]);
   const head = html`<h1>${t("nav-settings")}</h1><p class="lead">${t("settings-what")}</p>`;
   if (!known) return head;
-  const { settings: all, not_here: reasons } = known;
-  const inForce = ({ name, configured }) => (name in wanted ? wanted[name] : configured);
-  const mode = inForce(all.find(({ name }) => name === MODE) ?? {});
-  const shown = all.filter(({ name, modes }) => name === MODE || !modes.length || modes.includes(mode));
-  const isShown = (name) => shown.some((one) => one.name === name);
+  const { settings: all, not_here: reasons, draft } = known;
+  const isShownIn = (chosen) => {
+    const { configured } = all.find(({ name }) => name === MODE) ?? {};
+    const mode = MODE in chosen ? chosen[MODE] : configured;
+    return ({ name, modes }) => name === MODE || !modes.length || modes.includes(mode);
+  };
+  const visible = all.filter(isShownIn(wanted));
+  // One request at a time, then the newest: who types is faster than the cell.
+  const send = async (next) => {
+    const state = sending.current;
+    state.next = next;
+    if (state.isOn) return;
+    state.isOn = true;
+    while (state.next) {
+      const chosen = state.next;
+      state.next = null;
+      const body = () => ({ revision: state.revision, chosen });
+      const found = await attempt(() => ask("PUT", "settings", body()));
+      if (found) learn(found);
+      else await glance(find); // somebody else was quicker
+    }
+    state.isOn = false;
+  };
   const set = (setting) => (value) => {
     const { [setting.name]: _, ...others } = wanted;
-    setWanted(value === setting.configured ? others : { ...others, [setting.name]: value });
+    const next = value === setting.configured ? others : { ...others, [setting.name]: value };
+    setWanted(next);
+    // what belongs to another trigger mode goes with it
+    const stays = isShownIn(next);
+    const gone = new Set(all.filter((one) => !stays(one)).map(({ name }) => name));
+    send(Object.fromEntries(Object.entries(next).filter(([name]) => !gone.has(name))));
   };
-  const mark = (name, isWrong) =>
-    setWrong((before) => [...before.filter((one) => one !== name), ...(isWrong ? [name] : [])]);
-  // what belongs to another trigger mode goes with it
-  const sent = Object.fromEntries(
-    Object.entries(wanted).filter(([name]) => isShown(name) || !all.some((one) => one.name === name)),
-  );
-  const isOther =
-    JSON.stringify(Object.entries(sent).sort()) !== JSON.stringify(Object.entries(chosenIn(known)).sort());
-  const submit = async (event) => {
-    event.preventDefault();
-    setTrying(true);
-    const found = await attempt(() => ask("PUT", "settings", { token: token.value, chosen: sent }));
-    setTrying(false);
-    if (!found) return;
-    take(found);
-    say(t("settings-saved"));
+  const back = (setting) => (value) => {
+    setFresh(fresh + 1);
+    set(setting)(value);
   };
+  const problemsOf = (name) =>
+    (draft?.problems ?? []).filter(
+      (one) =>
+        one.name === name ||
+        (one.name && name.startsWith(`${one.name}.`) && one.text.includes(name.split(".").at(-1))),
+    );
   return html`${head}
-    <form onSubmit=${submit}>
+    <form onSubmit=${(event) => event.preventDefault()}>
       <fieldset disabled=${!mayTake.value}>
-        ${GROUPS.filter((group) => shown.some(({ name }) => name.startsWith(`${group}.`))).map(
+        ${GROUPS.filter((group) => visible.some(({ name }) => name.startsWith(`${group}.`))).map(
           (group) => html`<details key=${group} open=${group === "cycle" || group === "cameras"}>
             <summary>${t(`settings-in-${group}`)}</summary>
             <div class="settings">
-              ${shown
+              ${visible
                 .filter(({ name }) => name.startsWith(`${group}.`))
                 .map(
                   (setting) => html`<${Setting}
-                    key=${setting.name} setting=${setting} value=${inForce(setting)}
-                    isChosen=${setting.name in wanted && wanted[setting.name] !== undefined}
-                    onValue=${set(setting)} onWrong=${mark}
+                    key=${`${setting.name} ${fresh}`} setting=${setting}
+                    value=${setting.name in wanted ? wanted[setting.name] : setting.configured}
+                    isChosen=${setting.name in wanted} problems=${problemsOf(setting.name)}
+                    onValue=${set(setting)} onBack=${back(setting)}
                   />`,
                 )}
             </div>
           </details>`,
         )}
       </fieldset>
-      <div class="actions">
-        <button class="primary" disabled=${!holds.value || !isOther || wrong.length > 0 || isTrying}>
-          ${t(isTrying ? "settings-trying" : "settings-use")}
-        </button>
-        <button type="button" disabled=${!isOther && !wrong.length} onClick=${() => take({ ...known })}>
-          ${t("settings-undo")}
-        </button>
-      </div>
-      ${mayTake.value && !holds.value && html`<p class="hint">${t("settings-take-cell")}</p>`}
     </form>
+    <${SettingsDraft} draft=${draft}
+      onDone=${() => {
+        setFresh(fresh + 1);
+        return find();
+      }}
+    />
     <section aria-labelledby="not-here">
       <h2 id="not-here">${t("settings-not-here")}</h2>
       <dl class="reasons">

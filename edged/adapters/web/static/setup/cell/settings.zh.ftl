@@ -1,5 +1,5 @@
 # settings.js 的文字。
-settings-what = 配置文件(cell.toml)中可以在这里更改的内容。单元会立即试用,失败则照旧运行。标定和作业不变。
+settings-what = 配置文件(cell.toml)中可以在这里更改的内容。所选内容是草稿,由单元检查;使用后成为一个可退回的版本,失败则单元照旧运行。标定和作业不变。
 settings-in-cycle = 何时测量
 settings-in-cameras = 相机:触发方式和网络
 settings-in-drift = 何时认为标定已漂移
@@ -12,13 +12,9 @@ settings-no = 否
 settings-left-out = 不设
 settings-wrong = 此处不能用这个值:请看说明。
 settings-chosen = 在此选定
+settings-in-force = 当前生效:{ $value }
 settings-back = 恢复为文件中的值:{ $value }
 settings-back-name = 恢复为文件中的值:{ $value }, { $name }
-settings-use = 使用这些设置
-settings-trying = 正在试用…
-settings-undo = 撤销输入
-settings-saved = 单元正以这些设置运行。
-settings-take-cell = 请先接管单元:它可能需要重新打开相机。
 settings-not-here = 只能在 cell.toml 中更改的内容及原因
 settings-not-names = 本机的名称和文件夹:页面不在那里写文件。
 settings-not-web = 决定谁能进入的设置,不能由已进入的人更改。

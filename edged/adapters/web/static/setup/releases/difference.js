@@ -20,7 +20,7 @@ const Change = ({ one }) => html`<li>
     after: shown(one.after),
   })}
 </li>`;
-const Changes = ({ list }) => html`<ul>
+export const Changes = ({ list }) => html`<ul>
   ${list.map((one) => html`<${Change} key=${`${one.code} ${one.name}`} one=${one} />`)}
 </ul>`;
 

@@ -1,0 +1,193 @@
+"""Settings that are chosen and not in force yet: a draft beside what is, checked, then released or discarded.
+
+One draft for all of a cell's settings, connections of PLCs and robots included, in a file of the page's own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, JsonValue, ValidationError
+
+from edged.adapters.web.routes import Problem
+from edged.config.chosenconnections import ChosenConnections, chosen_connections
+from edged.config.configuration import Config
+from edged.config.reading import config_with, problem_of, read
+from edged.errors import ConfigError, FileFormatError, UserError
+from edged.files.atomic import read_bytes, write_atomically
+from edged.setup.documents import Frozen
+from edged.setup.history import Kept, Text
+from edged.setup.inuse import CellInUse
+from edged.setup.releases.differences import Difference, changed_options
+from edged.setup.releases.service import Activation, Mandate
+
+FILE = "settings-draft.json"
+MAX_BYTES = 64 * 1024
+PASSWORD = "opcua.password_hash"
+
+
+class Drafted(Kept):
+    """The file. chosen : as `rig.connections.json` would have it."""
+
+    format: Literal["edged-settings-draft"] = "edged-settings-draft"
+    version: Literal[1] = 1
+    revision: Annotated[int, Field(ge=1)]
+    created: Text
+    author: Text
+    chosen: dict[str, JsonValue]
+
+
+class WrongSetting(Frozen):
+    """Why the cell cannot run with a draft. name : of the setting or the section; "" where none is known."""
+
+    name: str
+    text: str
+
+
+class SettingsDraftDocument(Frozen):
+    """What is chosen and not in force. changes : from what is in force. problems : none where it is good."""
+
+    revision: int
+    created: str
+    author: str
+    changes: list[Difference]
+    problems: list[WrongSetting]
+
+
+class SettingsDraft:
+    """The draft of a cell; methods that are no coroutines read files, and are called in a thread."""
+
+    def __init__(self, cell: CellInUse, activation: Activation) -> None:
+        self._cell = cell
+        self._activation = activation
+        self._turn = asyncio.Lock()
+
+    @property
+    def fingerprint(self) -> str:
+        """Fingerprint of the cell."""
+        return self._cell.files.fingerprint
+
+    @property
+    def _file(self) -> Path:
+        return self._cell.folder / FILE
+
+    def chosen(self) -> ChosenConnections:
+        """All that is chosen: by the draft, or what is in force without one. Raises `UserError`."""
+        drafted = self._drafted()
+        return self._in_force() if drafted is None else self._chosen_in(drafted)
+
+    def configured(self) -> Config:
+        """The configuration without what is chosen for settings and connections. Raises `ConfigError`."""
+        return config_with(read(self._cell.path), self._cell.path, None)
+
+    def document(self) -> SettingsDraftDocument | None:
+        """The draft, checked; None without one. Raises `UserError`."""
+        drafted = self._drafted()
+        if drafted is None:
+            return None
+        chosen, in_force = self._chosen_in(drafted), self._cell.files.config
+        wanted: Mapping[str, Any]
+        try:
+            config = config_with(read(self._cell.path), self._cell.path, chosen.content())
+            wanted, problems = config.model_dump(), config.missing_files()
+        except ConfigError as error:
+            wanted, problems = chosen.over(self.configured().model_dump()), error.problems
+        changes = changed_options(in_force.model_dump(), wanted)
+        if _password(chosen) != _password(self._in_force()):
+            changes = [*changes, Difference(code="password", name=PASSWORD)]
+        return SettingsDraftDocument(
+            revision=drafted.revision,
+            created=drafted.created,
+            author=drafted.author,
+            changes=changes,
+            problems=[_wrong(problem) for problem in problems],
+        )
+
+    async def change(
+        self,
+        change: Callable[[ChosenConnections], ChosenConnections],
+        author: str,
+        revision: int | None = None,
+    ) -> None:
+        """Change the draft, or begin it; one that is what is in force is none any more.
+
+        change : of all that is chosen, in a thread. revision : that was seen, 0 for none; None: any. Raises
+        `Problem` for another, `UserError`, `OSError`.
+        """
+        async with self._turn:
+            await asyncio.to_thread(self._change, change, author, revision)
+        self._cell.notices.publish("settings", {"id": "settings"})
+
+    def _change(
+        self, change: Callable[[ChosenConnections], ChosenConnections], author: str, revision: int | None
+    ) -> None:
+        drafted = self._drafted()
+        if revision is not None and revision != (0 if drafted is None else drafted.revision):
+            raise Problem(412, "stale", "somebody else has changed it since")
+        wanted = change(self.chosen())
+        content = wanted.content()
+        if wanted == self._in_force():
+            self._file.unlink(missing_ok=True)
+            return
+        made = Drafted(
+            revision=1 if drafted is None else drafted.revision + 1,
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            author=author,
+            chosen={} if content is None else json.loads(content),
+        )
+        write_atomically(self._file, made.model_dump_json(indent=1).encode(), mode=0o600)
+
+    async def discard(self) -> None:
+        """Leave all as it is in force, also where the draft cannot be read. Raises `OSError`."""
+        async with self._turn:
+            await asyncio.to_thread(self._file.unlink, missing_ok=True)
+        self._cell.notices.publish("settings", {"id": "settings"})
+
+    async def activate(self, by: Mandate) -> None:
+        """Let the cell run by it, as a release. Raises `UserError` for what is wrong, else as `activate`."""
+        async with self._turn:
+            found = await asyncio.to_thread(self.document)
+            if found is None:
+                raise UserError("nothing is chosen that is not in force")
+            if found.problems:
+                raise UserError("; ".join(wrong.text for wrong in found.problems))
+            wanted = await asyncio.to_thread(self.chosen)
+            await self._activation.activate_connections(wanted.content(), by)
+            await asyncio.to_thread(self._file.unlink, missing_ok=True)
+        self._cell.notices.publish("settings", {"id": "settings"})
+
+    def _in_force(self) -> ChosenConnections:
+        return chosen_connections(self._cell.files.config.cell.rig)
+
+    def _drafted(self) -> Drafted | None:
+        """The file. Raises `FileFormatError`."""
+        if not self._file.is_file():
+            return None
+        try:
+            return Drafted.model_validate_json(read_bytes(self._file, "a draft", MAX_BYTES))
+        except ValidationError as error:
+            raise self._damaged(problem_of(error.errors()[0], Drafted)) from error
+
+    def _chosen_in(self, drafted: Drafted) -> ChosenConnections:
+        try:
+            return ChosenConnections.model_validate(drafted.chosen)
+        except ValidationError as error:
+            raise self._damaged(problem_of(error.errors()[0], ChosenConnections)) from error
+
+    def _damaged(self, why: str) -> FileFormatError:
+        return FileFormatError(f"{self._file}: {why}: discard the draft of the settings")
+
+
+def _password(chosen: ChosenConnections) -> object:
+    return (chosen.opcua or {}).get("password_hash")
+
+
+def _wrong(problem: str) -> WrongSetting:
+    """A line of `ConfigError`."""
+    name, colon, _ = problem.partition(": ")
+    return WrongSetting(name=name if colon and " " not in name else "", text=problem)
