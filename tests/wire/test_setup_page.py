@@ -9,7 +9,6 @@ from collections.abc import Awaitable, Callable
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import Ear
 from helpers.setuppage import (
     DIALOG,
     LEASE,
@@ -48,7 +47,7 @@ def on_the_page(
     """Run a test on the page of whoever logged in; nothing may fail unseen."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), running(Ear(), True) as cell, browser() as page:
+        async with asyncio.timeout(WHOLE_S), running() as cell, browser() as page:
             await log_in(page, cell.origin, "Anna", PASSWORD, place, (width, height))
             await test(page, cell)
             assert [] == page.complaints

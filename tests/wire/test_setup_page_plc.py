@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import Ear
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
 from helpers.waiting import WHOLE_S, until
 from helpers.webcell import Cell, running
@@ -34,7 +33,7 @@ def beside(test: Callable[[Cell, ModbusPublisher], Awaitable[None]], order: Word
 
     async def bounded() -> None:
         settings = ModbusSettings(port=0, word_order=order)
-        async with asyncio.timeout(WHOLE_S), running(Ear(), True, modbus=settings) as cell:
+        async with asyncio.timeout(WHOLE_S), running(modbus=settings) as cell:
             assert cell.modbus is not None
             await until(lambda: cell.ear.state() is CellPhase.READY)
             await test(cell, cell.modbus)

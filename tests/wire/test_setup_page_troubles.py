@@ -9,7 +9,6 @@ from collections.abc import Awaitable, Callable
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import Ear
 from helpers.setuppage import log_in, press, said
 from helpers.waiting import WHOLE_S
 from helpers.webcell import Cell, running
@@ -34,7 +33,7 @@ def with_a_page(
     """Run a test on the page of somebody."""
 
     async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), running(Ear(), True) as cell, browser() as page:
+        async with asyncio.timeout(WHOLE_S), running() as cell, browser() as page:
             await log_in(page, cell.origin, name, PASSWORD, place, size)
             await test(page, cell)
 
