@@ -437,7 +437,7 @@ def derive(place: str) -> object:
 TASKS = {
     "tcp": "edged.adapters.modbus.tcp.TcpServer.start",
     "tls": "edged.adapters.modbus.tcp.TcpServer.start",
-    "socket": "edged.adapters.modbus.lines.LineServer.start",
+    "socket": "edged.adapters.modbus.lineserver.LineServer.start",
     "web": "edged.app.pageserver.PageServer.start",
     "opcua": "edged.adapters.opcua.server.ServerThread._prepare",
     "recorder": "edged.adapters.recorder.Recorder.start",

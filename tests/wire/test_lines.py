@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymodbus.client import ModbusTcpClient
 
-from edged.adapters.modbus import LineSettings, ModbusSettings, lines
+from edged.adapters.modbus import LineSettings, ModbusSettings, lineserver
 from edged.adapters.modbus.lines import parse
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
@@ -446,7 +446,7 @@ def test_lines_are_told_apart_however_the_network_cuts_them(
 
     async def heard() -> list[bytes]:
         reader = asyncio.StreamReader()
-        messages, found = lines.Messages(reader), []
+        messages, found = lineserver.Messages(reader), []
         for piece in pieces:
             reader.feed_data(piece)
         reader.feed_eof()
@@ -541,7 +541,7 @@ def test_a_robot_that_may_command_makes_a_stranger_go() -> None:
 
 def test_the_robot_that_is_silent_longest_makes_room_for_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     """Eight that lost their power lock nobody out: its own first, then anybody's; one that talks stays."""
-    monkeypatch.setattr(lines, "SILENT_S", 0.3)
+    monkeypatch.setattr(lineserver, "SILENT_S", 0.3)
     with LiveCell(dataclasses.replace(KUKA, owner_s=0.3)) as cell, contextlib.ExitStack() as ends:
 
         def connect(host: str) -> Robot:
@@ -569,7 +569,7 @@ def test_the_robot_that_is_silent_longest_makes_room_for_the_next(monkeypatch: p
 
 def test_no_stranger_makes_a_robot_go(monkeypatch: pytest.MonkeyPatch) -> None:
     """However long the robots are silent; of strangers who is silent longest makes room for the next."""
-    monkeypatch.setattr(lines, "SILENT_S", 0.0)
+    monkeypatch.setattr(lineserver, "SILENT_S", 0.0)
     changed = dataclasses.replace(KUKA, owner_s=0.0, writers=(ip_network("127.0.0.9/32"),))
     with LiveCell(changed) as cell, contextlib.ExitStack() as ends:
 
@@ -592,7 +592,7 @@ def test_no_stranger_makes_a_robot_go(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_a_robot_that_waits_for_its_picture_is_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its command is under way: seven others make room before it does."""
-    monkeypatch.setattr(lines, "SILENT_S", 0.1)
+    monkeypatch.setattr(lineserver, "SILENT_S", 0.1)
     with LiveCell(dataclasses.replace(KUKA, owner_s=0.1)) as cell, contextlib.ExitStack() as ends:
         ready(cell)
         robots = [Robot(cell.server.line_port) for _ in range(8)]
