@@ -17,5 +17,10 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
     if not inspect.iscoroutinefunction(test):
         return None
     asked = {name: pyfuncitem.funcargs[name] for name in inspect.signature(test).parameters}
-    asyncio.run(asyncio.wait_for(test(**asked), WHOLE_S))
+
+    async def bounded() -> None:
+        async with asyncio.timeout(WHOLE_S):
+            await test(**asked)
+
+    asyncio.run(bounded())
     return True

@@ -11,7 +11,7 @@ import pytest
 from helpers.browser import Browser, browser
 from helpers.ports import free_port
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
-from helpers.stagecell import PASSWORD, staged
+from helpers.stagecell import PASSWORD, Newcomer, run
 
 from edged.commands.stage import USER
 from edged.config.chosenconnections import ChosenConnections, connections_of
@@ -46,10 +46,11 @@ async def save(page: Browser) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
-async def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
+def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
     """Twice, in any order, and back; a brand that does not fit is asked about; what fails changes nothing."""
     first, second, lines = free_port(), free_port(), free_port()
-    async with staged(tmp_path, gige=False) as newcomer:
+
+    async def test(newcomer: Newcomer) -> None:
         config = newcomer.daemon.loaded.cell.config
         async with browser() as page:
             await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
@@ -103,6 +104,8 @@ async def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> No
             assert [] == await page.value(UNTRANSLATED)
             assert 0 == await page.value(TOO_WIDE)
             assert [] == page.complaints
+
+    run(tmp_path, test, gige=False)
 
 
 def test_what_was_chosen_counts_before_the_file(tmp_path: Path) -> None:
