@@ -20,8 +20,7 @@ from helpers.webcell import Cell, running
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.domain.cell import CellPhase
 from edged.plc.registers import MAP_VERSION, WordOrder
-from edged.robots.formats import FORMATS, written
-from edged.setup.plcroutes import FILES
+from edged.robots.formats import DOWNLOADS, FORMATS, written
 
 pytestmark = pytest.mark.slow
 CLIENT = 4711
@@ -68,18 +67,18 @@ def test_exchanges_and_client_sources_are_told_as_they_are() -> None:
         )
         status, plc = await cell.ask("GET", "/api/v1/plc", None)
         assert (200, True, modbus.port, "high") == (status, plc["listening"], plc["port"], plc["word_order"])
-        assert {one["kind"]: one["file"] for one in plc["clients"]} == FILES
-        assert {"md", "json"} == set(FORMATS) - set(FILES)
-        for kind in FILES:
+        assert {one["kind"]: one["file"] for one in plc["clients"]} == DOWNLOADS
+        assert {"md", "json"} == set(FORMATS) - set(DOWNLOADS)
+        for kind in DOWNLOADS:
             async with cell.session.get(f"/api/v1/plc/clients/{kind}") as answer:
-                assert FILES[kind] in answer.headers["Content-Disposition"]
+                assert DOWNLOADS[kind] in answer.headers["Content-Disposition"]
                 data = await answer.read()
             if len(written(kind)) > 1:
                 with zipfile.ZipFile(io.BytesIO(data)) as archive:
                     files = {name: archive.read(name).decode() for name in archive.namelist()}
                 assert written(kind) == files
             else:
-                assert {FILES[kind]: data.decode()} == written(kind)
+                assert {DOWNLOADS[kind]: data.decode()} == written(kind)
         async with cell.session.get("/api/v1/plc/clients/cobol") as answer:
             assert 404 == answer.status
 
