@@ -222,7 +222,7 @@ class Robot:
         shown = self._read(reg.STATUS)["CMD_SEQ_ECHO"]
         if self._asked != (request.sequence, False) or shown != self._sequence:
             if shown == request.sequence:
-                # a number of another client, or of NEXT, whose answer is no answer to this command
+                # a number of another client, or of NEXT, whose answer does not belong to this command
                 self._write("CMD_SEQ", [0])
             self._begin(request, request.sequence)
             self._located, self._given = request.sequence, {request.sequence}

@@ -28,7 +28,7 @@ LINE_FEED_S = 0.05
 robot that sends the two one by one may hold the second back until the first is acknowledged, which Linux
 does within 40 ms (TCP_DELACK_MIN in include/net/tcp.h)."""
 SEND_S = 5.0
-"""A robot that does not read its answer for so long is disconnected."""
+"""A robot that does not read its answer within this time is disconnected."""
 
 
 class Messages:

@@ -109,7 +109,7 @@ class PlcMemoryPublisher:
         return self._section.place
 
     async def start(self) -> None:
-        """Begin to connect; a PLC that does not answer is no reason not to start."""
+        """Begin to connect; the cell starts even if the PLC does not answer."""
         self._watch.start()
         self._show()
         self._thread.start()
@@ -119,7 +119,7 @@ class PlcMemoryPublisher:
         self._watch.show_soon()
 
     async def close(self) -> None:
-        """Say to the PLC that nothing is valid, where it answers, and hang up."""
+        """Tell a PLC that answers that nothing is valid, and disconnect."""
         self._watch.close()
         if self._next_show is not None:
             self._next_show.cancel()
