@@ -43,8 +43,8 @@ MOST_FILES_OF_A_REQUEST = {"ACK": 10, "GRASP": 10, "LOCATE": 31}
 """Files entered from a robot's line to its answer, by its command. LOCATE goes through the whole cycle."""
 
 MOST_FILES_OF_A_CLICK = 14
-"""Files of the page's process entered from a request that changes a user to the file with it. Wanted: 12; each
-of these is a question of its own: which name, whose session, which right, which route, asked before."""
+"""Files of the page's process entered from a request that changes a user to the file with it. Wanted: 12;
+each of these is a question of its own: which name, whose session, which right, which route, asked before."""
 
 SUPPRESSION = re.compile(
     r"#\s*(?:type: ignore(?:\[[\w, -]+\])?|noqa(?:: [A-Z]+\d+(?:, [A-Z]+\d+)*)?)(?P<reason>.*)"
