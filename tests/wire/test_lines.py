@@ -16,7 +16,7 @@ import pytest
 from helpers.linerobot import Robot, connected, ready
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.snapshots import make_target
-from helpers.waiting import LIMIT_S
+from helpers.waiting import wait_until
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymodbus.client import ModbusTcpClient
@@ -37,10 +37,7 @@ KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
 
 def until_free(plc: ModbusTcpClient) -> None:
     """Write BOX 2 as soon as no other client has the turn, and give the turn up."""
-    deadline_s = time.monotonic() + LIMIT_S
-    while plc.write_register(reg.ADDRESS["BOX"], 2).isError():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    wait_until(lambda: not plc.write_register(reg.ADDRESS["BOX"], 2).isError())
     assert not plc.write_register(reg.ADDRESS["OPTIONS"], Option.RELEASE).isError()
 
 
@@ -220,10 +217,7 @@ def test_a_robots_line_leaves_alone_what_a_plc_wrote() -> None:
         assert [0, 0] == [robot.ask(f"{2 + lock},AUTO_LOCK,{lock}")[1] for lock in (0, 1)]
         assert [1, 0] == plc.read_holding_registers(reg.ADDRESS["AUTO_LOCK"], count=2).registers
         robot.socket.shutdown(socket.SHUT_RDWR)
-        deadline_s = time.monotonic() + LIMIT_S
-        while plc.read_holding_registers(reg.ADDRESS["AUTO_LOCK"], count=1).registers != [0]:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        wait_until(lambda: [0] == plc.read_holding_registers(reg.ADDRESS["AUTO_LOCK"], count=1).registers)
         plc.close()
 
 
