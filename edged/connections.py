@@ -139,7 +139,7 @@ class TcpListener:
 
     name : for the log. make : the protocol of a client. admits : whether a new client may stay; may abort
     others for it. left : called once for each admitted client, when it counts no longer.
-    idle_s : a client that is not busy and sends nothing for this long is closed; tells : with a log line.
+    idle_s : a client that is not busy and sends nothing for this long is closed; tells : this is logged.
     """
 
     def __init__(
@@ -341,7 +341,7 @@ class _Counted(asyncio.Protocol):
 
 
 class Rate:
-    """A token bucket: so many a second, and as many at once, or `burst`."""
+    """A token bucket: a number each second, and as many at once, or `burst`."""
 
     def __init__(
         self, per_s: float, clock_s: Callable[[], float] = time.monotonic, *, burst: float | None = None
@@ -352,7 +352,7 @@ class Rate:
         self._left, self._seen_s = self._most, clock_s()
 
     def take(self, count: float = 1) -> bool:
-        """Whether so many more are within the rate."""
+        """Whether this many more are within the rate."""
         now_s = self._clock_s()
         self._left = min(self._most, self._left + (now_s - self._seen_s) * self._per_s)
         self._seen_s = now_s
@@ -362,12 +362,12 @@ class Rate:
         return True
 
     def owe(self, count: float) -> None:
-        """Take so many, also more than there are: who comes next waits the longer."""
+        """Take this many, even more than there are: the next caller waits the longer."""
         self.take(0)
         self._left -= count
 
     def forfeit(self, seconds: float) -> None:
-        """Allow none for so long."""
+        """Allow none for this long."""
         self.take(0)
         self._left = min(self._left, 0.0) - seconds * self._per_s
 

@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 settings.register_profile("edged", deadline=None)  # an example takes what a busy machine leaves it
 settings.load_profile("edged")
 
-pytest_plugins = ["helpers.alone", "helpers.skips"]
+pytest_plugins = ["helpers.alone", "helpers.coroutines", "helpers.skips"]
 
 ONE_WIRE = (
     "tests/cameras/",

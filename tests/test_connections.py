@@ -80,54 +80,46 @@ def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -
     assert 0 == process.returncode
 
 
-def test_a_client_counts_until_it_is_aborted_and_is_forgotten_once() -> None:
+async def test_a_client_counts_until_it_is_aborted_and_is_forgotten_once() -> None:
     """Whoever is refused never counts; an end by either side is told once."""
     left: list[TcpClient] = []
-
-    async def test() -> None:
-        listener = TcpListener(
-            "test",
-            lambda _: asyncio.Protocol(),
-            lambda _: len(listener.clients) < 2,
-            left.append,
-            idle_s=600,
-        )
-        await listener.open("localhost", 0)
-        ends = [await connect(listener) for _ in range(3)]
-        assert b"" == await ends[2][0].read()
-        first, second = listener.clients
-        first.abort()
-        assert (second,) == listener.clients
-        assert [first] == left
-        assert b"" == await ends[0][0].read()
-        ends[1][1].close()
-        await until(lambda: not listener.clients)
-        for _, writer in ends:
-            writer.close()
-        await listener.close()
-        assert [first, second] == left
-
-    run(test)
+    listener = TcpListener(
+        "test",
+        lambda _: asyncio.Protocol(),
+        lambda _: len(listener.clients) < 2,
+        left.append,
+        idle_s=600,
+    )
+    await listener.open("localhost", 0)
+    ends = [await connect(listener) for _ in range(3)]
+    assert b"" == await ends[2][0].read()
+    first, second = listener.clients
+    first.abort()
+    assert (second,) == listener.clients
+    assert [first] == left
+    assert b"" == await ends[0][0].read()
+    ends[1][1].close()
+    await until(lambda: not listener.clients)
+    for _, writer in ends:
+        writer.close()
+    await listener.close()
+    assert [first, second] == left
 
 
-def test_a_client_that_is_busy_is_not_idle() -> None:
+async def test_a_client_that_is_busy_is_not_idle() -> None:
     """Something is being done for it, however long that takes; the other one ends."""
-
-    async def test() -> None:
-        listener = TcpListener("test", lambda _: asyncio.Protocol(), lambda _: True, idle_s=0.2)
-        await listener.open("127.0.0.1", 0)
-        (busy_reader, busy), (idle_reader, idle) = await connect(listener), await connect(listener)
-        await until(lambda: len(listener.clients) == 2)
-        listener.client(busy.get_extra_info("sockname")).touch(busy=True)
-        assert b"" == await idle_reader.read()
-        (left,) = listener.clients
-        assert busy.get_extra_info("sockname") == left.name
-        await listener.close()
-        assert b"" == await busy_reader.read()
-        for writer in (busy, idle):
-            writer.close()
-
-    run(test)
+    listener = TcpListener("test", lambda _: asyncio.Protocol(), lambda _: True, idle_s=0.2)
+    await listener.open("127.0.0.1", 0)
+    (busy_reader, busy), (idle_reader, idle) = await connect(listener), await connect(listener)
+    await until(lambda: len(listener.clients) == 2)
+    listener.client(busy.get_extra_info("sockname")).touch(busy=True)
+    assert b"" == await idle_reader.read()
+    (left,) = listener.clients
+    assert busy.get_extra_info("sockname") == left.name
+    await listener.close()
+    assert b"" == await busy_reader.read()
+    for writer in (busy, idle):
+        writer.close()
 
 
 def test_a_rate_is_so_many_a_second() -> None:
@@ -141,7 +133,7 @@ def test_a_rate_is_so_many_a_second() -> None:
     assert [True] * 4 + [False] == [rate.take() for _ in range(5)]
 
 
-def test_a_client_that_sends_more_than_it_may_is_ended() -> None:
+async def test_a_client_that_sends_more_than_it_may_is_ended() -> None:
     """And only it; who has no limit may send what they like, and all of it arrives."""
     heard: dict[str, int] = {"limited": 0, "free": 0}
 
@@ -152,30 +144,27 @@ def test_a_client_that_sends_more_than_it_may_is_ended() -> None:
         def data_received(self, data: bytes) -> None:
             heard[self.name] += len(data)
 
-    async def test() -> None:
-        names = iter(heard)
-        listener = TcpListener("test", lambda _: Ear(next(names)), lambda _: True, idle_s=600)
-        await listener.open("127.0.0.1", 0)
-        reader, limited = await connect(listener)
-        await until(lambda: len(listener.clients) == 1 and listener.clients[0].is_in)
-        (client,) = listener.clients
-        client.limit(1.0, 1000.0)
-        _, free = await connect(listener)
-        limited.write(bytes(900))
-        await until(lambda: heard["limited"] == 900)
-        assert not client.has_flooded
-        limited.write(bytes(200))
-        with contextlib.suppress(ConnectionError):
-            assert b"" == await reader.read()
-        assert client.has_flooded
-        free.write(bytes(1_000_000))
-        await until(lambda: heard["free"] == 1_000_000)
-        assert 900 == heard["limited"]
-        for writer in (limited, free):
-            writer.close()
-        await listener.close()
-
-    run(test)
+    names = iter(heard)
+    listener = TcpListener("test", lambda _: Ear(next(names)), lambda _: True, idle_s=600)
+    await listener.open("127.0.0.1", 0)
+    reader, limited = await connect(listener)
+    await until(lambda: len(listener.clients) == 1 and listener.clients[0].is_in)
+    (client,) = listener.clients
+    client.limit(1.0, 1000.0)
+    _, free = await connect(listener)
+    limited.write(bytes(900))
+    await until(lambda: heard["limited"] == 900)
+    assert not client.has_flooded
+    limited.write(bytes(200))
+    with contextlib.suppress(ConnectionError):
+        assert b"" == await reader.read()
+    assert client.has_flooded
+    free.write(bytes(1_000_000))
+    await until(lambda: heard["free"] == 1_000_000)
+    assert 900 == heard["limited"]
+    for writer in (limited, free):
+        writer.close()
+    await listener.close()
 
 
 def test_a_rate_is_of_each_and_can_be_forfeited() -> None:

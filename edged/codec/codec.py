@@ -165,7 +165,7 @@ class Codec:
                 return {self._value(key, images): self._value(item, images) for key, item in parts}
             case "nearest", [bool(is_known), told]:
                 answer = self._value(told, images)
-                # what is not known is left to who gets it; `ask` of what is known answers at once
+                # what is not known is left to the receiver; `ask` of what is known answers at once
                 nearest = Nearest(lambda: answer)
                 if is_known:
                     nearest.ask()

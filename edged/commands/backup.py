@@ -1,4 +1,4 @@
-"""`edged backup` and `edged restore`: all that a cell stands on in one file, and back again."""
+"""`edged backup` and `edged restore`: all that a cell consists of in one file, and back again."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def calibrate(
 
 
 def _keep_old(output: Path, console: Console) -> Path | None:
-    """Keep the rig that is about to be replaced; say so if it was registered to a robot."""
+    """Keep the rig that is about to be replaced; warn if it was registered to a robot."""
     kept = keep_old_rig(output)
     if kept is None:
         return None

@@ -1,4 +1,4 @@
-"""`edged check`: is this configuration, with its rig and its jobs, fit to run?"""
+"""`edged check`: can this configuration run, with its rig and its jobs?"""
 
 from __future__ import annotations
 

@@ -91,9 +91,9 @@ def _differ(
 def grab(config: Path, output: Path, count: int, name: str, console: Console) -> int:
     """Save pairs as NAME_NN_left.png, NAME_NN_right.png; 0 when all were taken, else 1.
 
-    A terminal is asked before each pair but a single one; without one, a pair is taken whenever the view has
-    changed and rests. Numbers go on after those in the folder; nothing is overwritten, and what was taken
-    stays whatever comes after.
+    On a terminal a person is asked before each pair, unless it is a single one; elsewhere a pair is taken
+    whenever the view has changed and rests. Numbers go on after those in the folder; nothing is overwritten,
+    and what was taken stays, whatever comes after.
     """
     section = load(config).cameras
     check_folder(output)
@@ -216,7 +216,7 @@ def _write_all(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 async def _line(descriptor: int) -> str:
-    """The next line of a file, "" at its end; cancelled, nothing waits for it any more."""
+    """The next line of a file, "" at its end; once cancelled, nothing keeps waiting for it."""
     loop = asyncio.get_running_loop()
     heard = b""
     while not heard.endswith(b"\n"):

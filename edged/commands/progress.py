@@ -14,7 +14,7 @@ from edged.setup.pairs import silent
 
 @contextmanager
 def shown_on(console: Console) -> Iterator[Told]:
-    """Show progress while this is open; nothing where the console is no terminal."""
+    """Show progress while this is open; nothing where the console is not a terminal."""
     if not console.is_terminal:
         yield silent  # rich would leave an empty line in the file for each stage
         return

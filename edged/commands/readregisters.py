@@ -35,7 +35,7 @@ def read(place: str, base_address: int, unit_id: int, console: Console) -> int:
     """Read every block of a cell and print values with their meaning; nothing is written to it.
 
     place : HOST or HOST:PORT. Blocks of the target table are shown as far as they hold a part. The word order
-    is found out. Raises `UserError` for what does not answer, or is no cell of this map.
+    is found out. Raises `UserError` for what does not answer, or is not a cell with this map.
     """
     host, port = _host_and_port(place)
     client = ModbusTcpClient(host, port=port, timeout=ANSWER_S)

@@ -23,7 +23,7 @@ PASSWORD_VARIABLE = "EDGED_PASSWORD"
 
 
 def status(url: str, as_json: bool, console: Console) -> int:
-    """Print the status; 0 when the cell is ready. Raises `UserError` for what is no status page."""
+    """Print the status; 0 when the cell is ready. Raises `UserError` for what is not a status page."""
     if urlsplit(url).scheme not in ("http", "https"):
         raise UserError(f"--url {url}: expected http://HOST:PORT or https://HOST:PORT")
     try:

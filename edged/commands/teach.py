@@ -56,7 +56,7 @@ REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"
 def parse_region(text: str, option: str = "--region") -> Area:
     """Read a region in one of the `REGION_FORMS`, px of the raw left image; X,Y,W,H alone is a rectangle.
 
-    Raises `TeachError` that names the option, `ImageError` for a mask that is no picture.
+    Raises `TeachError` that names the option, `ImageError` for a mask that is not a picture.
     """
     kind, colon, rest = text.partition(":")
     if not colon:
@@ -95,7 +95,7 @@ def read_model(step: Path, up: str, unit: str | None = None) -> tuple[CadModel, 
 
     unit : of an STL file's numbers; None: mm.
 
-    Raises `TeachError` for what is no axis, `FileFormatError` for what is no model.
+    Raises `TeachError` for what is not an axis, `FileFormatError` for what is not a model.
     """
     axis = AXES.get(up.strip().lower().removeprefix("+"))
     if axis is None:

@@ -48,7 +48,7 @@ class CycleSection(Section):
 
 
 class DriftSection(Section):
-    """When the calibration is said to drift, and when no result is given any more (means over cycles)."""
+    """When the calibration counts as drifting, and from when on no result is given (means over cycles)."""
 
     warn_rows_px: float = Field(0.5, gt=0, le=100, description="row difference of corresponding points, rms")
     invalid_rows_px: float = Field(1.0, gt=0, le=100, description="the same: beyond it results are refused")

@@ -39,11 +39,11 @@ EXPECTED = {
     "string_too_short": "expected a text that is not empty",
     "string_pattern_mismatch": "expected 1 to 64 letters, digits, '_', '.' and '-', a letter or digit first",
 }
-"""pydantic's kinds of mistakes in the words of who writes a file."""
+"""pydantic's kinds of mistakes in the words of the person who writes the file."""
 
 
 def _known_keys(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
-    """Keys of the section at a path; none where it is no section of fixed keys."""
+    """Keys of the section at a path; none if it is not a section of fixed keys."""
     for part in path:
         if isinstance(part, int):
             return []
@@ -139,7 +139,7 @@ def _validated(data: dict[str, Any], path: Path, source: str) -> Config:
 def limits_of(content: bytes) -> LimitsSection:
     """`[limits]` of a configuration that was in use, whatever else is missing in it by now.
 
-    Raises `ValueError` for what is no configuration.
+    Raises `ValueError` for what is not a configuration.
     """
     data = toml_of(content)
     return LimitsSection.model_validate(data.get("limits", {}))

@@ -21,7 +21,7 @@ MAX_DOCUMENT_BYTES = 4 * 1024 * 1024
 """Size of a JSON file: in memory it takes up to 25 times as much (`[{},{},...`, CPython 3.11), and a rig with
 the figures of a hundred views is a tenth of it."""
 TEMPORARY_NAMES = 100
-"""Tried before it is said that all are taken: of 2^32 hardly two ever are, but for who guesses them."""
+"""How many are tried before all count as taken: of 2^32 two hardly ever are, unless somebody guesses them."""
 
 
 def write_atomically(
@@ -30,7 +30,7 @@ def write_atomically(
     """Write a file so that after a power cut either the old or the new content is there.
 
     mode : other users read rigs; for a secret see `private.write_private`.  group : -1 for one's own.
-    is_state : where root writes, it belongs to who the folder belongs to: the daemon.
+    is_state : a file that root writes gets the folder's owner: the daemon.
     """
     path = Path(path)
     with open_folder(path.parent) as folder:
@@ -64,7 +64,7 @@ def _new_file(beginning: str, folder: int) -> tuple[int, str]:
 
 
 def give_like(handle: int, folder: int) -> None:
-    """Let a new file of root's belong to who the open folder that it is in belongs to. Raises `OSError`."""
+    """Give a new file of root's the owner of the open folder that it is in. Raises `OSError`."""
     if os.geteuid() == 0:
         owner = os.fstat(folder)
         os.fchown(handle, owner.st_uid, owner.st_gid)

@@ -76,7 +76,7 @@ _NO_NUMBER = re.compile(
     rb"(?P<value>[^\r\n]*)",
     re.MULTILINE,
 )
-"""A group code of floating-point numbers (DXF reference, "Group code value types"), and a line that is none.
+"""A group code of floating-point numbers (DXF reference, "Group code value types"), and a line without one.
 Where a value looks like such a code, the next line is a code, and a number. ezdxf reads `1_0` and `nan`."""
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
@@ -96,7 +96,7 @@ def read_dxf(
 
     layers : only these; empty: all that are switched on.  units : of `UNITS`, where the drawing does not say.
     most_points : of all curves, at most; what would take more memory is refused before it is drawn.
-    Raises `FileFormatError` for what is no DXF, has no unit, is not flat, is not closed, or is empty.
+    Raises `FileFormatError` for what is not a DXF drawing, has no unit, is not flat or closed, or is empty.
     """
     path = Path(path)
     data = read_bytes(path, "a drawing", MAX_DRAWING_BYTES)

@@ -66,20 +66,14 @@ def load_golden(path: Path) -> Golden:
         document = json_of(data)
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict) or document.get("format") != GOLDEN_FORMAT:
-        raise FileFormatError(f'{path}: not a golden part (expected "format": "{GOLDEN_FORMAT}")')
-    if document.get("version") != GOLDEN_VERSION:
-        raise FileFormatError(
-            f"{path}: version {document.get('version')!r}, this edged reads {GOLDEN_VERSION}"
-        )
-    reader = JsonFields(path, document)
+    reader = JsonFields.of_document(document, path, "golden part", GOLDEN_FORMAT, GOLDEN_VERSION)
     golden = Golden(
-        number=_whole(reader, "number", 0xFFFF),
-        job=_text(reader, "job"),
+        number=reader.whole("number", 0xFFFF),
+        job=reader.text("job"),
         part=_digest(reader, "part"),
-        calibration_id=_text(reader, "calibration_id"),
+        calibration_id=reader.text("calibration_id"),
         registration=_digest(reader, "registration"),
-        exposed_ns=_whole(reader, "exposed_ns", 2**63 - 1),
+        exposed_ns=reader.whole("exposed_ns", 2**63 - 1),
         robot_from_rig=reader.transform("robot_from_rig"),
         rig_from_part=reader.transform("rig_from_part"),
         covariance=reader.covariance("covariance", 6),
@@ -105,22 +99,8 @@ def _points(reader: JsonFields) -> np.ndarray[tuple[int, ...], np.dtype[np.float
     return points
 
 
-def _whole(reader: JsonFields, name: str, most: int) -> int:
-    value = reader.document.get(name)
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
-        raise reader.error(name, f"expected a whole number from 0 to {most}, got {value!r}")
-    return value
-
-
-def _text(reader: JsonFields, name: str) -> str:
-    value = reader.document.get(name)
-    if not isinstance(value, str) or not value:
-        raise reader.error(name, f"expected a name, got {value!r}")
-    return value
-
-
 def _digest(reader: JsonFields, name: str) -> str:
-    value = _text(reader, name)
+    value = reader.text(name)
     if not _DIGEST.fullmatch(value):
         raise reader.error(name, f"expected 16 hex digits, got {value!r}")
     return value

@@ -22,7 +22,8 @@ SENSOR_BITS = (8, 10, 12, 14, 16)
 def load_image(path: Path) -> Image:
     """Read an image as 8-bit grey (H, W) uint8; colours and 16 bits are converted.
 
-    Raises `ImageError` for what cannot be read, is no image or too large a one, or has floating-point pixels.
+    Raises `ImageError` for what cannot be read, is not an image, is too large, or has
+    floating-point pixels.
     """
     path = Path(path)
     if path.is_dir():

@@ -23,7 +23,7 @@ _PNM = re.compile(rb"P([1-6])" + 2 * rb"(?:\s|#[^\r\n]*[\r\n])+([0-9]{1,9})")
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 4, 6: 4}
 """By colour type (PNG specification, 11.2.1), as OpenCV unpacks them: a palette's may have transparency."""
 _NO_FRAMES = {0xC4, 0xC8, 0xCC}
-"""Markers among those of JPEG frames, SOF0 to SOF15, that are none (ITU-T T.81, table B.1)."""
+"""Markers in the range of the JPEG frames, SOF0 to SOF15, that begin no frame (ITU-T T.81, table B.1)."""
 _BARE_MARKERS = {0x01, *range(0xD0, 0xD8)}
 """Without a length and content (the same table)."""
 _TIFF_TYPES = {3: "H", 4: "I", 16: "Q"}

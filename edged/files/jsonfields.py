@@ -17,6 +17,18 @@ class JsonFields:
     def __init__(self, path: Path, document: dict[str, Any], prefix: str = "") -> None:
         self.path, self.document, self.prefix = path, document, prefix
 
+    @staticmethod
+    def of_document(document: Any, path: Path, what: str, form: str, version: int) -> JsonFields:
+        """The fields of a whole document of ours. what, form : what it is, for people and in its "format".
+
+        Raises `FileFormatError` for another document, or another version of it.
+        """
+        if not isinstance(document, dict) or document.get("format") != form:
+            raise FileFormatError(f'{path}: not a {what} (expected "format": "{form}")')
+        if document.get("version") != version:
+            raise FileFormatError(f"{path}: version {document.get('version')!r}, this edged reads {version}")
+        return JsonFields(path, document)
+
     def error(self, name: str, problem: str) -> FileFormatError:
         """What is wrong with a field."""
         return FileFormatError(f"{self.path}: {self.prefix}{name}: {problem}")
@@ -35,11 +47,24 @@ class JsonFields:
             raise self.error(name, f"expected a number, got {value!r}")
         return float(value)
 
-    def integer(self, name: str) -> int:
-        """A size in pixels."""
+    def whole(self, name: str, most: int, least: int = 0, what: str = "") -> int:
+        """A whole number. what : it is, for a message."""
         value = self.document.get(name)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 < value < 100_000:
-            raise self.error(name, f"expected a size in pixels, got {value!r}")
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+            raise self.error(
+                name, f"expected {what or f'a whole number from {least} to {most}'}, got {value!r}"
+            )
+        return value
+
+    def size_px(self, name: str) -> int:
+        """A size in pixels."""
+        return self.whole(name, 99_999, 1, "a size in pixels")
+
+    def text(self, name: str) -> str:
+        """A name, not empty."""
+        value = self.document.get(name)
+        if not isinstance(value, str) or not value:
+            raise self.error(name, f"expected a name, got {value!r}")
         return value
 
     def array(self, name: str, shape: tuple[int, ...]) -> FloatArray:
@@ -51,6 +76,10 @@ class JsonFields:
         if value.shape != shape or not np.isfinite(value).all():
             raise self.error(name, f"expected finite numbers in the shape {shape}, got {value.shape}")
         return value
+
+    def transform_or_none(self, name: str) -> FloatArray | None:
+        """A rigid motion (4, 4); None where null or nothing stands for it."""
+        return None if self.document.get(name) is None else self.transform(name)
 
     def transform(self, name: str) -> FloatArray:
         """A rigid motion (4, 4)."""

@@ -216,7 +216,7 @@ def save(folder: Path, index: int, recorded: datetime, snapshot: Snapshot, pair:
 
 
 def entries(folder: Path) -> list[Entry]:
-    """The recordings of a folder, oldest first; other files are no recordings."""
+    """The recordings of a folder, oldest first; other files are passed over."""
     found = (_entry(path) for path in (folder / "cycles").glob("*.zip"))
     return sorted((entry for entry in found if entry is not None), key=lambda entry: entry.index)
 
@@ -246,7 +246,7 @@ def save_setup(folder: Path, fingerprint: str, files: Mapping[str, bytes]) -> No
 
 
 def forget_setups(folder: Path, fingerprints: Iterable[str]) -> None:
-    """Remove setups that no recording stands on any more; each is whole or not there. Raises `OSError`."""
+    """Remove setups on which no recording stands any longer; each is whole or not there. Raises `OSError`."""
     unused = [place for name in fingerprints if (place := setup_folder(folder, name)).is_dir()]
     if unused and (folder / "cycles").is_dir():
         sync(folder / "cycles")  # that the recordings are gone has to last first

@@ -1,4 +1,4 @@
-"""Files: rigs and array containers, written atomically, read with suspicion, never pickled."""
+"""Rigs as JSON files, written atomically, read with suspicion."""
 
 from __future__ import annotations
 
@@ -26,9 +26,6 @@ from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRi
 RIG_FORMAT = "edged-rig"
 RIG_VERSION = 1
 MIN_GAMMA, MAX_GAMMA = 0.2, 5.0
-
-
-# --- rig.json ---------------------------------------------------------------------------------
 
 
 def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = None) -> None:
@@ -102,22 +99,15 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
         document = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict) or document.get("format") != RIG_FORMAT:
-        raise FileFormatError(f'{path}: not a rig file (expected "format": "{RIG_FORMAT}")')
-    if document.get("version") != RIG_VERSION:
-        raise FileFormatError(f"{path}: version {document.get('version')!r}, this edged reads {RIG_VERSION}")
-    reader = JsonFields(path, document)
+    reader = JsonFields.of_document(document, path, "rig file", RIG_FORMAT, RIG_VERSION)
     left, right = _camera_from_json(reader.sub("left")), _camera_from_json(reader.sub("right"))
     right_from_left = reader.transform("right_from_left")
     if float(np.linalg.norm(right_from_left[:3, 3])) <= 0:
         raise FileFormatError(f"{path}: right_from_left: both cameras are in one place")
-    robot = None if document.get("robot_from_rig") is None else reader.transform("robot_from_rig")
-    flange = None if document.get("flange_from_rig") is None else reader.transform("flange_from_rig")
+    robot, flange = reader.transform_or_none("robot_from_rig"), reader.transform_or_none("flange_from_rig")
     if robot is not None and flange is not None:
         raise reader.error("flange_from_rig", "a rig is fixed to the robot's base or to its flange, not both")
-    identity = document.get("calibration_id")
-    if not isinstance(identity, str) or not identity:
-        raise FileFormatError(f"{path}: calibration_id: expected a name, got {identity!r}")
+    identity = reader.text("calibration_id")
     registration = None
     if document.get("registration_covariance") is not None:
         registration = reader.covariance("registration_covariance", 6)
@@ -159,7 +149,7 @@ def _camera_from_json(reader: JsonFields) -> CameraModel:
     model = reader.document.get("model")
     if model not in DISTORTION_NAMES:
         raise reader.error("model", f"expected one of {sorted(DISTORTION_NAMES)}, got {model!r}")
-    width, height = reader.integer("width"), reader.integer("height")
+    width, height = reader.size_px("width"), reader.size_px("height")
     if width * height > MAX_PIXELS:  # tables of the rectification take 16 bytes for each
         raise reader.error("width", f"{width}x{height}: expected at most {MAX_PIXELS} pixels")
     distortion = reader.sub("distortion")
@@ -180,6 +170,3 @@ def _camera_from_json(reader: JsonFields) -> CameraModel:
         tuple(distortion.number(name) for name in DISTORTION_NAMES[model]),
         gamma,
     )
-
-
-# --- array containers ---------------------------------------------------------------------------

@@ -19,7 +19,7 @@ STATE = Path("/var/lib")
 def state_folder(config: Path) -> Path:
     """The state directory of a cell's service; without a service manager a folder beside its configuration.
 
-    Of a configuration that is installed it is known to who runs a command in a shell, too. It may be missing.
+    For an installed configuration a command in a shell finds it, too. It may be missing.
     """
     if (given := _given()) is not None:
         return given
@@ -32,7 +32,7 @@ def state_folder(config: Path) -> Path:
 def page_folder(config: Path) -> Path:
     """The state directory of the page's service; where the cell starts its page itself, that of the cell.
 
-    Of a configuration that is installed it is known to who runs a command in a shell, too. It may be missing.
+    For an installed configuration a command in a shell finds it, too. It may be missing.
     """
     installed = config.resolve()
     if _given() is None and installed.parent == INSTALLED:

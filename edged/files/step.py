@@ -67,8 +67,8 @@ with os.fdopen(out, "wb") as stream:
 def read_step(path: Path) -> CadModel:
     """The one solid of a STEP file, in mm whatever its unit is.
 
-    Raises `FileFormatError` for what is no STEP file, is cut off or damaged, holds no solid or several, has
-    more than `MAX_FACES` faces or no plane one, and where `cascadio` is not installed.
+    Raises `FileFormatError` for what is not a STEP file, is cut off or damaged, holds no solid or several,
+    has more than `MAX_FACES` faces or no plane one, and where `cascadio` is not installed.
     """
     path = Path(path)
     data = read_bytes(path, "a STEP file")

@@ -31,14 +31,14 @@ def read_stl(path: Path, unit: str | None = None) -> CadModel:
     """The triangles of an STL file in mm, its corners welded.
 
     unit : of `UNITS`, in which its numbers are; None: mm.
-    Raises `FileFormatError` for what is no STL file, is cut off, has numbers that are none, more than
-    `MAX_FACETS` facets, or no closed surface of one body.
+    Raises `FileFormatError` for what is not an STL file, is cut off, has coordinates that are not numbers,
+    more than `MAX_FACETS` facets, or no closed surface of one body.
     """
     path = Path(path)
     if unit is not None and unit not in UNITS:
         raise FileFormatError(f"{path}: unit {unit!r}: expected one of {', '.join(UNITS)}")
     data = read_bytes(path, "an STL file")
-    with np.errstate(invalid="ignore"):  # numbers that are none are found below
+    with np.errstate(invalid="ignore"):  # what is not a number is found below
         corners = _text(data, path) if _is_text(data) else _binary(data, path)
     if not len(corners):
         raise FileFormatError(f"{path}: no facet: expected the triangles of one part")

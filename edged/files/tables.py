@@ -94,7 +94,7 @@ def _plain(cell: str) -> str:
 
 def _is_number(cell: str) -> bool:
     try:
-        decimal(cell.replace("−", "-"))
+        number_of(cell)
     except ValueError:
         return False
     return True

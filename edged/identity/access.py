@@ -28,7 +28,7 @@ from edged.identity.visitors import Role, Visitor
 PAGE, METRICS = "page", "metrics"
 """Accounts that are nobody's."""
 INVITATION = ""
-"""Codes are no account: 59 bits are not guessed, and nobody shall lock them."""
+"""Codes are not an account: 59 bits are not guessed, and nobody may lock them."""
 
 
 class Access:
@@ -184,7 +184,7 @@ class Access:
     # --- passwords ---------------------------------------------------------------------------
 
     async def hash(self, address: str, password: str) -> str:
-        """Hash of a user's password, for whoever asks from an address. Raises `TooManyAttempts`."""
+        """Hash of a user's password, for anybody who asks from an address. Raises `TooManyAttempts`."""
         return await self._attempts.run(address, partial(hash_password, password))
 
     async def _is_shared(self, account: str, address: str, password: str) -> bool:

@@ -312,7 +312,7 @@ def _locked(folder: int, *, make: bool = True) -> Iterator[BinaryIO]:
 
 
 def _open_lines(folder: int, *, make: bool) -> int:
-    """The newest file; a new one belongs to who the folder belongs to. Raises `OSError`."""
+    """The newest file; a new one gets the folder's owner. Raises `OSError`."""
     while True:
         try:
             return open_plain(LINES, os.O_RDWR if make else os.O_RDONLY, folder)

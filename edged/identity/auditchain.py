@@ -46,7 +46,7 @@ def line_of(body: dict[str, Any]) -> tuple[bytes, str]:
 
 
 def end_of(line: bytes) -> tuple[int, str] | None:
-    """Number and hash that a line says of itself; None for what is no record."""
+    """Number and hash that a line states for itself; None if it is not a record."""
     record = _record(line)
     if record is None or not isinstance(record.get("number"), int):
         return None

@@ -30,7 +30,7 @@ MOST_OTHERS = 1000
 class JournalWriter:
     """Whose entries count. stem : of the configuration's file, which the service has in its name.
 
-    cell, user : name of the cell and owner of the audit's files, for a daemon that is no service.
+    cell, user : name of the cell and owner of the audit's files, for a daemon that is not a service.
     """
 
     stem: str

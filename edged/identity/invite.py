@@ -32,7 +32,7 @@ class Invite:
     def make(self, name: str = "") -> str:
         """A code that holds for a day, or until it is used. Raises `OSError`.
 
-        name : of who may use it; "" : somebody new, by a name that no user has.
+        name : of the user that it is for; "" : somebody new, by a name that no user has.
         """
         code = "-".join("".join(secrets.choice(LETTERS) for _ in range(GROUP)) for _ in range(GROUPS))
         document = {"digest": _digest(code), "until_s": self._utc_s() + VALID_S, "name": name}

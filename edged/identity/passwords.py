@@ -41,7 +41,7 @@ def hash_password(password: str) -> str:
 
 
 def is_password(password_hash: str, password: str) -> bool:
-    """Whether the hash was made of this password; False also for what is no hash. As slow as hashing."""
+    """Whether the hash was made of this password; False also for what is not a hash. As slow as hashing."""
     try:
         return HASHER.verify(password_hash, password)
     except (Argon2Error, InvalidHashError):

@@ -13,7 +13,7 @@ from edged.identity.names import key_of
 
 SESSION_S = 12 * 3600.0
 IDLE_S = 600.0
-"""Without a sign of them for so long an engineer may only look: the panel stands beside the cell."""
+"""After this long without a sign of them an engineer may only look: the panel stands beside the cell."""
 CONFIRMED_S = 300.0
 """For so long after their password a session may change users and what the cell runs by."""
 OF_A_PERSON = 8

@@ -2,7 +2,8 @@
 
 What is to be sent is encoded and written by a thread of its own; the loop only puts it where the thread finds
 it, in queues of a bounded length. What arrives is read by another thread, at a bounded rate: a page that
-floods waits in its own socket's buffer. A page that sends what is no message, or reads none, loses the link.
+floods waits in its own socket's buffer. A page that sends what is not a message, or reads none, loses the
+link.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ COUNTED_BYTES = 1024
 REST_S = 0.05
 """A page that has asked too much is read again after this."""
 WRITE_S = 15.0
-"""A page that does not read for so long loses the link; one that starts on a busy PC imports meanwhile."""
+"""A page that does not read for this long loses the link; one that starts on a busy PC imports meanwhile."""
 BEAT_S = 1.0
 """The summary comes at least so often: a page that hears nothing knows that the cell's loop hangs."""
 GREET_S = 60.0

@@ -1,6 +1,7 @@
-"""Bytes that one process hands another as memory which nobody can change any more.
+"""Bytes that one process hands another as memory that nobody can change from then on.
 
-The pages belong to who has made them, also in what a service may use; who gets them pays for what it copies.
+The pages count as memory of the process that made them, also for the limits of its service; the receiver
+pays for what it copies.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class LinkNews(NamedTuple):
 class PageEnd:
     """The link to the cell. connection : a Unix stream socket, owned from now on.
 
-    listening : the sockets that the page serves, which come with its task; whoever takes them closes them.
+    listening : the sockets that the page serves, which come with its task; the taker closes them.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -119,7 +119,7 @@ class PageEnd:
                 answer.set_exception(LinkError("the cell has stopped"))
 
     async def _write(self, data: bytes, memory: int | None = None) -> None:
-        """Send a whole message, also where who asked is cancelled meanwhile."""
+        """Send a whole message, even if the caller is cancelled meanwhile."""
         own = None if memory is None else os.dup(memory)
         await asyncio.shield(asyncio.ensure_future(self._written(data, own)))
 

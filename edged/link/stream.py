@@ -47,7 +47,7 @@ class Frames:
 def send_within(connection: socket.socket, data: bytes, descriptors: list[int], limit_s: float) -> None:
     """Send all of it from a thread, descriptors with the first byte, whether or not the socket blocks.
 
-    Raises `LinkError` when the other end does not read for so long, `OSError`.
+    Raises `LinkError` when the other end does not read within that time, `OSError`.
     """
     poll = select.poll()
     poll.register(connection, select.POLLOUT)

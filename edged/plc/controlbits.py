@@ -3,7 +3,7 @@
 Four steps, as of any station: START up, DONE up, START down, DONE down. A rising edge of START is a command
 under a sequence that the cell chooses; its falling edge acknowledges the result, or takes the command back
 where it has not ended. Pure, as the handshake: words in, actions out. Not responsible for which commands may
-run, for how long a result is valid, nor for who may write: that is the handshake's.
+run, for how long a result is valid, nor for who holds the right to write: that is the handshake's.
 
 A START that is up when a client writes for the first time runs nothing: it may be of before a restart.
 """

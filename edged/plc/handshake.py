@@ -79,8 +79,8 @@ class HandshakeLimits:
     """Times and sizes of the handshake.
 
     validity_s : a result older than this, counted from its exposure, is not valid.
-    heartbeat_s : a client is lost when its heartbeat, once begun, stops for so long.
-    owner_s : the right to write lapses after so long without writes and open commands.
+    heartbeat_s : a client is lost when its heartbeat, once begun, stops for this long.
+    owner_s : the right to write lapses after this long without writes and open commands.
     queue : open commands.
     """
 

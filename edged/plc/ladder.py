@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from edged.domain.events import CommandKind
@@ -60,12 +60,11 @@ class Exchange:
 class Ladder:
     """Records the last exchanges from the steps of the handshake.
 
-    name_of : address of a client by its number; None without an address.
+    addresses : of the clients that have one, by their numbers.
     """
 
-    def __init__(self, clock_ns: Callable[[], int] = time.time_ns) -> None:
-        self.name_of: Callable[[int], str | None] = lambda _client: None
-        self._clock_ns = clock_ns
+    def __init__(self, addresses: Mapping[int, str], clock_ns: Callable[[], int] = time.time_ns) -> None:
+        self._addresses, self._clock_ns = addresses, clock_ns
         self._kept: deque[Exchange] = deque(maxlen=KEPT)
         self._by_ticket: dict[int, tuple[Exchange, float]] = {}
         self._count = 0
@@ -88,10 +87,8 @@ class Ladder:
         effects: tuple[ev.Effect, ...],
         now_s: float,
     ) -> None:
-        """Record a step of the handshake; cheap for a `Tick`, which comes with each read of a register."""
+        """Record a step of the handshake."""
         match event:
-            case ev.Tick() if not effects:
-                return
             case ev.SequenceWritten():
                 if after.ticket != before.ticket:
                     self._begin(event.client, after.ticket, now_s)
@@ -128,7 +125,7 @@ class Ladder:
         exchange.rungs.append(Rung(0.0, "command"))
 
     def _bar(self, client: int, ticket: int) -> None:
-        name = self._named(client)
+        name = self._addresses.get(client, "")
         last = self._kept[-1] if self._kept else None
         if last is not None and last.client == name and last.rungs[-1].what == "barred":
             last.times += 1  # it goes on writing
@@ -144,7 +141,9 @@ class Ladder:
 
     def _keep(self, client: int, sequence: int, code: int, job: int) -> Exchange:
         self._count += 1
-        exchange = Exchange(self._count, self._clock_ns(), self._named(client), sequence, code, job)
+        exchange = Exchange(
+            self._count, self._clock_ns(), self._addresses.get(client, ""), sequence, code, job
+        )
         self._kept.append(exchange)
         return exchange
 
@@ -152,9 +151,6 @@ class Ladder:
         exchange, began_s = self._by_ticket.get(ticket, (None, 0.0))
         if exchange is not None and len(exchange.rungs) < MOST_RUNGS:
             exchange.rungs.append(Rung(max(0.0, now_s - began_s), what, detail, valid))
-
-    def _named(self, client: int) -> str:
-        return self.name_of(client) or ""
 
 
 def _hint(code: int, flange_mm: tuple[float, ...]) -> str:

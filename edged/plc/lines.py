@@ -79,7 +79,7 @@ class LineStatus(enum.IntEnum):
 
 
 class BadRequest(ValueError):
-    """A line or frame that is no valid request.
+    """A line or frame that is not a valid request.
 
     brand : in whose convention it is answered. sequence : of the request; 0 if unknown.
     """

@@ -237,20 +237,6 @@ CONVENTIONS = {
     Brand.TECHMAN: Convention.FIXED_XYZ,
 }
 """Angles of the brands that write three."""
-_READERS: dict[Brand, tuple[float, float, Callable[..., FloatArray]]] = {
-    Brand.UR: (1000.0, 1.0, matrix_rotation_vector),
-    Brand.KUKA: (1.0, math.pi / 180, matrix_zyx),
-    Brand.FANUC: (1.0, math.pi / 180, matrix_fixed_xyz),
-    Brand.YASKAWA: (1.0, math.pi / 180, matrix_fixed_xyz),
-    Brand.ABB: (1.0, 1.0, matrix_quaternion),
-    Brand.STAUBLI: (1.0, math.pi / 180, matrix_moving_xyz),
-    Brand.KAWASAKI: (1.0, math.pi / 180, matrix_oat),
-    Brand.DOOSAN: (1.0, math.pi / 180, matrix_oat),
-    Brand.MITSUBISHI: (1.0, math.pi / 180, matrix_fixed_xyz),
-    Brand.EPSON: (1.0, math.pi / 180, matrix_zyx),
-    Brand.DENSO: (1.0, math.pi / 180, matrix_fixed_xyz),
-    Brand.TECHMAN: (1.0, math.pi / 180, matrix_fixed_xyz),
-}
 
 
 def transform_of(brand: Brand, numbers: tuple[float, ...]) -> FloatArray:
@@ -268,11 +254,20 @@ def transform_of(brand: Brand, numbers: tuple[float, ...]) -> FloatArray:
         raise ValueError(f"expected {expected} numbers ({POSE_FIELDS[brand]}), got {len(numbers)}")
     if brand is Brand.ABB and abs(math.hypot(*numbers[3:]) - 1) > 0.01:
         raise ValueError(f"the quaternion has the length {math.hypot(*numbers[3:]):.4f}, expected 1")
-    to_mm, to_rad, reader = _READERS[brand]
+    to_mm, to_rad = _units(brand)
+    read: Callable[..., FloatArray] = (
+        matrix_quaternion if brand is Brand.ABB else _ROTATIONS[CONVENTIONS[brand]]
+    )
     pose = np.eye(4)
     pose[:3, 3] = np.array(numbers[:3]) * to_mm
-    pose[:3, :3] = reader(*(number * to_rad for number in numbers[3:]))
+    pose[:3, :3] = read(*(number * to_rad for number in numbers[3:]))
     return pose
+
+
+def _units(brand: Brand) -> tuple[float, float]:
+    """The brand's unit of length in mm, and of angles in rad; ABB's quaternions have none."""
+    to_mm = 1000.0 if brand is Brand.UR else 1.0
+    return to_mm, 1.0 if brand in (Brand.UR, Brand.ABB) else math.pi / 180
 
 
 def pose_of(brand: Brand, robot_from_part: FloatArray) -> tuple[float, ...]:
@@ -281,7 +276,7 @@ def pose_of(brand: Brand, robot_from_part: FloatArray) -> tuple[float, ...]:
     >>> pose_of(Brand.UR, transform_of(Brand.UR, (0.1, 0.2, 0.3, 0.0, 0.0, 1.5)))[2]
     0.3
     """
-    to_mm, to_rad, _ = _READERS[brand]
+    to_mm, to_rad = _units(brand)
     R = robot_from_part[:3, :3]
     if brand is Brand.ABB:
         angles: tuple[float, ...] = tuple(quaternion(R).tolist())

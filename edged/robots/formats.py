@@ -78,34 +78,39 @@ RENAMED = ("rapid", "krl", "krl6", "drl", "val3", "as", "spel", "scl", "s7db", "
 """Formats of which two may be in one controller under different names."""
 
 
+KUKA_FILES = {"edged.src": "krl", "edged.dat": "krl", "edged.xml": ""}
+VAL3_PROGRAMS = (
+    *("runLocate", "runPerform", "openAndAsk", "runFetch", "runGrasp", "acknowledge"),
+    *("nextNumber", "ask", "newField", "takeCode", "takeField", "openLink", "hangUp"),
+    *("send", "receive", "addPlace", "startClock", "readClock", "pause"),
+    *("locate", "expose", "result", "nextPart", "grasp", "perform", "start", "stop"),
+    *("golden", "offset"),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Format:
     """What `edged registers --format NAME` writes, from the templates in the folder of that name.
 
     files : language of each file by its name: a table of `grammars`, or "" for none. brand : the maker whose
     poses a program reads in lines of text; None for Modbus. first : index of an array's first element.
+    archive : the file that the page offers where there are several; "": it offers the one file.
     """
 
     files: Mapping[str, str]
     brand: Brand | None = None
     first: int = 1
+    archive: str = ""
 
 
 FORMATS = {
     "md": Format({"edged.md": ""}),
-    "csv": Format({"edged.csv": ""}),
     "json": Format({"edged.json": ""}),
     "st": Format({"edged.st": "iec"}),
-    "plcopen": Format({"edged.xml": "iec"}),
     "scl": Format({"edged.scl": "scl"}),
     "s7db": Format({"edged_db.scl": "scl"}),
     "l5x": Format({"edged.L5X": "logix"}),
-    "urscript": Format({"edged.script": "urscript"}),
-    "python": Format({"edged_cell.py": ""}),
-    "rapid": Format({"EDGED.mod": "rapid"}, Brand.ABB),
-    "drl": Format({"edged.drl": "drl"}, Brand.DOOSAN, first=0),
-    "as": Format({"edged.as": "as"}, Brand.KAWASAKI),
-    "spel": Format({"Edged.prg": "spel"}, Brand.EPSON),
+    "plcopen": Format({"edged.xml": "iec"}),
     "twincat": Format(
         {
             "ST_EDGED_RESULT.TcDUT": "iec",
@@ -115,32 +120,43 @@ FORMATS = {
             "F_EDGED_UDINT_OF_64.TcPOU": "iec",
             "FB_EDGED.TcPOU": "iec",
             "FB_EDGED_TC.TcPOU": "iec",
-        }
-    ),
-    "karel": Format({"edged.kl": "karel", "edgepick.ls": "tp", "edgedreg.ls": "tp"}, Brand.FANUC),
-    "krl": Format({"edged.src": "krl", "edged.dat": "krl", "edged.xml": ""}, Brand.KUKA),
-    "krl6": Format({"edged.src": "krl", "edged.dat": "krl", "edged.xml": ""}, Brand.KUKA),
-    "val3": Format(
-        {
-            "edged.pjx": "",
-            "edged.dtx": "val3",
-            **{
-                f"{program}.pgx": "val3"
-                for program in (
-                    *("runLocate", "runPerform", "openAndAsk", "runFetch", "runGrasp", "acknowledge"),
-                    *("nextNumber", "ask", "newField", "takeCode", "takeField", "openLink", "hangUp"),
-                    *("send", "receive", "addPlace", "startClock", "readClock", "pause"),
-                    *("locate", "expose", "result", "nextPart", "grasp", "perform", "start", "stop"),
-                    *("golden", "offset"),
-                )
-            },
         },
+        archive="edged-twincat.zip",
+    ),
+    "urscript": Format({"edged.script": "urscript"}),
+    "krl": Format(KUKA_FILES, Brand.KUKA, archive="edged-kuka.zip"),
+    "krl6": Format(KUKA_FILES, Brand.KUKA, archive="edged-kuka-iiqka.zip"),
+    "karel": Format(
+        {"edged.kl": "karel", "edgepick.ls": "tp", "edgedreg.ls": "tp"},
+        Brand.FANUC,
+        archive="edged-fanuc.zip",
+    ),
+    "rapid": Format({"EDGED.mod": "rapid"}, Brand.ABB),
+    "motoplus": Format(
+        {"edged.c": "c", "EDGED.JBI": "inform"}, Brand.YASKAWA, first=0, archive="edged-yaskawa.zip"
+    ),
+    "val3": Format(
+        {"edged.pjx": "", "edged.dtx": "val3", **{f"{program}.pgx": "val3" for program in VAL3_PROGRAMS}},
         Brand.STAUBLI,
         first=0,
+        archive="edged-staubli.zip",
     ),
-    "melfa": Format({"EDGED.prg": "melfa", "EDGEDL.prg": "melfa"}, Brand.MITSUBISHI),
-    "motoplus": Format({"edged.c": "c", "EDGED.JBI": "inform"}, Brand.YASKAWA, first=0),
+    "as": Format({"edged.as": "as"}, Brand.KAWASAKI),
+    "drl": Format({"edged.drl": "drl"}, Brand.DOOSAN, first=0),
+    "melfa": Format(
+        {"EDGED.prg": "melfa", "EDGEDL.prg": "melfa"}, Brand.MITSUBISHI, archive="edged-mitsubishi.zip"
+    ),
+    "spel": Format({"Edged.prg": "spel"}, Brand.EPSON),
+    "python": Format({"edged_cell.py": ""}),
+    "csv": Format({"edged.csv": ""}),
 }
+"""In the order in which the page offers them."""
+DOWNLOADS = {
+    name: form.archive or next(iter(form.files))
+    for name, form in FORMATS.items()
+    if name not in ("md", "json")  # the manual has the map for people, and the API for programs
+}
+"""What can be fetched from the page, by the name of its format, and the file that it becomes."""
 
 
 def written(fmt: str, cell: ProgramCell | None = None) -> dict[str, str]:

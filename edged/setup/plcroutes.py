@@ -17,31 +17,9 @@ from edged.link.summary import CellSummary
 from edged.plc.ladder import Exchange
 from edged.plc.registers import ADDRESS, constant_values
 from edged.robot.orientations import Convention
-from edged.robots.formats import written
+from edged.robots.formats import DOWNLOADS, written
 from edged.setup.draftroutes import unknown
 
-FILES = {
-    "st": "edged.st",
-    "scl": "edged.scl",
-    "s7db": "edged_db.scl",
-    "l5x": "edged.L5X",
-    "plcopen": "edged.xml",
-    "twincat": "edged-twincat.zip",
-    "urscript": "edged.script",
-    "krl": "edged-kuka.zip",
-    "krl6": "edged-kuka-iiqka.zip",
-    "karel": "edged-fanuc.zip",
-    "rapid": "EDGED.mod",
-    "motoplus": "edged-yaskawa.zip",
-    "val3": "edged-staubli.zip",
-    "as": "edged.as",
-    "drl": "edged.drl",
-    "melfa": "edged-mitsubishi.zip",
-    "spel": "Edged.prg",
-    "python": "edged_cell.py",
-    "csv": "edged.csv",
-}
-"""What can be fetched, by the name of its format, and the file that it becomes."""
 EPOCH = (2026, 1, 1, 0, 0, 0)
 """In archives: the same source is the same file."""
 
@@ -129,7 +107,7 @@ class PlcRoutes:
     @route("GET", "/plc", "How PLCs reach the cell", role=Role.VIEWER)
     async def _plc(self, _call: Call[None]) -> PlcDocument:
         now = self._cell.summary.plc
-        clients = [ClientDocument(kind=kind, file=file) for kind, file in FILES.items()]
+        clients = [ClientDocument(kind=kind, file=file) for kind, file in DOWNLOADS.items()]
         if now is None:
             return PlcDocument(listening=False, clients=clients)
         known = constant_values(Convention[now.convention.upper()], 0, 0)
@@ -170,11 +148,11 @@ class PlcRoutes:
     )
     async def _client(self, call: Call[None]) -> web.Response:
         kind = call.part("kind")
-        if kind not in FILES:
+        if kind not in DOWNLOADS:
             raise unknown()
         files = written(kind)
         data = _packed(files) if len(files) > 1 else "".join(files.values()).encode()
-        headers = {"Content-Disposition": f'attachment; filename="{FILES[kind]}"'}
+        headers = {"Content-Disposition": f'attachment; filename="{DOWNLOADS[kind]}"'}
         return web.Response(body=data, content_type="application/octet-stream", headers=headers)
 
 

@@ -34,7 +34,7 @@ class Talk:
     def __init__(self) -> None:
         self.now_s, self.queue = 1000.0, Queue()
         self.cell = CellRegisters(ModbusSettings(), self.queue, self._clock)
-        self.cell.ladder.name_of = {1: "10.0.0.5", 2: "10.0.0.9"}.get
+        self.cell.addresses |= {1: "10.0.0.5", 2: "10.0.0.9"}
         self.cell.write(1, reg.ADDRESS["CMD_SEQ"], [0])
 
     def _clock(self) -> float:

@@ -14,7 +14,7 @@ from annotated_types import Le
 from helpers.snapshots import make_snapshot
 from helpers.waiting import WHOLE_S
 
-from edged.adapters.modbus import lines
+from edged.adapters.modbus import lineserver
 from edged.adapters.systemd import SystemdNotifier
 from edged.adapters.web import places
 from edged.adapters.zenoh import session
@@ -305,7 +305,7 @@ def test_strangers_cannot_take_every_descriptor(unit_file):
         limit.le for limit in ModbusSection.model_fields["max_clients"].metadata if isinstance(limit, Le)
     )
     zenoh = 3 * session.MAX_SESSIONS + session.ACCEPT_PENDING
-    assert modbus + lines.MAX_CLIENTS + places.MAX_CONNECTIONS + zenoh + 400 <= 1024
+    assert modbus + lineserver.MAX_CLIENTS + places.MAX_CONNECTIONS + zenoh + 400 <= 1024
 
 
 def test_the_unit_asks_for_what_the_notifier_tells(unit_file):

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from edged.adapters.opcua.state import CellStates, Top, vision_state
+from edged.adapters.opcua.state import Top, vision_state
 from edged.domain.cell import CellPhase
 from edged.plc.registers import Number
+from edged.plc.statuswords import STATES
 
 
 @pytest.mark.parametrize("free_running", [False, True])
@@ -22,6 +23,6 @@ def test_every_state_of_the_cell_has_one_of_the_machine(free_running: bool) -> N
     }
     assert set(CellPhase) == set(expected)
     for phase, top in expected.items():
-        values: dict[str, Number] = {"STATE": CellStates[phase], "STATUS_BITS": 0, "OPEN_COMMANDS": 0}
+        values: dict[str, Number] = {"STATE": STATES[phase], "STATUS_BITS": 0, "OPEN_COMMANDS": 0}
         found = vision_state(values, free_running=free_running)
         assert (top, top is not Top.OPERATIONAL) == (found.top, found.automatic is None)

@@ -6,24 +6,12 @@ import asyncio
 import os
 import pwd
 import socket
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
-from helpers.waiting import WHOLE_S
 
 from edged.app import pagesource
 from edged.app.pagesource import AwaitedPage, peer_of
-
-
-def play(test: Callable[[], Awaitable[None]]) -> None:
-    """A test's coroutine, bounded."""
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S):
-            await test()
-
-    asyncio.run(bounded())
 
 
 def come(place: Path) -> socket.socket:
@@ -33,45 +21,37 @@ def come(place: Path) -> socket.socket:
     return ours
 
 
-def test_its_user_is_let_in_and_known_by_the_kernel(tmp_path: Path) -> None:
+async def test_its_user_is_let_in_and_known_by_the_kernel(tmp_path: Path) -> None:
     """One after the other; the place is gone with the cell, and others than its group cannot come at all."""
-
-    async def test() -> None:
-        page = AwaitedPage(pwd.getpwuid(os.geteuid()).pw_name, tmp_path / "page")
-        page.open()
-        assert 0o660 == (tmp_path / "page").stat().st_mode & 0o777
-        for _ in range(2):
-            with come(tmp_path / "page"), await page.connection() as link:
-                assert (os.getpid(), os.geteuid()) == peer_of(link)
-                assert os.getpid() == page.pid
-            assert "" == await page.ended(is_good=True)
-            assert None is page.pid
-        page.close()
-        assert not (tmp_path / "page").exists()
-
-    play(test)
+    page = AwaitedPage(pwd.getpwuid(os.geteuid()).pw_name, tmp_path / "page")
+    page.open()
+    assert 0o660 == (tmp_path / "page").stat().st_mode & 0o777
+    for _ in range(2):
+        with come(tmp_path / "page"), await page.connection() as link:
+            assert (os.getpid(), os.geteuid()) == peer_of(link)
+            assert os.getpid() == page.pid
+        assert "" == await page.ended(is_good=True)
+        assert None is page.pid
+    page.close()
+    assert not (tmp_path / "page").exists()
 
 
-def test_another_user_is_refused_and_the_next_may_come(
+async def test_another_user_is_refused_and_the_next_may_come(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Also where nobody knows the name: no user is never any user."""
     monkeypatch.setattr(pagesource, "REFUSED_S", 0.01)
     numbers = iter([None, 12345, os.geteuid()])
     monkeypatch.setattr(pagesource, "_number_of", lambda _name: next(numbers))
-
-    async def test() -> None:
-        page = AwaitedPage("edged_page", tmp_path / "page")
-        waiting = asyncio.create_task(page.connection())
-        await asyncio.sleep(0)
-        for _ in range(2):
-            with come(tmp_path / "page") as refused:
-                assert b"" == await asyncio.to_thread(refused.recv, 1)
-        with come(tmp_path / "page"), await waiting:
-            pass
-        page.close()
-
-    play(test)
+    page = AwaitedPage("edged_page", tmp_path / "page")
+    waiting = asyncio.create_task(page.connection())
+    await asyncio.sleep(0)
+    for _ in range(2):
+        with come(tmp_path / "page") as refused:
+            assert b"" == await asyncio.to_thread(refused.recv, 1)
+    with come(tmp_path / "page"), await waiting:
+        pass
+    page.close()
     assert (
         f"user {os.geteuid()} came as the page, expected edged_page, a name that is not known" in caplog.text
     )

@@ -163,7 +163,7 @@ EXCHANGES: dict[str, Callable[[Path], None]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", [*EXCHANGES, "nothing"])
-def test_a_valid_result_does_not_outlive_a_reload_that_exchanges_what_it_stands_on(
+async def test_a_valid_result_does_not_outlive_a_reload_that_exchanges_what_it_stands_on(
     what: str, cell: tuple[Path, LoadedCell], tmp_path: Path
 ) -> None:
     """A PLC holds a good result while files change: with the reload it falls; without a change it stays."""
@@ -174,37 +174,33 @@ def test_a_valid_result_does_not_outlive_a_reload_that_exchanges_what_it_stands_
         text.replace("port = 1502", f"port = {free_port()}\nvalidity_s = 3600.0").split("[zenoh]")[0]
         + "[zenoh]\n"
     )
+    with VirtualWorld(gige=False, rig=small_rig()) as world:
+        daemon = Daemon(path, load_cell(path), world=world)
+        running, servers = asyncio.create_task(daemon.run()), vars(daemon)["_servers"]
+        await until(lambda: "modbus" in servers.started)
+        modbus = servers.started["modbus"]
 
-    async def main() -> None:
-        with VirtualWorld(gige=False, rig=small_rig()) as world:
-            daemon = Daemon(path, load_cell(path), world=world)
-            running, servers = asyncio.create_task(daemon.run()), vars(daemon)["_servers"]
-            await until(lambda: "modbus" in servers.started)
-            modbus = servers.started["modbus"]
+        def values() -> dict[str, Number]:
+            return {register.name: value for register, value in modbus.values()}
 
-            def values() -> dict[str, Number]:
-                return {register.name: value for register, value in modbus.values()}
-
-            await until(lambda: values()["STATE"] == 1)
-            modbus.write(
-                7, {"COMMAND": 1, "JOB": 0, "CMD_SEQ": 5, "ACK_SEQ": 0, "CLIENT_HEARTBEAT": 0, "OPTIONS": 2}
-            )
-            await until(lambda: values()["DONE_SEQ"] == 5)
-            before = values()
-            assert before["STATUS_BITS"] & StatusBit.RESULT_VALID
-            EXCHANGES.get(what, lambda _folder: None)(tmp_path)
-            assert await daemon.reload()
-            if what != "nothing":
-                await until(lambda: values()["START_EPOCH"] != before["START_EPOCH"])
-            after = values()
-            is_kept = what == "nothing"
-            assert is_kept == bool(after["STATUS_BITS"] & StatusBit.RESULT_VALID)
-            assert is_kept == (before["CONFIG_CRC"] == after["CONFIG_CRC"])
-            assert (ResultCode.OK if is_kept else ResultCode.RELOADED) == after["RESULT"]
-            daemon.stop()
-            await running
-
-    asyncio.run(main())
+        await until(lambda: values()["STATE"] == 1)
+        modbus.write(
+            7, {"COMMAND": 1, "JOB": 0, "CMD_SEQ": 5, "ACK_SEQ": 0, "CLIENT_HEARTBEAT": 0, "OPTIONS": 2}
+        )
+        await until(lambda: values()["DONE_SEQ"] == 5)
+        before = values()
+        assert before["STATUS_BITS"] & StatusBit.RESULT_VALID
+        EXCHANGES.get(what, lambda _folder: None)(tmp_path)
+        assert await daemon.reload()
+        if what != "nothing":
+            await until(lambda: values()["START_EPOCH"] != before["START_EPOCH"])
+        after = values()
+        is_kept = what == "nothing"
+        assert is_kept == bool(after["STATUS_BITS"] & StatusBit.RESULT_VALID)
+        assert is_kept == (before["CONFIG_CRC"] == after["CONFIG_CRC"])
+        assert (ResultCode.OK if is_kept else ResultCode.RELOADED) == after["RESULT"]
+        daemon.stop()
+        await running
 
 
 # --- a start in which a server hangs -------------------------------------------------------------------
@@ -238,26 +234,22 @@ def hanging_opcua(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SmallCell:
 
 
 @pytest.mark.slow
-def test_a_cell_measures_whose_opcua_server_does_not_start(
+async def test_a_cell_measures_whose_opcua_server_does_not_start(
     hanging_opcua: SmallCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Page and metrics say that it does not run, where and why; a reload has a reason."""
     monkeypatch.setattr("edged.app.servers.START_S", 0.5)
     path, seen = hanging_opcua.config, Seen()
-
-    async def main() -> None:
-        with SmallWorld(pictures(hanging_opcua.virtual, 1)) as world:
-            daemon = Daemon(path, load_cell(path), world=world, observers=[seen])
-            running = asyncio.create_task(daemon.run())
-            await until(lambda: seen.cycles > 2)
-            parts = daemon._running  # noqa: SLF001  (what page and metrics ask)
-            assert re.search("opcua on .*has not started within", str(parts.facts()["OPC UA"]["problem"]))
-            assert 1 == parts.figures()["servers_failing"][1]
-            assert await daemon.reload()
-            daemon.stop()
-            await running
-
-    asyncio.run(main())
+    with SmallWorld(pictures(hanging_opcua.virtual, 1)) as world:
+        daemon = Daemon(path, load_cell(path), world=world, observers=[seen])
+        running = asyncio.create_task(daemon.run())
+        await until(lambda: seen.cycles > 2)
+        parts = daemon._running  # noqa: SLF001  (what page and metrics ask)
+        assert re.search("opcua on .*has not started within", str(parts.facts()["OPC UA"]["problem"]))
+        assert 1 == parts.figures()["servers_failing"][1]
+        assert await daemon.reload()
+        daemon.stop()
+        await running
 
 
 @pytest.mark.slow
@@ -279,7 +271,7 @@ def test_a_stop_does_not_wait_for_a_server_that_hangs(hanging_opcua: SmallCell) 
 
 
 @pytest.mark.slow
-def test_a_cell_measures_whose_plc_is_off_and_serves_it_when_it_comes(tmp_path: Path) -> None:
+async def test_a_cell_measures_whose_plc_is_off_and_serves_it_when_it_comes(tmp_path: Path) -> None:
     """Page and metrics say that it is not reached; a reload that exchanges the place writes there instead."""
     small, seen, ports = SmallCell(tmp_path, source="virtual-inprocess"), Seen(), [free_port(), free_port()]
     path, text = small.config, small.config.read_text()
@@ -287,29 +279,26 @@ def test_a_cell_measures_whose_plc_is_off_and_serves_it_when_it_comes(tmp_path: 
     def write(port: int) -> None:
         path.write_text(f'{text}\n[plc]\nhost = "127.0.0.1"\n[plc.s7]\nport = {port}\ndb = 100\n')
 
-    async def main() -> None:
-        with SmallWorld(pictures(small.virtual, 1)) as world:
-            daemon = Daemon(path, load_cell(path), world=world, observers=[seen])
-            running = asyncio.create_task(daemon.run())
-            await until(lambda: seen.cycles > 2)
-            parts = daemon._running  # noqa: SLF001  (what page and metrics ask)
-            await until(lambda: "refused" in str(parts.facts()["PLC"]["problem"]))
-            assert (f"127.0.0.1:{ports[0]}", 0) == (
-                parts.facts()["PLC"]["address"],
-                parts.figures()["plc_reached"][1],
-            )
-            for port in ports:
-                controller = S7Controller(port=port)
-                try:
-                    write(port)
-                    assert await daemon.reload()
-                    await until(lambda: parts.figures()["plc_reached"][1])
-                    assert "problem" not in parts.facts()["PLC"]
-                    await until(lambda memory=controller: any(memory.get(64, 128)))
-                finally:
-                    controller.stop()
-            daemon.stop()
-            await running
-
     write(ports[0])
-    asyncio.run(main())
+    with SmallWorld(pictures(small.virtual, 1)) as world:
+        daemon = Daemon(path, load_cell(path), world=world, observers=[seen])
+        running = asyncio.create_task(daemon.run())
+        await until(lambda: seen.cycles > 2)
+        parts = daemon._running  # noqa: SLF001  (what page and metrics ask)
+        await until(lambda: "refused" in str(parts.facts()["PLC"]["problem"]))
+        assert (f"127.0.0.1:{ports[0]}", 0) == (
+            parts.facts()["PLC"]["address"],
+            parts.figures()["plc_reached"][1],
+        )
+        for port in ports:
+            controller = S7Controller(port=port)
+            try:
+                write(port)
+                assert await daemon.reload()
+                await until(lambda: parts.figures()["plc_reached"][1])
+                assert "problem" not in parts.facts()["PLC"]
+                await until(lambda memory=controller: any(memory.get(64, 128)))
+            finally:
+                controller.stop()
+        daemon.stop()
+        await running

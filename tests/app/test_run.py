@@ -15,7 +15,7 @@ from typing import cast
 import cv2
 import pytest
 from helpers.smallcell import DaemonProcess, SmallCell
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, wait_until
 
 from edged.app.daemon import Daemon
 from edged.app.process import serve
@@ -185,10 +185,7 @@ def test_a_hang_up_before_the_daemon_stands_is_a_reload_after_its_start(small: S
             assert daemon.process.poll() is None, daemon.process.returncode
             time.sleep(0.02)
         daemon.wait_ready()
-        deadline_s = time.monotonic() + LIMIT_S
-        while not any("reloaded" in line for line in daemon.log):
-            assert time.monotonic() < deadline_s, daemon.log
-            time.sleep(0.05)
+        wait_until(lambda: any("reloaded" in line for line in daemon.log))
     finally:
         daemon.stop()
 

@@ -212,7 +212,7 @@ def test_opcua_depends_on_its_files_the_cells_name_and_who_triggers(tmp_path: Pa
     assert after != wanted(more='[cycle]\nmode = "free"\n')
 
 
-def test_opcua_without_its_package_is_a_mistake_that_names_it(
+async def test_opcua_without_its_package_is_a_mistake_that_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Said before any server is touched."""
@@ -220,18 +220,14 @@ def test_opcua_without_its_package_is_a_mistake_that_names_it(
     wanted = config(
         tmp_path, "[opcua]\nanonymous = true\n[zenoh]\nenabled = false\n[modbus]\nenabled = true\n"
     )
-
-    async def main() -> None:
-        servers = Servers(running_cell(), lambda: None, PagePort)
-        with pytest.raises(ListenError, match=r"edged\[opcua\]"):
-            await servers.exchange(wanted)
-        assert {} == servers.started
-
-    asyncio.run(main())
+    servers = Servers(running_cell(), lambda: None, PagePort)
+    with pytest.raises(ListenError, match=r"edged\[opcua\]"):
+        await servers.exchange(wanted)
+    assert {} == servers.started
 
 
 @pytest.mark.parametrize(("family", "keys"), [("s7", "db = 100"), ("melsec", "port = 5007\ncpu = 'iq-r'")])
-def test_a_plc_without_its_package_is_a_mistake_that_names_it(
+async def test_a_plc_without_its_package_is_a_mistake_that_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, family: str, keys: str
 ) -> None:
     """Each family has its own."""
@@ -239,14 +235,10 @@ def test_a_plc_without_its_package_is_a_mistake_that_names_it(
     wanted = config(
         tmp_path, f"[plc]\nhost = '127.0.0.1'\n[plc.{family}]\n{keys}\n[zenoh]\nenabled = false\n"
     )
-
-    async def main() -> None:
-        servers = Servers(running_cell(), lambda: None, PagePort)
-        with pytest.raises(ListenError, match=rf"edged\[{family}\]"):
-            await servers.exchange(wanted)
-        await servers.close()
-
-    asyncio.run(main())
+    servers = Servers(running_cell(), lambda: None, PagePort)
+    with pytest.raises(ListenError, match=rf"edged\[{family}\]"):
+        await servers.exchange(wanted)
+    await servers.close()
 
 
 def exchange_after(folder: Path, sections: str, change: Callable[[], None], port: int) -> tuple[bool, bool]:
@@ -344,7 +336,7 @@ def test_a_changed_access_control_of_zenoh_is_taken_by_a_reload(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("commands", "expected"), [("refused", 0), ("guarded", 1), ("anyone", 1)])
-def test_a_cell_that_refuses_commands_over_zenoh_is_read_only_there(
+async def test_a_cell_that_refuses_commands_over_zenoh_is_read_only_there(
     commands: str, expected: int, tmp_path: Path
 ) -> None:
     """A trigger is answered with that reason, and nothing is measured."""
@@ -356,18 +348,14 @@ def test_a_cell_that_refuses_commands_over_zenoh_is_read_only_there(
             raise CommandRefused("taken down")
 
     section = f'[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]\ncommands = "{commands}"\n'
-
-    async def main() -> None:
-        servers = Servers(running_cell(Taking()), lambda: None, PagePort)
-        await servers.start(config(tmp_path, f"[modbus]\nenabled = false\n{section}"))
-        try:
-            (reply,) = await ask(port, "edged/cell1/trigger?kind=change_job;job=2")
-        finally:
-            await servers.close()
-        refusals = ("this cell takes no commands over Zenoh", "taken down")
-        assert refusals[expected] == reply["document"]["error"]
-
-    asyncio.run(main())
+    servers = Servers(running_cell(Taking()), lambda: None, PagePort)
+    await servers.start(config(tmp_path, f"[modbus]\nenabled = false\n{section}"))
+    try:
+        (reply,) = await ask(port, "edged/cell1/trigger?kind=change_job;job=2")
+    finally:
+        await servers.close()
+    refusals = ("this cell takes no commands over Zenoh", "taken down")
+    assert refusals[expected] == reply["document"]["error"]
     assert expected == len(taken)
 
 
@@ -437,7 +425,7 @@ def derive(place: str) -> object:
 TASKS = {
     "tcp": "edged.adapters.modbus.tcp.TcpServer.start",
     "tls": "edged.adapters.modbus.tcp.TcpServer.start",
-    "socket": "edged.adapters.modbus.lines.LineServer.start",
+    "socket": "edged.adapters.modbus.lineserver.LineServer.start",
     "web": "edged.app.pageserver.PageServer.start",
     "opcua": "edged.adapters.opcua.server.ServerThread._prepare",
     "recorder": "edged.adapters.recorder.Recorder.start",
@@ -511,88 +499,76 @@ def held(kind: str, monkeypatch: pytest.MonkeyPatch) -> Hanging:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_server_that_starts_slowly_is_named_and_started_later(
+async def test_a_server_that_starts_slowly_is_named_and_started_later(
     kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The others run meanwhile; what hangs is told with section, address and reason, until it has started."""
     slow = slow_cell(kind, tmp_path, line)
     hanging = held(kind, monkeypatch)
     told: list[None] = []
-
-    async def main() -> None:
-        servers = Servers(running_cell(), lambda: told.append(None), PagePort)
-        try:
-            async with asyncio.timeout(WHOLE_S):
-                await servers.start(config(tmp_path, slow.sections))
-            assert is_taken(slow.well)
-            ((section, why),) = servers.problems.items()
-            assert slow.section == section
-            assert slow.place in why
-            assert re.search(r"within|longer", why)
-            hanging.may_go.set()
-            await until(lambda: not servers.problems)
-            assert slow.section in servers.started
-            assert told
-        finally:
-            hanging.may_go.set()
-            await servers.close()
-
-    asyncio.run(main())
+    servers = Servers(running_cell(), lambda: told.append(None), PagePort)
+    try:
+        async with asyncio.timeout(WHOLE_S):
+            await servers.start(config(tmp_path, slow.sections))
+        assert is_taken(slow.well)
+        ((section, why),) = servers.problems.items()
+        assert slow.section == section
+        assert slow.place in why
+        assert re.search(r"within|longer", why)
+        hanging.may_go.set()
+        await until(lambda: not servers.problems)
+        assert slow.section in servers.started
+        assert told
+    finally:
+        hanging.may_go.set()
+        await servers.close()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
+async def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
     kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Within its time, with address and reason; what ran runs on."""
     slow = slow_cell(kind, tmp_path, line)
     hanging = held(kind, monkeypatch)
-
-    async def main() -> None:
-        servers = Servers(running_cell(), lambda: None, PagePort)
-        try:
-            await servers.start(config(tmp_path, slow.before))
-            running = dict(servers.started)
-            async with asyncio.timeout(WHOLE_S):
-                with pytest.raises(ListenError, match=re.escape(slow.place)) as refused:
-                    await servers.exchange(config(tmp_path, slow.sections))
-            assert re.search(r"within|longer", str(refused.value))
-            assert running == servers.started
-            assert {} == servers.problems
-            assert is_taken(slow.well)
-        finally:
-            hanging.may_go.set()
-            await servers.close()
-
-    asyncio.run(main())
+    servers = Servers(running_cell(), lambda: None, PagePort)
+    try:
+        await servers.start(config(tmp_path, slow.before))
+        running = dict(servers.started)
+        async with asyncio.timeout(WHOLE_S):
+            with pytest.raises(ListenError, match=re.escape(slow.place)) as refused:
+                await servers.exchange(config(tmp_path, slow.sections))
+        assert re.search(r"within|longer", str(refused.value))
+        assert running == servers.started
+        assert {} == servers.problems
+        assert is_taken(slow.well)
+    finally:
+        hanging.may_go.set()
+        await servers.close()
 
 
 @pytest.mark.slow
-def test_a_reload_does_not_wait_for_what_could_not_start_before(
+async def test_a_reload_does_not_wait_for_what_could_not_start_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another page port is taken while OPC UA still hangs; without OPC UA in it, nobody tries it any more."""
     slow, port = slow_cell("opcua", tmp_path, ""), free_port()
     hanging = held("opcua", monkeypatch)
-
-    async def main() -> None:
-        servers = Servers(running_cell(), lambda: None, PagePort)
-        try:
-            await servers.start(config(tmp_path, slow.sections))
-            await servers.exchange(config(tmp_path, f"{slow.sections}[web]\nport = {port}\n"))
-            assert (True, {"opcua"}) == (is_taken(port), set(servers.problems))
-            await servers.exchange(config(tmp_path, slow.before))
-            assert {} == servers.problems
-        finally:
-            hanging.may_go.set()
-            await servers.close()
-
-    asyncio.run(main())
+    servers = Servers(running_cell(), lambda: None, PagePort)
+    try:
+        await servers.start(config(tmp_path, slow.sections))
+        await servers.exchange(config(tmp_path, f"{slow.sections}[web]\nport = {port}\n"))
+        assert (True, {"opcua"}) == (is_taken(port), set(servers.problems))
+        await servers.exchange(config(tmp_path, slow.before))
+        assert {} == servers.problems
+    finally:
+        hanging.may_go.set()
+        await servers.close()
 
 
 @pytest.mark.slow
-def test_a_server_that_does_not_close_is_left_behind(
+async def test_a_server_that_does_not_close_is_left_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Within its time, and that is said; the others close."""
@@ -600,16 +576,12 @@ def test_a_server_that_does_not_close_is_left_behind(
     hanging = Hanging(monkeypatch)
     real = derive("edged.app.pageserver.PageServer.close")
     hanging.hold_task("edged.app.pageserver.PageServer.close")
-
-    async def main() -> None:
-        servers = Servers(running_cell(), lambda: None, PagePort)
-        sections = f"[zenoh]\nenabled = false\n[modbus]\nport = {port}\n[web]\nport = {page}\n"
-        await servers.start(config(tmp_path, sections))
-        web = servers.started["web"]
-        async with asyncio.timeout(WHOLE_S):
-            await servers.close()
-        assert not is_taken(port)
-        await cast(Callable[..., Awaitable[object]], real)(web)
-
-    asyncio.run(main())
+    servers = Servers(running_cell(), lambda: None, PagePort)
+    sections = f"[zenoh]\nenabled = false\n[modbus]\nport = {port}\n[web]\nport = {page}\n"
+    await servers.start(config(tmp_path, sections))
+    web = servers.started["web"]
+    async with asyncio.timeout(WHOLE_S):
+        await servers.close()
+    assert not is_taken(port)
+    await cast(Callable[..., Awaitable[object]], real)(web)
     assert "web: it has not closed within 1 s" in caplog.text

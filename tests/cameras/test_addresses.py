@@ -17,7 +17,7 @@ from helpers.browser import browser
 from helpers.browsersession import PASSWORD
 from helpers.gigecell import LEFT, NOBODY, RIGHT, Sensor, gige_camera
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, go, log_in, press, said, take_over
-from helpers.stagecell import Newcomer, run
+from helpers.stagecell import staged
 from rich.console import Console
 
 from edged.adapters.aravis import addresses, aravis_missing, give_address, list_cameras, with_addresses
@@ -167,10 +167,9 @@ def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixt
 
 @needs_aravis
 @pytest.mark.slow
-def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> None:
+async def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> None:
     """Named as lost, with how it got its address; and not where somebody else controls it."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path) as newcomer:
         with lost() as camera:
             found = {one["serial"]: one for one in (await newcomer.ask("GET", "cameras"))["found"]}
             told = [found[SERIAL][name] for name in ("address", "address_by", "is_lost", "trouble")]
@@ -191,8 +190,6 @@ def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> None:
             refused = await newcomer.ask("POST", "cameras/address", {**body, "address": "10.9.9.9"}, 503)
             assert "10.9.9.9: expected an address of" in refused["detail"]
 
-    run(tmp_path, test)
-
 
 def test_no_socket_is_left() -> None:
     """Ports that cannot be asked are passed over."""
@@ -210,41 +207,37 @@ def test_no_socket_is_left() -> None:
 @needs_aravis
 @needs_chromium
 @pytest.mark.slow
-def test_a_person_moves_it_by_the_button_beside_it(tmp_path: Path) -> None:
+async def test_a_person_moves_it_by_the_button_beside_it(tmp_path: Path) -> None:
     """In a browser: trouble and button stand beside this camera alone, which is offered as left or right
     only afterwards; then it is said where it is. Where a program controls it, that is said."""
     tile = f'[...document.querySelectorAll(".tile")].find((tile) => tile.innerText.includes("{SERIAL}"))'
     buttons = '[...document.querySelectorAll("button")].filter((b) => b.innerText.startsWith("Give it an"))'
+    async with staged(tmp_path) as newcomer, browser() as page:
+        with lost() as camera:
+            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (360, 740))
+            await take_over(page)
+            await go(page, "cameras")
+            await page.until(f'{tile}?.innerText.includes("its address is in another subnet")')
+            assert 1 == await page.value(f"{buttons}.length")
+            assert await page.value(f"{tile}.contains({buttons}[0])")
+            assert not await page.value(f'{tile}.innerText.includes("Use as left")')
+            assert f"{FOREIGN} · DHCP" in await page.value(f"{tile}.innerText")
+            assert [] == await page.violations()
+            assert [] == await page.value(SMALL_TARGETS)
+            assert 0 == await page.value(TOO_WIDE)
 
-    async def test(newcomer: Newcomer) -> None:
-        async with browser() as page:
-            with lost() as camera:
-                await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (360, 740))
-                await take_over(page)
-                await go(page, "cameras")
-                await page.until(f'{tile}?.innerText.includes("its address is in another subnet")')
-                assert 1 == await page.value(f"{buttons}.length")
-                assert await page.value(f"{tile}.contains({buttons}[0])")
-                assert not await page.value(f'{tile}.innerText.includes("Use as left")')
-                assert f"{FOREIGN} · DHCP" in await page.value(f"{tile}.innerText")
-                assert [] == await page.violations()
-                assert [] == await page.value(SMALL_TARGETS)
-                assert 0 == await page.value(TOO_WIDE)
+            camera.steal_control()
+            await press(page, "Give it an address here")
+            await page.until(said("Another computer controls a camera."))
+            assert 1 == await page.value(f"{buttons}.length")
+            camera.release_control()
+            page.complaints.clear()  # the browser's own, of the answer that refuses
 
-                camera.steal_control()
-                await press(page, "Give it an address here")
-                await page.until(said("Another computer controls a camera."))
-                assert 1 == await page.value(f"{buttons}.length")
-                camera.release_control()
-                page.complaints.clear()  # the browser's own, of the answer that refuses
-
-                await press(page, "Give it an address here")
-                await page.until(said(f"{SERIAL} is at 127.0.0.77 now, and keeps that."))
-                # a look that was under way when it moved may still come, and then the last one
-                await page.until(f"{tile}.innerText.includes('127.0.0.77 · persistent')")
-                await page.until(f"{buttons}.length === 0 && !{tile}.querySelector('.wrong')")
-                assert await page.value(f'{tile}.innerText.includes("Use as left")')
-                assert number_of("127.0.0.77") == camera.registers.word(g.PERSISTENT_IP)
-                assert [] == page.complaints
-
-    run(tmp_path, test)
+            await press(page, "Give it an address here")
+            await page.until(said(f"{SERIAL} is at 127.0.0.77 now, and keeps that."))
+            # a look that was under way when it moved may still come, and then the last one
+            await page.until(f"{tile}.innerText.includes('127.0.0.77 · persistent')")
+            await page.until(f"{buttons}.length === 0 && !{tile}.querySelector('.wrong')")
+            assert await page.value(f'{tile}.innerText.includes("Use as left")')
+            assert number_of("127.0.0.77") == camera.registers.word(g.PERSISTENT_IP)
+            assert [] == page.complaints

@@ -22,9 +22,9 @@ from helpers.gigecell import (
     RIGHT,
     Cell,
     Sensor,
+    closing,
     gige_camera,
     left_camera,
-    run,
     running,
     settles,
     shoot,
@@ -38,7 +38,6 @@ from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate, translated
 from edged.adapters.aravis.stream import BLOCK_IDS, Decoder, FrameCounter, pump
 from edged.cell.stereohead import HeadSettings, StereoHead
-from edged.domain.frames import Frame
 from edged.errors import (
     CameraBusy,
     CameraSetupError,
@@ -258,20 +257,19 @@ def test_settings_are_applied_whatever_the_order_they_are_written_in(device: Any
 
 @pytest.mark.slow
 @pytest.mark.parametrize("user_socket", [False, True], ids=["packet-socket", "user-socket"])
-def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
+async def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
     """An independent device: at 10 ms its picture is x + y + frame, modulo 255, right in every pixel."""
     fake = library("left").aravis.GvFakeCamera.new("127.0.0.1", "EDGED-FAKE")
     if not fake.is_running():
         pytest.skip("port 3956 of 127.0.0.1 is taken")
     fake.get_fake_camera().set_trigger_frequency(250)  # or it looks for triggers only ten times a second
-
-    async def script(camera: AravisCamera) -> list[Frame]:
+    size: dict[str, Any] = {"features": ({"Width": 1280, "Height": 960},)}
+    async with closing(
+        left_camera("127.0.0.1", user_socket=user_socket, exposure_us=10000.0, **size)
+    ) as camera:
         await camera.open()
         # this device cannot send packets again: a frame may be a fault, never a wrong picture
-        return [await settles(camera, lambda: shoot(camera), 20) for _ in range(6)]
-
-    size: dict[str, Any] = {"features": ({"Width": 1280, "Height": 960},)}
-    frames = run(script, left_camera("127.0.0.1", user_socket=user_socket, exposure_us=10_000.0, **size))
+        frames = [await settles(camera, lambda: shoot(camera), 20) for _ in range(6)]
 
     y, x = np.mgrid[:960, :1280]
     starts = []
@@ -290,14 +288,11 @@ def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("user_socket", [False, True], ids=["packet-socket", "user-socket"])
 @pytest.mark.parametrize("packet_size", [None, 1500], ids=["negotiated", "1500"])
-def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet_size: int | None) -> None:
+async def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet_size: int | None) -> None:
     """Twenty exposures are the pictures the sensor saw, in order, new each time, owned and writable."""
-
-    async def script(camera: AravisCamera) -> list[Frame]:
+    async with closing(left_camera(user_socket=user_socket, packet_size=packet_size)) as camera:
         await camera.open()
-        return [await shoot(camera) for _ in range(20)]
-
-    frames = run(script, left_camera(user_socket=user_socket, packet_size=packet_size))
+        frames = [await shoot(camera) for _ in range(20)]
 
     for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
         np.testing.assert_array_equal(cell.left_sensor.shown[request.frame_id], frame.image)
@@ -309,51 +304,45 @@ def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet_size:
 
 
 @pytest.mark.slow
-def test_a_camera_is_found_by_its_serial_number(cell: Cell) -> None:
+async def test_a_camera_is_found_by_its_serial_number(cell: Cell) -> None:
     """Discovery names both cameras, and each is reached by serial number."""
-
-    async def script(camera: AravisCamera) -> Frame:
-        await camera.open()
-        return await shoot(camera)
-
     listed = {info.serial: info.address for info in list_cameras()}
-    frame = run(script, AravisCamera("right", AravisSettings("EDGED-T2")))
+    async with closing(AravisCamera("right", AravisSettings("EDGED-T2"))) as camera:
+        await camera.open()
+        frame = await shoot(camera)
 
     assert (LEFT, RIGHT) == (listed["EDGED-T1"], listed["EDGED-T2"])
     assert 1 == cell.right_sensor.saw(frame.image)
 
 
 @pytest.mark.slow
-def test_two_cameras_behind_a_stereo_head(cell: Cell) -> None:
+async def test_two_cameras_behind_a_stereo_head(cell: Cell) -> None:
     """Pairs of one instant through capture, adapter, Aravis and UDP."""
     head = StereoHead(
         left_camera(),
         AravisCamera("right", AravisSettings(RIGHT)),
         HeadSettings(timeout_s=5, max_skew_s=0.05),
     )
-
-    async def script(head: StereoHead) -> list[int]:
+    async with closing(head):
         pairs = [await head.capture() for _ in range(10)]
-        return [
-            cell.left_sensor.saw(pair.left.image) - cell.right_sensor.saw(pair.right.image) for pair in pairs
-        ]
-
-    assert [0] * 10 == run(script, head)
+        assert [0] * 10 == (
+            [
+                cell.left_sensor.saw(pair.left.image) - cell.right_sensor.saw(pair.right.image)
+                for pair in pairs
+            ]
+        )
 
 
 # --- set-up -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
+async def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
     """What the config says is what the sensor is told, automatic off, and free features too."""
     camera = left_camera(exposure_us=1234.0, gain_db=6.0, features=({"Width": 160, "OffsetX": 32},))
-
-    async def script(camera: AravisCamera) -> Frame:
+    async with closing(camera):
         await camera.open()
-        return await shoot(camera)
-
-    frame = run(script, camera)
+        frame = await shoot(camera)
 
     request = cell.left_sensor.requests[-1]
     assert 1234.0 == pytest.approx(request.exposure_us, rel=0.01)
@@ -376,42 +365,38 @@ def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
         ({"features": ({"DeviceVendorName": "me"},)}, "DeviceVendorName: can only be read"),
     ],
 )
-def test_a_setting_that_does_not_fit_is_named_and_leaves_nothing_open(
+async def test_a_setting_that_does_not_fit_is_named_and_leaves_nothing_open(
     cell: Cell, settings: dict[str, Any], reason: str
 ) -> None:
     """The error tells what and why; while it is still held, another program can take the camera."""
-
-    async def script(wrong: AravisCamera, right: AravisCamera) -> str:
+    async with closing(left_camera(**settings)) as wrong, closing(left_camera()) as right:
         with pytest.raises(CameraSetupError) as caught:
             await wrong.open()
         await right.open()
         await shoot(right)
-        return str(caught.value)
-
-    assert reason in run(script, left_camera(**settings), left_camera())
+        assert reason in str(caught.value)
 
 
 # --- faults -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_a_camera_that_is_not_there_is_unreachable_in_bounded_time() -> None:
+async def test_a_camera_that_is_not_there_is_unreachable_in_bounded_time() -> None:
     """Neither an address nor a serial number without a camera is waited for longer than 8 s."""
-
-    async def script(by_address: AravisCamera, by_serial: AravisCamera) -> None:
+    async with (
+        closing(left_camera(NOBODY)) as by_address,
+        closing(left_camera("NO-SUCH-SERIAL")) as by_serial,
+    ):
         with pytest.raises(CameraUnreachable, match=NOBODY):
             await asyncio.wait_for(by_address.open(), 8)
         with pytest.raises(CameraUnreachable, match="no camera with serial number 'NO-SUCH-SERIAL'"):
             await asyncio.wait_for(by_serial.open(), 8)
 
-    run(script, left_camera(NOBODY), left_camera("NO-SUCH-SERIAL"))
-
 
 @pytest.mark.slow
-def test_a_second_controller_is_refused_and_the_first_goes_on(cell: Cell) -> None:
+async def test_a_second_controller_is_refused_and_the_first_goes_on(cell: Cell) -> None:
     """`CameraBusy` for who comes second; when the first has closed, the second succeeds."""
-
-    async def script(first: AravisCamera, second: AravisCamera) -> None:
+    async with closing(left_camera()) as first, closing(left_camera()) as second:
         await first.open()
         with pytest.raises(CameraBusy, match="controlled by another"):
             await second.open()
@@ -421,14 +406,11 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(cell: Cell) -> Non
         await second.open()
         await shoot(second)
 
-    run(script, left_camera(), left_camera())
-
 
 @pytest.mark.slow
-def test_a_camera_that_is_closed_or_not_triggered_says_so(cell: Cell) -> None:
+async def test_a_camera_that_is_closed_or_not_triggered_says_so(cell: Cell) -> None:
     """No call hangs for want of an earlier one."""
-
-    async def script(camera: AravisCamera) -> None:
+    async with closing(left_camera()) as camera:
         for call in (camera.trigger, camera.frame):
             with pytest.raises(CameraUnreachable, match="not open"):
                 await call()
@@ -438,8 +420,6 @@ def test_a_camera_that_is_closed_or_not_triggered_says_so(cell: Cell) -> None:
             await camera.frame()
         await camera.close()
         await camera.close()
-
-    run(script, left_camera())
 
 
 class Process:
@@ -469,62 +449,55 @@ def process() -> Iterator[Process]:
 
 
 @pytest.mark.slow
-def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(process: Process) -> None:
+async def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(process: Process) -> None:
     """kill -9: only `CaptureError`s while it is gone, good images again after its return."""
     head = StereoHead(
         left_camera(),
         AravisCamera("right", AravisSettings(RIGHT)),
         HeadSettings(timeout_s=0.5, max_skew_s=0.1, max_backoff_s=0.5, detect_frozen=False),
     )
-
-    async def script(head: StereoHead) -> None:
-        await settles(head, head.capture, 20)
-        process.kill()
-        faults = []
-        gone_until_s = time.monotonic() + 4.0
-        while time.monotonic() < gone_until_s:
-            with pytest.raises(CaptureError) as caught:
-                await asyncio.wait_for(head.capture(), 3.0)
-            faults.append(caught.value.camera)
-            await asyncio.sleep(0.05)
-        assert {"left"} == set(faults)
-        process.start()
-        pair = await settles(head, head.capture, 25)
-        assert "left" == pair.left.camera
-        for _ in range(3):
-            await settles(head, head.capture, 5)
-
     with gige_camera(RIGHT, "EDGED-T2", Sensor(2), width=1280, height=960):
-        run(script, head)
+        async with closing(head):
+            await settles(head, head.capture, 20)
+            process.kill()
+            faults = []
+            gone_until_s = time.monotonic() + 4.0
+            while time.monotonic() < gone_until_s:
+                with pytest.raises(CaptureError) as caught:
+                    await asyncio.wait_for(head.capture(), 3.0)
+                faults.append(caught.value.camera)
+                await asyncio.sleep(0.05)
+            assert {"left"} == set(faults)
+            process.start()
+            pair = await settles(head, head.capture, 25)
+            assert "left" == pair.left.camera
+            for _ in range(3):
+                await settles(head, head.capture, 5)
 
 
 @pytest.mark.slow
-def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle(process: Process) -> None:
+async def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle(process: Process) -> None:
     """Looking after an idle camera finds the new one that does not know us, and takes it again."""
-
-    async def script(head: StereoHead) -> None:
-        await settles(head, head.open, 20)
-        process.kill()
-        process.start()
-        deadline_s = time.monotonic() + LIMIT_S
-        with pytest.raises(CaptureError):
-            while time.monotonic() < deadline_s:
-                await head.open()
-                await asyncio.sleep(0.1)
-        await settles(head, head.open, 20)
-        await settles(head, head.capture, 10)
-
     with gige_camera(RIGHT, "EDGED-T2", Sensor(2)):
-        run(
-            script,
+        async with closing(
             StereoHead(
                 left_camera(), AravisCamera("right", AravisSettings(RIGHT)), HeadSettings(max_backoff_s=0.5)
-            ),
-        )
+            )
+        ) as head:
+            await settles(head, head.open, 20)
+            process.kill()
+            process.start()
+            deadline_s = time.monotonic() + LIMIT_S
+            with pytest.raises(CaptureError):
+                while time.monotonic() < deadline_s:
+                    await head.open()
+                    await asyncio.sleep(0.1)
+            await settles(head, head.open, 20)
+            await settles(head, head.capture, 10)
 
 
 @pytest.mark.slow
-def test_connections_leave_nothing_behind(cell: Cell) -> None:
+async def test_connections_leave_nothing_behind(cell: Cell) -> None:
     """After each of them threads and open files fall back to what they were after the first."""
 
     async def connect(camera: AravisCamera) -> None:
@@ -542,7 +515,7 @@ def test_connections_leave_nothing_behind(cell: Cell) -> None:
             assert time.monotonic() < deadline_s, f"{used} threads and files, {(tasks, files)} before"
             await asyncio.sleep(0.002)
 
-    async def script(camera: AravisCamera) -> None:
+    async with closing(left_camera()) as camera:
         await connect(camera)  # GLib makes threads and files of its own once, and keeps them
         await asyncio.sleep(0.5)
         tasks, files = count("task"), count("fd")
@@ -550,5 +523,3 @@ def test_connections_leave_nothing_behind(cell: Cell) -> None:
             await connect(camera)
             await falls_back_to(tasks, files)
         assert not [thread for thread in threading.enumerate() if thread.name.endswith(" left")]
-
-    run(script, left_camera())

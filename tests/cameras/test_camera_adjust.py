@@ -7,7 +7,7 @@ import logging
 from collections.abc import Iterator
 
 import pytest
-from helpers.gigecell import Cell, left_camera, run, running, shoot
+from helpers.gigecell import Cell, closing, left_camera, running, shoot
 from helpers.scriptedhead import Ear, make_setup
 from helpers.waiting import until
 
@@ -38,10 +38,9 @@ def held(cell: Cell) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-def test_the_next_picture_is_exposed_as_adjusted(cell: Cell) -> None:
+async def test_the_next_picture_is_exposed_as_adjusted(cell: Cell) -> None:
     """Without a new connection; what is not stated stays; the bounds are the camera's."""
-
-    async def script(camera: AravisCamera) -> None:
+    async with closing(left_camera()) as camera:
         await camera.open()
         assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await camera.limits()
         await shoot(camera)
@@ -53,30 +52,24 @@ def test_the_next_picture_is_exposed_as_adjusted(cell: Cell) -> None:
         assert [(2000.0, 0.0), (750.0, 3.5)] == [requests[0], requests[-1]]
         assert [*range(1, 5)] == [request.frame_id for request in cell.left_sensor.requests][:4]
 
-    run(script, left_camera())
-
 
 @pytest.mark.slow
-def test_what_the_camera_does_not_take_changes_nothing(cell: Cell) -> None:
+async def test_what_the_camera_does_not_take_changes_nothing(cell: Cell) -> None:
     """Named with its bounds, before anything is written; the camera goes on."""
-
-    async def script(camera: AravisCamera) -> None:
+    async with closing(left_camera()) as camera:
         await camera.open()
         with pytest.raises(CameraSetupError, match="left: exposure_us: 5 is outside 10 to 1e\\+06"):
             await camera.adjust(CameraValues(exposure_us=5.0, gain_db=2.0))
         assert (2000.0, 0.0) == held(cell)
         await shoot(camera)
 
-    run(script, left_camera())
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("configured", [None, 3000.0])
-def test_what_was_there_before_is_written_back(cell: Cell, configured: float | None) -> None:
+async def test_what_was_there_before_is_written_back(cell: Cell, configured: float | None) -> None:
     """What is configured; or, for a camera that is left as it is, what it was found with."""
     cell.left.registers.put(g.EXPOSURE_TIME, 1234.0)
-
-    async def script(camera: AravisCamera) -> None:
+    async with closing(left_camera(exposure_us=configured)) as camera:
         await camera.open()
         await camera.adjust(CameraValues(500.0, 6.0))
         assert (500.0, 6.0) == held(cell)
@@ -85,14 +78,11 @@ def test_what_was_there_before_is_written_back(cell: Cell, configured: float | N
         await camera.restore()
         await shoot(camera)
 
-    run(script, left_camera(exposure_us=configured))
-
 
 @pytest.mark.slow
-def test_a_lost_connection_keeps_what_is_tried_and_a_lost_camera_gets_back_what_was(cell: Cell) -> None:
+async def test_a_lost_connection_keeps_what_is_tried_and_a_lost_camera_gets_back_what_was(cell: Cell) -> None:
     """Opened again it has what was adjusted; another host's when all is undone, it gets it later."""
-
-    async def script(camera: AravisCamera) -> None:
+    async with closing(left_camera()) as camera:
         await camera.open()
         await camera.adjust(CameraValues(exposure_us=500.0))
         await camera.close()
@@ -106,43 +96,37 @@ def test_a_lost_connection_keeps_what_is_tried_and_a_lost_camera_gets_back_what_
         await camera.open()
         assert (2000.0, 0.0) == held(cell)
 
-    run(script, left_camera())
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("clamped", [False, True])
-def test_firmware_that_locks_its_settings_is_opened_anew(
+async def test_firmware_that_locks_its_settings_is_opened_anew(
     clamped: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """And the log says so; back to what was found the same way. What it does not take then, it has not."""
     quirks = (Quirk.LOCKED_EXPOSURE, *([Quirk.CLAMPED_EXPOSURE] if clamped else []))
     caplog.set_level(logging.INFO)
-
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-        if clamped:
-            with pytest.raises(CameraSetupError, match=r"the camera made 10000\.0 of 20000"):
-                await camera.adjust(CameraValues(exposure_us=20_000.0))
-        else:
-            assert CameraValues(20_000.0, 0.0) == await camera.adjust(CameraValues(exposure_us=20_000.0))
-            await shoot(camera)
-            assert 20_000.0 == cell.left_sensor.requests[-1].exposure_us
-            assert "reopened" in caplog.text
-            with pytest.raises(CameraSetupError):
-                await camera.restore()
-            await camera.open()
-        await shoot(camera)
-        assert 2000.0 == cell.left_sensor.requests[-1].exposure_us
-
     with running(Cell(quirks=quirks)) as cell:
-        run(script, left_camera())
+        async with closing(left_camera()) as camera:
+            await camera.open()
+            if clamped:
+                with pytest.raises(CameraSetupError, match=r"the camera made 10000\.0 of 20000"):
+                    await camera.adjust(CameraValues(exposure_us=20_000.0))
+            else:
+                assert CameraValues(20_000.0, 0.0) == await camera.adjust(CameraValues(exposure_us=20_000.0))
+                await shoot(camera)
+                assert 20_000.0 == cell.left_sensor.requests[-1].exposure_us
+                assert "reopened" in caplog.text
+                with pytest.raises(CameraSetupError):
+                    await camera.restore()
+                await camera.open()
+            await shoot(camera)
+            assert 2000.0 == cell.left_sensor.requests[-1].exposure_us
 
 
 @pytest.mark.slow
-def test_each_picture_may_prove_the_exposure_that_is_tried(cell: Cell) -> None:
+async def test_each_picture_may_prove_the_exposure_that_is_tried(cell: Cell) -> None:
     """With chunk data a picture is compared with what is in force, not with what is configured."""
-
-    async def script(camera: AravisCamera) -> None:
+    async with closing(left_camera(chunks=True, exposure_us=3000.0)) as camera:
         await camera.open()
         await camera.adjust(CameraValues(exposure_us=500.0))
         await shoot(camera)
@@ -152,36 +136,28 @@ def test_each_picture_may_prove_the_exposure_that_is_tried(cell: Cell) -> None:
             request.exposure_us for request in cell.left_sensor.requests
         ]
 
-    run(script, left_camera(chunks=True, exposure_us=3000.0))
-
 
 @pytest.mark.slow
-def test_setup_tries_and_ready_has_what_is_configured(cell: Cell) -> None:
+async def test_setup_tries_and_ready_has_what_is_configured(cell: Cell) -> None:
     """In the loop: adjusted through the head, told as a change, and undone before the cell is ready again."""
-
-    async def script() -> None:
-        head = StereoHead(
-            left_camera(exposure_us=3000.0), AravisCamera("right", AravisSettings("127.0.40.2"))
-        )
-        ear, cycle = Ear(), Cycle(head, make_setup())
-        cycle.set_publishers([ear])
-        task = asyncio.create_task(cycle.run())
-        try:
-            await until(lambda: ear.state() is CellPhase.READY)
-            token = await cycle.session.enter_setup("Anna")
-            assert CameraValues(700.0, 0.0) == await cycle.session.adjust(token, "left", CameraValues(700.0))
-            assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await cycle.session.limits(token, "right")
-            await cycle.session.capture(token)
-            assert {"left": ChosenCamera(exposure_us=700.0)} == cycle.session.camera_changes
-            with pytest.raises(CameraSetupError):
-                await cycle.session.adjust(token, "right", CameraValues(gain_db=99.0))
-            await cycle.session.leave_setup(token)
-            await until(lambda: ear.state() is CellPhase.READY)
-            assert {} == cycle.session.camera_changes
-            requests = [request.exposure_us for request in cell.left_sensor.requests]
-            assert [700.0, 700.0, 3000.0] == requests[:3]  # each adjustment throws one away
-        finally:
-            cycle.stop()
-            await task
-
-    run(script)
+    head = StereoHead(left_camera(exposure_us=3000.0), AravisCamera("right", AravisSettings("127.0.40.2")))
+    ear, cycle = Ear(), Cycle(head, make_setup())
+    cycle.set_publishers([ear])
+    task = asyncio.create_task(cycle.run())
+    try:
+        await until(lambda: ear.state() is CellPhase.READY)
+        token = await cycle.session.enter_setup("Anna")
+        assert CameraValues(700.0, 0.0) == await cycle.session.adjust(token, "left", CameraValues(700.0))
+        assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await cycle.session.limits(token, "right")
+        await cycle.session.capture(token)
+        assert {"left": ChosenCamera(exposure_us=700.0)} == cycle.session.camera_changes
+        with pytest.raises(CameraSetupError):
+            await cycle.session.adjust(token, "right", CameraValues(gain_db=99.0))
+        await cycle.session.leave_setup(token)
+        await until(lambda: ear.state() is CellPhase.READY)
+        assert {} == cycle.session.camera_changes
+        requests = [request.exposure_us for request in cell.left_sensor.requests]
+        assert [700.0, 700.0, 3000.0] == requests[:3]  # each adjustment throws one away
+    finally:
+        cycle.stop()
+        await task

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
-from helpers.gigecell import LEFT, RIGHT, Cell, Sensor, gige_camera, run, running
+from helpers.gigecell import LEFT, RIGHT, Cell, Sensor, closing, gige_camera, running
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
 from edged.cell.stereohead import REOPEN_AFTER, HeadSettings, StereoHead
@@ -81,18 +82,15 @@ class Line:
         await self.until(None, 5)
 
 
-def play(script: Callable[[Line], Awaitable[None]], cell: Cell, **settings: Any) -> Line:
-    """Run a script on a line whose cameras work."""
+@asynccontextmanager
+async def working(cell: Cell, **settings: Any) -> AsyncIterator[Line]:
+    """A line whose cameras work, before and afterwards."""
     line = Line(cell, **settings)
-
-    async def main(_head: StereoHead) -> None:
+    async with closing(line.head):
         await line.good()
         line.faults.clear()
-        await script(line)
+        yield line
         await line.good()
-
-    run(main, line.head, limit_s=120)
-    return line
 
 
 @pytest.fixture
@@ -111,94 +109,76 @@ def switched_on_again(cell: Cell, *, address: str = LEFT, serial: str = "EDGED-T
 
 
 @pytest.mark.slow
-def test_packets_that_are_lost_for_good_are_a_fault_and_never_a_picture(cell: Cell) -> None:
+async def test_packets_that_are_lost_for_good_are_a_fault_and_never_a_picture(cell: Cell) -> None:
     """A tenth of the packets gone and none sent again: incomplete (105), with the frame; then good again."""
-
-    async def script(line: Line) -> None:
+    async with working(cell, resend=False, packet_size=1500) as line:
         cell.left.faults.packet_loss = 0.1
         await line.until(FrameIncomplete, TIMEOUT_S)
         for _ in range(4):
             await line.shoot()
         cell.left.faults.packet_loss = 0.0
-
-    line = play(script, cell, resend=False, packet_size=1500)
     assert {"left"} == {fault.camera for fault in line.faults}
     # of a frame without its first packet nothing is known but that it did not come
     assert {type(fault) for fault in line.faults} <= {FrameIncomplete, FrameTimeout, StreamStalled}
 
 
 @pytest.mark.slow
-def test_packets_that_are_lost_and_sent_again_are_no_fault(cell: Cell) -> None:
+async def test_packets_that_are_lost_and_sent_again_are_no_fault(cell: Cell) -> None:
     """The same loss, one in a hundred: with resend every picture comes, whole."""
-
-    async def script(line: Line) -> None:
+    async with working(cell, packet_size=1500) as line:
         cell.left.faults.packet_loss = cell.right.faults.packet_loss = 0.005
         for _ in range(8):
             await line.shoot()
         cell.left.faults.packet_loss = cell.right.faults.packet_loss = 0.0
-
-    assert [] == play(script, cell, packet_size=1500).faults
+    assert [] == line.faults
 
 
 @pytest.mark.slow
-def test_a_stream_that_stalls_is_told_from_a_dead_camera(cell: Cell) -> None:
+async def test_a_stream_that_stalls_is_told_from_a_dead_camera(cell: Cell) -> None:
     """Triggers are taken, nothing comes: 104 after the time-out, 112 with the third; opened again."""
-
-    async def script(line: Line) -> None:
+    async with working(cell) as line:
         cell.left.faults.stalled = True
         await line.until(FrameTimeout, TIMEOUT_S)
         await line.until(StreamStalled, REOPEN_AFTER * TIMEOUT_S)
         cell.left.faults.stalled = False
-
-    line = play(script, cell)
     assert ["left"] * len(line.faults) == [fault.camera for fault in line.faults]
 
 
 @pytest.mark.slow
-def test_a_frozen_image_is_caught_with_the_image(cell: Cell) -> None:
+async def test_a_frozen_image_is_caught_with_the_image(cell: Cell) -> None:
     """New numbers and the same pixels: 110, as long as it lasts."""
-
-    async def script(line: Line) -> None:
+    async with working(cell) as line:
         cell.right.faults.frozen = True
         for _ in range(2):
             assert FrameFrozen is type(await line.shoot())
         cell.right.faults.frozen = False
-
-    line = play(script, cell)
     assert {"right"} == {fault.camera for fault in line.faults}
 
 
 @pytest.mark.slow
-def test_a_pulled_cable_is_noticed_with_the_next_command_and_heals(cell: Cell) -> None:
+async def test_a_pulled_cable_is_noticed_with_the_next_command_and_heals(cell: Cell) -> None:
     """101 within the 1.2 s of a command that is not answered; good again when the cable is back."""
-
-    async def script(line: Line) -> None:
+    async with working(cell) as line:
         cell.left.faults.unplugged = True
         await line.until(CameraUnreachable, 1.2 + TIMEOUT_S)
         cell.left.faults.unplugged = False
-
-    line = play(script, cell)
     assert {"left"} == {fault.camera for fault in line.faults}
 
 
 @pytest.mark.slow
-def test_a_camera_that_was_switched_off_and_on_is_taken_again(cell: Cell) -> None:
+async def test_a_camera_that_was_switched_off_and_on_is_taken_again(cell: Cell) -> None:
     """It answers, and belongs to nobody: 107, told from one that another host took; opened again."""
-
-    async def script(line: Line) -> None:
+    async with working(cell) as line:
         cell.left.stop()
         switched_on_again(cell).start()
         await line.until(CameraRestarted, 1.2 + TIMEOUT_S)
-
-    line = play(script, cell)
     assert CameraBusy not in {type(fault) for fault in line.faults}
 
 
 @pytest.mark.slow
-def test_a_camera_that_another_host_took_is_busy_until_it_gives_it_back(cell: Cell) -> None:
+async def test_a_camera_that_another_host_took_is_busy_until_it_gives_it_back(cell: Cell) -> None:
     """102 as soon as a command is refused, and while it lasts; good again by itself."""
-
-    async def script(line: Line) -> None:
+    async with working(cell) as line:
         cell.left.steal_control()
         await line.until(CameraBusy, TIMEOUT_S)
         line.faults.clear()
@@ -207,57 +187,46 @@ def test_a_camera_that_another_host_took_is_busy_until_it_gives_it_back(cell: Ce
         assert {CameraBusy} == {type(fault) for fault in line.faults}
         cell.left.release_control()
 
-    play(script, cell)
-
 
 @pytest.mark.slow
-def test_a_frame_number_that_stands_still_is_no_new_picture(cell: Cell) -> None:
+async def test_a_frame_number_that_stands_still_is_no_new_picture(cell: Cell) -> None:
     """The picture is new, its number is not: 109 where it is delivered, 104 where the driver drops it.
 
     Acquisition begins anew then, and the camera counts anew: the next picture has a number of its own.
     """
-
-    async def script(line: Line) -> None:
+    async with working(cell) as line:
         cell.right.faults.repeat_id = True
         told = [await line.shoot() for _ in range(4)]
         assert told[0] is not None
         cell.right.faults.repeat_id = False
-
-    line = play(script, cell)
     assert {"right"} == {fault.camera for fault in line.faults}
     assert {type(fault) for fault in line.faults} <= {FrameRepeated, FrameTimeout, StreamStalled}
 
 
 @pytest.mark.slow
-def test_packets_that_come_twice_or_in_another_order_are_no_fault(cell: Cell) -> None:
+async def test_packets_that_come_twice_or_in_another_order_are_no_fault(cell: Cell) -> None:
     """What a network with two ways does: every picture comes, whole."""
-
-    async def script(line: Line) -> None:
+    async with working(cell, packet_size=1500) as line:
         cell.left.faults.reordering = cell.right.faults.duplication = 0.1
         for _ in range(6):
             await line.shoot()
         cell.left.faults.reordering = cell.right.faults.duplication = 0.0
-
-    assert [] == play(script, cell, packet_size=1500).faults
+    assert [] == line.faults
 
 
 @pytest.mark.slow
-def test_a_camera_whose_address_changed_is_found_by_its_serial_number(cell: Cell) -> None:
+async def test_a_camera_whose_address_changed_is_found_by_its_serial_number(cell: Cell) -> None:
     """DHCP gave it another one: 101, then good again from there."""
-
-    async def script(line: Line) -> None:
+    async with working(cell, device="EDGED-T1") as line:
         cell.left.stop()
         switched_on_again(cell, address=ELSEWHERE).start()
         await line.until(CameraUnreachable, 1.2)
 
-    play(script, cell, device="EDGED-T1")
-
 
 @pytest.mark.slow
-def test_cameras_that_were_swapped_are_refused_until_they_are_back(cell: Cell) -> None:
+async def test_cameras_that_were_swapped_are_refused_until_they_are_back(cell: Cell) -> None:
     """Another serial number at the left camera's address: 108, and never a picture of the wrong one."""
-
-    async def script(line: Line) -> None:
+    async with working(cell, serial="EDGED-T1") as line:
         cell.left.stop()
         with switched_on_again(cell, serial="EDGED-T9"):
             await line.until(WrongCamera, 1.2 + TIMEOUT_S)
@@ -266,5 +235,3 @@ def test_cameras_that_were_swapped_are_refused_until_they_are_back(cell: Cell) -
                 await line.shoot()
             assert {WrongCamera} == {type(fault) for fault in line.faults}
         switched_on_again(cell).start()
-
-    play(script, cell, serial="EDGED-T1")

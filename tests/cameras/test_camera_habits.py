@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.gigecell import LEFT, RIGHT, Cell, left_camera, run, running, settles, shoot
+from helpers.gigecell import LEFT, RIGHT, Cell, closing, left_camera, opens, running, settles, shoot
 from helpers.scriptedhead import Head
 from helpers.waiting import LIMIT_S
 from rich.console import Console
 
-from edged.adapters.aravis import AravisCamera, FreeRun, Output, Software, aravis_missing, library, link
+from edged.adapters.aravis import FreeRun, Output, Software, aravis_missing, library, link
 from edged.app.camerareport import together
 from edged.commands.cameras import report
 from edged.domain.exposure import CameraValues
@@ -42,125 +42,104 @@ def habit(*quirks: Quirk) -> Iterator[Cell]:
 
 
 @pytest.mark.slow
-def test_a_picture_after_an_adjustment_has_the_new_exposure_and_one_after_restore_the_old() -> None:
+async def test_a_picture_after_an_adjustment_has_the_new_exposure_and_one_after_restore_the_old() -> None:
     """Firmware that takes new values one exposure late: that exposure is made and thrown away."""
-
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-        await shoot(camera)
-        await camera.adjust(CameraValues(exposure_us=700.0))
-        assert 700.0 == exposure_of(await shoot(camera))
-        await camera.restore()
-        assert 3000.0 == exposure_of(await shoot(camera))
-
     with habit(Quirk.LATE_EXPOSURE) as cell:
 
         def exposure_of(frame: Frame) -> float:
             number = cell.left_sensor.saw(frame.image)
             return cell.left_sensor.requests[number - 1].exposure_us
 
-        run(script, left_camera(exposure_us=3000.0))
+        async with closing(left_camera(exposure_us=3000.0)) as camera:
+            await camera.open()
+            await shoot(camera)
+            await camera.adjust(CameraValues(exposure_us=700.0))
+            assert 700.0 == exposure_of(await shoot(camera))
+            await camera.restore()
+            assert 3000.0 == exposure_of(await shoot(camera))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("quirk", [Quirk.BUSY_DROPS, Quirk.BUSY_REFUSES])
-def test_a_trigger_during_an_abandoned_exposure_is_exposed_all_the_same(quirk: Quirk) -> None:
+async def test_a_trigger_during_an_abandoned_exposure_is_exposed_all_the_same(quirk: Quirk) -> None:
     """Acquisition begins anew: the camera is no longer busy, and its picture is of the new trigger."""
-
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-        await shoot(camera)
-        cell.left.faults.delay_s = 0.4
-        await camera.trigger()
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0.05):
-                await camera.frame()
-        cell.left.faults.delay_s = 0.0
-        frame = await shoot(camera)
-        assert 3 <= cell.left.exposures
-        assert cell.left_sensor.saw(frame.image) is not None
-
     with habit(quirk) as cell:
-        run(script, left_camera())
-
-
-@pytest.mark.slow
-def test_a_refused_trigger_is_a_frame_that_did_not_come_and_no_lost_camera() -> None:
-    """GEV_STATUS_BUSY: said so, and the next trigger is exposed without a new connection."""
-
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-        await shoot(camera)
-        cell.left._triggers.exposing = True  # noqa: SLF001  (as after a pulse that nobody knows of)
-        with pytest.raises(FrameTimeout, match="still busy with an exposure"):
+        async with closing(left_camera()) as camera:
+            await camera.open()
+            await shoot(camera)
+            cell.left.faults.delay_s = 0.4
             await camera.trigger()
-        cell.left._triggers.exposing = False  # noqa: SLF001  (and it is over)
-        await shoot(camera)
-
-    with habit(Quirk.BUSY_REFUSES) as cell:
-        run(script, left_camera())
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(0.05):
+                    await camera.frame()
+            cell.left.faults.delay_s = 0.0
+            frame = await shoot(camera)
+            assert 3 <= cell.left.exposures
+            assert cell.left_sensor.saw(frame.image) is not None
 
 
 @pytest.mark.slow
-def test_pictures_are_new_though_the_camera_counts_from_one_again() -> None:
+async def test_a_refused_trigger_is_a_frame_that_did_not_come_and_no_lost_camera() -> None:
+    """GEV_STATUS_BUSY: said so, and the next trigger is exposed without a new connection."""
+    with habit(Quirk.BUSY_REFUSES) as cell:
+        async with closing(left_camera()) as camera:
+            await camera.open()
+            await shoot(camera)
+            cell.left._triggers.exposing = True  # noqa: SLF001  (as after a pulse that nobody knows of)
+            with pytest.raises(FrameTimeout, match="still busy with an exposure"):
+                await camera.trigger()
+            cell.left._triggers.exposing = False  # noqa: SLF001  (and it is over)
+            await shoot(camera)
+
+
+@pytest.mark.slow
+async def test_pictures_are_new_though_the_camera_counts_from_one_again() -> None:
     """Its counter falls by 200: ids rise on, no picture is taken for one that was there before."""
-
-    async def script(camera: AravisCamera) -> list[int]:
-        await camera.open()
-        return [(await camera.frame()).frame_id for _ in range(BLOCKS_TO_RESTART + 20)]
-
     with habit(Quirk.COUNTER_RESTARTS):
-        ids = run(script, left_camera(trigger=FreeRun(100.0)))
+        async with closing(left_camera(trigger=FreeRun(100.0))) as camera:
+            await camera.open()
+            ids = [(await camera.frame()).frame_id for _ in range(BLOCKS_TO_RESTART + 20)]
         assert np.all(np.diff(ids) > 0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("quirk", [Quirk.BLOCK_ID_ZERO, Quirk.EXTENDED_IDS])
-def test_pictures_come_whatever_their_block_ids_are(quirk: Quirk) -> None:
+async def test_pictures_come_whatever_their_block_ids_are(quirk: Quirk) -> None:
     """From 0 on, or with 64 bits: each picture is the one that the sensor saw, packets sent again
     included."""
-
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-        frames = [await settles(camera, lambda: shoot(camera), LIMIT_S)]
-        cell.left.faults.lost_packets = (2,)
-        frames += [await settles(camera, lambda: shoot(camera), LIMIT_S) for _ in range(2)]
-        saw = [cell.left_sensor.saw(frame.image) for frame in frames]
-        assert np.all(np.diff(saw) > 0)
-        assert np.all(np.diff([frame.frame_id for frame in frames]) > 0)
-
     with habit(quirk) as cell:
-        run(script, left_camera(packet_size=1500))
+        async with closing(left_camera(packet_size=1500)) as camera:
+            await camera.open()
+            frames = [await settles(camera, lambda: shoot(camera), LIMIT_S)]
+            cell.left.faults.lost_packets = (2,)
+            frames += [await settles(camera, lambda: shoot(camera), LIMIT_S) for _ in range(2)]
+            saw = [cell.left_sensor.saw(frame.image) for frame in frames]
+            assert np.all(np.diff(saw) > 0)
+            assert np.all(np.diff([frame.frame_id for frame in frames]) > 0)
 
 
 @pytest.mark.slow
-def test_a_payload_that_is_no_image_is_named() -> None:
+async def test_a_payload_that_is_no_image_is_named() -> None:
     """A camera that was left sending JPEG: the fault says what came."""
-
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-        with pytest.raises(FrameIncomplete, match="it carries jpeg"):
-            await shoot(camera)
-
     with habit(Quirk.JPEG_PAYLOAD):
-        run(script, left_camera())
+        async with closing(left_camera()) as camera:
+            await camera.open()
+            with pytest.raises(FrameIncomplete, match="it carries jpeg"):
+                await shoot(camera)
 
 
 @pytest.mark.slow
-def test_a_camera_with_a_short_heartbeat_stays_ours_while_idle() -> None:
+async def test_a_camera_with_a_short_heartbeat_stays_ours_while_idle() -> None:
     """It would give us up after half a second, and Aravis speaks once a second: it is told three."""
-
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-        assert 3000 == cell.left.registers.word(g.HEARTBEAT_MS)
-        began_s = time.monotonic()
-        while time.monotonic() - began_s < 2.0:
-            await asyncio.sleep(0.05)
-            assert cell.left.controlled
-        await shoot(camera)
-
     with habit(Quirk.SHORT_HEARTBEAT) as cell:
-        run(script, left_camera())
+        async with closing(left_camera()) as camera:
+            await camera.open()
+            assert 3000 == cell.left.registers.word(g.HEARTBEAT_MS)
+            began_s = time.monotonic()
+            while time.monotonic() - began_s < 2.0:
+                await asyncio.sleep(0.05)
+                assert cell.left.controlled
+            await shoot(camera)
 
 
 # --- features under other names ---------------------------------------------------------------------------
@@ -180,7 +159,7 @@ def made(*extra: GenicamNode, without: tuple[str, ...] = ()) -> Make:
 
 
 @pytest.mark.slow
-def test_what_changes_pictures_is_switched_off_unless_it_is_configured() -> None:
+async def test_what_changes_pictures_is_switched_off_unless_it_is_configured() -> None:
     """Sharpening, noise reduction, a table, a test pattern: another program may have left them on."""
     make = made(
         node("SharpeningEnable", "boolean", 0x20000, 1),
@@ -193,46 +172,34 @@ def test_what_changes_pictures_is_switched_off_unless_it_is_configured() -> None
     def left(camera: GigeCamera) -> list[int]:
         return [camera.registers.word(address) for address in range(0x20000, 0x20500, 0x100)]
 
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-
     with running(Cell(make=make)) as cell:
-        run(script, left_camera(exposure_us=2000.0, features=({"LUTEnable": True},)))
+        async with closing(left_camera(exposure_us=2000.0, features=({"LUTEnable": True},))) as camera:
+            await camera.open()
         assert [0, 0, 1, 0, 0] == left(cell.left)
 
 
 @pytest.mark.slow
-def test_a_limit_of_the_frame_rate_does_not_hold_triggers_back() -> None:
+async def test_a_limit_of_the_frame_rate_does_not_hold_triggers_back() -> None:
     """It goes, unless it is configured."""
-
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-
     with running(Cell()) as cell:
-        run(script, left_camera())
+        await opens(left_camera())
         assert 0 == cell.left.registers.word(g.FRAME_RATE_ENABLE)
-        run(script, left_camera(features=({"AcquisitionFrameRateEnable": True},)))
+        await opens(left_camera(features=({"AcquisitionFrameRateEnable": True},)))
         assert 1 == cell.left.registers.word(g.FRAME_RATE_ENABLE)
 
 
 @pytest.mark.slow
-def test_a_gain_in_steps_that_nobody_explains_is_refused_in_the_words_of_the_menu() -> None:
+async def test_a_gain_in_steps_that_nobody_explains_is_refused_in_the_words_of_the_menu() -> None:
     """With the way out; and what else such a camera lacks is said, with what its menu offers."""
     raw = node("GainRaw", "integer", g.GAIN, 100, 1023, menu="Gain (Raw)")
     make = made(raw, without=("Gain", "PtpEnable"))
-
-    async def refused(camera: AravisCamera) -> None:
-        with pytest.raises(CameraSetupError, match=r'gain_db: "Gain \(Raw\)" \(GainRaw\) counts in steps'):
-            await camera.open()
-
-    async def said(camera: AravisCamera) -> list[str]:
-        await camera.open()
-        assert camera.health is not None
-        return [str(lack) for lack in camera.health.lacks]
-
     with running(Cell(make=make)) as cell:
-        run(refused, left_camera(gain_db=6.0))
-        lacks = run(said, left_camera(features=({"GainRaw": 200},)))
+        with pytest.raises(CameraSetupError, match=r'gain_db: "Gain \(Raw\)" \(GainRaw\) counts in steps'):
+            await opens(left_camera(gain_db=6.0))
+        async with closing(left_camera(features=({"GainRaw": 200},))) as camera:
+            await camera.open()
+            assert camera.health is not None
+            lacks = [str(lack) for lack in camera.health.lacks]
         assert ['gain in dB ("Gain (Raw)" (GainRaw) in steps of its own)', "PTP"] == lacks
         assert 200 == cell.left.registers.word(g.GAIN)
 
@@ -242,40 +209,36 @@ def test_a_gain_in_steps_that_nobody_explains_is_refused_in_the_words_of_the_men
     ("vendor", "model", "raw"),
     [("Prosilica", "GC655C", 6), ("Basler", "acA1300-30gm", 167), ("Basler", "acA2000-50gm", 64)],
 )
-def test_a_gain_in_steps_is_set_in_db_where_the_manual_says_how(vendor: str, model: str, raw: int) -> None:
+async def test_a_gain_in_steps_is_set_in_db_where_the_manual_says_how(
+    vendor: str, model: str, raw: int
+) -> None:
     """By the least step and their size, or by amplification."""
     high = 1023 if vendor == "Basler" else 24
     make = made(node("GainRaw", "integer", g.GAIN, 20 if vendor == "Basler" else 1, high), without=("Gain",))
-
-    async def script(camera: AravisCamera) -> CameraValues:
-        await camera.open()
-        return await camera.adjust(CameraValues(gain_db=6.0))
-
     with running(Cell(make=Make(vendor, model, make.features))) as cell:
-        values = run(script, left_camera())
+        async with closing(left_camera()) as camera:
+            await camera.open()
+            values = await camera.adjust(CameraValues(gain_db=6.0))
         assert raw == cell.left.registers.word(g.GAIN)
         assert values.gain_db == pytest.approx(6.0, abs=0.05)
 
 
 @pytest.mark.slow
-def test_two_cameras_that_pace_themselves_share_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_two_cameras_that_pace_themselves_share_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
     """Allied Vision counts bytes per second and hears of no pause between packets: each gets its half."""
     monkeypatch.setattr(link, "cameras_on_link", lambda _device, _neighbour: 2)
     monkeypatch.setattr(link, "host_bps", lambda _device: 1e9)
     make = made(node("StreamBytesPerSecond", "integer", 0x20000, 115_000_000, 124_000_000))
-
-    async def script(camera: AravisCamera) -> float | None:
-        await camera.open()
-        return camera.health.packet_delay_us if camera.health is not None else None
-
     with running(Cell(make=make)) as cell:
-        delay_us = run(script, left_camera(packet_size=1500))
+        async with closing(left_camera(packet_size=1500)) as camera:
+            await camera.open()
+            delay_us = camera.health.packet_delay_us if camera.health is not None else None
         assert 62_500_000 == cell.left.registers.word(0x20000)
         assert delay_us == pytest.approx(8 * 1538 / 1e9 * 1e6, rel=1e-3)
 
 
 @pytest.mark.slow
-def test_lines_that_are_called_otherwise_show_the_exposure() -> None:
+async def test_lines_that_are_called_otherwise_show_the_exposure() -> None:
     """SyncOut of Allied Vision: selector, source and polarity have names of their own."""
     above, sources, polarity = "SyncOutSelector", {"GPO": 0, "Exposing": 5}, {"Normal": 0, "Invert": 1}
     make = made(
@@ -284,31 +247,22 @@ def test_lines_that_are_called_otherwise_show_the_exposure() -> None:
         node("SyncOutPolarity", "enumeration", 0x20200, choices=polarity, selector=above),
         without=("LineSelector", "LineMode", "LineInverter", "LineSource", "LineStatus", "LineDebouncerTime"),
     )
-
-    async def script(camera: AravisCamera) -> None:
-        await camera.open()
-
     with running(Cell(make=make)) as cell:
-        run(script, left_camera(outputs=(Output("SyncOut2", inverted=True),)))
+        async with closing(left_camera(outputs=(Output("SyncOut2", inverted=True),))) as camera:
+            await camera.open()
         assert [5, 1] == [cell.left.registers.word(bank + 4) for bank in (0x20100, 0x20200)]
 
 
 @pytest.mark.slow
-def test_a_camera_without_a_trigger_runs_freely_and_says_so() -> None:
+async def test_a_camera_without_a_trigger_runs_freely_and_says_so() -> None:
     """Thermal cameras, and X-ray: refused by the way out."""
     make = made(without=("TriggerMode", "TriggerSelector", "TriggerSource", "TriggerSoftware"))
-
-    async def refused(camera: AravisCamera) -> None:
-        with pytest.raises(CameraSetupError, match=r'trigger\.mode = "free-run"'):
-            await camera.open()
-
-    async def script(camera: AravisCamera) -> Frame:
-        await camera.open()
-        return await camera.frame()
-
     with running(Cell(make=make)):
-        run(refused, left_camera(trigger=Software()))
-        run(script, left_camera(trigger=FreeRun()))
+        with pytest.raises(CameraSetupError, match=r'trigger\.mode = "free-run"'):
+            await opens(left_camera(trigger=Software()))
+        async with closing(left_camera(trigger=FreeRun())) as camera:
+            await camera.open()
+            await camera.frame()
 
 
 @pytest.mark.slow

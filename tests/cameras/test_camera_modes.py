@@ -9,13 +9,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.gigecell import LEFT, RIGHT, Cell, Sensor, gige_camera, left_camera, run, running, shoot
+from helpers.gigecell import (
+    LEFT,
+    RIGHT,
+    Cell,
+    Sensor,
+    closing,
+    gige_camera,
+    left_camera,
+    opens,
+    running,
+    shoot,
+)
 from helpers.waiting import LIMIT_S
 from pydantic import ValidationError
 
 from edged.adapters.aravis import AravisCamera, LineTrigger, Output, aravis_missing
 from edged.adapters.aravis.clock import CLOCK_DRIFT
-from edged.app.cameras import CellHead, head_of
+from edged.app.cameras import head_of
 from edged.cell.pairing import Pairing
 from edged.cell.stereohead import StereoHead
 from edged.config.cameras import CamerasSection
@@ -41,7 +52,7 @@ def cell() -> Iterator[Cell]:
         yield cell
 
 
-def head(trigger: dict[str, Any], *, external: bool = False, **cameras: Any) -> StereoHead:
+def head_with(trigger: dict[str, Any], *, external: bool = False, **cameras: Any) -> StereoHead:
     """The head that a configuration makes of this trigger section.
 
     The limit of the skew is wide: a busy machine takes turns between two simulated cameras. Whether two
@@ -80,11 +91,12 @@ def pulse(cell: Cell) -> None:
         camera.line("Line1").pulse(at_ns=at_ns)
 
 
-def pairs_of(cell: Cell, head: StereoHead, count: int, expose: Callable[[Cell], None] | None = None) -> Any:
+async def pairs_of(
+    cell: Cell, head: StereoHead, count: int, expose: Callable[[Cell], None] | None = None
+) -> list[FramePair]:
     """So many captures; `expose` is what somebody else does shortly after each command."""
-
-    async def script(head: StereoHead) -> list[FramePair]:
-        pairs = []
+    pairs = []
+    async with closing(head):
         await head.open()
         for _ in range(count):
             capturing = asyncio.create_task(head.capture())
@@ -92,18 +104,16 @@ def pairs_of(cell: Cell, head: StereoHead, count: int, expose: Callable[[Cell], 
                 await asyncio.sleep(0.05)
                 expose(cell)
             pairs.append(await capturing)
-        return pairs
-
-    return run(script, head)
+    return pairs
 
 
 # --- lines ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_a_pulse_on_both_lines_is_one_exposure(cell: Cell) -> None:
+async def test_a_pulse_on_both_lines_is_one_exposure(cell: Cell) -> None:
     """Exactly one picture a pulse, of the same instant, and timed by the cameras' own clocks."""
-    pairs = pairs_of(cell, head({"mode": "line", "line": "Line1"}), 4, pulse)
+    pairs = await pairs_of(cell, head_with({"mode": "line", "line": "Line1"}), 4, pulse)
 
     assert (4, 4) == (cell.left.exposures, cell.right.exposures)
     assert g.LINE1 == cell.left.registers.word(g.TRIGGER_SOURCE)
@@ -113,10 +123,10 @@ def test_a_pulse_on_both_lines_is_one_exposure(cell: Cell) -> None:
 
 
 @pytest.mark.slow
-def test_edge_delay_and_debounce_reach_the_camera(cell: Cell) -> None:
+async def test_edge_delay_and_debounce_reach_the_camera(cell: Cell) -> None:
     """The registers hold what the configuration says, under the line that it names."""
     trigger = {"mode": "line", "line": "Line3", "edge": "falling", "delay_us": 150, "debounce_us": 40}
-    run(lambda head: head.open(), head(trigger))
+    await opens(head_with(trigger))
 
     assert (g.LINE3, g.FALLING) == (
         cell.left.registers.word(g.TRIGGER_SOURCE),
@@ -128,10 +138,9 @@ def test_edge_delay_and_debounce_reach_the_camera(cell: Cell) -> None:
 
 
 @pytest.mark.slow
-def test_a_pulse_before_the_command_is_not_its_exposure(cell: Cell) -> None:
+async def test_a_pulse_before_the_command_is_not_its_exposure(cell: Cell) -> None:
     """What was exposed before somebody asked shows the part where it was before."""
-
-    async def script(head: StereoHead) -> FramePair:
+    async with closing(head_with({"mode": "line"})) as head:
         await head.open()
         await armed(cell)
         pulse(cell)
@@ -139,37 +148,29 @@ def test_a_pulse_before_the_command_is_not_its_exposure(cell: Cell) -> None:
         capturing = asyncio.create_task(head.capture())
         await asyncio.sleep(0.05)
         pulse(cell)
-        return await capturing
-
-    pair = run(script, head({"mode": "line"}))
+        pair = await capturing
 
     assert 2 == cell.left_sensor.saw(pair.left.image) == cell.right_sensor.saw(pair.right.image)
 
 
 @pytest.mark.slow
-def test_no_pulse_is_a_time_out(cell: Cell) -> None:
+async def test_no_pulse_is_a_time_out(cell: Cell) -> None:
     """Both cameras waited in vain."""
-
-    async def script(head: StereoHead) -> None:
+    async with closing(head_with({"mode": "line"}, timeout_s=0.3)) as head:
         with pytest.raises(FrameTimeout, match=r"both cameras: no trigger came within 0\.3 s"):
             await head.capture()
 
-    run(script, head({"mode": "line"}, timeout_s=0.3))
-
 
 @pytest.mark.slow
-def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
+async def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
     """Nobody asks; five pulses 100 ms apart are five pairs."""
-
-    async def script(head: StereoHead) -> list[FramePair]:
+    async with closing(head_with({"mode": "line"}, external=True)) as head:
         await head.open()
         await armed(cell)
         loop = asyncio.get_running_loop()
         for number_ in range(5):
             loop.call_later(0.1 * number_, pulse, cell)
-        return [await head.listen() for _ in range(5)]
-
-    pairs = run(script, head({"mode": "line"}, external=True))
+        pairs = [await head.listen() for _ in range(5)]
 
     assert [1, 2, 3, 4, 5] == [cell.left_sensor.saw(pair.left.image) for pair in pairs]
     assert all(is_one_exposure(cell, pair) for pair in pairs)
@@ -177,19 +178,16 @@ def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
 
 
 @pytest.mark.slow
-def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pair(cell: Cell) -> None:
+async def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pair(cell: Cell) -> None:
     """A loose contact: no result for that pulse, and no pair of two different ones afterwards."""
-
-    async def script(head: StereoHead) -> FramePair:
+    async with closing(head_with({"mode": "line"}, external=True, timeout_s=1.0)) as head:
         await head.open()
         await armed(cell)
         cell.left.line("Line1").pulse()
         with pytest.raises(FrameUnpaired, match="camera right: no partner for frame 1 of left"):
             await head.listen()
         pulse(cell)
-        return await head.listen()
-
-    pair = run(script, head({"mode": "line"}, external=True, timeout_s=1.0))
+        pair = await head.listen()
 
     assert (2, 1) == (cell.left_sensor.saw(pair.left.image), cell.right_sensor.saw(pair.right.image))
 
@@ -199,12 +197,12 @@ def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pair(cell
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", ["left", "right"])
-def test_one_camera_triggers_the_other(cell: Cell, first: str) -> None:
+async def test_one_camera_triggers_the_other(cell: Cell, first: str) -> None:
     """The first's exposure-active output feeds the other's input: one instant, one software command."""
     leader, follower = (cell.left, cell.right) if first == "left" else (cell.right, cell.left)
     leader.line("Line2").feeds(follower.line("Line1"))
 
-    pairs = pairs_of(cell, head({"mode": "chain", "first": first}), 4)
+    pairs = await pairs_of(cell, head_with({"mode": "chain", "first": first}), 4)
 
     assert all(is_one_exposure(cell, pair) for pair in pairs)
     assert (4, 4) == (cell.left.exposures, cell.right.exposures)
@@ -216,14 +214,11 @@ def test_one_camera_triggers_the_other(cell: Cell, first: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_broken_wire_of_the_chain_names_the_camera_that_saw_nothing(cell: Cell) -> None:
+async def test_a_broken_wire_of_the_chain_names_the_camera_that_saw_nothing(cell: Cell) -> None:
     """The first exposed, the other did not."""
-
-    async def script(head: StereoHead) -> None:
+    async with closing(head_with({"mode": "chain"}, timeout_s=1.0)) as head:
         with pytest.raises(FrameTimeout, match=r"camera right: no image within 1 s"):
             await head.capture()
-
-    run(script, head({"mode": "chain"}, timeout_s=1.0))
 
 
 # --- action commands --------------------------------------------------------------------------------------
@@ -234,10 +229,10 @@ KEYS = {"mode": "action", "device_key": 0xCAFE, "group_key": 2, "group_mask": 4}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("broadcast", ["", "127.255.255.255"], ids=["unicast", "broadcast"])
-def test_one_action_command_exposes_both(cell: Cell, broadcast: str) -> None:
+async def test_one_action_command_exposes_both(cell: Cell, broadcast: str) -> None:
     """To each camera with its acknowledgement, or one datagram for all."""
     trigger = {**KEYS, "broadcast": broadcast} if broadcast else KEYS
-    pairs = pairs_of(cell, head(trigger), 4)
+    pairs = await pairs_of(cell, head_with(trigger), 4)
 
     assert all(is_one_exposure(cell, pair) for pair in pairs)
     assert (4, 4) == (cell.left.exposures, cell.right.exposures)
@@ -245,11 +240,11 @@ def test_one_action_command_exposes_both(cell: Cell, broadcast: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_scheduled_action_exposes_both_at_the_same_ptp_time(cell: Cell) -> None:
+async def test_a_scheduled_action_exposes_both_at_the_same_ptp_time(cell: Cell) -> None:
     """Some time ahead, which a busy machine needs: both stamps are the same up to the clocks' own error."""
     trigger = {**KEYS, "lead_ms": 400}
-    head_ = head(trigger, ptp=True, max_skew_ms=0.2)
-    pairs = pairs_of(cell, head_, 3)
+    head = head_with(trigger, ptp=True, max_skew_ms=0.2)
+    pairs = await pairs_of(cell, head, 3)
 
     for pair in pairs:
         assert is_one_exposure(cell, pair)
@@ -259,41 +254,32 @@ def test_a_scheduled_action_exposes_both_at_the_same_ptp_time(cell: Cell) -> Non
 
 
 @pytest.mark.slow
-def test_a_schedule_without_ptp_is_refused_with_the_reason(cell: Cell) -> None:
+async def test_a_schedule_without_ptp_is_refused_with_the_reason(cell: Cell) -> None:
     """Clocks that are not locked have no common time."""
-
-    async def script(head: StereoHead) -> None:
+    async with closing(head_with({**KEYS, "lead_ms": 50})) as head:
         with pytest.raises(FrameTimeout, match="a scheduled action needs PTP, and its clock is not locked"):
             await head.capture()
 
-    run(script, head({**KEYS, "lead_ms": 50}))
-
 
 @pytest.mark.slow
-def test_a_schedule_that_is_too_short_is_told(cell: Cell) -> None:
+async def test_a_schedule_that_is_too_short_is_told(cell: Cell) -> None:
     """A tenth of a microsecond ahead has passed before the command arrives."""
-
-    async def script(head: StereoHead) -> None:
+    async with closing(head_with({**KEYS, "lead_ms": 0.0001}, ptp=True)) as head:
         with pytest.raises(FrameTimeout, match="too late: its lead is too short"):
             await head.capture()
-
-    run(script, head({**KEYS, "lead_ms": 0.0001}, ptp=True))
 
 
 # --- strobe, formats, quirks, time ------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
+async def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
     """High while exposed, and only then."""
     edges: list[tuple[bool, int]] = []
     cell.left.line("Line2").listen(lambda level, at_ns: edges.append((level, at_ns)))
-
-    async def script(camera: AravisCamera) -> Frame:
+    async with closing(left_camera(exposure_us=3000.0, outputs=(Output("Line2"),))) as camera:
         await camera.open()
-        return await shoot(camera)
-
-    run(script, left_camera(exposure_us=3000.0, outputs=(Output("Line2"),)))
+        await shoot(camera)
 
     (up, up_ns), (down, down_ns) = edges
     assert (True, False) == (up, down)
@@ -302,14 +288,11 @@ def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", g.PIXEL_FORMATS)
-def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) -> None:
+async def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) -> None:
     """Packed, transferred, unpacked: the same grey values; a mosaic as bright as the picture."""
-
-    async def script(camera: AravisCamera) -> Frame:
+    async with closing(left_camera(features=({"PixelFormat": name},))) as camera:
         await camera.open()
-        return await shoot(camera)
-
-    frame = run(script, left_camera(features=({"PixelFormat": name},)))
+        frame = await shoot(camera)
 
     (shown,) = cell.left_sensor.shown.values()
     if name.startswith("Bayer"):
@@ -322,68 +305,55 @@ def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) -> Non
 @pytest.mark.parametrize(
     "quirk", [Quirk.MODE_BEFORE_SOURCE, Quirk.SOURCE_CLEARS_MODE, Quirk.EXPOSURE_TIME_ABS]
 )
-def test_firmware_with_habits_is_triggered_all_the_same(quirk: Quirk) -> None:
+async def test_firmware_with_habits_is_triggered_all_the_same(quirk: Quirk) -> None:
     """Settings are written in an order that each of them stands."""
-
-    async def script(camera: AravisCamera) -> Frame:
-        await camera.open()
-        return await shoot(camera)
-
     with running(Cell(quirks=(quirk,))) as cell:
-        run(script, left_camera(exposure_us=1500.0))
+        async with closing(left_camera(exposure_us=1500.0)) as camera:
+            await camera.open()
+            await shoot(camera)
         assert [1500.0] == [request.exposure_us for request in cell.left_sensor.requests]
 
 
 @pytest.mark.slow
-def test_a_clamped_exposure_is_named() -> None:
+async def test_a_clamped_exposure_is_named() -> None:
     """20 ms became 10 ms without a word: both are in the error."""
-
-    async def script(camera: AravisCamera) -> None:
-        with pytest.raises(CameraSetupError, match=r"ExposureTime: the camera made 10000\.0 of 20000\.0"):
-            await camera.open()
-
     with running(Cell(quirks=(Quirk.CLAMPED_EXPOSURE,))):
-        run(script, left_camera(exposure_us=20_000.0))
+        async with closing(left_camera(exposure_us=20000.0)) as camera:
+            with pytest.raises(CameraSetupError, match=r"ExposureTime: the camera made 10000\.0 of 20000\.0"):
+                await camera.open()
 
 
 @pytest.mark.slow
-def test_a_camera_with_few_nodes_is_triggered_by_software() -> None:
+async def test_a_camera_with_few_nodes_is_triggered_by_software() -> None:
     """No lines, no chunks, no PTP, no temperature: nothing of it is missed."""
-
-    async def script(camera: AravisCamera) -> Frame:
-        await camera.open()
-        return await shoot(camera)
-
     with running(Cell(quirks=(Quirk.FEW_NODES,))) as cell:
-        frame = run(script, left_camera(exposure_us=1500.0, gain_db=1.0))
+        async with closing(left_camera(exposure_us=1500.0, gain_db=1.0)) as camera:
+            await camera.open()
+            frame = await shoot(camera)
         assert 1 == cell.left_sensor.saw(frame.image)
 
 
 @pytest.mark.slow
-def test_an_exposure_that_changed_behind_our_back_is_a_fault(cell: Cell) -> None:
+async def test_an_exposure_that_changed_behind_our_back_is_a_fault(cell: Cell) -> None:
     """With chunk data each image says how long it was exposed: another time is no result."""
-
-    async def script(camera: AravisCamera) -> None:
+    async with closing(left_camera(exposure_us=2000.0, chunks=True)) as camera:
         await camera.open()
         await shoot(camera)
         cell.left.registers.put(g.EXPOSURE_TIME, 900.0)
         with pytest.raises(FrameIncomplete, match="exposed for 900 us, not 2000 us"):
             await shoot(camera)
 
-    run(script, left_camera(exposure_us=2000.0, chunks=True))
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("chunks", [True, False])
-def test_an_encoders_count_comes_with_the_image_of_its_exposure(cell: Cell, chunks: bool) -> None:
+async def test_an_encoders_count_comes_with_the_image_of_its_exposure(cell: Cell, chunks: bool) -> None:
     """That of this exposure and no other; beside the exposure time, or alone; and it is the pair's."""
-
-    async def script(head: CellHead) -> list[FramePair]:
-        return [await head.capture() for _ in range(3)]
-
     sides = {"left": {"device": LEFT, "count": "EncoderValue"}, "right": {"device": RIGHT}}
     timing = {"timeout_s": 5.0, "max_skew_ms": 1000.0, "chunks": chunks}
-    pairs = run(script, head_of(CamerasSection.model_validate({"source": "aravis", **timing, **sides})))
+    async with closing(
+        head_of(CamerasSection.model_validate({"source": "aravis", **timing, **sides}))
+    ) as head:
+        pairs = [await head.capture() for _ in range(3)]
 
     assert [request.device_ns // ENCODER_NS for request in cell.left_sensor.requests] == [
         pair.count for pair in pairs
@@ -415,44 +385,33 @@ def test_a_count_is_of_one_camera_and_one_exposure(cameras: dict[str, Any], trou
 
 
 @pytest.mark.slow
-def test_a_count_that_a_camera_cannot_send_is_refused_by_name(cell: Cell) -> None:
+async def test_a_count_that_a_camera_cannot_send_is_refused_by_name(cell: Cell) -> None:
     """No entry of its ChunkSelector; no chunk data at all; chunk data that Aravis does not read."""
 
-    async def script(camera: AravisCamera, trouble: str) -> None:
-        with pytest.raises(CaptureError, match=trouble):
-            await camera.open()
-            await shoot(camera)
-        await camera.close()
-
-    def refused(trouble: str, **settings: Any) -> None:
-        asyncio.run(asyncio.wait_for(script(left_camera(**settings), trouble), 60))
+    async def refused(trouble: str, count: str) -> None:
+        async with closing(left_camera(count=count)) as camera:
+            with pytest.raises(CaptureError, match=trouble):
+                await camera.open()
+                await shoot(camera)
 
     offers = "ChunkSelector offers FrameID, Timestamp, ExposureTime, EncoderValue"
-    refused(f"count: it cannot send CounterValue with an image: {offers}", count="CounterValue")
+    await refused(f"count: it cannot send CounterValue with an image: {offers}", count="CounterValue")
     for quirk, trouble in (
         (Quirk.FEW_NODES, "it has no ChunkSelector"),
         (Quirk.OLD_CHUNKS, "leave out count for this"),
     ):
         cell.left.stop()
         with gige_camera(LEFT, "EDGED-T3", Sensor(1), quirks=(quirk,)):
-            refused(trouble, count="EncoderValue")
+            await refused(trouble, count="EncoderValue")
         cell.left.start()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("configured", [True, False])
-def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
+async def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
     cell: Cell, configured: bool
 ) -> None:
     """The image leaves when the exposure has ended, here 0.4 s after the pulse; also after an adjustment."""
-
-    async def script(camera: AravisCamera) -> list[Frame]:
-        await camera.open()
-        if configured:
-            await shot(camera)
-        await camera.adjust(CameraValues(exposure_us=400_000.0))
-        cell.left.faults.delay_s = 0.4
-        return [await shot(camera) for _ in range(2)]
 
     async def shot(camera: AravisCamera) -> Frame:
         await camera.trigger()
@@ -460,7 +419,13 @@ def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
         return await camera.frame()
 
     exposure = {"exposure_us": 1000.0} if configured else {}
-    frames = run(script, left_camera(trigger=LineTrigger("Line1"), **exposure))
+    async with closing(left_camera(trigger=LineTrigger("Line1"), **exposure)) as camera:
+        await camera.open()
+        if configured:
+            await shot(camera)
+        await camera.adjust(CameraValues(exposure_us=400_000.0))
+        cell.left.faults.delay_s = 0.4
+        frames = [await shot(camera) for _ in range(2)]
     for frame, request in zip(frames, cell.left_sensor.requests[-2:], strict=True):
         assert frame.time_base is TimeBase.CAMERA
         assert frame.exposed_bound_ns is not None
@@ -470,15 +435,12 @@ def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tick_hz", [125_000_000, 1_000])
-def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None:
+async def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None:
     """Ticks of 8 ns, and of a millisecond: the bound says so, the truth is within it."""
-
-    async def script(camera: AravisCamera) -> list[Frame]:
-        await camera.open()
-        return [await shoot(camera) for _ in range(6)]
-
     with running(Cell(clock=DeviceClock(offset_s=5000.0, drift_ppm=90.0, tick_hz=tick_hz))) as cell:
-        frames = run(script, left_camera())
+        async with closing(left_camera()) as camera:
+            await camera.open()
+            frames = [await shoot(camera) for _ in range(6)]
         for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
             assert frame.exposed_bound_ns is not None
             assert abs(frame.exposed_ns - request.exposed_ns) <= frame.exposed_bound_ns + 5 * MS
@@ -486,19 +448,15 @@ def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
     """Ten times what a crystal may be off: it is mapped anew with each reading, and said once."""
-
-    async def script(camera: AravisCamera) -> list[Frame]:
-        await camera.open()
-        frames = []
-        for _ in range(6):
-            await asyncio.sleep(0.1)  # so far that the readings contradict each other
-            frames.append(await shoot(camera))
-        return frames
-
     with running(Cell(clock=DeviceClock(drift_ppm=2e7 * CLOCK_DRIFT, tick_hz=10**9))) as cell:
-        frames = run(script, left_camera())
+        frames = []
+        async with closing(left_camera()) as camera:
+            await camera.open()
+            for _ in range(6):
+                await asyncio.sleep(0.1)  # so far that the readings contradict each other
+                frames.append(await shoot(camera))
         for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
             assert abs(frame.exposed_ns - request.exposed_ns) < 50 * MS
 
@@ -507,17 +465,13 @@ def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.LogCap
 
 
 @pytest.mark.slow
-def test_a_clock_that_jumps_is_mapped_anew(cell: Cell) -> None:
+async def test_a_clock_that_jumps_is_mapped_anew(cell: Cell) -> None:
     """Set back by an hour between two images: the next one is timed as well as the one before."""
-
-    async def script(camera: AravisCamera) -> list[Frame]:
+    async with closing(left_camera()) as camera:
         await camera.open()
         frames = [await shoot(camera)]
         cell.left.clock.jump(-500.0)
         frames += [await shoot(camera) for _ in range(3)]
-        return frames
-
-    frames = run(script, left_camera())
 
     for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
         assert abs(frame.exposed_ns - request.exposed_ns) < 50 * MS

@@ -10,14 +10,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.gigecell import HEIGHT, LEFT, NOBODY, RIGHT, WIDTH, Cell, left_camera, run, running, shoot
+from helpers.gigecell import (
+    HEIGHT,
+    LEFT,
+    NOBODY,
+    RIGHT,
+    WIDTH,
+    Cell,
+    closing,
+    left_camera,
+    opens,
+    running,
+    shoot,
+)
 
 from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
 from edged.adapters.aravis.library import library
 from edged.app.cameras import camera_facts, camera_figures, head_of
 from edged.cell.stereohead import HeadSettings, StereoHead
 from edged.config.cameras import CamerasSection
-from edged.domain.frames import Frame, FramePair, TimeBase
+from edged.domain.frames import FramePair, TimeBase
 from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, WrongCamera
 from edged.sim.gige import genicam as g
 from edged.vision.kernels.pixelformats import FORMATS
@@ -32,15 +44,11 @@ def cell() -> Iterator[Cell]:
         yield cell
 
 
-def refused(kind: type[CameraSetupError] = CameraSetupError, **settings: Any) -> str:
+async def refused(kind: type[CameraSetupError] = CameraSetupError, **settings: Any) -> str:
     """Why the camera cannot be opened with these settings."""
-
-    async def script(camera: AravisCamera) -> str:
-        with pytest.raises(kind) as caught:
-            await camera.open()
-        return str(caught.value)
-
-    return str(run(script, left_camera(**settings)))
+    with pytest.raises(kind) as caught:
+        await opens(left_camera(**settings))
+    return str(caught.value)
 
 
 def test_format_codes_are_those_that_aravis_knows() -> None:
@@ -61,30 +69,27 @@ def test_format_codes_are_those_that_aravis_knows() -> None:
 
 
 @pytest.mark.slow
-def test_another_camera_than_the_expected_is_refused(cell: Cell) -> None:
+async def test_another_camera_than_the_expected_is_refused(cell: Cell) -> None:
     """Swapped addresses: the error names both serial numbers, and has a code of its own."""
-    reason = refused(WrongCamera, serial="EDGED-T2")
+    reason = await refused(WrongCamera, serial="EDGED-T2")
 
     assert "camera left: 127.0.40.1 has the serial number 'EDGED-T1', expected 'EDGED-T2'" == reason
 
 
 @pytest.mark.slow
-def test_the_expected_camera_opens(cell: Cell) -> None:
+async def test_the_expected_camera_opens(cell: Cell) -> None:
     """With its serial number given beside the address."""
-    run(lambda camera: camera.open(), left_camera(serial="EDGED-T1"))
+    await opens(left_camera(serial="EDGED-T1"))
 
 
 @pytest.mark.slow
-def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
+async def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
     cell: Cell, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Nobody answers where it was; the log says where it is now."""
-
-    async def script(camera: AravisCamera) -> Frame:
+    async with closing(left_camera(NOBODY, serial="EDGED-T1")) as camera:
         await camera.open()
-        return await shoot(camera)
-
-    frame = run(script, left_camera(NOBODY, serial="EDGED-T1"))
+        frame = await shoot(camera)
 
     cell.left_sensor.saw(frame.image)
     assert f"{NOBODY} does not answer, but EDGED-T1 does at {LEFT}" in caplog.text
@@ -94,15 +99,12 @@ def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
 
 
 @pytest.mark.slow
-def test_a_region_is_put_back_in_its_place(cell: Cell) -> None:
+async def test_a_region_is_put_back_in_its_place(cell: Cell) -> None:
     """The calibration is of the whole image: the region lies where the sensor saw it, black around."""
     region = {"Width": 160, "Height": 100, "OffsetX": 32, "OffsetY": 20}
-
-    async def script(camera: AravisCamera) -> Frame:
+    async with closing(left_camera(calibrated=(WIDTH, HEIGHT), features=(region,))) as camera:
         await camera.open()
-        return await shoot(camera)
-
-    frame = run(script, left_camera(calibrated=(WIDTH, HEIGHT), features=(region,)))
+        frame = await shoot(camera)
 
     (shown,) = cell.left_sensor.shown.values()
     whole = np.zeros((HEIGHT, WIDTH), np.uint8)
@@ -111,38 +113,40 @@ def test_a_region_is_put_back_in_its_place(cell: Cell) -> None:
 
 
 @pytest.mark.slow
-def test_a_size_that_was_not_calibrated_is_refused(cell: Cell) -> None:
+async def test_a_size_that_was_not_calibrated_is_refused(cell: Cell) -> None:
     """A rig of another sensor: both sizes are named before anything is measured."""
-    reason = refused(calibrated=(1280, 960))
+    reason = await refused(calibrated=(1280, 960))
 
     assert f"its image is {WIDTH}x{HEIGHT} px, the rig was calibrated with 1280x960" in reason
 
 
 @pytest.mark.slow
-def test_a_region_that_another_program_left_behind_is_refused(cell: Cell) -> None:
+async def test_a_region_that_another_program_left_behind_is_refused(cell: Cell) -> None:
     """The picture looks the same and measures wrong: unless the configuration says so, it is an error."""
     cell.left.registers.put(g.WIDTH, 160)
     cell.left.registers.put(g.OFFSET_X, 32)
 
-    assert "OffsetX is 32: an image that lies otherwise than at calibration" in refused()
+    assert "OffsetX is 32: an image that lies otherwise than at calibration" in await refused()
     stated = ({"Width": 160, "OffsetX": 32},)
-    run(lambda camera: camera.open(), left_camera(features=stated))
+    await opens(left_camera(features=stated))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["TriggerMode", "TriggerSource", "AcquisitionMode"])
-def test_the_trigger_is_not_set_behind_its_back(cell: Cell, name: str) -> None:
+async def test_the_trigger_is_not_set_behind_its_back(cell: Cell, name: str) -> None:
     """Features that belong to the trigger mode are refused by name."""
-    assert f"{name}: belongs to the trigger" in refused(features=({name: "Off"},))
+    assert f"{name}: belongs to the trigger" in await refused(features=({name: "Off"},))
 
 
 @pytest.mark.slow
-def test_groups_of_features_are_written_one_after_another(cell: Cell) -> None:
+async def test_groups_of_features_are_written_one_after_another(cell: Cell) -> None:
     """The later one counts; a mistake in the second keeps the first from being written."""
-    run(lambda camera: camera.open(), left_camera(features=({"Gain": 3.0}, {"Gain": 5.0})))
+    await opens(left_camera(features=({"Gain": 3.0}, {"Gain": 5.0})))
     assert 5.0 == cell.left.registers.number(g.GAIN)
 
-    assert "Nonsense: the camera has no such feature" in refused(features=({"Gain": 7.0}, {"Nonsense": 1}))
+    assert "Nonsense: the camera has no such feature" in await refused(
+        features=({"Gain": 7.0}, {"Nonsense": 1})
+    )
     assert 5.0 == cell.left.registers.number(g.GAIN)
 
 
@@ -150,20 +154,19 @@ def test_groups_of_features_are_written_one_after_another(cell: Cell) -> None:
 
 
 @pytest.mark.slow
-def test_the_packet_delay_reaches_the_camera(cell: Cell) -> None:
+async def test_the_packet_delay_reaches_the_camera(cell: Cell) -> None:
     """In ticks of its clock; left to itself nothing is delayed on loopback."""
-    run(lambda camera: camera.open(), left_camera(neighbour=RIGHT))
+    await opens(left_camera(neighbour=RIGHT))
     assert 0 == cell.left.registers.word(g.PACKET_DELAY)
 
-    run(lambda camera: camera.open(), left_camera(packet_delay_us=12.5))
+    await opens(left_camera(packet_delay_us=12.5))
     assert 12_500 == cell.left.registers.word(g.PACKET_DELAY)
 
 
 @pytest.mark.slow
-def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
+async def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
     """After five images: as many complete, none failed, the sensor's 41.5 °C, a clock known to 10 ms."""
-
-    async def script(camera: AravisCamera) -> None:
+    async with closing(left_camera()) as camera:
         assert camera.health is None
         await camera.open()
         for _ in range(5):
@@ -175,8 +178,6 @@ def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
         assert health.clock_bound_ns is not None
         assert 0 < health.clock_bound_ns < 10_000_000
 
-    run(script, left_camera())
-
 
 def texts_of(head: StereoHead) -> dict[str, list[str]]:
     """What is said of each camera, in English."""
@@ -184,11 +185,10 @@ def texts_of(head: StereoHead) -> dict[str, list[str]]:
 
 
 @pytest.mark.slow
-def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) -> None:
+async def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) -> None:
     """That they are not connected while they are closed; then temperature, clock, images, packets of both."""
     section = CamerasSection.model_validate({"left": {"device": LEFT}, "right": {"device": RIGHT}})
-
-    async def script(head: StereoHead) -> None:
+    async with closing(head_of(section)) as head:
         assert {"left": ["not connected"], "right": ["not connected"]} == texts_of(head)
         assert {} == camera_figures(head)
         await head.open()
@@ -200,21 +200,16 @@ def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) -> Non
         assert 0.0 < figures["camera_left_clock_bound_seconds"][1] < 0.1
         assert 0 == figures["camera_left_images"][1]
 
-    run(script, head_of(section))
-
 
 # --- time ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_the_time_of_an_exposure_is_within_its_stated_bound(cell: Cell) -> None:
+async def test_the_time_of_an_exposure_is_within_its_stated_bound(cell: Cell) -> None:
     """UTC by the camera's stamp: the simulator knows the truth."""
-
-    async def script(camera: AravisCamera) -> list[Frame]:
+    async with closing(left_camera()) as camera:
         await camera.open()
-        return [await shoot(camera) for _ in range(10)]
-
-    frames = run(script, left_camera())
+        frames = [await shoot(camera) for _ in range(10)]
 
     for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
         assert TimeBase.CAMERA is frame.time_base
@@ -227,22 +222,18 @@ def test_the_time_of_an_exposure_is_within_its_stated_bound(cell: Cell) -> None:
 
 
 @pytest.mark.slow
-def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -> None:
+async def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -> None:
     """Each capture is a new pair of one moment; nothing that was exposed before it was asked for."""
     head = StereoHead(
         left_camera(trigger=FreeRun(20.0)),
         AravisCamera("right", AravisSettings(RIGHT, trigger=FreeRun(20.0))),
         HeadSettings(timeout_s=5, max_skew_s=0.03, free_running=True),
     )
-
-    async def script(head: StereoHead) -> list[FramePair]:
+    async with closing(head):
         pairs = []
         for _ in range(5):
             await asyncio.sleep(0.12)  # two exposures that nobody wants
             pairs.append(await head.capture())
-        return pairs
-
-    pairs = run(script, head)
 
     assert 20.0 == cell.left.registers.number(g.FRAME_RATE)
     steps = np.diff([pair.left.frame_id for pair in pairs])
@@ -254,46 +245,38 @@ def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -
 
 
 @pytest.mark.slow
-def test_what_a_free_running_camera_exposed_just_before_the_request_is_old(cell: Cell) -> None:
+async def test_what_a_free_running_camera_exposed_just_before_the_request_is_old(cell: Cell) -> None:
     """With an exposure every 10 ms, none that began in the last millisecond before the request is taken."""
-
-    async def main() -> list[float]:
-        camera, since_ms = left_camera(trigger=FreeRun(100.0)), []
-        await camera.open()
-        try:
-            for number in range(40):
-                await asyncio.sleep(0.0203)  # another phase of the camera's period each time
-                asked_ns = time.time_ns()
-                await camera.trigger()
-                shown = cell.left_sensor.saw((await camera.frame()).image)
-                if number > 0:  # of the first connection's clock nothing is known
-                    exposed_ns = next(r.exposed_ns for r in cell.left_sensor.requests if r.frame_id == shown)
-                    since_ms.append((exposed_ns - asked_ns) * 1e-6)
-        finally:
-            await camera.close()
-        return since_ms
-
-    assert min(asyncio.run(main())) > 0
+    camera, since_ms = left_camera(trigger=FreeRun(100.0)), []
+    await camera.open()
+    try:
+        for number in range(40):
+            await asyncio.sleep(0.0203)  # another phase of the camera's period each time
+            asked_ns = time.time_ns()
+            await camera.trigger()
+            shown = cell.left_sensor.saw((await camera.frame()).image)
+            if number > 0:  # of the first connection's clock nothing is known
+                exposed_ns = next(r.exposed_ns for r in cell.left_sensor.requests if r.frame_id == shown)
+                since_ms.append((exposed_ns - asked_ns) * 1e-6)
+    finally:
+        await camera.close()
+    assert min(since_ms) > 0
 
 
 @pytest.mark.slow
-def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:
+async def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:
     """Exposure by exposure in order, none twice; the limit allows for any phase of both."""
     head = StereoHead(
         left_camera(trigger=FreeRun(20.0)),
         AravisCamera("right", AravisSettings(RIGHT, trigger=FreeRun(20.0))),
         HeadSettings(timeout_s=5, max_skew_s=0.1),
     )
-
-    async def script(head: StereoHead) -> list[FramePair]:
+    async with closing(head):
         pairs: list[FramePair] = []
         while len(pairs) < 8:
             # a camera that a busy machine holds up skips exposures: those of the other have no partner
             with contextlib.suppress(FrameUnpaired, FrameIncomplete):
                 pairs.append(await head.listen())
-        return pairs
-
-    pairs = run(script, head)
 
     for side in ("left", "right"):
         assert (np.diff([getattr(pair, side).frame_id for pair in pairs]) >= 1).all()

@@ -12,14 +12,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.ports import free_port
-from helpers.waiting import LIMIT_S, WHOLE_S
+from helpers.waiting import LIMIT_S, WHOLE_S, wait_until
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.aravis import aravis_missing
@@ -34,17 +34,6 @@ INVALID = -(2**31)
 VALID_BIT, CAM_FAULT_BIT, SIMULATED_BIT = 1 << 5, 1 << 12, 1 << 15
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
 needs_aravis = pytest.mark.skipif(bool(aravis_missing()), reason="Aravis is not installed")
-
-
-def until(condition: Callable[[], Any], what: str, timeout_s: float = 30.0) -> Any:
-    """Wait for a true value and return it."""
-    deadline_s = time.monotonic() + timeout_s
-    while True:
-        value = condition()
-        if value:
-            return value
-        assert time.monotonic() < deadline_s, f"not within {timeout_s:g} s: {what}"
-        time.sleep(0.05)
 
 
 class Cell:
@@ -74,7 +63,7 @@ class Cell:
         )
         self._reader = threading.Thread(target=self._read_log)
         self._reader.start()
-        until(self._answers, "a Modbus answer", 60)
+        wait_until(self._answers, 60)
 
     def _read_log(self) -> None:
         assert self.process is not None and self.process.stderr is not None
@@ -137,9 +126,9 @@ def test_a_terminal_that_closes_ends_the_daemon(tmp_path: Path) -> None:
         cell.start(stdin=terminal)
         assert cell.process is not None
         for said in ("READY: job 1 (flange), both cameras answer", f"status page: http://127.0.0.1:{port}"):
-            until(lambda said=said: any(said in line for line in cell.log), said)
+            wait_until(lambda said=said: any(said in line for line in cell.log))
         cell.process.send_signal(signal.SIGHUP)
-        until(lambda: any("reloaded" in line for line in cell.log), "a reload")
+        wait_until(lambda: any("reloaded" in line for line in cell.log))
         os.close(terminal)
         os.close(keyboard)
         cell.process.send_signal(signal.SIGHUP)  # the kernel's, where it is the terminal of a session
@@ -174,7 +163,7 @@ def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> 
         result = in_process_cell.read("result")
         return result if result["X"] != INVALID else None
 
-    result = until(shown, "a valid result")
+    result = wait_until(shown)
     assert result["SEQ_HEAD"] == result["SEQ_TAIL"] != 0
     assert in_process_cell.read("status")["STATUS_BITS"] & SIMULATED_BIT
     rig_z_mm = result["DEPTH"] / 1000
@@ -198,8 +187,8 @@ def test_sighup_with_a_bad_configuration_changes_nothing_and_says_why(in_process
     good = in_process_cell.config.read_text()
     in_process_cell.config.write_text(good.replace("period_s =", "periods_s ="))
     in_process_cell.process.send_signal(signal.SIGHUP)
-    until(lambda: any("cycle.periods_s" in line for line in in_process_cell.log), "the mistake in the log")
-    until(lambda: in_process_cell.read("result")["X"] != INVALID, "results go on")
+    wait_until(lambda: any("cycle.periods_s" in line for line in in_process_cell.log))
+    wait_until(lambda: in_process_cell.read("result")["X"] != INVALID)
     assert (
         in_process_cell.read("constants")["CONFIG_CRC"] == before["CONFIG_CRC"] or before["CONFIG_CRC"] == 0
     )
@@ -207,10 +196,7 @@ def test_sighup_with_a_bad_configuration_changes_nothing_and_says_why(in_process
     fingerprint = in_process_cell.read("constants")["CONFIG_CRC"]
     in_process_cell.config.write_text(good.replace("period_s = 0.2", "period_s = 0.3"))
     in_process_cell.process.send_signal(signal.SIGHUP)
-    until(
-        lambda: in_process_cell.read("constants")["CONFIG_CRC"] not in (0, fingerprint),
-        "the new configuration",
-    )
+    wait_until(lambda: in_process_cell.read("constants")["CONFIG_CRC"] not in (0, fingerprint))
 
 
 @pytest.mark.parametrize("shared", ["zenoh", "modbus"])
@@ -282,16 +268,16 @@ def test_a_killed_camera_invalidates_and_its_return_heals(tmp_path: Path) -> Non
     cell = Cell(tmp_path / "cell", source)
     try:
         cell.start()
-        first = until(lambda: _valid(cell), "a valid result")
+        first = wait_until(lambda: _valid(cell))
         cameras["right"].kill()
-        until(lambda: not _bits(cell) & VALID_BIT and _bits(cell) & CAM_FAULT_BIT, "the fault")
+        wait_until(lambda: not _bits(cell) & VALID_BIT and _bits(cell) & CAM_FAULT_BIT)
         for _ in range(10):
             status, result = cell.read("status"), cell.read("result")
             assert not status["STATUS_BITS"] & VALID_BIT
             assert {result[axis] for axis in "XYZABC"} == {INVALID}
             time.sleep(0.05)
         cameras["right"] = CameraProcess("right")
-        again = until(lambda: _valid(cell), "a valid result after the return", 60)
+        again = wait_until(lambda: _valid(cell), 60)
         # the part did not move: the same place, to a few times the stated sigma
         assert np.allclose([first[a] for a in "XYZ"], [again[a] for a in "XYZ"], atol=30)
         assert again["SEQ_HEAD"] != first["SEQ_HEAD"]
@@ -339,9 +325,9 @@ def test_the_command_mode_handshake_over_modbus(tmp_path: Path) -> None:
     cell = Cell(tmp_path / "cell", 'source = "virtual-inprocess"', mode="command")
     cell.start()
     try:
-        until(lambda: _bits(cell) & 1, "READY")
+        wait_until(lambda: _bits(cell) & 1)
         cell.write(ADDRESS["COMMAND"], [1, 0, 77, 0, 0, Option.ONCE])
-        result = until(lambda: _valid(cell), "the result")
+        result = wait_until(lambda: _valid(cell))
         assert result["SEQ_HEAD"] == 77
         assert _bits(cell) & 0b10, "ACK"
         cell.write(ADDRESS["ACK_SEQ"], [77])

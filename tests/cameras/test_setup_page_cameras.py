@@ -9,7 +9,7 @@ import pytest
 from helpers.browser import browser
 from helpers.browsersession import PASSWORD
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
-from helpers.stagecell import Newcomer, run
+from helpers.stagecell import staged
 
 from edged.adapters.aravis import aravis_missing
 from edged.commands.stage import USER
@@ -33,69 +33,65 @@ ADVICE = r"/px wide|Exposure is good|Set \d/.test(document.body.innerText)"  # "
 SLIDER = """document.querySelector("[aria-label='Settings of the left camera'] [type=range]")"""
 
 
-def test_cameras_are_told_apart_by_a_wave_and_set_with_their_own_limits(tmp_path: Path) -> None:
+async def test_cameras_are_told_apart_by_a_wave_and_set_with_their_own_limits(tmp_path: Path) -> None:
     """From two cameras on the wire to light and focus; axe finds nothing, and all fits a phone."""
+    async with staged(tmp_path) as newcomer, browser() as page:
+        await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+        await press(page, "Take over")
+        await page.until('document.querySelector("dialog[open]")')
+        await page.click("dialog[open] .primary")
+        await page.until('document.querySelector(".lease.mine")')
 
-    async def test(newcomer: Newcomer) -> None:
-        async with browser() as page:
-            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
-            await press(page, "Take over")
-            await page.until('document.querySelector("dialog[open]")')
-            await page.click("dialog[open] .primary")
-            await page.until('document.querySelector(".lease.mine")')
+        await go(page, "cameras")
+        await page.until(f"{TILES}.length === 2")
+        assert "EDGED-VIRTUAL-L" in (await page.value(TILES))[0]
+        assert "left camera" in (await page.value(TILES))[0]
+        await page.until(PICTURE)
+        await newcomer.ask("PUT", "stage", {"waving": "right"})
+        await press(page, "I wave now")
+        await page.until(said("left and right have been exchanged"))
+        await page.until(f'{TILES}[0].includes("right camera")')
+        await newcomer.ask("PUT", "stage", {"waving": "none", "showing": "board", "still": True})
+        await press(page, "Take a test pair")
+        await page.until(said("ms between the two exposures"))
+        await page.until('[...document.querySelectorAll(".pair img")].every((image) => image.complete)')
+        await page.until(said("packets of "))
+        assert "firmware" in (await page.value(TILES))[0]
+        await press(page, "Test the packets")
+        await page.until(said("10 of 10 pairs came."))
+        await page.until(said("bytes, none lost"))
+        assert await page.value(said("edged triggers each camera by a command"))
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
 
-            await go(page, "cameras")
-            await page.until(f"{TILES}.length === 2")
-            assert "EDGED-VIRTUAL-L" in (await page.value(TILES))[0]
-            assert "left camera" in (await page.value(TILES))[0]
+        await go(page, "light")
+        await page.until(said("First put a board or a part"))
+        await page.until("document.querySelector('[name=left-exposure_us]')?.value === '2000'")
+        assert not await page.value(ADVICE)
+        await press(page, "It is there")
+        await page.until(said("px wide"))
+        await page.until("document.querySelector('[name=left-exposure_us]')?.value === '2000'")
+        await page.type("[name=left-exposure_us]", "0,5")
+        await page.until(said("A number from 10 to 1000000 µs"))
+        await page.type("[name=left-exposure_us]", "60000,0")
+        await page.until(f"{LEFT_EXPOSURE} === '60000'")
+        await page.until(said("Set 24000 µs"))  # of what was read back
+        await page.until(f"{STRIPED} > 100")
+        await page.until(said("Something is clipped"))
+        await press(page, "Same settings for the right camera")
+        await page.until(f"{RIGHT_EXPOSURE} === '60000'")
+        await page.value(
+            "document.querySelector('[aria-label=\"Settings of the left camera\"] [type=range]').focus()"
+        )
+        await page.ask("Input.dispatchKeyEvent", type="keyDown", key="Home", windowsVirtualKeyCode=36)
+        await page.until(f"{LEFT_EXPOSURE} === '10'")
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
+
+        await newcomer.ask("PUT", "stage", {"showing": "nothing"})  # its pictures are quicker
+        for step in ("cameras", "light"):
+            await page.open(f"{newcomer.origin}/setup?pseudo#/{step}", 360, 740)
             await page.until(PICTURE)
-            await newcomer.ask("PUT", "stage", {"waving": "right"})
-            await press(page, "I wave now")
-            await page.until(said("left and right have been exchanged"))
-            await page.until(f'{TILES}[0].includes("right camera")')
-            await newcomer.ask("PUT", "stage", {"waving": "none", "showing": "board", "still": True})
-            await press(page, "Take a test pair")
-            await page.until(said("ms between the two exposures"))
-            await page.until('[...document.querySelectorAll(".pair img")].every((image) => image.complete)')
-            await page.until(said("packets of "))
-            assert "firmware" in (await page.value(TILES))[0]
-            await press(page, "Test the packets")
-            await page.until(said("10 of 10 pairs came."))
-            await page.until(said("bytes, none lost"))
-            assert await page.value(said("edged triggers each camera by a command"))
-            assert [] == await page.violations()
-            assert [] == await page.value(SMALL_TARGETS)
-
-            await go(page, "light")
-            await page.until(said("First put a board or a part"))
-            await page.until("document.querySelector('[name=left-exposure_us]')?.value === '2000'")
-            assert not await page.value(ADVICE)
-            await press(page, "It is there")
-            await page.until(said("px wide"))
-            await page.until("document.querySelector('[name=left-exposure_us]')?.value === '2000'")
-            await page.type("[name=left-exposure_us]", "0,5")
-            await page.until(said("A number from 10 to 1000000 µs"))
-            await page.type("[name=left-exposure_us]", "60000,0")
-            await page.until(f"{LEFT_EXPOSURE} === '60000'")
-            await page.until(said("Set 24000 µs"))  # of what was read back
-            await page.until(f"{STRIPED} > 100")
-            await page.until(said("Something is clipped"))
-            await press(page, "Same settings for the right camera")
-            await page.until(f"{RIGHT_EXPOSURE} === '60000'")
-            await page.value(
-                "document.querySelector('[aria-label=\"Settings of the left camera\"] [type=range]').focus()"
-            )
-            await page.ask("Input.dispatchKeyEvent", type="keyDown", key="Home", windowsVirtualKeyCode=36)
-            await page.until(f"{LEFT_EXPOSURE} === '10'")
-            assert [] == await page.violations()
-            assert [] == await page.value(SMALL_TARGETS)
-
-            await newcomer.ask("PUT", "stage", {"showing": "nothing"})  # its pictures are quicker
-            for step in ("cameras", "light"):
-                await page.open(f"{newcomer.origin}/setup?pseudo#/{step}", 360, 740)
-                await page.until(PICTURE)
-                assert [] == await page.value(UNTRANSLATED), step
-                assert 0 == await page.value(TOO_WIDE), step
-            assert [] == page.complaints
-
-    run(tmp_path, test)
+            assert [] == await page.value(UNTRANSLATED), step
+            assert 0 == await page.value(TOO_WIDE), step
+        assert [] == page.complaints

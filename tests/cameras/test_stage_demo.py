@@ -12,7 +12,7 @@ import aiohttp
 import numpy as np
 import pytest
 from helpers.ports import free_port
-from helpers.stagecell import Newcomer, run
+from helpers.stagecell import staged
 from helpers.waiting import WHOLE_S, until
 
 from edged.adapters.aravis import aravis_missing
@@ -30,10 +30,9 @@ pytestmark = [
 BOARD = Chessboard(11, 8, 4.0)
 
 
-def test_the_board_follows_what_is_drawn(tmp_path: Path) -> None:
+async def test_the_board_follows_what_is_drawn(tmp_path: Path) -> None:
     """An empty folder is a cell in SETUP that says it is a stage; its hand brings the board to an outline."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path) as newcomer:
         cell = await newcomer.ask("GET", "cell")
         assert (True, "SETUP", ["rig", "jobs"]) == (cell["stage"], cell["state"], cell["missing"])
         assert "nothing" == (await newcomer.ask("GET", "stage"))["showing"]
@@ -59,13 +58,10 @@ def test_the_board_follows_what_is_drawn(tmp_path: Path) -> None:
         refused = await newcomer.ask("PUT", "stage/hand", {"left": [[1, 1]] * 4}, 422)
         assert "no_board" == refused["code"]
 
-    run(tmp_path, test)
 
-
-def test_a_stranger_neither_sees_nor_moves_anything(tmp_path: Path) -> None:
+async def test_a_stranger_neither_sees_nor_moves_anything(tmp_path: Path) -> None:
     """Each route of the cameras and of the stage, without a log-in."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path) as newcomer:
         document = await newcomer.ask("GET", "openapi.json")
         asked = []
         async with aiohttp.ClientSession(newcomer.origin) as stranger:
@@ -76,13 +72,10 @@ def test_a_stranger_neither_sees_nor_moves_anything(tmp_path: Path) -> None:
                         assert 401 == answer.status, asked[-1]
         assert 15 == len(asked)
 
-    run(tmp_path, test)
 
-
-def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_path: Path) -> None:
+async def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_path: Path) -> None:
     """By the packets of two cameras: who is which, what they take, a hand that is waved, and all undone."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path) as newcomer:
         await newcomer.picture()
         now = await newcomer.ask("GET", "cameras")
         now |= await newcomer.ask("POST", "cameras/settings", newcomer.token)
@@ -114,36 +107,29 @@ def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_path: Pat
         await until(lambda: not any(device.controlled for device in devices))
         assert [2000.0, 2000.0] == [device.registers.number(g.EXPOSURE_TIME) for device in devices]
 
-    run(tmp_path, test)
 
-
-def test_what_is_kept_outlives_setup_and_the_daemon(tmp_path: Path) -> None:
+async def test_what_is_kept_outlives_setup_and_the_daemon(tmp_path: Path) -> None:
     """Exposure and exchanged cameras of a cell without a rig, written beside where its rig will be."""
-
-    async def test(newcomer: Newcomer) -> None:
-        if not (tmp_path / "rig.cameras.json").exists():
-            await newcomer.ask(
-                "PUT", "cameras/left", {**newcomer.token, "serial": SERIALS[1], "gain_db": 3.0}
-            )
-            await newcomer.ask("POST", "cameras/keep", newcomer.token, 204)
-            configured = (await newcomer.ask("GET", "cameras"))["configured"]
-            assert [{}, {}] == [
-                configured[side]["tried"] for side in ("left", "right")
-            ]  # nothing is left to keep
-        await newcomer.ask("DELETE", "setup", newcomer.token, 204)
-        newcomer.token = await newcomer.ask("POST", "setup", {"name": "Ben"}, 201)
-        await newcomer.picture()
-        devices = newcomer.world._devices  # noqa: SLF001  (what the cameras themselves hold)
-        assert [0.0, 3.0] == [device.registers.number(g.GAIN) for device in devices]
-
-    run(tmp_path, test)
-    run(tmp_path, test)
+    for is_kept in (False, True):
+        async with staged(tmp_path) as newcomer:
+            assert is_kept == (tmp_path / "rig.cameras.json").exists()
+            if not is_kept:
+                chosen = {"serial": SERIALS[1], "gain_db": 3.0}
+                await newcomer.ask("PUT", "cameras/left", {**newcomer.token, **chosen})
+                await newcomer.ask("POST", "cameras/keep", newcomer.token, 204)
+                configured = (await newcomer.ask("GET", "cameras"))["configured"]
+                left = [configured[side]["tried"] for side in ("left", "right")]
+                assert [{}, {}] == left  # nothing is left to keep
+            await newcomer.ask("DELETE", "setup", newcomer.token, 204)
+            newcomer.token = await newcomer.ask("POST", "setup", {"name": "Ben"}, 201)
+            await newcomer.picture()
+            devices = newcomer.world._devices  # noqa: SLF001  (what the cameras themselves hold)
+            assert [0.0, 3.0] == [device.registers.number(g.GAIN) for device in devices]
 
 
-def test_light_and_focus_of_live_pictures_are_told(tmp_path: Path) -> None:
+async def test_light_and_focus_of_live_pictures_are_told(tmp_path: Path) -> None:
     """A lens out of focus and too much light, each by its own camera's figures."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path) as newcomer:
         await newcomer.ask("GET", "cameras/quality", expected=404)
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True, "rings": {"right": 0.4}})
         await newcomer.ask("PUT", "cameras/left", {**newcomer.token, "exposure_us": 6000.0})
@@ -167,8 +153,6 @@ def test_light_and_focus_of_live_pictures_are_told(tmp_path: Path) -> None:
         assert spread["median"] == pytest.approx(np.hypot(0.6, np.hypot(1.2, 12**-0.5)), rel=0.05)
         assert (6, 8) == (len(spread["map"]), len(spread["map"][0]))
         assert 1.6 < right["sigma_z_factor"] < 2.2
-
-    run(tmp_path, test)
 
 
 def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> None:

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.gigecell import HEIGHT, LEFT, RIGHT, WIDTH, Cell, run, running
+from helpers.gigecell import HEIGHT, LEFT, RIGHT, WIDTH, Cell, closing, running
 from pydantic import ValidationError
 
 from edged.adapters.aravis import aravis_missing
-from edged.app.cameras import CellHead, camera_facts, head_of
+from edged.app.cameras import camera_facts, head_of
 from edged.config.cameras import CamerasSection
 from edged.config.configuration import Config
 from edged.domain.arrays import Image
-from edged.domain.frames import FramePair
 from edged.sim.exposure import ExposureRequest
 from edged.sim.gige.faults import Quirk
 
@@ -45,16 +44,13 @@ def glint(request: ExposureRequest) -> Image:
 @pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
 @pytest.mark.slow
 @pytest.mark.parametrize("quirks", [(), (Quirk.LATE_EXPOSURE,)])
-def test_a_glint_and_a_dark_table_are_seen_in_one_pair(quirks: tuple[Quirk, ...]) -> None:
+async def test_a_glint_and_a_dark_table_are_seen_in_one_pair(quirks: tuple[Quirk, ...]) -> None:
     """Also with firmware that takes an exposure one frame late; the page says how it was exposed."""
     cell = Cell(quirks=quirks)
     cell.left.exposure = cell.right.exposure = glint
-
-    async def script(head: CellHead) -> tuple[list[FramePair], dict[str, Any]]:
-        return [await head.capture() for _ in range(3)], camera_facts(head)
-
     with running(cell):
-        pairs, facts = run(script, head_of(section()))
+        async with closing(head_of(section())) as head:
+            pairs, facts = [await head.capture() for _ in range(3)], camera_facts(head)
 
     for pair in pairs:
         for image in (pair.left.image, pair.right.image):

@@ -74,21 +74,17 @@ def test_json_is_the_message_itself_one_a_line(capsys):
     assert {"edged/target/1"} == {document["schema"] for document in documents}
 
 
-def test_cbor_is_read_as_well(capsys):
+async def test_cbor_is_read_as_well(capsys):
     """A cell that is configured for CBOR prints the same object; its queries answer in CBOR too."""
-
-    async def main() -> None:
-        async with Cell(encoding="cbor") as cell:
-            await watching(cell, [make_snapshot(7)], as_json=True, count=2)
-            session = open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"]))
-            try:
-                (reply,) = await asyncio.to_thread(lambda: list(session.get("edged/cell1/last")))
-            finally:
-                session.close()
-        assert "application/cbor" == str(reply.ok.encoding)
-        assert 7 == decode_cbor(reply.ok.payload.to_bytes())["cycle"]
-
-    asyncio.run(main())
+    async with Cell(encoding="cbor") as cell:
+        await watching(cell, [make_snapshot(7)], as_json=True, count=2)
+        session = open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"]))
+        try:
+            (reply,) = await asyncio.to_thread(lambda: list(session.get("edged/cell1/last")))
+        finally:
+            session.close()
+    assert "application/cbor" == str(reply.ok.encoding)
+    assert 7 == decode_cbor(reply.ok.payload.to_bytes())["cycle"]
     documents = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [make_snapshot().targets[0].position_mm.tolist()] * 2 == [
         d["targets"][0]["position_mm"] for d in documents
@@ -121,20 +117,16 @@ def test_a_calibration_that_drifts_is_shown_with_its_figures(terminal):
     assert "calibration drifts: rows 0.31 px, known length -0.24 %" in " ".join(text.split())
 
 
-def test_only_the_cell_that_was_named():
+async def test_only_the_cell_that_was_named():
     """`--cell` leaves the others out."""
-
-    async def main() -> str:
-        async with Cell() as cell, Cell(cell="cell2", connect=(f"tcp/127.0.0.1:{cell.port}",)) as other:
-            other.publisher.announce(make_snapshot(66))
-            return await watching(cell, [make_snapshot(1), make_snapshot(2)], count=2, only="cell1")
-
-    text = asyncio.run(main())
+    async with Cell() as cell, Cell(cell="cell2", connect=(f"tcp/127.0.0.1:{cell.port}",)) as other:
+        other.publisher.announce(make_snapshot(66))
+        text = await watching(cell, [make_snapshot(1), make_snapshot(2)], count=2, only="cell1")
     assert ["cell1", "cell1"] == [line.split()[0] for line in text.splitlines()]
 
 
 @pytest.mark.slow
-def test_what_strangers_publish_under_our_keys_is_no_reason_to_stop():
+async def test_what_strangers_publish_under_our_keys_is_no_reason_to_stop():
     """Junk, deep nesting, wrong types and escape codes under edged/** are left out or shown harmlessly."""
     junk = [
         b"\xff\xfe",
@@ -147,24 +139,18 @@ def test_what_strangers_publish_under_our_keys_is_no_reason_to_stop():
     bad = json.dumps(
         {"status": "\x1b[5;41m", "cycle": [], "targets": [{"sigma_mm": [None, 1, {}]}], "sequence": "1"}
     )
-
-    async def main() -> str:
-        async with Cell() as cell:
-            port = free_port()
-            stranger = open_session(session_config("peer", [f"tcp/127.0.0.1:{port}"], []))
-            snapshots = [make_snapshot(cycle) for cycle in range(40)]
-            watcher = asyncio.create_task(
-                watching(cell, snapshots, more_ports=[port], count=150, terminal=True)
-            )
-            while not watcher.done():
-                for payload in (*junk, bad.encode()):
-                    for kind in ("target", "state", "health"):
-                        stranger.put(f"edged/evil/{kind}", payload)
-                await asyncio.wait({watcher}, timeout=0.05)
-            stranger.close()
-            return await watcher
-
-    text = asyncio.run(main())
+    async with Cell() as cell:
+        port = free_port()
+        stranger = open_session(session_config("peer", [f"tcp/127.0.0.1:{port}"], []))
+        snapshots = [make_snapshot(cycle) for cycle in range(40)]
+        watcher = asyncio.create_task(watching(cell, snapshots, more_ports=[port], count=150, terminal=True))
+        while not watcher.done():
+            for payload in (*junk, bad.encode()):
+                for kind in ("target", "state", "health"):
+                    stranger.put(f"edged/evil/{kind}", payload)
+            await asyncio.wait({watcher}, timeout=0.05)
+        stranger.close()
+        text = await watcher
     assert "cell1" in text
     assert "evil" in text
     assert "\x1b[5;41m" not in text
@@ -177,15 +163,11 @@ def test_a_cell_name_that_cannot_be_is_refused(name):
         watch(WatchOptions((f"tcp/127.0.0.1:{free_port()}",), name), Console(file=io.StringIO()))
 
 
-def test_a_part_of_the_names():
+async def test_a_part_of_the_names():
     """`--cell 'cell?'`: several cells, and not the others."""
-
-    async def main() -> str:
-        async with Cell() as cell, Cell(cell="other", connect=(f"tcp/127.0.0.1:{cell.port}",)) as other:
-            other.publisher.announce(make_snapshot(66))
-            return await watching(cell, [make_snapshot(1), make_snapshot(2)], count=2, only="cell?")
-
-    text = asyncio.run(main())
+    async with Cell() as cell, Cell(cell="other", connect=(f"tcp/127.0.0.1:{cell.port}",)) as other:
+        other.publisher.announce(make_snapshot(66))
+        text = await watching(cell, [make_snapshot(1), make_snapshot(2)], count=2, only="cell?")
     assert ["cell1", "cell1"] == [line.split()[0] for line in text.splitlines()]
 
 

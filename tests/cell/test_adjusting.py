@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import numpy as np
 import pytest
 from helpers.scriptedhead import Head
@@ -50,45 +48,37 @@ def head_with(
     return StereoHead(left, right, HeadSettings(max_skew_s=0.05, min_backoff_s=backoff_s)), (left, right)
 
 
-def test_what_is_adjusted_counts_until_it_is_undone() -> None:
+async def test_what_is_adjusted_counts_until_it_is_undone() -> None:
     """From the next picture on; what is refused changes nothing, and the cameras stay open."""
     film = Film()
     head, cameras = head_with(film)
-
-    async def script() -> None:
-        assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await head.limits("left")
-        assert CameraValues(500.0, 0.0) == await head.adjust("left", CameraValues(500.0))
-        assert CameraValues(2000.0, 0.0) == await head.adjust("right", CameraValues())
-        with pytest.raises(CameraSetupError, match="gain_db: 25 is outside 0 to 24"):
-            await head.adjust("left", CameraValues(700.0, 25.0))
-        await head.capture()
-        await head.restore()
-        await head.capture()
-        await head.close()
-
-    asyncio.run(script())
+    assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await head.limits("left")
+    assert CameraValues(500.0, 0.0) == await head.adjust("left", CameraValues(500.0))
+    assert CameraValues(2000.0, 0.0) == await head.adjust("right", CameraValues())
+    with pytest.raises(CameraSetupError, match="gain_db: 25 is outside 0 to 24"):
+        await head.adjust("left", CameraValues(700.0, 25.0))
+    await head.capture()
+    await head.restore()
+    await head.capture()
+    await head.close()
     assert [(500.0, 0.0), (2000.0, 0.0)] == film.exposed
     assert [1, 1] == [camera.opened for camera in cameras]
 
 
-def test_a_camera_that_is_gone_is_opened_again() -> None:
+async def test_a_camera_that_is_gone_is_opened_again() -> None:
     """It fails once, as with a picture, and not for ever."""
     film = Film()
     head, (left, _) = head_with(film, backoff_s=0.0)
-
-    async def script() -> None:
-        await head.open()
-        await left.close()
-        with pytest.raises(CameraUnreachable):
-            await head.adjust("left", CameraValues(500.0))
-        assert CameraValues(500.0, 0.0) == await head.adjust("left", CameraValues(500.0))
-        await head.close()
-
-    asyncio.run(script())
+    await head.open()
+    await left.close()
+    with pytest.raises(CameraUnreachable):
+        await head.adjust("left", CameraValues(500.0))
+    assert CameraValues(500.0, 0.0) == await head.adjust("left", CameraValues(500.0))
+    await head.close()
     assert 2 == left.opened
 
 
-def test_a_camera_that_has_no_exposure_says_so() -> None:
+async def test_a_camera_that_has_no_exposure_says_so() -> None:
     """Pictures of a folder are as they are."""
 
     class Picture:
@@ -104,37 +94,30 @@ def test_a_camera_that_has_no_exposure_says_so() -> None:
 
         async def close(self) -> None: ...
 
-    async def script() -> None:
-        head = StereoHead(Picture("left"), Picture("right"))
-        with pytest.raises(CameraSetupError, match="camera right: its exposure cannot be adjusted"):
-            await head.limits("right")
-        await head.restore()
-        await head.close()
-
-    asyncio.run(script())
+    head = StereoHead(Picture("left"), Picture("right"))
+    with pytest.raises(CameraSetupError, match="camera right: its exposure cannot be adjusted"):
+        await head.limits("right")
+    await head.restore()
+    await head.close()
 
 
-def test_cameras_that_cannot_be_opened_leave_those_from_before() -> None:
+async def test_cameras_that_cannot_be_opened_leave_those_from_before() -> None:
     """Tried for SETUP and silent: the next picture is of the others, and what was tried of them is gone."""
     film = Film()
     head, _ = head_with(film)
     broken, (left, _) = head_with(Film())
     left.faults.open_error = CameraUnreachable("left", "cable")
     cameras = SetupCameras(lambda: True)
-
-    async def script() -> None:
-        await cameras.adjust(head, "left", CameraValues(500.0))
-        assert {"left": ChosenCamera(exposure_us=500.0)} == cameras.changes
-        with pytest.raises(CameraUnreachable):
-            await cameras.exchange(head, broken, {"left": ChosenCamera(device="X")})
-        assert {} == cameras.changes
-        await cameras.capture(head, listens=False)
-        await cameras.adjust(head, "left", CameraValues(gain_db=6.0))
-        await cameras.put_down(head)
-        await cameras.capture(head, listens=False)
-        await cameras.put_down(head)
-
-    asyncio.run(script())
+    await cameras.adjust(head, "left", CameraValues(500.0))
+    assert {"left": ChosenCamera(exposure_us=500.0)} == cameras.changes
+    with pytest.raises(CameraUnreachable):
+        await cameras.exchange(head, broken, {"left": ChosenCamera(device="X")})
+    assert {} == cameras.changes
+    await cameras.capture(head, listens=False)
+    await cameras.adjust(head, "left", CameraValues(gain_db=6.0))
+    await cameras.put_down(head)
+    await cameras.capture(head, listens=False)
+    await cameras.put_down(head)
     assert [(2000.0, 0.0), (2000.0, 0.0)] == film.exposed
 
 
@@ -152,20 +135,20 @@ class Losing(Head):
 
 
 @pytest.mark.parametrize("error", [FrameTimeout, FrameIncomplete, FrameUnpaired])
-def test_one_lost_image_is_exposed_again(error: type[CaptureError]) -> None:
+async def test_one_lost_image_is_exposed_again(error: type[CaptureError]) -> None:
     """Nobody who looks, tests or teaches hears of it; two in a row are a fault."""
     once, twice = Losing(error("left", "lost")), Losing(error("left", "lost"), error("left", "lost"))
     cameras = SetupCameras(lambda: True)
-    pair = asyncio.run(cameras.capture(once, listens=False))
+    pair = await cameras.capture(once, listens=False)
     assert 1 == pair.left.frame_id
     with pytest.raises(error):
-        asyncio.run(cameras.capture(twice, listens=False))
+        await cameras.capture(twice, listens=False)
 
 
 @pytest.mark.parametrize("error", [CameraUnreachable, CameraBusy, StreamStalled, FrameFrozen])
-def test_a_fault_that_stays_is_said_at_once(error: type[CaptureError]) -> None:
+async def test_a_fault_that_stays_is_said_at_once(error: type[CaptureError]) -> None:
     """A further exposure would only take time."""
     head = Losing(error("left", "cable"))
     with pytest.raises(error):
-        asyncio.run(SetupCameras(lambda: True).capture(head, listens=False))
+        await SetupCameras(lambda: True).capture(head, listens=False)
     assert 0 == head.captures

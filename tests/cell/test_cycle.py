@@ -7,7 +7,8 @@ import dataclasses
 import functools
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 
 import numpy as np
 import pytest
@@ -36,20 +37,16 @@ from edged.domain.picking import Bounds, Box, Order, Picking
 from edged.errors import CameraUnreachable, CommandRefused, ExposuresDiffer, FrameUnpaired
 
 
-def drive(setup: Setup, script, head: Head | None = None) -> tuple[Ear, Head]:
-    """Run a cycle beside `script(cycle, ear, head)`, then stop it."""
+@asynccontextmanager
+async def driven(setup: Setup, head: Head | None = None) -> AsyncIterator[tuple[Cycle, Ear, Head]]:
+    """A cycle that runs."""
     head, ear = head or Head(), Ear()
-
-    async def main() -> None:
-        cycle = Cycle(head, setup)
-        async with running(cycle, ear):
-            await script(cycle, ear, head)
-
-    asyncio.run(main())
-    return ear, head
+    cycle = Cycle(head, setup)
+    async with running(cycle, ear):
+        yield cycle, ear, head
 
 
-def test_every_accepted_command_gets_exactly_one_answer() -> None:
+async def test_every_accepted_command_gets_exactly_one_answer() -> None:
     """Locate, grab and job change are each answered once, in order."""
     commands = [
         locate_command(1),
@@ -58,12 +55,10 @@ def test_every_accepted_command_gets_exactly_one_answer() -> None:
         locate_command(4),
     ]
 
-    async def script(cycle, ear, head):
+    async with driven(make_setup()) as (cycle, ear, _):
         for command in commands:
             cycle.submit(command)
         await until(lambda: ear.answers(commands[-1]))
-
-    ear, _ = drive(make_setup(), script)
 
     assert [1, 1, 1, 1] == [len(ear.answers(command)) for command in commands]
     kinds = [type(ear.answers(command)[0]) for command in commands]
@@ -71,7 +66,7 @@ def test_every_accepted_command_gets_exactly_one_answer() -> None:
     assert ("job1", "job2") == (ear.answers(commands[0])[0].job, ear.answers(commands[3])[0].job)
 
 
-def test_parts_come_in_the_order_of_their_job_and_in_the_frame_of_the_robot() -> None:
+async def test_parts_come_in_the_order_of_their_job_and_in_the_frame_of_the_robot() -> None:
     """Topmost: the highest in the robot's frame, whose z is against the camera's axis; bad ones last."""
     targets = [
         dataclasses.replace(make_target(), rig_from_part=make_transform((0, 0, 0), (0, 0, z)))
@@ -82,24 +77,22 @@ def test_parts_come_in_the_order_of_their_job_and_in_the_frame_of_the_robot() ->
     def found(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
         return Outcome(Status.OK, tuple(targets))
 
-    def places(order: Order, robot_from_rig: np.ndarray | None) -> list[float]:
+    async def places(order: Order, robot_from_rig: np.ndarray | None) -> list[float]:
         job = LoadedJob("job1", 1, found, picking=Picking(order))
         setup = dataclasses.replace(make_setup(), jobs={1: job}, robot_from_rig=robot_from_rig)
 
-        async def script(cycle, ear, head):
+        async with driven(setup) as (cycle, ear, _):
             cycle.submit(locate_command(1))
             await until(ear.snapshots)
-
-        ear, _ = drive(setup, script)
         (snapshot,) = ear.snapshots()
         assert Reject.TOLERANCE is snapshot.targets[-1].reject
         return [target.rig_from_part[2, 3] for target in snapshot.targets[:3]]
 
     looks_down = make_transform((np.pi, 0, 0), (0, 0, 800.0))
-    assert [210.0, 190.0, 200.0] == places(Order.SCORE, looks_down)
-    assert [190.0, 200.0, 210.0] == places(Order.TOPMOST, looks_down)
-    assert [210.0, 200.0, 190.0] == places(Order.TOPMOST, np.eye(4))
-    assert [190.0, 200.0, 210.0] == places(Order.TOPMOST, None)
+    assert [210.0, 190.0, 200.0] == await places(Order.SCORE, looks_down)
+    assert [190.0, 200.0, 210.0] == await places(Order.TOPMOST, looks_down)
+    assert [210.0, 200.0, 190.0] == await places(Order.TOPMOST, np.eye(4))
+    assert [190.0, 200.0, 210.0] == await places(Order.TOPMOST, None)
 
 
 def score(value: float, reject: Reject = Reject.NONE, x_mm: float = 10.0) -> Outcome:
@@ -110,7 +103,7 @@ def score(value: float, reject: Reject = Reject.NONE, x_mm: float = 10.0) -> Out
     return Outcome(status, (dataclasses.replace(target, match=match),))
 
 
-def tried(
+async def tried(
     outcomes: dict[int, Outcome], picking: Picking | None = None, slow: bool = False
 ) -> tuple[Snapshot, list[int]]:
     """What a command that tries every job gives, and which were tried; job 2 is the active one."""
@@ -130,38 +123,36 @@ def tried(
     }
     setup = dataclasses.replace(make_setup(), jobs=jobs, active_job=2)
 
-    async def script(cycle, ear, head):
+    async with driven(setup) as (cycle, ear, head):
         cycle.submit(Command(CommandKind.LOCATE, "test", 1, tries_all=True))
         await until(ear.snapshots)
-
-    ear, head = drive(setup, script)
     assert 1 == head.captures
     (snapshot,) = ear.snapshots()
     assert f"job{snapshot.job_number}" == snapshot.job
     return snapshot, order
 
 
-def test_a_command_for_all_jobs_gives_the_part_that_agrees_best() -> None:
+async def test_a_command_for_all_jobs_gives_the_part_that_agrees_best() -> None:
     """One exposure, every job on it, the active one first; a good part goes before a bad one."""
     nothing = Outcome(Status.NO_TARGET)
-    snapshot, order = tried({1: score(0.8), 2: score(0.7), 3: score(0.9)})
+    snapshot, order = await tried({1: score(0.8), 2: score(0.7), 3: score(0.9)})
     assert (3, Status.OK, [2, 1, 3]) == (snapshot.job_number, snapshot.status, order)
-    snapshot, _ = tried({1: score(0.99, Reject.TOLERANCE), 2: nothing, 3: score(0.6)})
+    snapshot, _ = await tried({1: score(0.99, Reject.TOLERANCE), 2: nothing, 3: score(0.6)})
     assert (3, Status.OK) == (snapshot.job_number, snapshot.status)
-    snapshot, _ = tried({1: score(0.99, Reject.TOLERANCE), 2: nothing, 3: nothing})
+    snapshot, _ = await tried({1: score(0.99, Reject.TOLERANCE), 2: nothing, 3: nothing})
     assert (1, Status.LOW_QUALITY) == (snapshot.job_number, snapshot.status)
-    snapshot, _ = tried({1: nothing, 2: nothing})
+    snapshot, _ = await tried({1: nothing, 2: nothing})
     assert (2, Status.NO_TARGET) == (snapshot.job_number, snapshot.status)
 
 
-def test_of_all_jobs_what_the_robot_must_not_take_counts_as_bad() -> None:
+async def test_of_all_jobs_what_the_robot_must_not_take_counts_as_bad() -> None:
     """The best part lies outside of the limits: the other one is given."""
     near = Picking(bounds=(Bounds((Box("near", (0.0, 0.0, 0.0), (20.0, 30.0, 300.0)),)),))
-    snapshot, _ = tried({1: score(0.9, x_mm=50.0), 2: score(0.7)}, near)
+    snapshot, _ = await tried({1: score(0.9, x_mm=50.0), 2: score(0.7)}, near)
     assert (2, Status.OK) == (snapshot.job_number, snapshot.status)
 
 
-def test_a_command_may_narrow_the_cells_limits_to_one_box() -> None:
+async def test_a_command_may_narrow_the_cells_limits_to_one_box() -> None:
     """By its place in the configuration; one that is not there is refused, the job's own limits stay."""
     boxes = tuple(Box(f"bin{i:g}", (i, 0.0, 0.0), (i + 20.0, 30.0, 300.0)) for i in (0.0, 40.0))
     targets = (make_target(x_mm=50.0), make_target(x_mm=10.0))
@@ -169,99 +160,84 @@ def test_a_command_may_narrow_the_cells_limits_to_one_box() -> None:
     def found(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
         return Outcome(Status.OK, targets)
 
-    def places(box: int, job: Bounds | None = None) -> list[float]:
+    async def places(box: int, job: Bounds | None = None) -> list[float]:
         picking = Picking(bounds=(job or Bounds(),))
         setup = dataclasses.replace(
             make_setup(), jobs={1: LoadedJob("job1", 1, found, picking=picking)}, bounds=Bounds(boxes)
         )
 
-        async def script(cycle, ear, head):
+        async with driven(setup) as (cycle, ear, _):
             with pytest.raises(CommandRefused, match="no box 3, the cell's limits have 2"):
                 cycle.submit(Command(CommandKind.LOCATE, "test", 1, box=3))
             cycle.submit(Command(CommandKind.LOCATE, "test", 2, box=box))
             await until(ear.snapshots)
-
-        ear, _ = drive(setup, script)
         (snapshot,) = ear.snapshots()
         good = [target for target in snapshot.targets if not target.reject]
         assert (snapshot.status is Status.OK) == bool(good)
         return [target.position_mm[0] for target in good]
 
-    assert [[50.0, 10.0], [10.0], [50.0]] == [places(box) for box in (0, 1, 2)]
-    assert [] == places(2, Bounds(boxes[:1]))
+    assert [[50.0, 10.0], [10.0], [50.0]] == [await places(box) for box in (0, 1, 2)]
+    assert [] == await places(2, Bounds(boxes[:1]))
 
 
-def test_trying_all_jobs_ends_in_time(
+async def test_trying_all_jobs_ends_in_time(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """No further job is begun after the bound; what was tried counts, and the log says so."""
     monkeypatch.setattr("edged.cell.measurement.TRY_ALL_S", 0.001)
-    snapshot, order = tried({1: score(0.9), 2: score(0.7), 3: score(0.8)}, slow=True)
+    snapshot, order = await tried({1: score(0.9), 2: score(0.7), 3: score(0.8)}, slow=True)
     assert (2, [2]) == (snapshot.job_number, order)
     assert "1 of 3 jobs were tried" in caplog.text
 
 
-def test_what_results_stand_on_is_told_at_once_and_has_another_number_after_each_exchange() -> None:
+async def test_what_results_stand_on_is_told_at_once_and_has_another_number_after_each_exchange() -> None:
     """To who begins to listen, and after a reload; a result says by which of them it was measured."""
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup()) as (cycle, ear, _):
         for sequence, fingerprint in enumerate(("f00d", "beef", "cafe"), 1):
             cycle.submit(locate_command(sequence))
             await until(lambda count=sequence: len(ear.snapshots()) == count)
             cycle.exchange(dataclasses.replace(make_setup(), fingerprint=fingerprint))
             await asyncio.sleep(0.01)
-
-    ear, _ = drive(make_setup(), script)
     bases = [event for event in ear.events if isinstance(event, Basis)]
     assert [(0, "f00d"), (1, "beef"), (2, "cafe")] == [(basis.number, basis.fingerprint) for basis in bases]
     assert [0, 0, 1] == [snapshot.basis for snapshot in ear.snapshots()]
 
 
-def test_a_reload_of_files_that_are_as_they_were_disturbs_nobody() -> None:
+async def test_a_reload_of_files_that_are_as_they_were_disturbs_nobody() -> None:
     """A second SIGHUP: nothing is exchanged, and the command that waits is measured."""
     release, slow = held()
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(locate_command(1))
         await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
         cycle.submit(locate_command(2))
         cycle.exchange(make_setup(locate=slow))
         release.set()
         await until(lambda: len(ear.snapshots()) == 2)
-
-    ear, _ = drive(make_setup(locate=slow), script)
     assert 1 == sum(isinstance(event, Basis) for event in ear.events)
 
 
-def test_a_list_of_parts_is_no_business_of_the_loop() -> None:
+async def test_a_list_of_parts_is_no_business_of_the_loop() -> None:
     """NEXT_PART is refused where nobody keeps one."""
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup()) as (cycle, ear, _):
         with pytest.raises(CommandRefused, match="NEXT_PART"):
             cycle.submit(Command(CommandKind.NEXT_PART, "zenoh", 1))
-
-    ear, _ = drive(make_setup(), script)
     assert [] == ear.snapshots()
 
 
-def test_exposure_done_comes_before_the_result() -> None:
+async def test_exposure_done_comes_before_the_result() -> None:
     """The robot may move as soon as both images are in memory."""
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup()) as (cycle, ear, _):
         cycle.submit(locate_command(1))
         await until(ear.snapshots)
-
-    ear, _ = drive(make_setup(), script)
 
     order = [type(event) for event in ear.events if isinstance(event, ExposureDone | Snapshot)]
     assert [ExposureDone, Snapshot] == order
 
 
-def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:
+async def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:
     """The ninth waiting command is refused; none of the eight is lost."""
     release, slow = held()
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(locate_command(0))
         await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
         for sequence in range(1, QUEUE_LENGTH + 1):
@@ -271,16 +247,13 @@ def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:
         release.set()
         await until(lambda: len(ear.snapshots()) == QUEUE_LENGTH + 1)
 
-    ear, _ = drive(make_setup(locate=slow), script)
-
     assert list(range(QUEUE_LENGTH + 1)) == [shot.command.sequence for shot in ear.snapshots()]
 
 
-def test_the_plc_has_places_of_its_own_and_goes_first() -> None:
+async def test_the_plc_has_places_of_its_own_and_goes_first() -> None:
     """Others fill their places and are refused; the PLC's eight are taken all the same, and go first."""
     release, slow = held()
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(locate_command(0))
         await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
         for sequence in range(1, QUEUE_LENGTH + 1):
@@ -294,19 +267,17 @@ def test_the_plc_has_places_of_its_own_and_goes_first() -> None:
         release.set()
         await until(lambda: len(ear.snapshots()) == 2 * QUEUE_LENGTH + 1)
 
-    ear, _ = drive(make_setup(locate=slow), script)
-
     sources = ["test", *[PLC_SOURCE] * QUEUE_LENGTH, *["zenoh"] * QUEUE_LENGTH]
     assert sources == [shot.command.source for shot in ear.snapshots()]
 
 
-def test_commands_that_wait_at_stop_fail_with_a_reason() -> None:
+async def test_commands_that_wait_at_stop_fail_with_a_reason() -> None:
     """Nothing that was accepted stays without an answer."""
     head = Head()
     head.capture_s = 0.05
     commands = [locate_command(1), locate_command(2)]
 
-    async def script(cycle, ear, head):
+    async with driven(make_setup(), head) as (cycle, ear, _):
         for command in commands:
             cycle.submit(command)
         await until(
@@ -314,8 +285,6 @@ def test_commands_that_wait_at_stop_fail_with_a_reason() -> None:
                 isinstance(event, CellState) and event.state is CellPhase.BUSY for event in ear.events
             )
         )
-
-    ear, _ = drive(make_setup(), script, head)
 
     assert [1, 1] == [len(ear.answers(command)) for command in commands]
     assert isinstance(ear.answers(commands[1])[0], CommandFailed)
@@ -328,17 +297,16 @@ def test_commands_that_wait_at_stop_fail_with_a_reason() -> None:
         (Command(CommandKind.CHANGE_JOB, "test", 1), "needs a job number"),
     ],
 )
-def test_a_command_that_makes_no_sense_is_refused_with_the_reason(command: Command, reason: str) -> None:
+async def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
+    command: Command, reason: str
+) -> None:
     """The refusal names what is wrong."""
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup()) as (cycle, _, _):
         with pytest.raises(CommandRefused, match=reason):
             cycle.submit(command)
 
-    drive(make_setup(), script)
 
-
-def test_a_missing_part_is_logged_once_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_missing_part_is_logged_once_and_counted(caplog: pytest.LogCaptureFixture) -> None:
     """An empty table all night is a line, and one when a part is there again; a grab is no miss."""
     seen: list[Outcome] = []
 
@@ -348,13 +316,10 @@ def test_a_missing_part_is_logged_once_and_counted(caplog: pytest.LogCaptureFixt
 
     refused = Outcome(Status.LOW_QUALITY, (make_target(reject=Reject.SIGMA_LIMIT),))
     outcomes = [*[Outcome(Status.NO_TARGET, ())] * 5, refused, Outcome(Status.OK, (make_target(),))]
-
-    async def script(cycle, ear, head):
-        cycle.submit(Command(CommandKind.GRAB, "test", 1))
-        await until(lambda: ear.snapshots() and ear.snapshots()[-1].status is Status.OK)
-
     with caplog.at_level(logging.INFO, "edged.cell.cycle"):
-        drive(make_setup(period_s=0.001, locate=locate), script)
+        async with driven(make_setup(period_s=0.001, locate=locate)) as (cycle, ear, _):
+            cycle.submit(Command(CommandKind.GRAB, "test", 1))
+            await until(lambda: ear.snapshots() and ear.snapshots()[-1].status is Status.OK)
 
     told = [
         record for record in caplog.records if "job1" in record.getMessage() and "READY" not in record.msg
@@ -369,17 +334,14 @@ def test_a_missing_part_is_logged_once_and_counted(caplog: pytest.LogCaptureFixt
     assert ["NO_TARGET", "LOW_QUALITY", "NO_TARGET"] == [record.edged["result"] for record in told]
 
 
-def test_a_dead_camera_is_a_status_and_the_loop_heals() -> None:
+async def test_a_dead_camera_is_a_status_and_the_loop_heals() -> None:
     """While a camera is gone every cycle says CAPTURE_FAULT without numbers; then results return."""
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup(period_s=0.005)) as (_, ear, head):
         await until(ear.snapshots)
         head.broken = True
         await until(lambda: ear.snapshots()[-1].status is Status.CAPTURE_FAULT)
         head.broken = False
         await until(lambda: ear.snapshots()[-1].status is Status.NO_TARGET)
-
-    ear, _ = drive(make_setup(period_s=0.005), script)
 
     faults = [shot for shot in ear.snapshots() if shot.status is Status.CAPTURE_FAULT]
     assert faults
@@ -389,35 +351,30 @@ def test_a_dead_camera_is_a_status_and_the_loop_heals() -> None:
     assert states.index(CellPhase.FAULT) < len(states) - 1 - states[::-1].index(CellPhase.READY)
 
 
-def test_a_camera_that_dies_between_commands_shows_before_the_next_command(monkeypatch) -> None:
+async def test_a_camera_that_dies_between_commands_shows_before_the_next_command(monkeypatch) -> None:
     """Idle in command mode, the loop looks after the cameras."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup()) as (_, ear, head):
         await until(lambda: ear.state() is CellPhase.READY)
         head.broken = True
         await until(lambda: ear.state() is CellPhase.FAULT)
         head.broken = False
         await until(lambda: ear.state() is CellPhase.READY)
 
-    drive(make_setup(), script)
 
-
-def test_an_idle_loop_shows_that_it_lives(monkeypatch) -> None:
+async def test_an_idle_loop_shows_that_it_lives(monkeypatch) -> None:
     """Without commands nothing else is announced: the watchdog feeds on these."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
 
-    async def script(cycle, ear, head):
-        await until(lambda: sum(isinstance(event, Idle) for event in ear.events) >= 3)
-
-    drive(make_setup(), script)
-    drive(make_setup(period_s=60.0), script)
+    for setup in (make_setup(), make_setup(period_s=60.0)):
+        async with driven(setup) as (_, ear, _):
+            await until(lambda ear=ear: sum(isinstance(event, Idle) for event in ear.events) >= 3)
 
 
-def test_an_idle_cell_exposes_at_a_steady_pace_and_publishes_none_of_it() -> None:
+async def test_an_idle_cell_exposes_at_a_steady_pace_and_publishes_none_of_it() -> None:
     """Sensors stay as warm as at work; a command is served between; a fault of it is told, and heals."""
-
-    async def script(cycle, ear, head):
+    began_s = time.monotonic()
+    async with driven(dataclasses.replace(make_setup(), idle_s=0.05)) as (cycle, ear, head):
         await until(lambda: head.captures >= 5)
         assert [] == ear.snapshots()
         assert not [event for event in ear.events if isinstance(event, ExposureDone)]
@@ -427,13 +384,10 @@ def test_an_idle_cell_exposes_at_a_steady_pace_and_publishes_none_of_it() -> Non
         await until(lambda: CellPhase.FAULT in phases(ear))
         head.broken = False
         await until(lambda: phases(ear)[-1] is CellPhase.READY)
-
-    began_s = time.monotonic()
-    _, head = drive(dataclasses.replace(make_setup(), idle_s=0.05), script)
     assert head.captures <= (time.monotonic() - began_s) / 0.05 + 2
 
 
-def test_what_moves_between_the_two_exposures_of_an_idle_cell_is_no_fault() -> None:
+async def test_what_moves_between_the_two_exposures_of_an_idle_cell_is_no_fault() -> None:
     """A robot that lays the next part there: nobody measures these pictures. READY stays."""
 
     class Lively(Head):
@@ -441,10 +395,8 @@ def test_what_moves_between_the_two_exposures_of_an_idle_cell_is_no_fault() -> N
             await super().capture()
             raise ExposuresDiffer("left", "something moved")
 
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(dataclasses.replace(make_setup(), idle_s=0.01), Lively()) as (_, ear, head):
         await until(lambda: head.captures >= 5)
-
-    ear, _ = drive(dataclasses.replace(make_setup(), idle_s=0.01), script, Lively())
     assert [CellPhase.STARTING, CellPhase.READY, CellPhase.STOPPING] == phases(ear)
 
 
@@ -454,7 +406,7 @@ def phases(ear: Ear) -> list[CellPhase]:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_an_encoders_count_is_that_of_the_result_whichever_camera_has_it(side: str) -> None:
+async def test_an_encoders_count_is_that_of_the_result_whichever_camera_has_it(side: str) -> None:
     """Also 0; without one there is none, and a fault of the cameras has none."""
 
     class Counting(Head):
@@ -463,17 +415,15 @@ def test_an_encoders_count_is_that_of_the_result_whichever_camera_has_it(side: s
             counted = dataclasses.replace(getattr(pair, side), count=self.captures - 1)
             return dataclasses.replace(pair, **{side: counted})
 
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup(), Counting()) as (cycle, ear, head):
         for number in range(4):
             head.broken = number == 2
             cycle.submit(locate_command(number + 1))
             await until(lambda number=number: len(ear.snapshots()) == number + 1)
-
-    ear, _ = drive(make_setup(), script, Counting())
     assert [0, 1, None, 2] == [snapshot.exposed_count for snapshot in ear.snapshots()]
 
 
-def test_late_ticks_slip_and_are_counted_instead_of_bursting() -> None:
+async def test_late_ticks_slip_and_are_counted_instead_of_bursting() -> None:
     """A cycle of four periods is followed by the next tick, not by a burst of the missed ones."""
     starts: list[float] = []
 
@@ -483,43 +433,35 @@ def test_late_ticks_slip_and_are_counted_instead_of_bursting() -> None:
             time.sleep(0.2)
         return Outcome(Status.NO_TARGET)
 
-    async def script(cycle, ear, head):
+    async with driven(make_setup(period_s=0.05, locate=slow_once)) as (_, ear, _):
         await until(lambda: len(starts) >= 4)
-
-    ear, _ = drive(make_setup(period_s=0.05, locate=slow_once), script)
 
     gaps = np.diff(starts)
     assert gaps[1:].min() > 0.025, "missed ticks were made up for in a burst"
     assert max(event.missed_triggers for event in ear.events if isinstance(event, CellState)) >= 3
 
 
-def test_a_bug_in_the_pipeline_is_not_swallowed() -> None:
+async def test_a_bug_in_the_pipeline_is_not_swallowed() -> None:
     """An exception that is no fault of the cameras ends the loop, with cameras closed."""
 
     def broken(pair, lap):
         raise ZeroDivisionError("a bug")
 
-    async def main() -> Head:
-        head = Head()
-        cycle = Cycle(head, make_setup(period_s=0.0, locate=broken))
-        with pytest.raises(ZeroDivisionError):
-            await asyncio.wait_for(cycle.run(), LIMIT_S)
-        return head
-
-    assert asyncio.run(main()).closed == 1
+    head = Head()
+    cycle = Cycle(head, make_setup(period_s=0.0, locate=broken))
+    with pytest.raises(ZeroDivisionError):
+        await asyncio.wait_for(cycle.run(), LIMIT_S)
+    assert head.closed == 1
 
 
-def test_a_new_setup_is_taken_between_two_cycles() -> None:
+async def test_a_new_setup_is_taken_between_two_cycles() -> None:
     """After an exchange results carry the new fingerprint; a vanished job falls back to the default."""
     new = Setup(make_setup(numbers=(2,)).jobs, 2, 0.005, "cal2", "beef", simulated=True, robot_from_rig=None)
     second_head = Head()
-
-    async def script(cycle, ear, head):
+    async with driven(make_setup(period_s=0.005)) as (cycle, ear, head):
         await until(ear.snapshots)
         cycle.exchange(new, second_head)
         await until(lambda: ear.snapshots()[-1].fingerprint == "beef")
-
-    ear, head = drive(make_setup(period_s=0.005), script)
 
     last = ear.snapshots()[-1]
     assert ("job2", 2, "cal2", True) == (last.job, last.job_number, last.calibration_id, last.simulated)
@@ -527,18 +469,15 @@ def test_a_new_setup_is_taken_between_two_cycles() -> None:
     assert second_head.captures >= 1
 
 
-def test_two_reloads_before_the_next_cycle_leave_the_cameras_of_the_first() -> None:
+async def test_two_reloads_before_the_next_cycle_leave_the_cameras_of_the_first() -> None:
     """The second one changes no camera: the calibration of both goes with the cameras of the first."""
     second_head = Head()
     new = dataclasses.replace(make_setup(period_s=0.005), calibration_id="cal2")
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup()) as (cycle, ear, head):
         await until(lambda: ear.state() == "READY")
         cycle.exchange(new, second_head)
         cycle.exchange(dataclasses.replace(new, fingerprint="beef"))
         await until(lambda: ear.snapshots() and ear.snapshots()[-1].fingerprint == "beef")
-
-    ear, head = drive(make_setup(), script)
 
     assert {"cal2"} == {shot.calibration_id for shot in ear.snapshots()}
     assert (0, 1) == (head.captures, head.closed)
@@ -547,7 +486,7 @@ def test_two_reloads_before_the_next_cycle_leave_the_cameras_of_the_first() -> N
 
 @pytest.mark.parametrize("kind", [CommandKind.LOCATE, CommandKind.VERIFY, CommandKind.CHANGE_JOB])
 @pytest.mark.parametrize("numbers", [(1,), (1, 2)], ids=["its job is gone", "its job is there"])
-def test_a_command_that_waits_while_the_configuration_is_reloaded_fails(
+async def test_a_command_that_waits_while_the_configuration_is_reloaded_fails(
     kind: CommandKind, numbers: tuple[int, ...]
 ) -> None:
     """It was asked of what is gone, and would be measured by what is there now; asked again, it is done."""
@@ -556,7 +495,7 @@ def test_a_command_that_waits_while_the_configuration_is_reloaded_fails(
     again = locate_command(3, job=1)
     new = dataclasses.replace(make_setup(numbers=numbers), fingerprint="beef")
 
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(locate_command(0))
         await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
         for command in waiting:
@@ -567,8 +506,6 @@ def test_a_command_that_waits_while_the_configuration_is_reloaded_fails(
         cycle.submit(again)
         await until(lambda: ear.answers(again))
 
-    ear, _ = drive(make_setup(locate=slow), script)
-
     for command in waiting:
         (answer,) = ear.answers(command)
         assert isinstance(answer, CommandFailed)
@@ -578,7 +515,7 @@ def test_a_command_that_waits_while_the_configuration_is_reloaded_fails(
     assert ("beef", 1) == (answer.fingerprint, answer.basis)
 
 
-def test_faults_that_nobody_asked_for_come_at_a_bounded_rate() -> None:
+async def test_faults_that_nobody_asked_for_come_at_a_bounded_rate() -> None:
     """Free running at full speed without cameras; and listening, each time a fault that is known at once."""
 
     class Unpaired(Head):
@@ -592,13 +529,11 @@ def test_faults_that_nobody_asked_for_come_at_a_bounded_rate() -> None:
         head.broken = True
         spans: list[float] = []
 
-        async def script(cycle: Cycle, ear: Ear, head: Head, spans: list[float] = spans) -> None:
+        async with driven(setup, head) as (_, ear, _):
             await until(ear.snapshots)
             start_s = time.monotonic()
             await asyncio.sleep(0.35)
             spans.append(time.monotonic() - start_s)
-
-        ear, _ = drive(setup, script, head)
 
         assert 2 <= len(ear.snapshots()) <= 2 + spans[0] / FAULT_REST_S + 1
 
@@ -606,17 +541,14 @@ def test_faults_that_nobody_asked_for_come_at_a_bounded_rate() -> None:
 # --- exposures that others trigger --------------------------------------------------------------------
 
 
-def test_every_exposure_that_others_trigger_is_measured() -> None:
+async def test_every_exposure_that_others_trigger_is_measured() -> None:
     """In their order, without a command, those that were missed counted; nothing while there are none."""
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(dataclasses.replace(make_setup(), listens=True)) as (_, ear, head):
         for missed in (0, 0, 3):
             pair = await head.capture()
             head.exposures.put_nowait(FramePair(pair.left, pair.right, missed=missed))
         await until(lambda: len(ear.snapshots()) == 3)
         await asyncio.sleep(0.05)
-
-    ear, _ = drive(dataclasses.replace(make_setup(), listens=True), script)
 
     assert [Status.NO_TARGET] * 3 == [shot.status for shot in ear.snapshots()]
     assert all(shot.command is None for shot in ear.snapshots())
@@ -624,21 +556,18 @@ def test_every_exposure_that_others_trigger_is_measured() -> None:
     assert 3 == states[-1].missed_triggers
 
 
-def test_a_command_is_served_while_listening() -> None:
+async def test_a_command_is_served_while_listening() -> None:
     """A job change does not wait for the next exposure."""
     command = Command(CommandKind.CHANGE_JOB, "test", 1, job=2)
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(dataclasses.replace(make_setup(), listens=True)) as (cycle, ear, _):
         await asyncio.sleep(0.02)
         cycle.submit(command)
         await until(lambda: bool(ear.answers(command)))
 
-    ear, _ = drive(dataclasses.replace(make_setup(), listens=True), script)
-
     assert [JobChanged(2, "job2", command)] == ear.answers(command)
 
 
-def test_a_fault_while_listening_is_a_result_and_a_dead_camera_no_storm_of_them() -> None:
+async def test_a_fault_while_listening_is_a_result_and_a_dead_camera_no_storm_of_them() -> None:
     """An unpaired frame is one fault, and the next exposure is measured; without cameras one try a second."""
 
     class Faulty(Head):
@@ -652,12 +581,10 @@ def test_a_fault_while_listening_is_a_result_and_a_dead_camera_no_storm_of_them(
                 return await self.capture()
             raise CameraUnreachable("left", "gone")
 
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    head = Faulty()
+    async with driven(dataclasses.replace(make_setup(), listens=True), head) as (_, ear, head):
         await until(lambda: len(ear.snapshots()) == 3)
         await asyncio.sleep(0.1)
-
-    head = Faulty()
-    ear, _ = drive(dataclasses.replace(make_setup(), listens=True), script, head)
 
     assert [111, 0, 101] == [shot.error_code for shot in ear.snapshots()]
     assert 3 == head.tries

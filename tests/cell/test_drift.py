@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import time
 from dataclasses import replace
@@ -197,7 +196,7 @@ def test_a_turned_camera_is_seen_by_the_rows() -> None:
     assert monitor.state().verdict is CalibrationHealth.INVALID
 
 
-def test_a_wrong_calibration_takes_the_coordinates_away() -> None:
+async def test_a_wrong_calibration_takes_the_coordinates_away() -> None:
     """On the PLC: DRIFT_WARN and CAL_INVALID rise, RESULT_VALID and X do not; the reason is in REJECT."""
     bad = Outcome(Status.OK, (seen(NOMINAL_MM * 1.01),))
     setup = Setup(
@@ -220,13 +219,10 @@ def test_a_wrong_calibration_takes_the_coordinates_away() -> None:
             if isinstance(event, CellState) and event.state is CellPhase.READY and self.snapshots():
                 bits.append(cell.read(201, 1)[0])
 
-    async def main() -> None:
-        plc = Plc()
-        async with running(Cycle(Head(), setup), plc):
-            await until(lambda: len(plc.snapshots()) >= 8)
-        assert [one.status for one in plc.snapshots()[:8]] == [Status.OK] * 4 + [Status.LOW_QUALITY] * 4
-
-    asyncio.run(main())
+    plc = Plc()
+    async with running(Cycle(Head(), setup), plc):
+        await until(lambda: len(plc.snapshots()) >= 8)
+    assert [one.status for one in plc.snapshots()[:8]] == [Status.OK] * 4 + [Status.LOW_QUALITY] * 4
     raised = reg.StatusBit.DRIFT_WARN | reg.StatusBit.CAL_INVALID
     assert [bool(word & raised) for word in bits[:8]] == [False] * 4 + [True] * 4
     assert [bool(word & reg.StatusBit.RESULT_VALID) for word in bits[:8]] == [True] * 4 + [False] * 4

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.waiting import WHOLE_S
 
 from edged.cell.stereohead import REOPEN_AFTER, HeadSettings, StereoHead
 from edged.domain.frames import Frame, FramePair, TimeBase
@@ -55,20 +55,17 @@ class Streaming:
         self.frames.put_nowait(FrameIncomplete(self.name, "packets missing"))
 
 
-def streaming(script: Callable[[StereoHead, Streaming, Streaming], Awaitable[Any]], **options: Any) -> Any:
-    """Run a script on a head with two such cameras; no task may survive."""
-
-    async def main() -> Any:
-        left, right = Streaming("left"), Streaming("right")
-        head = StereoHead(left, right, HeadSettings(**{"timeout_s": 0.1, "max_skew_s": 0.005, **options}))
-        before = asyncio.all_tasks()
-        try:
-            return await script(head, left, right)
-        finally:
-            await head.close()
-            assert before == asyncio.all_tasks(), "a task was left behind"
-
-    return asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+@asynccontextmanager
+async def streaming(**options: Any) -> AsyncIterator[tuple[StereoHead, Streaming, Streaming]]:
+    """A head with two such cameras; no task may survive."""
+    left, right = Streaming("left"), Streaming("right")
+    head = StereoHead(left, right, HeadSettings(**{"timeout_s": 0.1, "max_skew_s": 0.005, **options}))
+    before = asyncio.all_tasks()
+    try:
+        yield head, left, right
+    finally:
+        await head.close()
+        assert before == asyncio.all_tasks(), "a task was left behind"
 
 
 def numbers(pair: FramePair) -> tuple[int, int]:
@@ -76,10 +73,9 @@ def numbers(pair: FramePair) -> tuple[int, int]:
     return pair.left.frame_id, pair.right.frame_id
 
 
-def test_free_running_cameras_are_paired_by_time() -> None:
+async def test_free_running_cameras_are_paired_by_time() -> None:
     """The older frame gives way until two fit; what never fits is a fault of its own."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+    async with streaming(free_running=True) as (head, left, right):
         for at_ms in (0, 50, 100):
             left.expose(at_ms)
         for at_ms in (98, 148):
@@ -89,26 +85,20 @@ def test_free_running_cameras_are_paired_by_time() -> None:
         with pytest.raises(FrameUnpaired, match="no two frames match within"):
             await head.capture()
 
-    streaming(script, free_running=True)
 
-
-def test_exposures_that_others_trigger_are_heard_in_order() -> None:
+async def test_exposures_that_others_trigger_are_heard_in_order() -> None:
     """However late one image is, and with none of them asked for."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> list[tuple[int, int]]:
+    async with streaming() as (head, left, right):
         left.expose(0)
         left.expose(50)
         right.expose(1)
         asyncio.get_running_loop().call_later(0.02, right.expose, 51)
-        return [numbers(await head.listen()) for _ in range(2)]
-
-    assert [(1, 1), (2, 2)] == streaming(script)
+        assert [(1, 1), (2, 2)] == [numbers(await head.listen()) for _ in range(2)]
 
 
-def test_an_exposure_that_one_camera_missed_is_a_fault_and_the_next_is_a_pair() -> None:
+async def test_an_exposure_that_one_camera_missed_is_a_fault_and_the_next_is_a_pair() -> None:
     """Whether the partner is late or never comes; the cameras do not stay one exposure apart."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+    async with streaming() as (head, left, right):
         left.expose(0)
         with pytest.raises(FrameUnpaired, match=r"right: no partner for frame 1 of left within 0\.1 s"):
             await head.listen()
@@ -122,13 +112,10 @@ def test_an_exposure_that_one_camera_missed_is_a_fault_and_the_next_is_a_pair() 
         pair = await head.listen()
         assert (3, 1) == numbers(pair)
 
-    streaming(script)
 
-
-def test_a_damaged_image_takes_its_partner_with_it() -> None:
+async def test_a_damaged_image_takes_its_partner_with_it() -> None:
     """The fault is the damage, and the next exposure is a pair."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+    async with streaming() as (head, left, right):
         left.expose(0)
         right.damage()
         with pytest.raises(FrameIncomplete, match="right"):
@@ -137,13 +124,10 @@ def test_a_damaged_image_takes_its_partner_with_it() -> None:
         right.expose(100)
         assert (2, 2) == numbers(await head.listen())
 
-    streaming(script)
 
-
-def test_listening_can_be_interrupted_without_losing_a_frame() -> None:
+async def test_listening_can_be_interrupted_without_losing_a_frame() -> None:
     """One image is there, the other not yet: who stops waiting and comes again gets both."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+    async with streaming(timeout_s=5.0) as (head, left, right):
         await head.open()
         left.expose(0)
         listening = asyncio.create_task(head.listen())
@@ -154,13 +138,10 @@ def test_listening_can_be_interrupted_without_losing_a_frame() -> None:
         right.expose(0)
         assert (1, 1) == numbers(await head.listen())
 
-    streaming(script, timeout_s=5.0)
 
-
-def test_a_silent_camera_shows_to_a_listener_that_looks_up_before_its_time_is_over() -> None:
+async def test_a_silent_camera_shows_to_a_listener_that_looks_up_before_its_time_is_over() -> None:
     """Interrupted again and again, each time for less than the partner's time: a fault all the same."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+    async with streaming() as (head, left, right):
         left.expose(0)
         for _ in range(1000):
             listening = asyncio.create_task(head.listen())
@@ -175,27 +156,21 @@ def test_a_silent_camera_shows_to_a_listener_that_looks_up_before_its_time_is_ov
         right.expose(50)
         assert (2, 1) == numbers(await head.listen())
 
-    streaming(script)
 
-
-def test_exposures_that_nobody_had_time_for_are_counted() -> None:
+async def test_exposures_that_nobody_had_time_for_are_counted() -> None:
     """Both cameras skipped two numbers: two exposures were missed."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> list[int]:
+    async with streaming() as (head, left, right):
         missed = []
         for at_ms, skip in ((0, 0), (100, 0), (400, 2)):
             left.expose(at_ms, skip=skip)
             right.expose(at_ms, skip=skip)
             missed.append((await head.listen()).missed)
-        return missed
-
-    assert [0, 0, 2] == streaming(script)
+        assert [0, 0, 2] == missed
 
 
-def test_a_camera_that_gives_up_waiting_is_listened_to_again() -> None:
+async def test_a_camera_that_gives_up_waiting_is_listened_to_again() -> None:
     """No trigger for a long time is no fault."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+    async with streaming(timeout_s=5.0) as (head, left, right):
         left.frames.put_nowait(FrameTimeout("left", "no image within 10 s"))
         listening = asyncio.create_task(head.listen())
         await asyncio.sleep(0.15)
@@ -203,13 +178,10 @@ def test_a_camera_that_gives_up_waiting_is_listened_to_again() -> None:
         right.expose(0)
         assert (1, 1) == numbers(await listening)
 
-    streaming(script, timeout_s=5.0)
 
-
-def test_a_command_while_listening_takes_over_the_cameras() -> None:
+async def test_a_command_while_listening_takes_over_the_cameras() -> None:
     """The frame that comes after it belongs to the command."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+    async with streaming(timeout_s=5.0) as (head, left, right):
         listening = asyncio.create_task(head.listen())
         await asyncio.sleep(0.01)
         listening.cancel()
@@ -220,17 +192,12 @@ def test_a_command_while_listening_takes_over_the_cameras() -> None:
         right.expose(0)
         assert (1, 1) == numbers(await commanded)
 
-    streaming(script, timeout_s=5.0)
 
-
-def test_no_trigger_is_no_fault_of_the_cameras() -> None:
+async def test_no_trigger_is_no_fault_of_the_cameras() -> None:
     """Commanded, and the pulse never comes: a time-out each time, and nobody is opened again for it."""
-
-    async def script(head: StereoHead, left: Streaming, right: Streaming) -> None:
+    async with streaming(by_others=True, timeout_s=0.02) as (head, left, right):
         for _ in range(2 * REOPEN_AFTER):
             with pytest.raises(FrameTimeout, match=r"both cameras: no trigger came within 0\.02 s") as caught:
                 await head.capture()
             assert FrameTimeout is type(caught.value)
         assert (1, 1) == (left.opened, right.opened)
-
-    streaming(script, by_others=True, timeout_s=0.02)

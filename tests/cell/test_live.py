@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
 from helpers.scriptedhead import Head, make_setup, running
-from helpers.waiting import WHOLE_S, until
+from helpers.waiting import until
 
 from edged.cell.cycle import Cycle
 from edged.cell.lease import live as live_pictures
@@ -31,26 +32,22 @@ class Scene:
         self.stop = self.live.listen(lambda number, _pair: self.numbers.append(number))
 
 
-def play(test: Callable[[Scene], Awaitable[None]], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A test beside a running cell."""
+@asynccontextmanager
+async def live(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Scene]:
+    """A running cell that somebody has."""
     monkeypatch.setattr(live_pictures, "PERIOD_S", 0.001)
     monkeypatch.setattr(live_pictures, "REST_S", 0.001)
-
-    async def main() -> None:
-        head = Head()
-        cycle = Cycle(head, make_setup())
-        async with running(cycle), asyncio.timeout(WHOLE_S):
-            scene = Scene(cycle, head, await cycle.session.enter_setup("Anna"))
-            await test(scene)
-            await scene.live.close()
-
-    asyncio.run(main())
+    head = Head()
+    cycle = Cycle(head, make_setup())
+    async with running(cycle):
+        scene = Scene(cycle, head, await cycle.session.enter_setup("Anna"))
+        yield scene
+        await scene.live.close()
 
 
-def test_pictures_come_while_they_are_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_pictures_come_while_they_are_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Numbered without a gap; with nobody who wants them the cameras rest."""
-
-    async def test(scene: Scene) -> None:
+    async with live(monkeypatch) as scene:
         await scene.live.want("tab", scene.token)
         await until(lambda: len(scene.numbers) >= 5)
         assert list(range(1, len(scene.numbers) + 1)) == scene.numbers
@@ -61,13 +58,10 @@ def test_pictures_come_while_they_are_wanted(monkeypatch: pytest.MonkeyPatch) ->
         assert taken + 1 == scene.head.captures
         assert [True, False] == [one["on"] for one in scene.told]
 
-    play(test, monkeypatch)
 
-
-def test_only_who_has_the_cell_gets_them(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_only_who_has_the_cell_gets_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """A token that is worth nothing is refused; taking the cell over ends them, and says why."""
-
-    async def test(scene: Scene) -> None:
+    async with live(monkeypatch) as scene:
         with pytest.raises(SetupRefused):
             await scene.live.want("tab", "of nobody")
         assert not scene.live.is_on
@@ -80,13 +74,10 @@ def test_only_who_has_the_cell_gets_them(monkeypatch: pytest.MonkeyPatch) -> Non
         )
         assert "Ben" in scene.told[-1]["detail"]
 
-    play(test, monkeypatch)
 
-
-def test_who_does_not_look_gets_none(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_who_does_not_look_gets_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tablet that sleeps does not keep the cell taken; one that looks does."""
-
-    async def test(scene: Scene) -> None:
+    async with live(monkeypatch) as scene:
         await scene.live.want("tab", scene.token)
         for _ in range(3):
             scene.now_s += 0.7 * UNSEEN_S
@@ -97,13 +88,10 @@ def test_who_does_not_look_gets_none(monkeypatch: pytest.MonkeyPatch) -> None:
         await until(lambda: not scene.live.is_on)
         assert "unseen" == scene.told[-1]["code"]
 
-    play(test, monkeypatch)
 
-
-def test_a_dead_camera_is_told_once_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_dead_camera_is_told_once_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """With its code; when it answers, pictures go on."""
-
-    async def test(scene: Scene) -> None:
+    async with live(monkeypatch) as scene:
         scene.head.broken = True
         await scene.live.want("tab", scene.token)
         await until(lambda: len(scene.told) >= 2)
@@ -112,13 +100,10 @@ def test_a_dead_camera_is_told_once_and_tried_again(monkeypatch: pytest.MonkeyPa
         scene.head.broken = False
         await until(lambda: scene.numbers)
 
-    play(test, monkeypatch)
 
-
-def test_who_has_stopped_listening_hears_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_who_has_stopped_listening_hears_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also twice; others go on hearing."""
-
-    async def test(scene: Scene) -> None:
+    async with live(monkeypatch) as scene:
         others: list[int] = []
         scene.live.listen(lambda number, _pair: others.append(number))
         scene.stop()
@@ -126,5 +111,3 @@ def test_who_has_stopped_listening_hears_nothing(monkeypatch: pytest.MonkeyPatch
         await scene.live.want("tab", scene.token)
         await until(lambda: len(others) >= 2)
         assert [] == scene.numbers
-
-    play(test, monkeypatch)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -85,26 +85,24 @@ class Program:
 Script = Callable[[Program, Registrar, Head], Awaitable[None]]
 
 
-def drive(script: Script, setup: Setup | None = None, registrar: Registrar | None = None) -> Ear:
-    """Run a cycle beside a script."""
+@asynccontextmanager
+async def driven(
+    setup: Setup | None = None, registrar: Registrar | None = None
+) -> AsyncIterator[tuple[Program, Registrar, Head]]:
+    """A cycle that runs, and a robot's program."""
     head, ear = Head(), Ear()
     registrar = registrar or Registrar()
-
-    async def main() -> None:
-        cycle = Cycle(head, setup or make_setup(), registrar=registrar)
-        async with running(cycle, ear):
-            await until(lambda: ear.state() is CellPhase.READY)
-            await script(Program(cycle, ear), registrar, head)
-
-    asyncio.run(main())
-    return ear
+    cycle = Cycle(head, setup or make_setup(), registrar=registrar)
+    async with running(cycle, ear):
+        await until(lambda: ear.state() is CellPhase.READY)
+        yield Program(cycle, ear), registrar, head
 
 
 @pytest.mark.parametrize("period_s", [None, 0.0], ids=["commanded", "free-running"])
-def test_from_its_begin_to_its_end_nothing_is_measured(period_s: float | None) -> None:
+async def test_from_its_begin_to_its_end_nothing_is_measured(period_s: float | None) -> None:
     """SETUP by a robot: nobody's command runs, no tick does; then the new registration counts at once."""
 
-    async def script(robot: Program, registrar: Registrar, _head: Head) -> None:
+    async with driven(make_setup(period_s)) as (robot, registrar, _):
         assert robot.state.setup is SetupSource.NONE
         assert (await robot.run(START)).obstacle is None
         assert (CellPhase.SETUP, SetupSource.ROBOT, False) == (
@@ -126,8 +124,7 @@ def test_from_its_begin_to_its_end_nothing_is_measured(period_s: float | None) -
         assert CellPhase.SETUP is not robot.state.state
         robot.cycle.submit(robot.command(CommandKind.LOCATE))
         await until(lambda: any(one.fingerprint == "beef" for one in robot.ear.snapshots()))
-
-    ear = drive(script, make_setup(period_s))
+    ear = robot.ear
     solved = max(index for index, one in enumerate(ear.events) if isinstance(one, Registered))
     begun = min(index for index, one in enumerate(ear.events) if isinstance(one, Registered))
     between = ear.events[begun:solved]
@@ -161,10 +158,9 @@ async def _somebody(robot: Program) -> None:
 
 
 @pytest.mark.parametrize("comes", [_person, _reload, _lock, _somebody])
-def test_what_comes_in_between_ends_it(comes: Callable[[Program], Awaitable[None]]) -> None:
+async def test_what_comes_in_between_ends_it(comes: Callable[[Program], Awaitable[None]]) -> None:
     """A person, a reload, a plant that runs: the cell is ready with the registration it had; ADD says so."""
-
-    async def script(robot: Program, registrar: Registrar, _head: Head) -> None:
+    async with driven() as (robot, registrar, _):
         await robot.run(START)
         await robot.run(ADD)
         await comes(robot)
@@ -174,37 +170,30 @@ def test_what_comes_in_between_ends_it(comes: Callable[[Program], Awaitable[None
             assert (Obstacle.NO_REGISTRATION, 0) == (answer.obstacle, answer.registration.samples)
         assert 1 == registrar.samples
 
-    drive(script)
 
-
-def test_a_program_that_never_comes_back_does_not_keep_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_program_that_never_comes_back_does_not_keep_the_cell(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """After a while without a command of it the cell measures again as before."""
     monkeypatch.setattr(registering, "REST_S", 0.0)
-
-    async def script(robot: Program, _registrar: Registrar, _head: Head) -> None:
+    async with driven() as (robot, _, _):
         await robot.run(START)
         await until(lambda: robot.state.state is CellPhase.READY)
 
-    drive(script)
 
-
-def test_it_belongs_to_who_began_it() -> None:
+async def test_it_belongs_to_who_began_it() -> None:
     """Somebody else's ADD would put another robot's pose among these; START by them would end it."""
-
-    async def script(robot: Program, _registrar: Registrar, _head: Head) -> None:
+    async with driven() as (robot, _, _):
         await robot.run(START)
         for kind in (START, ADD, SOLVE):
             with pytest.raises(CommandRefused, match="modbus is under way"):
                 robot.cycle.submit(Program(robot.cycle, robot.ear, "zenoh").command(kind))
         assert (await robot.run(ADD)).obstacle is None
 
-    drive(script)
 
-
-def test_a_camera_that_fails_or_a_full_disc_lose_no_pose() -> None:
+async def test_a_camera_that_fails_or_a_full_disc_lose_no_pose() -> None:
     """Each is a NACK of its own; what was taken is still there."""
-
-    async def script(robot: Program, registrar: Registrar, head: Head) -> None:
+    async with driven() as (robot, registrar, head):
         await robot.run(START)
         await robot.run(ADD)
         head.broken = True
@@ -218,21 +207,17 @@ def test_a_camera_that_fails_or_a_full_disc_lose_no_pose() -> None:
         registrar.cannot_save = False
         assert (await robot.run(SOLVE)).obstacle is None
 
-    drive(script)
 
-
-def test_what_cannot_begin_is_refused_and_changes_nothing() -> None:
+async def test_what_cannot_begin_is_refused_and_changes_nothing() -> None:
     """The registrar's reason, and none at all in a cell that knows no registrar; ADD without a pose."""
     registrar = Registrar()
     registrar.refuses = "there is no board"
 
-    async def script(robot: Program, registrar: Registrar, _head: Head) -> None:
+    async with driven(registrar=registrar) as (robot, _, _):
         with pytest.raises(CommandRefused, match="no board"):
             robot.cycle.submit(robot.command(START))
         with pytest.raises(CommandRefused, match="pose of the flange"):
             robot.cycle.submit(Command(ADD, "modbus", 9))
         assert robot.state.state is CellPhase.READY
-
-    drive(script, registrar=registrar)
     with pytest.raises(CommandRefused, match="no \\[registration\\]"):
         Cycle(Head(), make_setup()).submit(Command(START, "modbus", 1))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,17 +27,15 @@ from edged.files.statefolder import SetupNote
 LACKING = replace(make_setup(), jobs={}, active_job=0, lacks=SetupSource.NO_CALIBRATION)
 
 
-def drive(setup: Setup, script, head: Head | None = None, note: SetupNote | None = None) -> Ear:
-    """Run a cycle beside `script(cycle, ear, head)`, then stop it; what it announced."""
+@asynccontextmanager
+async def driven(
+    setup: Setup, head: Head | None = None, note: SetupNote | None = None
+) -> AsyncIterator[tuple[Cycle, Ear, Head]]:
+    """A cycle that runs."""
     head, ear = head or Head(), Ear()
-
-    async def main() -> None:
-        cycle = Cycle(head, setup, notebook=note)
-        async with running(cycle, ear):
-            await script(cycle, ear, head)
-
-    asyncio.run(main())
-    return ear
+    cycle = Cycle(head, setup, notebook=note)
+    async with running(cycle, ear):
+        yield cycle, ear, head
 
 
 def latest(ear: Ear) -> CellState:
@@ -43,12 +43,11 @@ def latest(ear: Ear) -> CellState:
     return next(event for event in reversed(ear.events) if isinstance(event, CellState))
 
 
-def test_whoever_enters_has_the_cell_after_the_running_cycle() -> None:
+async def test_whoever_enters_has_the_cell_after_the_running_cycle() -> None:
     """The cycle ends as ever, what waited fails, and from then on commands are refused."""
     release, slow = held()
     first, waiting = locate_command(1), locate_command(2)
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(first)
         await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
         cycle.submit(waiting)
@@ -63,18 +62,15 @@ def test_whoever_enters_has_the_cell_after_the_running_cycle() -> None:
         told = (state.state, state.ready, state.setup, state.setup_by, state.why)
         assert (CellPhase.SETUP, False, SetupSource.PERSON, "Anna", "setup by Anna") == told
 
-    ear = drive(make_setup(locate=slow), script)
-
     assert [Snapshot] == [type(answer) for answer in ear.answers(first)]
     assert [CommandFailed] == [type(answer) for answer in ear.answers(waiting)]
     failed = ear.events.index(ear.answers(waiting)[0])
     assert any(isinstance(event, CellState) and event.setup for event in ear.events[:failed]), "told first"
 
 
-def test_nobody_else_hears_of_pictures_in_setup() -> None:
+async def test_nobody_else_hears_of_pictures_in_setup() -> None:
     """They go to who asked; then one test pair, and the cell is ready."""
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup()) as (cycle, ear, head):
         token = await cycle.session.enter_setup("Anna")
         pair = await cycle.session.capture(token)
         assert (1, 1) == (pair.left.frame_id, head.captures)
@@ -85,16 +81,13 @@ def test_nobody_else_hears_of_pictures_in_setup() -> None:
         await until(lambda: ear.state() is CellPhase.READY)
         assert 3 == head.captures
 
-    ear = drive(make_setup(), script)
-
     assert [] == [event for event in ear.events if isinstance(event, Snapshot | ExposureDone)]
 
 
 @pytest.mark.slow
-def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> None:
+async def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> None:
     """Not before: in SETUP a cable may be in somebody's hand."""
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup()) as (cycle, ear, head):
         token = await cycle.session.enter_setup("Anna")
         head.broken = True
         with pytest.raises(FrameTimeout):
@@ -105,29 +98,24 @@ def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> None:
         head.broken = False
         await until(lambda: ear.state() is CellPhase.READY)
 
-    drive(make_setup(), script)
 
-
-def test_a_draft_that_cannot_measure_ends_nothing() -> None:
+async def test_a_draft_that_cannot_measure_ends_nothing() -> None:
     """What is raised on purpose goes to who asked; the next request is served."""
 
     def unfit(_pair: object, _lap: object) -> Outcome:
         raise ImageError("of another size")
 
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup()) as (cycle, _, _):
         token = await cycle.session.enter_setup("Anna")
         with pytest.raises(ImageError):
             await cycle.session.try_job(token, unfit)
         await cycle.session.capture(token)
 
-    drive(make_setup(), script)
 
-
-def test_other_cameras_are_for_setup_alone() -> None:
+async def test_other_cameras_are_for_setup_alone() -> None:
     """They take the pictures until it ends; then they are closed, and the configured ones are open again."""
     draft = Head()
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup()) as (cycle, ear, head):
         token = await cycle.session.enter_setup("Anna")
         await cycle.session.try_head(token, draft)
         assert 1 == head.closed
@@ -137,17 +125,15 @@ def test_other_cameras_are_for_setup_alone() -> None:
         assert (1, 1) == (draft.captures, draft.closed)
         assert 1 == head.captures
 
-    drive(make_setup(), script)
 
-
-def test_the_loop_shows_that_it_lives_in_setup(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_loop_shows_that_it_lives_in_setup(monkeypatch: pytest.MonkeyPatch) -> None:
     """With nothing to do, and with one picture after the other: the watchdog feeds on these alone."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
 
     def idle(ear: Ear) -> int:
         return sum(isinstance(event, Idle) for event in ear.events)
 
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup()) as (cycle, ear, _):
         token = await cycle.session.enter_setup("Anna")
         before = idle(ear)
         await until(lambda: idle(ear) >= before + 3)
@@ -157,10 +143,8 @@ def test_the_loop_shows_that_it_lives_in_setup(monkeypatch: pytest.MonkeyPatch) 
             await cycle.session.capture(token)
         assert idle(ear) >= before + 4
 
-    drive(make_setup(), script)
 
-
-def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alone(
+async def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Another program may take the pictures to calibrate from; with rig and jobs it is ready."""
@@ -169,8 +153,7 @@ def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alone(
     opened: list[bool] = []
     opening = head.open
     monkeypatch.setattr(head, "open", lambda: opened.append(True) or opening())
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(LACKING, head) as (cycle, ear, head):
         await until(lambda: sum(isinstance(event, Idle) for event in ear.events) >= 2)
         state = latest(ear)
         assert (CellPhase.SETUP, SetupSource.NO_CALIBRATION, "") == (state.state, state.setup, state.job)
@@ -191,13 +174,10 @@ def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alone(
         cycle.submit(locate_command(2))
         await until(lambda: ear.snapshots())
 
-    drive(LACKING, script, head)
 
-
-def test_setup_is_left_by_a_person_only() -> None:
+async def test_setup_is_left_by_a_person_only() -> None:
     """Neither what a reload brings, nor a lease that lapses, makes a cell ready that somebody has taken."""
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(LACKING) as (cycle, ear, _):
         await cycle.session.enter_setup("Anna")
         cycle.exchange(make_setup(period_s=0.01))
         for _ in range(20):
@@ -207,66 +187,52 @@ def test_setup_is_left_by_a_person_only() -> None:
         await cycle.session.end_setup("Ben")
         await until(ear.snapshots)
 
-    drive(LACKING, script)
-
 
 @pytest.mark.slow
-def test_no_tick_is_made_up_for_after_setup() -> None:
+async def test_no_tick_is_made_up_for_after_setup() -> None:
     """A free-running cell goes on with one cycle, and has missed none."""
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup(period_s=0.3)) as (cycle, ear, _):
         token = await cycle.session.enter_setup("Anna")
         await asyncio.sleep(0.7)
         await cycle.session.leave_setup(token)
         await until(lambda: len(ear.snapshots()) >= 2)
         assert 0 == latest(ear).missed_triggers
 
-    drive(make_setup(period_s=0.3), script)
 
-
-def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:
+async def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:
     """By the note; nobody has it then, so anybody may take it, or end it."""
     note = SetupNote(tmp_path / "setup")
+    cycle = Cycle(Head(), make_setup(), notebook=note)
+    task = asyncio.create_task(cycle.run())
+    await cycle.session.enter_setup("Anna")
+    assert "Anna\n" == note.path.read_text()
+    task.cancel()  # as far as the note goes, this is a kill
+    with pytest.raises(asyncio.CancelledError):
+        await task
 
-    async def killed() -> None:
-        cycle = Cycle(Head(), make_setup(), notebook=note)
-        task = asyncio.create_task(cycle.run())
-        await cycle.session.enter_setup("Anna")
-        assert "Anna\n" == note.path.read_text()
-        task.cancel()  # as far as the note goes, this is a kill
-        with pytest.raises(asyncio.CancelledError):
-            await task
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup(), note=note) as (cycle, ear, _):
         await until(lambda: ear.state() is CellPhase.SETUP)
         assert ("", "setup, unattended") == (latest(ear).setup_by, latest(ear).why)
         token = await cycle.session.enter_setup("Ben")
         await cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.READY)
         assert not note.path.exists()
-
-    asyncio.run(killed())
-    ear = drive(make_setup(), script, note=note)
     states = [event.state for event in ear.events if isinstance(event, CellState)]
     assert CellPhase.READY not in states[: states.index(CellPhase.SETUP)]
 
 
-def test_setup_that_cannot_be_noted_is_refused(tmp_path: Path) -> None:
+async def test_setup_that_cannot_be_noted_is_refused(tmp_path: Path) -> None:
     """A kill would make the cell ready beside somebody; the reason is said."""
     note = SetupNote(tmp_path / "no" / "such" / "folder")
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup(), note=note) as (cycle, ear, _):
         with pytest.raises(SetupRefused, match="cannot be noted"):
             await cycle.session.enter_setup("Anna")
         await until(lambda: ear.state() is CellPhase.READY)
 
-    drive(make_setup(), script, note=note)
 
-
-def test_the_plant_refuses_setup_and_ends_it() -> None:
+async def test_the_plant_refuses_setup_and_ends_it() -> None:
     """A picture that is being taken is finished; whatever else was asked is not done."""
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(make_setup()) as (cycle, ear, head):
         token = await cycle.session.enter_setup("Anna")
         head.capture_s = 0.05
         taking = asyncio.create_task(cycle.session.capture(token))
@@ -283,44 +249,35 @@ def test_the_plant_refuses_setup_and_ends_it() -> None:
         cycle.lock_setup(False)
         await cycle.session.enter_setup("Anna")
 
-    drive(make_setup(), script)
 
-
-def test_a_stopping_daemon_answers_who_has_the_cell() -> None:
+async def test_a_stopping_daemon_answers_who_has_the_cell() -> None:
     """Their request fails with the reason; cameras are closed."""
-
-    async def main() -> None:
-        head = Head()
-        cycle = Cycle(head, make_setup())
-        task = asyncio.create_task(cycle.run())
-        token = await cycle.session.enter_setup("Anna")
-        head.capture_s = 0.05
-        first, second = (asyncio.create_task(cycle.session.capture(token)) for _ in range(2))
-        await asyncio.sleep(0.01)
-        cycle.stop()
-        await task
-        assert 1 == (await first).left.frame_id
-        with pytest.raises(SetupRefused, match="stopping"):
-            await second
-        assert 1 == head.closed
-
-    asyncio.run(main())
+    head = Head()
+    cycle = Cycle(head, make_setup())
+    task = asyncio.create_task(cycle.run())
+    token = await cycle.session.enter_setup("Anna")
+    head.capture_s = 0.05
+    first, second = (asyncio.create_task(cycle.session.capture(token)) for _ in range(2))
+    await asyncio.sleep(0.01)
+    cycle.stop()
+    await task
+    assert 1 == (await first).left.frame_id
+    with pytest.raises(SetupRefused, match="stopping"):
+        await second
+    assert 1 == head.closed
 
 
-def test_cameras_that_others_trigger_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_cameras_that_others_trigger_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """And when nobody does, that is said, and the next request is served."""
     monkeypatch.setattr("edged.cell.lease.cameras.LOOK_S", 0.01)
     monkeypatch.setattr("edged.cell.lease.cameras.LISTEN_S", 0.03)
-
-    async def script(cycle: Cycle, ear: Ear, head: Head) -> None:
+    async with driven(replace(make_setup(), listens=True)) as (cycle, _, head):
         token = await cycle.session.enter_setup("Anna")
         with pytest.raises(FrameTimeout, match="no trigger came"):
             await cycle.session.capture(token)
         made = await head.capture()
         head.exposures.put_nowait(made)
         assert made is await cycle.session.capture(token)
-
-    drive(replace(make_setup(), listens=True), script)
 
 
 class AnybodyAtTheDesk(RuleBasedStateMachine):

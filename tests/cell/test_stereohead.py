@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.waiting import LIMIT_S, WHOLE_S
+from helpers.waiting import LIMIT_S
 
 from edged import errors
 from edged.cell.stereohead import REOPEN_AFTER, HeadSettings, StereoHead
@@ -83,21 +84,18 @@ class Bench:
                 await asyncio.sleep(0.01)
 
 
-def run(script: Callable[[Bench], Awaitable[Any]], bench: Bench | None = None) -> Any:
-    """Run a script on a bench, close it, and insist that no task survives."""
-
-    async def main() -> Any:
-        used = bench or Bench()
-        before = asyncio.all_tasks()
-        try:
-            return await script(used)
-        finally:
-            await used.head.close()
-            assert before == asyncio.all_tasks(), "a task was left behind"
-            assert not used.left.is_open
-            assert not used.right.is_open
-
-    return asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+@asynccontextmanager
+async def used(bench: Bench | None = None) -> AsyncIterator[Bench]:
+    """A bench that is closed afterwards; no task may survive."""
+    bench = bench or Bench()
+    before = asyncio.all_tasks()
+    try:
+        yield bench
+    finally:
+        await bench.head.close()
+        assert before == asyncio.all_tasks(), "a task was left behind"
+        assert not bench.left.is_open
+        assert not bench.right.is_open
 
 
 SIDES = pytest.mark.parametrize("name", ["left", "right"])
@@ -106,19 +104,19 @@ SIDES = pytest.mark.parametrize("name", ["left", "right"])
 # --- both ---------------------------------------------------------------------------------------
 
 
-def test_both_returns_both_results_in_order() -> None:
+async def test_both_returns_both_results_in_order() -> None:
     """The slower one does not change places."""
 
     async def give(value: int, delay_s: float) -> int:
         await asyncio.sleep(delay_s)
         return value
 
-    assert (1, 2) == asyncio.run(both(give(1, 0.01), give(2, 0.0), 1.0))
+    assert (1, 2) == await both(give(1, 0.01), give(2, 0.0), 1.0)
 
 
 @pytest.mark.parametrize("failing", [0, 1])
 @pytest.mark.parametrize("how", ["error", "timeout", "cancelled"])
-def test_both_leaves_nothing_running(failing: int, how: str) -> None:
+async def test_both_leaves_nothing_running(failing: int, how: str) -> None:
     """After an error, a time-out or a cancellation both coroutines have ended, clean-up included."""
     ended: list[int] = []
 
@@ -131,22 +129,19 @@ def test_both_leaves_nothing_running(failing: int, how: str) -> None:
             await asyncio.sleep(0.01)  # a clean-up that takes its time is waited for
             ended.append(number)
 
-    async def main() -> None:
-        expected = {"error": FrameTimeout, "timeout": TimeoutError, "cancelled": asyncio.CancelledError}[how]
-        task = asyncio.create_task(both(work(0), work(1), 0.02 if how == "timeout" else 10.0))
-        await asyncio.sleep(0)
-        if how == "cancelled":
-            await asyncio.sleep(0.01)
-            task.cancel()
-        with pytest.raises(expected):
-            await task
-        assert {0, 1} == set(ended)
-        assert asyncio.all_tasks() == {asyncio.current_task()}
-
-    asyncio.run(main())
+    expected = {"error": FrameTimeout, "timeout": TimeoutError, "cancelled": asyncio.CancelledError}[how]
+    task = asyncio.create_task(both(work(0), work(1), 0.02 if how == "timeout" else 10.0))
+    await asyncio.sleep(0)
+    if how == "cancelled":
+        await asyncio.sleep(0.01)
+        task.cancel()
+    with pytest.raises(expected):
+        await task
+    assert {0, 1} == set(ended)
+    assert asyncio.all_tasks() == {asyncio.current_task()}
 
 
-def test_both_awaits_the_other_even_when_cancelled_twice() -> None:
+async def test_both_awaits_the_other_even_when_cancelled_twice() -> None:
     """A second cancellation during the clean-up does not cut the clean-up short, and is not lost."""
     ended: list[int] = []
 
@@ -157,29 +152,23 @@ def test_both_awaits_the_other_even_when_cancelled_twice() -> None:
             await asyncio.shield(asyncio.sleep(0.05))
             ended.append(number)
 
-    async def main() -> None:
-        task = asyncio.create_task(both(work(0), work(1), 10.0))
-        await asyncio.sleep(0.01)
-        task.cancel()
-        await asyncio.sleep(0.01)
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-        assert [0, 1] == sorted(ended)
-
-    asyncio.run(main())
+    task = asyncio.create_task(both(work(0), work(1), 10.0))
+    await asyncio.sleep(0.01)
+    task.cancel()
+    await asyncio.sleep(0.01)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert [0, 1] == sorted(ended)
 
 
 # --- good pairs -----------------------------------------------------------------------------------
 
 
-def test_a_capture_opens_the_cameras_and_gives_what_they_saw() -> None:
+async def test_a_capture_opens_the_cameras_and_gives_what_they_saw() -> None:
     """Images arrive byte for byte, with increasing ids, within the skew limit."""
-
-    async def script(bench: Bench) -> list[FramePair]:
-        return [await bench.head.capture() for _ in range(5)]
-
-    pairs = run(script)
+    async with used() as bench:
+        pairs = [await bench.head.capture() for _ in range(5)]
 
     assert [1, 2, 3, 4, 5] == [pair.left.frame_id for pair in pairs] == [p.right.frame_id for p in pairs]
     for pair in pairs:
@@ -188,7 +177,7 @@ def test_a_capture_opens_the_cameras_and_gives_what_they_saw() -> None:
         assert abs(pair.left.exposed_ns - pair.right.exposed_ns) < 5e6
 
 
-def test_both_cameras_expose_at_the_same_time() -> None:
+async def test_both_cameras_expose_at_the_same_time() -> None:
     """Neither rendering starts only after the other has ended: both wait at one barrier."""
     barrier = threading.Barrier(2)
 
@@ -196,13 +185,13 @@ def test_both_cameras_expose_at_the_same_time() -> None:
         barrier.wait(LIMIT_S)
         return noise(request)
 
-    run(lambda bench: bench.head.capture(), Bench(meet, timeout_s=10.0))
+    async with used(Bench(meet, timeout_s=10.0)) as bench:
+        await bench.head.capture()
 
 
-def test_the_loop_keeps_running_while_an_image_is_rendered() -> None:
+async def test_the_loop_keeps_running_while_an_image_is_rendered() -> None:
     """Rendering waits for something only the event loop can do."""
-
-    async def script(bench: Bench) -> None:
+    async with used():
         loop = asyncio.get_running_loop()
 
         def render(request: ExposureRequest) -> Image:
@@ -216,10 +205,8 @@ def test_the_loop_keeps_running_while_an_image_is_rendered() -> None:
         await head.capture()
         await head.close()
 
-    run(script)
 
-
-def test_a_frame_is_not_a_view_of_the_renderers_memory() -> None:
+async def test_a_frame_is_not_a_view_of_the_renderers_memory() -> None:
     """The next exposure must not change an image that was handed out."""
     shared = np.zeros((12, 16), np.uint8)
 
@@ -228,10 +215,8 @@ def test_a_frame_is_not_a_view_of_the_renderers_memory() -> None:
         shared[0, 0] = 255
         return shared
 
-    async def script(bench: Bench) -> tuple[FramePair, FramePair]:
-        return await bench.head.capture(), await bench.head.capture()
-
-    first, second = run(script, Bench(render))
+    async with used(Bench(render)) as bench:
+        first, second = await bench.head.capture(), await bench.head.capture()
     assert (1, 2) == (first.left.image[5, 5], second.left.image[5, 5])
 
 
@@ -240,10 +225,9 @@ def test_a_frame_is_not_a_view_of_the_renderers_memory() -> None:
 
 @SIDES
 @pytest.mark.parametrize("kind", [FrameTimeout, FrameIncomplete, PairingError])
-def test_a_single_lost_exposure_does_not_close_a_camera(name: str, kind: type[CaptureError]) -> None:
+async def test_a_single_lost_exposure_does_not_close_a_camera(name: str, kind: type[CaptureError]) -> None:
     """One lost frame is the network's: the next capture works at once, on the same connection."""
-
-    async def script(bench: Bench) -> None:
+    async with used() as bench:
         await bench.head.capture()
         bench.side(name).faults.fail_next_trigger = kind(name, "once")
         with pytest.raises(kind, match="once"):
@@ -251,16 +235,13 @@ def test_a_single_lost_exposure_does_not_close_a_camera(name: str, kind: type[Ca
         await bench.head.capture()
         assert (1, 1) == (bench.left.opened, bench.right.opened)
 
-    run(script)
-
 
 @SIDES
 @pytest.mark.parametrize("kind", [CameraUnreachable, CameraBusy, CameraSetupError])
-def test_a_camera_that_is_gone_is_closed_and_opened_again(name: str, kind: type[CaptureError]) -> None:
+async def test_a_camera_that_is_gone_is_closed_and_opened_again(name: str, kind: type[CaptureError]) -> None:
     """Only the broken one is reopened; the other keeps its connection."""
     other = "right" if name == "left" else "left"
-
-    async def script(bench: Bench) -> None:
+    async with used() as bench:
         await bench.head.capture()
         bench.side(name).faults.fail_next_trigger = kind(name, "gone")
         with pytest.raises(kind):
@@ -271,14 +252,11 @@ def test_a_camera_that_is_gone_is_closed_and_opened_again(name: str, kind: type[
         assert (2, 1) == (bench.side(name).opened, bench.side(other).opened)
         assert pair.left.exposed_ns > 0
 
-    run(script)
-
 
 @SIDES
-def test_a_camera_that_never_delivers_is_named_in_time_and_reopened(name: str) -> None:
+async def test_a_camera_that_never_delivers_is_named_in_time_and_reopened(name: str) -> None:
     """Each capture ends by the time-out and names the silent camera; after three it is reopened."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
         faults = bench.side(name).faults
         faults.stall = True
@@ -293,38 +271,29 @@ def test_a_camera_that_never_delivers_is_named_in_time_and_reopened(name: str) -
         await bench.recovers()
         assert 2 == bench.side(name).opened
 
-    run(script, Bench(timeout_s=TIMEOUT_S))
 
-
-def test_two_silent_cameras_are_both_named() -> None:
+async def test_two_silent_cameras_are_both_named() -> None:
     """Neither is accused alone."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         bench.left.faults.stall = bench.right.faults.stall = True
         with pytest.raises(FrameTimeout) as caught:
             await bench.head.capture()
         assert "both" == caught.value.camera
 
-    run(script, Bench(timeout_s=TIMEOUT_S))
 
-
-def test_one_failing_camera_does_not_keep_the_other_waiting() -> None:
+async def test_one_failing_camera_does_not_keep_the_other_waiting() -> None:
     """The error comes when it happens, not at the deadline."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(timeout_s=60.0)) as bench:
         bench.left.faults.stall = True
         bench.right.faults.fail_next_trigger = FrameIncomplete("right", "packets missing")
         with pytest.raises(FrameIncomplete):
             await asyncio.wait_for(bench.head.capture(), LIMIT_S)
 
-    run(script, Bench(timeout_s=60.0))
-
 
 @SIDES
-def test_a_late_image_is_never_taken_for_the_next_exposure(name: str) -> None:
+async def test_a_late_image_is_never_taken_for_the_next_exposure(name: str) -> None:
     """An image that missed its deadline is dropped; the next pair is of one trigger."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
         bench.side(name).faults.delay_s = 2 * TIMEOUT_S
         with pytest.raises(FrameTimeout):
@@ -334,25 +303,20 @@ def test_a_late_image_is_never_taken_for_the_next_exposure(name: str) -> None:
         np.testing.assert_array_equal(pair.left.image, pair.right.image)
         assert pair.left.frame_id == pair.right.frame_id == 3
 
-    run(script, Bench(timeout_s=TIMEOUT_S))
-
 
 # --- pairing --------------------------------------------------------------------------------------
 
 
 @SIDES
-def test_exposures_that_are_apart_are_no_pair(name: str) -> None:
+async def test_exposures_that_are_apart_are_no_pair(name: str) -> None:
     """Beyond the limit: a fault that tells the skew. Within: a pair."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(max_skew_s=0.05, timeout_s=10.0)) as bench:
         await bench.head.capture()
         bench.side(name).faults.skew_s = 0.2
         with pytest.raises(PairingError, match=r"exposures (199|2\d\d)\.\d+ ms apart, allowed 50 ms"):
             await bench.head.capture()
         bench.side(name).faults.skew_s = 0.0
         await bench.head.capture()
-
-    run(script, Bench(max_skew_s=0.05, timeout_s=10.0))
 
 
 class Scripted:
@@ -435,10 +399,9 @@ def test_a_frame_that_was_there_before_is_a_fault(ids: tuple[int, int]) -> None:
 
 
 @SIDES
-def test_a_frozen_image_is_never_published_not_even_after_reopening(name: str) -> None:
+async def test_a_frozen_image_is_never_published_not_even_after_reopening(name: str) -> None:
     """New id, same pixels: a fault each time, until the picture changes."""
-
-    async def script(bench: Bench) -> None:
+    async with used() as bench:
         await bench.head.capture()
         bench.side(name).faults.frozen = True
         deadline_s = time.monotonic() + 0.5
@@ -453,20 +416,15 @@ def test_a_frozen_image_is_never_published_not_even_after_reopening(name: str) -
         bench.side(name).faults.frozen = False
         await bench.recovers()
 
-    run(script)
 
-
-def test_a_dark_image_is_not_called_frozen() -> None:
+async def test_a_dark_image_is_not_called_frozen() -> None:
     """All pixels 0 twice: the lamp is out, which is for the pipeline to say."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(lambda request: np.zeros((request.height, request.width), np.uint8))) as bench:
         for _ in range(3):
             await bench.head.capture()
 
-    run(script, Bench(lambda request: np.zeros((request.height, request.width), np.uint8)))
 
-
-def test_a_source_that_repeats_itself_can_be_allowed() -> None:
+async def test_a_source_that_repeats_itself_can_be_allowed() -> None:
     """With detect_frozen off the same picture twice is a pair."""
 
     def still(request: ExposureRequest) -> Image:
@@ -474,17 +432,14 @@ def test_a_source_that_repeats_itself_can_be_allowed() -> None:
         image[3, 3] = 9
         return image
 
-    async def script(bench: Bench) -> None:
+    async with used(Bench(still, detect_frozen=False)) as bench:
         for _ in range(3):
             await bench.head.capture()
 
-    run(script, Bench(still, detect_frozen=False))
 
-
-def test_pairing_faults_that_stay_reopen_both_cameras() -> None:
+async def test_pairing_faults_that_stay_reopen_both_cameras() -> None:
     """Two cameras out of step are started anew together."""
-
-    async def script(bench: Bench) -> None:
+    async with used() as bench:
         bench.right.faults.skew_s = 1.0
         for _ in range(REOPEN_AFTER):
             with pytest.raises(PairingError):
@@ -494,16 +449,13 @@ def test_pairing_faults_that_stay_reopen_both_cameras() -> None:
         bench.right.faults.skew_s = 0.0
         await bench.recovers()
 
-    run(script)
-
 
 # --- opening and back-off -------------------------------------------------------------------------
 
 
-def test_back_off_raises_the_last_error_at_once_and_touches_no_camera() -> None:
+async def test_back_off_raises_the_last_error_at_once_and_touches_no_camera() -> None:
     """Between attempts a capture costs nothing: a camera that is off must not slow the cycle."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(min_backoff_s=60.0)) as bench:
         bench.left.faults.open_error = CameraUnreachable("left", "no answer")
         attempts = 0
 
@@ -518,16 +470,13 @@ def test_back_off_raises_the_last_error_at_once_and_touches_no_camera() -> None:
                 await bench.head.capture()
         assert 1 == attempts
 
-    run(script, Bench(min_backoff_s=60.0))
 
-
-def test_the_pause_between_attempts_doubles_up_to_its_limit() -> None:
+async def test_the_pause_between_attempts_doubles_up_to_its_limit() -> None:
     """0.1, 0.2, 0.4, 0.4, ...: measured on a clock that the test turns."""
     now_s = 1000.0
     attempts: list[float] = []
-
-    async def script(bench: Bench) -> None:
-        nonlocal now_s
+    bench = Bench(min_backoff_s=0.1, max_backoff_s=0.4, clock=lambda: now_s)
+    async with used(bench) as bench:
 
         async def refuse() -> None:
             attempts.append(now_s)
@@ -539,17 +488,13 @@ def test_the_pause_between_attempts_doubles_up_to_its_limit() -> None:
                 await bench.head.open()
             now_s += 0.01
 
-    bench = Bench(min_backoff_s=0.1, max_backoff_s=0.4, clock=lambda: now_s)
-    run(script, bench)
-
     np.testing.assert_allclose([0.1, 0.2, 0.4, 0.4], np.diff(attempts)[:4], atol=0.011)
 
 
-def test_a_slow_attempt_to_open_never_blocks_a_cycle() -> None:
+async def test_a_slow_attempt_to_open_never_blocks_a_cycle() -> None:
     """While a known fault lasts, a capture waits one time-out for the attempt, then says why."""
     gate = asyncio.Event()
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
         open_really = bench.left.open
 
@@ -566,15 +511,12 @@ def test_a_slow_attempt_to_open_never_blocks_a_cycle() -> None:
         gate.set()
         await bench.recovers()
 
-    run(script, Bench(timeout_s=TIMEOUT_S))
-
 
 @SIDES
-def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: str) -> None:
+async def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: str) -> None:
     """The fault is reported at once; the camera is opened again only after it has been closed."""
     order: list[str] = []
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         camera = bench.side(name)
         await bench.head.capture()
         close_really, open_really, gate = camera.close, camera.open, asyncio.Event()
@@ -599,24 +541,18 @@ def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: str) ->
         await bench.recovers()
         assert ["closed", "opened"] == order
 
-    run(script, Bench(timeout_s=TIMEOUT_S))
 
-
-def test_an_attempt_that_hangs_is_ended() -> None:
+async def test_an_attempt_that_hangs_is_ended() -> None:
     """A driver that never comes back is a fault after `open_timeout_s`."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(open_timeout_s=0.05)) as bench:
         bench.right.open = asyncio.Event().wait
         with pytest.raises(CameraUnreachable, match=r"camera right: not open after 0\.05 s"):
             await bench.head.open()
 
-    run(script, Bench(open_timeout_s=0.05))
 
-
-def test_closing_ends_an_attempt_to_open() -> None:
+async def test_closing_ends_an_attempt_to_open() -> None:
     """Stopping does not wait for a camera that does not answer."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(open_timeout_s=60.0)) as bench:
         bench.left.open = asyncio.Event().wait
         task = asyncio.create_task(bench.head.open())
         await asyncio.sleep(0.01)
@@ -625,26 +561,20 @@ def test_closing_ends_an_attempt_to_open() -> None:
             await task
         await asyncio.wait_for(bench.head.close(), LIMIT_S)
 
-    run(script, Bench(open_timeout_s=60.0))
 
-
-def test_two_cameras_that_are_missing_are_both_named() -> None:
+async def test_two_cameras_that_are_missing_are_both_named() -> None:
     """One message for the integrator who forgot to switch the cell on."""
-
-    async def script(bench: Bench) -> None:
+    async with used() as bench:
         for side in (bench.left, bench.right):
             side.faults.open_error = CameraUnreachable(side.name, "no answer")
         with pytest.raises(CameraUnreachable) as caught:
             await bench.head.open()
         assert "both cameras: left: no answer; right: no answer" == str(caught.value)
 
-    run(script)
 
-
-def test_looking_after_open_cameras_finds_the_one_that_died() -> None:
+async def test_looking_after_open_cameras_finds_the_one_that_died() -> None:
     """Idle in command mode: `open` asks cameras that are open, and one that fails is reopened."""
-
-    async def script(bench: Bench) -> None:
+    async with used() as bench:
         await bench.head.open()
         bench.right.faults.open_error = CameraUnreachable("right", "control lost")
         with pytest.raises(CameraUnreachable, match="control lost"):
@@ -656,31 +586,25 @@ def test_looking_after_open_cameras_finds_the_one_that_died() -> None:
         await bench.head.open()
         assert (1, 2) == (bench.left.opened, bench.right.opened)
 
-    run(script)
 
-
-def test_a_bug_in_an_adapter_is_not_called_a_camera_fault() -> None:
+async def test_a_bug_in_an_adapter_is_not_called_a_camera_fault() -> None:
     """What is no `CaptureError` propagates from the attempt to open, and from an exposure."""
 
     async def broken() -> None:
         raise ZeroDivisionError("a bug")
 
-    async def opening(bench: Bench) -> None:
+    async with used() as bench:
         bench.left.open = broken
         with pytest.raises(ZeroDivisionError):
             await bench.head.open()
-
-    async def exposing(bench: Bench) -> None:
+    async with used() as bench:
         await bench.head.open()
         bench.left.trigger = broken
         with pytest.raises(ZeroDivisionError):
             await bench.head.capture()
 
-    run(opening)
-    run(exposing)
 
-
-def test_repeated_faults_do_not_grow_their_traceback() -> None:
+async def test_repeated_faults_do_not_grow_their_traceback() -> None:
     """An outage of a weekend raises the same error a million times."""
 
     def length(error: BaseException) -> int:
@@ -689,7 +613,7 @@ def test_repeated_faults_do_not_grow_their_traceback() -> None:
             traceback, count = traceback.tb_next, count + 1
         return count
 
-    async def script(bench: Bench) -> list[int]:
+    async with used(Bench(min_backoff_s=60.0)) as bench:
         bench.left.faults.open_error = CameraUnreachable("left", "no answer")
         lengths = []
         for _ in range(20):
@@ -697,14 +621,11 @@ def test_repeated_faults_do_not_grow_their_traceback() -> None:
                 await bench.head.capture()
             except CameraUnreachable as error:
                 lengths.append(length(error))
-        return lengths
-
-    lengths = run(script, Bench(min_backoff_s=60.0))
     assert lengths[1] == lengths[-1]
 
 
 @pytest.mark.slow
-def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> None:
+async def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> None:
     """A thousand exposures with random faults: every pair that comes out is one exposure, and new."""
     random = np.random.default_rng(7)
 
@@ -713,7 +634,7 @@ def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> N
         image[0, :8] = np.frombuffer(np.int64(request.exposed_ns).tobytes(), np.uint8)
         return image
 
-    async def script(bench: Bench) -> tuple[int, int]:
+    async with used(Bench(stamped, timeout_s=0.02, max_skew_s=0.05, min_backoff_s=0.0)) as bench:
         good, bad, newest, last_was_good = 0, 0, 0, False
         for _ in range(1000):
             bench.left.faults, bench.right.faults = InProcessFaults(), InProcessFaults()
@@ -741,9 +662,6 @@ def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> N
             assert [pair.left.exposed_ns, pair.right.exposed_ns] == stamps
             assert min(stamps) > newest
             newest = max(stamps)
-        return good, bad
-
-    good, bad = run(script, Bench(stamped, timeout_s=0.02, max_skew_s=0.05, min_backoff_s=0.0))
     assert good > 300
     assert bad > 100
 
@@ -761,10 +679,9 @@ def test_every_capture_error_has_a_code_of_its_own() -> None:
     assert len(codes) == len(set(codes))
 
 
-def test_repeated_and_frozen_frames_are_told_apart() -> None:
+async def test_repeated_and_frozen_frames_are_told_apart() -> None:
     """A number that comes again is one fault, a picture that comes again under a new number another."""
-
-    async def script(bench: Bench) -> None:
+    async with used() as bench:
         await bench.head.capture()
         bench.left.faults.repeat_id = True
         with pytest.raises(FrameRepeated):
@@ -774,13 +691,10 @@ def test_repeated_and_frozen_frames_are_told_apart() -> None:
         with pytest.raises(FrameFrozen):
             await bench.head.capture()
 
-    run(script)
 
-
-def test_a_camera_that_answers_and_never_shows_anything_has_a_stalled_stream() -> None:
+async def test_a_camera_that_answers_and_never_shows_anything_has_a_stalled_stream() -> None:
     """One missing image is a time-out; three in a row of a camera that says it is well are more than that."""
-
-    async def script(bench: Bench) -> list[type[BaseException]]:
+    async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
         bench.left.faults.stall = True
         kinds = []
@@ -788,15 +702,12 @@ def test_a_camera_that_answers_and_never_shows_anything_has_a_stalled_stream() -
             with pytest.raises(FrameTimeout) as caught:
                 await bench.head.capture()
             kinds.append(type(caught.value))
-        return kinds
-
-    assert [FrameTimeout, FrameTimeout, StreamStalled] == run(script, Bench(timeout_s=TIMEOUT_S))
+        assert [FrameTimeout, FrameTimeout, StreamStalled] == kinds
 
 
-def test_after_a_missing_image_the_camera_is_asked_why() -> None:
+async def test_after_a_missing_image_the_camera_is_asked_why() -> None:
     """A camera that was taken by another host says so at the next cycle, not after three lost images."""
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
         bench.left.faults.stall = True
         with pytest.raises(FrameTimeout):
@@ -805,18 +716,15 @@ def test_after_a_missing_image_the_camera_is_asked_why() -> None:
         with pytest.raises(CameraBusy, match="another host"):
             await bench.head.capture()
 
-    run(script, Bench(timeout_s=TIMEOUT_S))
-
 
 # --- who is triggered when ----------------------------------------------------------------------------
 
 
 @SIDES
-def test_the_follower_is_armed_before_the_other_is_triggered(name: str) -> None:
+async def test_the_follower_is_armed_before_the_other_is_triggered(name: str) -> None:
     """Or it would miss the exposure that it is to follow; however long arming takes."""
     order: list[str] = []
-
-    async def script(bench: Bench) -> None:
+    async with used(Bench(follower=name, timeout_s=5.0)) as bench:
         for side in (bench.left, bench.right):
             really = side.trigger
 
@@ -828,6 +736,4 @@ def test_the_follower_is_armed_before_the_other_is_triggered(name: str) -> None:
 
             side.trigger = noted
         await bench.head.capture()
-
-    run(script, Bench(follower=name, timeout_s=5.0))
     assert [name, "right" if name == "left" else "left"] == order

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import numpy as np
@@ -54,23 +54,20 @@ def heads(metal: Metal, **options: Any) -> tuple[TwoExposureHead, tuple[InProces
     )
 
 
-def run(script: Callable[[], Awaitable[Any]], head: TwoExposureHead) -> Any:
-    """Run, and close."""
-
-    async def main() -> Any:
-        try:
-            return await script()
-        finally:
-            await head.close()
-
-    return asyncio.run(asyncio.wait_for(main(), 60))
+@asynccontextmanager
+async def closing(head: TwoExposureHead) -> AsyncIterator[None]:
+    """A head that is closed afterwards."""
+    try:
+        yield
+    finally:
+        await head.close()
 
 
-def test_each_cycle_has_a_long_and_a_short_exposure_and_changes_once() -> None:
+async def test_each_cycle_has_a_long_and_a_short_exposure_and_changes_once() -> None:
     """It begins with what the last one ended with; both glint and table are seen in every pair."""
     metal = Metal()
     head, _ = heads(metal)
-    pairs = run(lambda: _captured(head, 3), head)
+    pairs = await _captured(head, 3)
 
     long, short = LONG_US, LONG_US / RATIO
     assert [long] * 2 + [short] * 4 + [long] * 4 + [short] * 2 == metal.exposures
@@ -84,20 +81,20 @@ async def _captured(head: TwoExposureHead, count: int) -> list[Any]:
     return [await head.capture() for _ in range(count)]
 
 
-def test_a_camera_that_takes_values_late_has_an_exposure_between_that_is_thrown_away() -> None:
+async def test_a_camera_that_takes_values_late_has_an_exposure_between_that_is_thrown_away() -> None:
     """Where the adapter does not see to it: with triggers that it does not make itself."""
     metal = Metal()
     head, _ = heads(metal, settles=True)
-    run(lambda: _captured(head, 1), head)
+    await _captured(head, 1)
 
     assert [LONG_US] * 4 + [LONG_US / RATIO] * 4 == metal.exposures
 
 
-def test_the_time_of_a_pair_is_between_both_exposures_and_its_bound_reaches_to_each() -> None:
+async def test_the_time_of_a_pair_is_between_both_exposures_and_its_bound_reaches_to_each() -> None:
     """Where a part moved a little, nobody knows better when it was seen."""
     metal = Metal()
     head, _ = heads(metal)
-    (pair,) = run(lambda: _captured(head, 1), head)
+    (pair,) = await _captured(head, 1)
 
     assert max(metal.times[:2]) < pair.exposed_ns < min(metal.times[2:])
     assert head.taken is not None
@@ -106,34 +103,33 @@ def test_the_time_of_a_pair_is_between_both_exposures_and_its_bound_reaches_to_e
 
 
 @pytest.mark.parametrize("moved_px", [3.0, 30.0])
-def test_a_part_that_moves_between_the_two_is_a_fault(moved_px: float) -> None:
+async def test_a_part_that_moves_between_the_two_is_a_fault(moved_px: float) -> None:
     """Code 113, and the pair is no result."""
     metal = Metal()
     metal.moved_px = moved_px
     head, _ = heads(metal)
     with pytest.raises(ExposuresDiffer, match=r"both cameras: something moved .*two exposures") as raised:
-        run(lambda: _captured(head, 1), head)
+        await _captured(head, 1)
     assert 113 == raised.value.code
 
 
-def test_light_that_changes_between_the_two_is_a_fault_beyond_flicker() -> None:
+async def test_light_that_changes_between_the_two_is_a_fault_beyond_flicker() -> None:
     """A lamp that went off; a tenth is taken as it is."""
     metal = Metal()
     metal.flicker = 0.9
     head, _ = heads(metal)
-    run(lambda: _captured(head, 1), head)
+    await _captured(head, 1)
     metal.exposures.clear()
     metal.flicker = 0.6
     with pytest.raises(ExposuresDiffer, match="the light changed"):
-        run(lambda: _captured(head, 1), head)
+        await _captured(head, 1)
 
 
-def test_what_a_person_sets_is_the_long_exposure() -> None:
+async def test_what_a_person_sets_is_the_long_exposure() -> None:
     """Also after a cycle that ended with the short one; the short one follows; `restore` brings both back."""
     metal = Metal()
     head, _ = heads(metal)
-
-    async def script() -> None:
+    async with closing(head):
         await head.capture()
         made = await head.adjust("left", CameraValues())
         assert LONG_US == made.exposure_us
@@ -146,15 +142,12 @@ def test_what_a_person_sets_is_the_long_exposure() -> None:
         await head.capture()
         assert {LONG_US, LONG_US / RATIO} == set(metal.exposures)
 
-    run(script, head)
 
-
-def test_after_a_fault_the_exposures_are_right_again() -> None:
+async def test_after_a_fault_the_exposures_are_right_again() -> None:
     """A camera that was lost between both exposures: the next pair is whole."""
     metal = Metal()
     head, (left, _) = heads(metal)
-
-    async def script() -> None:
+    async with closing(head):
         await head.capture()
         left.faults.incomplete_next = 1
         with pytest.raises(CaptureError):
@@ -164,11 +157,9 @@ def test_after_a_fault_the_exposures_are_right_again() -> None:
         assert {LONG_US, LONG_US / RATIO} == set(metal.exposures)
         assert 254 > pair.left.image[60, 60] > 130
 
-    run(script, head)
 
-
-def test_nobody_else_can_trigger_two_exposures() -> None:
+async def test_nobody_else_can_trigger_two_exposures() -> None:
     """The configuration refuses it; so does the head."""
     head, _ = heads(Metal())
     with pytest.raises(FrameTimeout, match="others' triggers"):
-        run(head.listen, head)
+        await head.listen()

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
 from helpers.ports import free_port
-from helpers.waiting import WHOLE_S
 
 from edged.adapters.aravis import CameraInfo
 from edged.commands import newcell
@@ -69,7 +68,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.slow
-def test_the_first_engineer_comes_in_by_the_code_of_the_console(tmp_path: Path) -> None:
+async def test_the_first_engineer_comes_in_by_the_code_of_the_console(tmp_path: Path) -> None:
     """Nothing but the folder and what the console says: logged in, with the cell to take."""
     web, modbus = free_port(), free_port()
     text = new_cell([]).replace("port = 1502", f"port = {modbus}").replace("[web]", f"[web]\nport = {web}")
@@ -87,17 +86,14 @@ def test_the_first_engineer_comes_in_by_the_code_of_the_console(tmp_path: Path) 
                 "token" in got[1],
             )
 
-    async def test() -> None:
-        running = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "edged", "run", str(tmp_path)), stderr=asyncio.subprocess.PIPE
-        )
-        try:
-            assert running.stderr is not None
-            while not (found := CODE.search((await running.stderr.readline()).decode())):
-                assert not running.stderr.at_eof(), "it ended before it said the code"
-            await come_in(found[1])
-        finally:
-            running.terminate()
-            await running.communicate()
-
-    asyncio.run(asyncio.wait_for(test(), WHOLE_S))
+    running = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "edged", "run", str(tmp_path)), stderr=asyncio.subprocess.PIPE
+    )
+    try:
+        assert running.stderr is not None
+        while not (found := CODE.search((await running.stderr.readline()).decode())):
+            assert not running.stderr.at_eof(), "it ended before it said the code"
+        await come_in(found[1])
+    finally:
+        running.terminate()
+        await running.communicate()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import errno
 from pathlib import Path
 
@@ -29,19 +28,14 @@ def write_pairs(folder: Path, names: list[str]) -> None:
         cv2.imwrite(str(folder / f"{name}_right.png"), picture(10 * k + 2))
 
 
-def test_pairs_are_shown_in_the_order_of_their_names_and_again(tmp_path: Path) -> None:
+async def test_pairs_are_shown_in_the_order_of_their_names_and_again(tmp_path: Path) -> None:
     """Left and right are halves of one pair; ids and times rise; after the last comes the first."""
     write_pairs(tmp_path, ["a", "b", "c"])
     (tmp_path / "notes.txt").write_text("not an image")
     (tmp_path / "a_left.json").write_text("{}")
-
-    async def main():
-        head = StereoHead(*replay_cameras(tmp_path))
-        pairs = [await head.capture() for _ in range(7)]
-        await head.close()
-        return pairs
-
-    pairs = asyncio.run(main())
+    head = StereoHead(*replay_cameras(tmp_path))
+    pairs = [await head.capture() for _ in range(7)]
+    await head.close()
 
     assert [1, 11, 21, 1, 11, 21, 1] == [int(pair.left.image[0, 0]) for pair in pairs]
     assert [2, 12, 22, 2, 12, 22, 2] == [int(pair.right.image[0, 0]) for pair in pairs]
@@ -50,7 +44,7 @@ def test_pairs_are_shown_in_the_order_of_their_names_and_again(tmp_path: Path) -
     assert (np.diff([pair.exposed_ns for pair in pairs]) > 0).all()
 
 
-def test_a_side_that_missed_an_exposure_catches_up(tmp_path: Path) -> None:
+async def test_a_side_that_missed_an_exposure_catches_up(tmp_path: Path) -> None:
     """After an exposure that only one camera took, and after reopening, both show one pair again."""
     write_pairs(tmp_path, ["a", "b", "c", "d"])
 
@@ -59,42 +53,34 @@ def test_a_side_that_missed_an_exposure_catches_up(tmp_path: Path) -> None:
             await camera.trigger()
         return [(await camera.frame()).frame_id for camera in cameras]
 
-    async def main():
-        left, right = replay_cameras(tmp_path)
-        await left.open()
-        await right.open()
-        both = await shoot(left, right)
-        alone = await shoot(left)
-        after = await shoot(left, right)
-        await shoot(left)
-        await right.close()
-        await right.open()
-        reopened = await shoot(right, left)
-        return both, alone, after, reopened
-
-    both, alone, after, reopened = asyncio.run(main())
+    left, right = replay_cameras(tmp_path)
+    await left.open()
+    await right.open()
+    both = await shoot(left, right)
+    alone = await shoot(left)
+    after = await shoot(left, right)
+    await shoot(left)
+    await right.close()
+    await right.open()
+    reopened = await shoot(right, left)
 
     assert ([1, 1], [2], [3, 3]) == (both, alone, after)
     assert reopened[0] == reopened[1] > 3
 
 
-def test_a_camera_that_is_closed_or_was_not_triggered_says_so(tmp_path: Path) -> None:
+async def test_a_camera_that_is_closed_or_was_not_triggered_says_so(tmp_path: Path) -> None:
     """No image without open and trigger, and each trigger gives one image."""
     write_pairs(tmp_path, ["a"])
-
-    async def main():
-        left, _ = replay_cameras(tmp_path)
-        with pytest.raises(CameraUnreachable, match="not open"):
-            await left.trigger()
-        await left.open()
+    left, _ = replay_cameras(tmp_path)
+    with pytest.raises(CameraUnreachable, match="not open"):
         await left.trigger()
+    await left.open()
+    await left.trigger()
+    await left.frame()
+    with pytest.raises(FrameTimeout, match="no exposure"):
         await left.frame()
-        with pytest.raises(FrameTimeout, match="no exposure"):
-            await left.frame()
-        await left.close()
-        await left.close()
-
-    asyncio.run(main())
+    await left.close()
+    await left.close()
 
 
 @pytest.mark.parametrize("name", ["nowhere", ""])
@@ -113,26 +99,22 @@ def test_a_first_pair_of_two_sizes_is_refused(tmp_path: Path) -> None:
         replay_cameras(tmp_path)
 
 
-def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) -> None:
+async def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) -> None:
     """Wrong size, floats and damage are `FrameIncomplete` that names the file; the next pair is served."""
     write_pairs(tmp_path, ["a", "b", "c", "d", "e"])
     cv2.imwrite(str(tmp_path / "b_left.png"), picture(7, (20, 20)))
     (tmp_path / "c_right.png").write_bytes(b"\x89PNG broken")
     (tmp_path / "d_right.png").unlink()
     cv2.imwrite(str(tmp_path / "d_right.tif"), np.zeros((12, 16), np.float32))
-
-    async def main():
-        head = StereoHead(*replay_cameras(tmp_path), HeadSettings(min_backoff_s=0.0))
-        results = [(await head.capture()).left.frame_id]
-        for _ in range(3):
-            with pytest.raises(FrameIncomplete) as caught:
-                await head.capture()
-            results.append(str(caught.value))
-        results.append((await head.capture()).left.frame_id)
-        await head.close()
-        return results
-
-    first, size, damage, floats, last = asyncio.run(main())
+    head = StereoHead(*replay_cameras(tmp_path), HeadSettings(min_backoff_s=0.0))
+    results = [(await head.capture()).left.frame_id]
+    for _ in range(3):
+        with pytest.raises(FrameIncomplete) as caught:
+            await head.capture()
+        results.append(str(caught.value))
+    results.append((await head.capture()).left.frame_id)
+    await head.close()
+    first, size, damage, floats, last = results
 
     assert (1, 5) == (first, last)
     assert "b_left.png: 20x20 pixels, expected 16x12" in size
@@ -141,7 +123,7 @@ def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) -> Non
     assert "d_right.tif: float32 pixels" in floats
 
 
-def test_a_picture_that_cannot_be_read_now_is_a_fault_and_no_end(
+async def test_a_picture_that_cannot_be_read_now_is_a_fault_and_no_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No descriptor for it, or a disk that fails: the camera did not deliver; the next exposure may."""
@@ -151,14 +133,11 @@ def test_a_picture_that_cannot_be_read_now_is_a_fault_and_no_end(
     def exhausted(_path: Path) -> int:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    async def main() -> None:
-        await left.open()
-        await left.trigger()
-        with monkeypatch.context() as patch:
-            patch.setattr(images, "file_to_read", exhausted)
-            with pytest.raises(FrameIncomplete, match="Too many open files"):
-                await left.frame()
-        await left.trigger()
-        assert 2 == (await left.frame()).frame_id
-
-    asyncio.run(main())
+    await left.open()
+    await left.trigger()
+    with monkeypatch.context() as patch:
+        patch.setattr(images, "file_to_read", exhausted)
+        with pytest.raises(FrameIncomplete, match="Too many open files"):
+            await left.frame()
+    await left.trigger()
+    assert 2 == (await left.frame()).frame_id

@@ -94,22 +94,22 @@ class BoardCell:
                     return document
                 await asyncio.sleep(0.05)
 
-    def run(self, test: Callable[[Self], Awaitable[None]], *, page_is_here: bool = True) -> Self:
+    def run(self, test: Callable[[Self], Awaitable[None]]) -> Self:
         """A test's coroutine beside the running daemon, bounded; returns the cell."""
 
         async def bounded() -> None:
-            async with asyncio.timeout(WHOLE_S), self.running(page_is_here=page_is_here):
+            async with asyncio.timeout(WHOLE_S), self.running():
                 await test(self)
 
         asyncio.run(bounded())
         return self
 
     @asynccontextmanager
-    async def running(self, *, page_is_here: bool = True) -> AsyncIterator[None]:
+    async def running(self, *, page_is_here: bool = True) -> AsyncIterator[Self]:
         """The daemon, and a browser that has logged in. page_is_here : in this process, not in its own."""
         with in_this_process() if page_is_here else nullcontext(list[Page]()) as self.pages:
             async with self._running():
-                yield
+                yield self
 
     @asynccontextmanager
     async def _running(self) -> AsyncIterator[None]:

@@ -22,22 +22,26 @@ PLACE_MM = (8.0, 0.0, 205.0)
 TEXTURED = Surface(albedo=0.16, contrast=0.25, feature_mm=0.8, seed=2)
 
 
-def small_rig() -> StereoRig:
-    """The demo's rig with pixels of twice the size: pictures of 640x480."""
+def shrunk(rig: StereoRig, by: int) -> StereoRig:
+    """A rig whose pixels have this many times the size: it sees the same in smaller pictures."""
 
-    def halved(camera: CameraModel) -> CameraModel:
+    def camera(whole: CameraModel) -> CameraModel:
         return replace(
-            camera,
-            width=camera.width // 2,
-            height=camera.height // 2,
-            fx=camera.fx / 2,
-            fy=camera.fy / 2,
-            cx=(camera.cx + 0.5) / 2 - 0.5,
-            cy=(camera.cy + 0.5) / 2 - 0.5,
+            whole,
+            width=whole.width // by,
+            height=whole.height // by,
+            fx=whole.fx / by,
+            fy=whole.fy / by,
+            cx=(whole.cx + 0.5) / by - 0.5,
+            cy=(whole.cy + 0.5) / by - 0.5,
         )
 
-    rig = demo_rig()
-    return replace(rig, left=halved(rig.left), right=halved(rig.right))
+    return replace(rig, left=camera(rig.left), right=camera(rig.right))
+
+
+def small_rig() -> StereoRig:
+    """The demo's rig with pictures of 640x480."""
+    return shrunk(demo_rig(), 2)
 
 
 def patient(text: str) -> str:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -71,17 +71,32 @@ def left_camera(device: str = LEFT, **settings: Any) -> AravisCamera:
     return AravisCamera("left", AravisSettings(device, **settings))
 
 
-def run(script: Callable[..., Awaitable[Any]], *cameras: Any, limit_s: float = 60.0) -> Any:
-    """Run a script with cameras (or heads) that are closed afterwards."""
+class Closes(Protocol):
+    """A camera, or a head."""
 
-    async def main() -> Any:
-        try:
-            return await script(*cameras)
-        finally:
-            for camera in cameras:
-                await camera.close()
+    async def open(self) -> None:
+        """Connect."""
 
-    return asyncio.run(asyncio.wait_for(main(), limit_s))
+    async def close(self) -> None:
+        """Let go of it."""
+
+
+C = TypeVar("C", bound=Closes)
+
+
+@asynccontextmanager
+async def closing(camera: C) -> AsyncIterator[C]:
+    """A camera (or a head) that is closed afterwards."""
+    try:
+        yield camera
+    finally:
+        await camera.close()
+
+
+async def opens(camera: Closes) -> None:
+    """Open it, and close it."""
+    async with closing(camera):
+        await camera.open()
 
 
 async def shoot(camera: AravisCamera) -> Frame:

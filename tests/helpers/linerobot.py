@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import socket
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from helpers.livecell import LiveCell
-from helpers.waiting import LIMIT_S
+from helpers.waiting import wait_until
 
 
 class Robot:
@@ -46,7 +45,4 @@ def connected(cell: LiveCell) -> Iterator[Robot]:
 
 def ready(cell: LiveCell) -> None:
     """Wait until commands are carried out."""
-    deadline_s = time.monotonic() + LIMIT_S
-    while not cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
+    wait_until(lambda: cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1)

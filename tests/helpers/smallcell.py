@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -27,8 +26,8 @@ from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
 from edged.sim.render.scene import Disc, Part, Surface
 from edged.sim.world import VirtualWorld
-from edged.vision.geometry.camera import CameraModel, StereoRig
-from helpers.cells import patient
+from edged.vision.geometry.camera import StereoRig
+from helpers.cells import patient, shrunk
 from helpers.ports import free_port
 from helpers.waiting import LIMIT_S
 
@@ -39,21 +38,8 @@ STILL_UPRIGHT = PartMotion(turn_rad=0.1)
 
 
 def tiny_rig() -> StereoRig:
-    """The demo's rig with pixels of four times the size."""
-
-    def shrunk(camera: CameraModel) -> CameraModel:
-        return replace(
-            camera,
-            width=camera.width // SHRINK,
-            height=camera.height // SHRINK,
-            fx=camera.fx / SHRINK,
-            fy=camera.fy / SHRINK,
-            cx=(camera.cx + 0.5) / SHRINK - 0.5,
-            cy=(camera.cy + 0.5) / SHRINK - 0.5,
-        )
-
-    rig = demo_rig()
-    return replace(rig, left=shrunk(rig.left), right=shrunk(rig.right))
+    """The demo's rig with pictures of 320x240."""
+    return shrunk(demo_rig(), SHRINK)
 
 
 def pictures(cell: VirtualCell, parts: int, empty: int = 0) -> list[tuple[Image, Image]]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
+T = TypeVar("T")
 LIMIT_S = 60.0
 """What a machine that does much else may need; nothing sleeps for it."""
 
@@ -15,14 +17,15 @@ WHOLE_S = 5 * LIMIT_S
 POLL_S = 0.002
 
 
-async def until(condition: Callable[[], object], limit_s: float = LIMIT_S) -> None:
-    """Wait for a condition on the event loop."""
+async def until(condition: Callable[[], T], limit_s: float = LIMIT_S) -> T:
+    """Wait for a condition on the event loop; its first true value."""
     deadline_s = time.monotonic() + limit_s
-    while not condition():
+    while not (found := condition()):
         assert time.monotonic() < deadline_s, f"not within {limit_s:g} s"
         await asyncio.sleep(POLL_S)
+    return found
 
 
-def wait_until(condition: Callable[[], object], limit_s: float = LIMIT_S) -> None:
-    """Wait for what other threads or processes do."""
-    asyncio.run(until(condition, limit_s))
+def wait_until(condition: Callable[[], T], limit_s: float = LIMIT_S) -> T:
+    """Wait for what other threads or processes do; the condition's first true value."""
+    return asyncio.run(until(condition, limit_s))

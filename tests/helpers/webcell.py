@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,7 +25,6 @@ from edged.setup.plcroutes import PlcRoutes
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
 from helpers.pagesources import FixedSources
 from helpers.scriptedhead import Ear, Head, make_setup
-from helpers.waiting import WHOLE_S
 
 HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
 """Cheap to check: many tests log in."""
@@ -74,34 +73,18 @@ class Cell(BrowserSession):
         self.asleep_s[0] += seconds
 
 
-def run(
-    test: Callable[[Cell], Awaitable[None]],
-    *,
-    commissioning: bool = True,
-    users: Mapping[str, RoleName] | None = USERS,
-) -> Ear:
-    """A test's coroutine beside a running cell, bounded. users : None: their file cannot be used."""
-    ear = Ear()
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), running(ear, commissioning, users) as cell:
-            await test(cell)
-
-    asyncio.run(bounded())
-    return ear
-
-
 @asynccontextmanager
 async def running(
-    ear: Ear,
-    commissioning: bool,
+    *,
+    commissioning: bool = True,
     users: Mapping[str, RoleName] | None = USERS,
     modbus: ModbusSettings | None = None,
 ) -> AsyncIterator[Cell]:
     """A cell with a head in memory, its page on a free port, and a browser's session with it.
 
-    modbus : what it also serves, with the page of it.
+    users : None: their file cannot be used. modbus : what it also serves, with the page of it.
     """
+    ear = Ear()
     with TemporaryDirectory() as folder:
         state = Path(folder)
         if users is None:

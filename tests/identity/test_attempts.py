@@ -37,64 +37,56 @@ class Desk:
         return work
 
 
-def test_who_guessed_least_is_next_and_takes_the_place_of_who_guessed_more() -> None:
+async def test_who_guessed_least_is_next_and_takes_the_place_of_who_guessed_more() -> None:
     """Where nobody else fits in; who hangs up while waiting costs nothing."""
-
-    async def test() -> None:
-        attempts, desk = Attempts(lambda: 0.0), Desk()
-        desk.may_end.release(2)
-        for _ in range(2):
-            assert not await attempts.check("10.0.0.9", "a", desk.check("guesser"))
-        asked = [asyncio.create_task(attempts.check("10.0.0.1", "a", desk.check("first")))]
-        await until(lambda: desk.seen[-1] == "first")
-        guesser = asyncio.create_task(attempts.check("10.0.0.9", "a", desk.check("guesser")))
-        asked += [
-            asyncio.create_task(attempts.check(f"10.0.1.{n}", "a", desk.check(f"{n}")))
-            for n in range(MAX_WAITING - 1)
-        ]
-        await asyncio.sleep(0)
-        late = asyncio.create_task(attempts.check("10.0.2.1", "a", desk.check("late", right=True)))
-        with pytest.raises(TooManyAttempts):
-            await guesser
-        with pytest.raises(TooManyAttempts):
-            await attempts.check("10.0.2.2", "a", desk.check("too late"))
-        asked[1].cancel()
-        desk.may_end.release(MAX_WAITING + 2)
-        assert await late
-        await asyncio.wait(asked)
-        assert ["guesser", "guesser", "first", *map(str, range(1, MAX_WAITING - 1)), "late"] == desk.seen
-
-    asyncio.run(test())
+    attempts, desk = Attempts(lambda: 0.0), Desk()
+    desk.may_end.release(2)
+    for _ in range(2):
+        assert not await attempts.check("10.0.0.9", "a", desk.check("guesser"))
+    asked = [asyncio.create_task(attempts.check("10.0.0.1", "a", desk.check("first")))]
+    await until(lambda: desk.seen[-1] == "first")
+    guesser = asyncio.create_task(attempts.check("10.0.0.9", "a", desk.check("guesser")))
+    asked += [
+        asyncio.create_task(attempts.check(f"10.0.1.{n}", "a", desk.check(f"{n}")))
+        for n in range(MAX_WAITING - 1)
+    ]
+    await asyncio.sleep(0)
+    late = asyncio.create_task(attempts.check("10.0.2.1", "a", desk.check("late", right=True)))
+    with pytest.raises(TooManyAttempts):
+        await guesser
+    with pytest.raises(TooManyAttempts):
+        await attempts.check("10.0.2.2", "a", desk.check("too late"))
+    asked[1].cancel()
+    desk.may_end.release(MAX_WAITING + 2)
+    assert await late
+    await asyncio.wait(asked)
+    assert ["guesser", "guesser", "first", *map(str, range(1, MAX_WAITING - 1)), "late"] == desk.seen
 
 
-def test_a_wait_doubles_up_to_a_limit_and_is_forgotten() -> None:
+async def test_a_wait_doubles_up_to_a_limit_and_is_forgotten() -> None:
     """For an address, an IPv6 one with all of its network; coming in clears that account alone."""
+    now_s = [0.0]
+    attempts = Attempts(lambda: now_s[0])
 
-    async def test() -> None:
-        now_s = [0.0]
-        attempts = Attempts(lambda: now_s[0])
+    async def wait_s(address: str, account: str, right: bool = False) -> float:
+        try:
+            await attempts.check(address, account, lambda: right)
+        except TooManyAttempts as error:
+            return error.wait_s
+        return 0.0
 
-        async def wait_s(address: str, account: str, right: bool = False) -> float:
-            try:
-                await attempts.check(address, account, lambda: right)
-            except TooManyAttempts as error:
-                return error.wait_s
-            return 0.0
-
-        for n in range(5):
-            assert 0.0 == await wait_s(f"2001:db8::{n}", "a")
-        for expected in (LOCKED_S, 2 * LOCKED_S, 4 * LOCKED_S, 8 * LOCKED_S, MAX_LOCKED_S, MAX_LOCKED_S):
-            assert expected == await wait_s("2001:db8::ffff", "b")
-            now_s[0] += expected
-            assert 0.0 == await wait_s("2001:db8::1", "a")
-        assert 0.0 == await wait_s("2001:db8:0:1::1", "a", right=True)
-        now_s[0] += FORGOTTEN_S
-        for _ in range(4):
-            assert 0.0 == await wait_s("2001:db8::1", "a")
-        assert 0.0 == await wait_s("2001:db8::1", "b", right=True)
-        assert 0.0 == await wait_s("2001:db8::1", "a", right=True)
-        for _ in range(5):
-            assert 0.0 == await wait_s("2001:db8::1", "a")
-        assert LOCKED_S == await wait_s("2001:db8::1", "a", right=True)
-
-    asyncio.run(test())
+    for n in range(5):
+        assert 0.0 == await wait_s(f"2001:db8::{n}", "a")
+    for expected in (LOCKED_S, 2 * LOCKED_S, 4 * LOCKED_S, 8 * LOCKED_S, MAX_LOCKED_S, MAX_LOCKED_S):
+        assert expected == await wait_s("2001:db8::ffff", "b")
+        now_s[0] += expected
+        assert 0.0 == await wait_s("2001:db8::1", "a")
+    assert 0.0 == await wait_s("2001:db8:0:1::1", "a", right=True)
+    now_s[0] += FORGOTTEN_S
+    for _ in range(4):
+        assert 0.0 == await wait_s("2001:db8::1", "a")
+    assert 0.0 == await wait_s("2001:db8::1", "b", right=True)
+    assert 0.0 == await wait_s("2001:db8::1", "a", right=True)
+    for _ in range(5):
+        assert 0.0 == await wait_s("2001:db8::1", "a")
+    assert LOCKED_S == await wait_s("2001:db8::1", "a", right=True)

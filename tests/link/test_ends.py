@@ -7,7 +7,7 @@ import os
 import random
 import socket
 import struct
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,8 @@ import cbor2
 import pytest
 from helpers.linkmessages import EXAMPLES
 from helpers.mutations import mutated
-from helpers.scriptedhead import Ear, Head, make_setup
-from helpers.waiting import WHOLE_S, until
+from helpers.scriptedhead import Ear, Head, make_setup, running
+from helpers.waiting import until
 
 from edged.cell.cycle import Cycle
 from edged.domain.cell import CellPhase
@@ -121,24 +121,15 @@ class Scene:
         """Likewise."""
 
 
-def play(test: Callable[[Scene], Awaitable[None]]) -> None:
-    """A test beside a running cell, bounded."""
-
-    async def main() -> None:
-        head, ear = Head(), Ear()
-        cycle = Cycle(head, make_setup(period_s=0.002))
-        scene = Scene(cycle, head, ear)
-        cycle.set_publishers([ear, scene])
-        task = asyncio.create_task(cycle.run())
-        try:
-            async with asyncio.timeout(WHOLE_S):
-                await until(ear.snapshots)
-                await test(scene)
-        finally:
-            cycle.stop()
-            await task
-
-    asyncio.run(main())
+@asynccontextmanager
+async def measuring() -> AsyncIterator[Scene]:
+    """A running cell."""
+    head, ear = Head(), Ear()
+    cycle = Cycle(head, make_setup(period_s=0.002))
+    scene = Scene(cycle, head, ear)
+    async with running(cycle, ear, scene):
+        await until(ear.snapshots)
+        yield scene
 
 
 @pytest.mark.slow
@@ -168,12 +159,11 @@ def test_what_is_no_request_is_refused_and_never_more_than_read() -> None:
 
 
 @pytest.mark.slow
-def test_a_page_that_sends_anything_costs_no_cycle(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_page_that_sends_anything_costs_no_cycle(caplog: pytest.LogCaptureFixture) -> None:
     """Hundreds of links, each with greetings, requests and rubbish: each ends, and the cell measures on."""
     chance = random.Random(2)
     messages = [encoded(Envelope(number=7, request=request)) for request in EXAMPLES]
-
-    async def test(scene: Scene) -> None:
+    async with measuring() as scene:
         for number in range(200):
             async with scene.linked() as (page, serving):
                 said = [framed(encoded(ask.GREETING))] if number % 5 else []
@@ -186,27 +176,21 @@ def test_a_page_that_sends_anything_costs_no_cycle(caplog: pytest.LogCaptureFixt
                     await asyncio.wait({serving}, timeout=0.01)
         await scene.goes_on()
         assert CellPhase.READY is scene.ear.state() or scene.cycle.session.holder == ""
-
-    play(test)
     assert "bug" not in caplog.text
 
 
-def test_a_message_that_is_too_long_ends_the_link() -> None:
+async def test_a_message_that_is_too_long_ends_the_link() -> None:
     """Its length alone: none of it is waited for."""
-
-    async def test(scene: Scene) -> None:
+    async with measuring() as scene:
         async with scene.linked() as (page, serving):
             page.sendall((1 << 31).to_bytes(4, "big"))
             assert "at most" in await serving
         await scene.goes_on()
 
-    play(test)
 
-
-def test_another_version_is_refused_by_name() -> None:
+async def test_another_version_is_refused_by_name() -> None:
     """On either side: a page that was exchanged beside a running cell says which both are."""
-
-    async def test(scene: Scene) -> None:
+    async with measuring() as scene:
         async with scene.linked() as (page, serving):
             page.sendall(framed(encoded(Greeting(edged="9.9", schema_id="0"))))
             assert "the page is edged 9.9 (schema 0)" in await serving
@@ -218,21 +202,17 @@ def test_another_version_is_refused_by_name() -> None:
         link.close()
         ours.close()
 
-    play(test)
 
-
-def test_who_says_nothing_loses_the_link_and_who_greets_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_who_says_nothing_loses_the_link_and_who_greets_keeps_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A process that hangs as it starts is found out."""
     monkeypatch.setattr(cellend, "GREET_S", 0.1)
-
-    async def test(scene: Scene) -> None:
-        async with scene.linked() as (page, serving), scene.linked() as (_, silent):
-            page.sendall(framed(encoded(ask.GREETING)))
-            assert "not said a word" in await silent
-            await asyncio.sleep(0.1)
-            assert not serving.done()
-
-    play(test)
+    async with measuring() as scene, scene.linked() as (page, serving), scene.linked() as (_, silent):
+        page.sendall(framed(encoded(ask.GREETING)))
+        assert "not said a word" in await silent
+        await asyncio.sleep(0.1)
+        assert not serving.done()
 
 
 @pytest.mark.slow
@@ -241,59 +221,51 @@ def test_who_says_nothing_loses_the_link_and_who_greets_keeps_it(monkeypatch: py
     [(ask.RenewLease(token="x"), 1), (ask.AskMetrics(), 1 + cellend.DEAR), (LONG, 1 + LONG_BYTES // 1024)],
     ids=["plain", "dear", "long"],
 )
-def test_a_flood_is_read_no_faster_than_allowed(request_: ask.Asked, price: int) -> None:
+async def test_a_flood_is_read_no_faster_than_allowed(request_: ask.Asked, price: int) -> None:
     """Its sender waits; what is read is carried out at the rate that a page may have, and cycles come.
 
     What takes long of the loop is rarer.
     """
+    async with measuring() as scene, scene.linked() as (page, serving):
+        page.sendall(framed(encoded(ask.GREETING)))
+        asked = framed(encoded(Envelope(number=1, request=request_))) * 100
+        loop = asyncio.get_running_loop()
+        start_s = loop.time()
 
-    async def test(scene: Scene) -> None:
-        async with scene.linked() as (page, serving):
-            page.sendall(framed(encoded(ask.GREETING)))
-            asked = framed(encoded(Envelope(number=1, request=request_))) * 100
-            loop = asyncio.get_running_loop()
-            start_s = loop.time()
+        async def flood() -> None:
+            while True:
+                await loop.sock_sendall(page, asked)
 
-            async def flood() -> None:
-                while True:
-                    await loop.sock_sendall(page, asked)
+        async def swallow() -> None:
+            while await loop.sock_recv(page, 1 << 16):
+                pass
 
-            async def swallow() -> None:
-                while await loop.sock_recv(page, 1 << 16):
-                    pass
-
-            flooding = [asyncio.create_task(work) for work in (flood(), swallow())]
-            await until(lambda: scene.view.asked * price > 2 * cellend.REQUESTS_AT_ONCE)
-            most = cellend.REQUESTS_AT_ONCE + cellend.REQUESTS_PER_S * (loop.time() - start_s)
-            assert scene.view.asked * price <= most + price
-            await scene.goes_on()
-            for task in flooding:
-                task.cancel()
-            await asyncio.gather(*flooding, return_exceptions=True)
-            assert not serving.done()
-
-    play(test)
+        flooding = [asyncio.create_task(work) for work in (flood(), swallow())]
+        await until(lambda: scene.view.asked * price > 2 * cellend.REQUESTS_AT_ONCE)
+        most = cellend.REQUESTS_AT_ONCE + cellend.REQUESTS_PER_S * (loop.time() - start_s)
+        assert scene.view.asked * price <= most + price
+        await scene.goes_on()
+        for task in flooding:
+            task.cancel()
+        await asyncio.gather(*flooding, return_exceptions=True)
+        assert not serving.done()
 
 
 @pytest.mark.slow
-def test_a_page_that_reads_nothing_loses_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_page_that_reads_nothing_loses_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
     """The cell keeps a bounded number of events for it meanwhile, and few pictures."""
     monkeypatch.setattr(cellend, "WRITE_S", 0.3)
-
-    async def test(scene: Scene) -> None:
+    async with measuring() as scene:
         async with scene.linked() as (page, serving):
             page.sendall(framed(encoded(ask.GREETING)))
             page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             assert "has not read" in await serving
         await scene.goes_on()
 
-    play(test)
 
-
-def test_an_answer_finds_what_has_become_of_the_cell() -> None:
+async def test_an_answer_finds_what_has_become_of_the_cell() -> None:
     """The lease is known, and is of this holder, before the token comes; pictures come as they were taken."""
-
-    async def test(scene: Scene) -> None:
+    async with measuring() as scene:
         async with scene.linked() as (page, _):
             link = PageEnd(page.dup())
             await link.greet()
@@ -324,13 +296,10 @@ def test_an_answer_finds_what_has_become_of_the_cell() -> None:
             link.close()
         await scene.goes_on()
 
-    play(test)
 
-
-def test_what_was_asked_is_carried_out_without_the_page() -> None:
+async def test_what_was_asked_is_carried_out_without_the_page() -> None:
     """It is killed while its release is installed: half of one would be worse than either."""
-
-    async def test(scene: Scene) -> None:
+    async with measuring() as scene:
         async with scene.linked() as (page, serving):
             page.sendall(framed(encoded(ask.GREETING)))
             asked: Any = framed(encoded(Envelope(number=1, request=EXAMPLES[8])))
@@ -343,8 +312,6 @@ def test_what_was_asked_is_carried_out_without_the_page() -> None:
         assert not scene.view.installed
         scene.view.may_install.set()
         await until(lambda: scene.view.installed == b"release")
-
-    play(test)
 
 
 def lingering() -> socket.socket:
@@ -361,10 +328,9 @@ def lingering() -> socket.socket:
     return ours
 
 
-def test_closing_what_a_page_passes_holds_nobody_up() -> None:
+async def test_closing_what_a_page_passes_holds_nobody_up() -> None:
     """One descriptor or several, that are slow to close: the loop has its turns, and the page is read."""
-
-    async def test(scene: Scene) -> None:
+    async with measuring() as scene:
         async with scene.linked() as (page, _):
             data: Any = framed(encoded(ask.GREETING))
             for piece in (data[:3], data[3:]):
@@ -380,19 +346,13 @@ def test_closing_what_a_page_passes_holds_nobody_up() -> None:
             theirs.close()
         NEVER_READ.clear()
 
-    play(test)
 
-
-def test_descriptors_from_a_page_are_not_taken() -> None:
+async def test_descriptors_from_a_page_are_not_taken() -> None:
     """Whatever it attaches is closed by the kernel: a cell cannot run out of them."""
-
-    async def test(scene: Scene) -> None:
-        async with scene.linked() as (page, serving):
-            before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208  (the kernel's, at once)
-            data: Any = framed(encoded(ask.GREETING))
-            socket.send_fds(page, [data], [page.fileno()] * 50)
-            await until(lambda: scene.ends[0].is_greeted)
-            assert len(os.listdir("/proc/self/fd")) <= before + 3  # noqa: PTH208  (likewise)
-            assert not serving.done()
-
-    play(test)
+    async with measuring() as scene, scene.linked() as (page, serving):
+        before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208  (the kernel's, at once)
+        data: Any = framed(encoded(ask.GREETING))
+        socket.send_fds(page, [data], [page.fileno()] * 50)
+        await until(lambda: scene.ends[0].is_greeted)
+        assert len(os.listdir("/proc/self/fd")) <= before + 3  # noqa: PTH208  (likewise)
+        assert not serving.done()

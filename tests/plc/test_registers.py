@@ -81,8 +81,8 @@ def test_every_listing_names_every_register() -> None:
             assert f"| {register.address} | {register.name} |" in markdown
     with pytest.raises(
         UserError,
-        match="expected md, csv, json, st, plcopen, scl, s7db, l5x, urscript, python, rapid, drl, as, spel, "
-        "twincat, karel, krl, krl6, val3, melfa, motoplus",
+        match="expected md, json, st, scl, s7db, l5x, plcopen, twincat, urscript, krl, krl6, karel, rapid, "
+        "motoplus, val3, as, drl, melfa, spel, python, csv",
     ):
         render("xml")
 

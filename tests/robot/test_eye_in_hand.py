@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import struct
 import time
 from dataclasses import replace
@@ -85,54 +84,44 @@ class Plc(Ear):
 
 
 @pytest.mark.parametrize("convention", list(Convention))
-def test_a_plc_that_says_where_the_flange_is_gets_robot_coordinates(convention: Convention) -> None:
+async def test_a_plc_that_says_where_the_flange_is_gets_robot_coordinates(convention: Convention) -> None:
     """Two poses of the flange: X, Y, Z are robot_from_flange flange_from_rig rig_from_part."""
     flanges = [
         make_transform((0.3, 2.6, -0.4), (612.0, -148.0, 733.0)),
         make_transform((-0.2, 2.2, 0.9), (400.0, 310.0, 651.0)),
     ]
-
-    async def main() -> None:
-        cycle = Cycle(Head(), setup())
-        plc = Plc(cycle, convention)
-        async with running(cycle, plc):
-            await until(lambda: plc.state() is CellPhase.READY)
-            for sequence, flange in enumerate(flanges, 1):
-                write_command(plc.cell, sequence, flange, convention)
-                await until(lambda n=sequence: plc.status()["DONE_SEQ"] == n)
-                shown = plc.result()
-                truth = flange @ FLANGE_FROM_RIG @ make_target().rig_from_part
-                # registers hold 0.001°, which is 0.009 mm at half a metre from the flange
-                assert [shown[axis] / 1000 for axis in "XYZ"] == pytest.approx(truth[:3, 3], abs=0.005)
-                assert int(shown["FLAGS"]) & reg.Flag.ROBOT_FRAME
-                assert int(shown["FLAGS"]) & reg.Flag.VALID
-
-    asyncio.run(main())
+    cycle = Cycle(Head(), setup())
+    plc = Plc(cycle, convention)
+    async with running(cycle, plc):
+        await until(lambda: plc.state() is CellPhase.READY)
+        for sequence, flange in enumerate(flanges, 1):
+            write_command(plc.cell, sequence, flange, convention)
+            await until(lambda n=sequence: plc.status()["DONE_SEQ"] == n)
+            shown = plc.result()
+            truth = flange @ FLANGE_FROM_RIG @ make_target().rig_from_part
+            # registers hold 0.001°, which is 0.009 mm at half a metre from the flange
+            assert [shown[axis] / 1000 for axis in "XYZ"] == pytest.approx(truth[:3, 3], abs=0.005)
+            assert int(shown["FLAGS"]) & reg.Flag.ROBOT_FRAME
+            assert int(shown["FLAGS"]) & reg.Flag.VALID
 
 
-def test_a_command_without_the_flange_is_refused_and_an_old_pose_is_not_used() -> None:
+async def test_a_command_without_the_flange_is_refused_and_an_old_pose_is_not_used() -> None:
     """The pose serves one command: the next one without it is NACK, REFUSED, and the words read 0."""
+    cycle = Cycle(Head(), setup())
+    plc = Plc(cycle, Convention.KUKA_ABC)
+    async with running(cycle, plc):
+        await until(lambda: plc.state() is CellPhase.READY)
+        write_command(plc.cell, 1, make_transform((0.1, 2.0, 0.0), (500.0, 0.0, 700.0)), Convention.KUKA_ABC)
+        await until(lambda: plc.status()["DONE_SEQ"] == 1)
+        assert set(plc.cell.read(reg.ADDRESS["FLANGE_X"], 12)) == {0}
 
-    async def main() -> None:
-        cycle = Cycle(Head(), setup())
-        plc = Plc(cycle, Convention.KUKA_ABC)
-        async with running(cycle, plc):
-            await until(lambda: plc.state() is CellPhase.READY)
-            write_command(
-                plc.cell, 1, make_transform((0.1, 2.0, 0.0), (500.0, 0.0, 700.0)), Convention.KUKA_ABC
-            )
-            await until(lambda: plc.status()["DONE_SEQ"] == 1)
-            assert set(plc.cell.read(reg.ADDRESS["FLANGE_X"], 12)) == {0}
-
-            plc.cell.write(1, reg.ADDRESS["CMD_SEQ"], [2])
-            status = plc.status()
-            assert (status["DONE_SEQ"], status["NACK_REASON"]) == (2, NackReason.REFUSED)
-            assert not int(status["STATUS_BITS"]) & reg.StatusBit.RESULT_VALID
-            with pytest.raises(CommandRefused, match="pose of the flange"):
-                cycle.submit(Command(CommandKind.LOCATE, "test", 1))
-        assert len(plc.snapshots()) == 1
-
-    asyncio.run(main())
+        plc.cell.write(1, reg.ADDRESS["CMD_SEQ"], [2])
+        status = plc.status()
+        assert (status["DONE_SEQ"], status["NACK_REASON"]) == (2, NackReason.REFUSED)
+        assert not int(status["STATUS_BITS"]) & reg.StatusBit.RESULT_VALID
+        with pytest.raises(CommandRefused, match="pose of the flange"):
+            cycle.submit(Command(CommandKind.LOCATE, "test", 1))
+    assert len(plc.snapshots()) == 1
 
 
 def test_the_doubt_of_the_hand_eye_goes_with_the_flange() -> None:

@@ -26,13 +26,14 @@ def sent(path: Path, **how: Any) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
+async def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
     """Byte by byte, also at the distance that the pair tells by itself; its features lie on the part in the
     pictures; a gripping point that was tapped on the part is there, where nobody said a pose.
     """
     path, made = flange_drawing(tmp_path), list[bytes]()
 
-    async def test(cell: PartCell) -> None:
+    (tmp_path / "cell").mkdir()
+    async with PartCell(tmp_path / "cell").running() as cell:
         token = await cell.take()
         draft = await cell.begun(**token)
         by_pair = await cell.change("POST", draft, "/dxf", sent(path))
@@ -64,9 +65,6 @@ def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
         assert drawn["drawing"] == again["drawing"]
         tapped = await cell.change("POST", again, "/tap", {"x": x, "y": y})
         assert None is tapped["drawing"]
-
-    (tmp_path / "cell").mkdir()
-    cell = PartCell(tmp_path / "cell").run(test)
     output = tmp_path / "part1"
     source = DrawingSource(dxf=path, contour=None, depth_mm=DEPTH_MM, layers=(), unit=None)
     assert 0 == teach(cell.rig, source, "part1", output, Console(file=io.StringIO()), TeachOptions(1))
@@ -75,12 +73,12 @@ def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_no_drawing_of_the_part_is_said(tmp_path: Path) -> None:
+async def test_what_is_no_drawing_of_the_part_is_said(tmp_path: Path) -> None:
     """With its place; what would fill the memory is refused; one of another size is not found in the pair;
     the draft stays as it was, or goes back with one step.
     """
-
-    async def test(cell: PartCell) -> None:
+    (tmp_path / "cell").mkdir()
+    async with PartCell(tmp_path / "cell").running() as cell:
         draft = await cell.begun(**await cell.take())
 
         async def refused(path: Path, **how: Any) -> tuple[str, dict[str, Any]]:
@@ -106,6 +104,3 @@ def test_what_is_no_drawing_of_the_part_is_said(tmp_path: Path) -> None:
         assert [] == other["features"]
         back = await cell.change("POST", other, "/undo", {})
         assert draft["features"] == back["features"]
-
-    (tmp_path / "cell").mkdir()
-    PartCell(tmp_path / "cell").run(test)

@@ -60,7 +60,7 @@ async def stage(folder: Path, ports: tuple[int, int, int]) -> AsyncIterator[Stag
 
 
 @pytest.mark.slow
-def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
+async def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
     """While views are taken, while it is solved, after it was activated; SETUP ends for a person alone."""
     kept: dict[str, Any] = {}
 
@@ -106,10 +106,7 @@ def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
         assert (await cell.ask("GET", kept["place"]))["active"]
         assert None is (await cell.ask("GET", "audit?most=1"))["problem"]
 
-    async def test() -> None:
-        ports = free_port(), free_port(), free_port()
-        for one in (taking, solving, activating, running):
-            async with asyncio.timeout(WHOLE_S), stage(tmp_path / "cell", ports) as cell:
-                await one(cell)
-
-    asyncio.run(test())
+    ports = free_port(), free_port(), free_port()
+    for one in (taking, solving, activating, running):
+        async with asyncio.timeout(WHOLE_S), stage(tmp_path / "cell", ports) as cell:
+            await one(cell)

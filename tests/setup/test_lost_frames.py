@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from helpers.cells import small_rig
-from helpers.stagecell import Newcomer, run
+from helpers.stagecell import staged
 
 from edged.cell.stereohead import StereoHead
 from edged.domain.frames import FramePair
@@ -35,13 +35,12 @@ class Losses:
 
 
 @pytest.mark.slow
-def test_a_lost_frame_costs_no_action_of_a_second_pass(
+async def test_a_lost_frame_costs_no_action_of_a_second_pass(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Test pair, part, other part, board, other board, check, touch, other robot: each with a loss."""
     save_rig(tmp_path / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": BOARD})
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path, gige=False) as newcomer:
         losses = Losses(monkeypatch)
 
         async def act(path: str, document: object = None, expected: int = 201) -> dict[str, object]:
@@ -72,5 +71,3 @@ def test_a_lost_frame_costs_no_action_of_a_second_pass(
         assert looked["places"]
         draft = await newcomer.ask("POST", "registrations", OTHER_ROBOT, 201)
         await act(f"registrations/{draft['id']}/samples", {"revision": draft["revision"]})
-
-    run(tmp_path, test, gige=False)

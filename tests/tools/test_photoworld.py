@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.cells import shrunk
 from helpers.tilted import lying
 
-from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, invert
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
@@ -26,19 +26,6 @@ SETTING = replace(
     light="dome", window=-1, table="dark", gap_mm=8.0, parallel=True, reflects=0.9, exposure=180.0,
     blur_px=0.6,
 )  # fmt: skip
-
-
-def quarter_rig() -> StereoRig:
-    """The world's rig with a quarter of its pixels."""
-
-    def smaller(camera: CameraModel) -> CameraModel:
-        return replace(
-            camera, width=camera.width // 4, height=camera.height // 4, fx=camera.fx / 4, fy=camera.fy / 4,
-            cx=(camera.cx + 0.5) / 4 - 0.5, cy=(camera.cy + 0.5) / 4 - 0.5,
-        )  # fmt: skip
-
-    rig = world_rig()
-    return replace(rig, left=smaller(rig.left), right=smaller(rig.right))
 
 
 def test_irradiance_is_that_of_known_lamps() -> None:
@@ -101,7 +88,7 @@ def test_a_scene_has_lamps_table_and_every_kind_of_surface(tmp_path: Path) -> No
 def test_a_part_is_seen_where_the_truth_says() -> None:
     """The middle of a thin white disc over a dark table is that of its rim, to a tenth of a pixel."""
     pytest.importorskip("mitsuba")
-    rig, design = quarter_rig(), Design("P0", (Wall("base", circle(0, 0, 9), -1, True, 0.0, 0.05),))
+    rig, design = shrunk(world_rig(), 4), Design("P0", (Wall("base", circle(0, 0, 9), -1, True, 0.0, 0.05),))
     where = lying(rig, 10.0, 70.0, 20.0)
     turn = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
     rim = apply(where, 9 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1))

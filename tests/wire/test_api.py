@@ -5,47 +5,37 @@ from __future__ import annotations
 import pytest
 from helpers.everyroute import BASIC, check_document, check_questions, check_roles
 from helpers.waiting import until
-from helpers.webcell import USERS, Cell, run
+from helpers.webcell import USERS, running
 
 from edged.adapters.web.routes import Body, Leased, RouteTable
 from edged.domain.cell import CellPhase
 
 
-def test_the_document_names_every_route_with_its_models() -> None:
+async def test_the_document_names_every_route_with_its_models() -> None:
     """OpenAPI 3.1; what a body may not hold is said, too."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         document = await check_document(cell)
         asked = {f"{method} {path}" for path, methods in document["paths"].items() for method in methods}
         assert {"get /api/v1/cell", "post /api/v1/setup", "delete /api/v1/users/{name}"} <= asked
         entering = document["components"]["schemas"]["Entering"]
         assert not entering["additionalProperties"]
 
-    run(test)
 
-
-def test_every_route_lets_in_who_may_and_nobody_else() -> None:
+async def test_every_route_lets_in_who_may_and_nobody_else() -> None:
     """With too little of a role, nothing else about a route is told."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await check_roles(cell, {"": "viewer", **USERS})
 
-    run(test)
 
-
-def test_every_route_asks_every_visitor_the_same_questions() -> None:
+async def test_every_route_asks_every_visitor_the_same_questions() -> None:
     """No session, a forged origin, another type, too much, no lease: each with its code."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         assert await check_questions(cell) >= 15
 
-    run(test)
 
-
-def test_who_has_the_cell_is_in_the_overview() -> None:
+async def test_who_has_the_cell_is_in_the_overview() -> None:
     """With whether it is this very session; and what the cell is without anybody."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await until(lambda: cell.ear.state() is CellPhase.READY)
         await cell.log_in()
         _, me = await cell.ask("GET", "/api/v1/me", None)
@@ -61,8 +51,6 @@ def test_who_has_the_cell_is_in_the_overview() -> None:
         cell.session.cookie_jar.clear()
         _, shown = await cell.ask("GET", "/api/v1/cell", None, Authorization=BASIC)
         assert {**expected, "yours": False} == shown["setup"]
-
-    run(test)
 
 
 def test_a_row_of_the_table_that_contradicts_itself_is_a_bug() -> None:

@@ -8,7 +8,7 @@ import logging
 import pytest
 from helpers.browsersession import PASSWORD
 from helpers.waiting import until
-from helpers.webcell import Cell, run
+from helpers.webcell import running
 
 from edged.adapters.web.auditing import PERSON_BURST, REFUSED_BURST, RUN, Auditor
 from edged.domain.cell import CellPhase
@@ -17,11 +17,10 @@ from edged.identity.audit import AuditFile
 
 
 @pytest.mark.slow
-def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptureFixture) -> None:
+async def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptureFixture) -> None:
     """Also what is refused; with the hashes of what was changed; the same in the journal."""
     caplog.set_level(logging.INFO, "edged.adapters.web.auditing")
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         assert not await cell.comes_in("Anna", "guess")
         await cell.log_in("Otto")
         await cell.ask("POST", "/api/v1/setup", {})
@@ -62,13 +61,10 @@ def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptur
         assert ([4, 5], 10) == ([one["number"] for one in some["records"]], some["count"])
         assert PASSWORD not in str(told)
 
-    run(test)
 
-
-def test_setup_that_the_plant_ends_is_noted() -> None:
+async def test_setup_that_the_plant_ends_is_noted() -> None:
     """And that which a person ends is noted once, as theirs."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         for ends in (lambda: cell.cycle.lock_setup(True), None):
             _, entered = await cell.ask("POST", "/api/v1/setup", {})
@@ -83,13 +79,11 @@ def test_setup_that_the_plant_ends_is_noted() -> None:
         anna = [("Anna", "POST", "setup"), ("Anna", "DELETE", "setup")]
         assert [("Anna", "log in", "page"), anna[0], ("", "end", "setup"), *anna] == deeds
 
-    run(test)
 
-
-def test_what_the_cell_runs_by_is_noted_however_it_was_changed() -> None:
+async def test_what_the_cell_runs_by_is_noted_however_it_was_changed() -> None:
     """Also by a command, an editor, or while the daemon was away; once, with what was there before."""
+    async with running() as cell:
 
-    async def test(cell: Cell) -> None:
         async def noted() -> list[tuple[str | None, str]]:
             _, told = await cell.ask("GET", "/api/v1/audit", None)
             assert told["problem"] is None
@@ -110,13 +104,10 @@ def test_what_the_cell_runs_by_is_noted_however_it_was_changed() -> None:
         runs = await noted()
         assert [(None, "0000000a"), ("0000000a", "0000000b"), ("0000000b", "0000000c")] == runs
 
-    run(test)
 
-
-def test_who_only_may_look_does_not_fill_the_disc() -> None:
+async def test_who_only_may_look_does_not_fill_the_disc() -> None:
     """What is refused again and again is in the journal alone; what is done is noted all the same."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Vera")
         for _ in range(2 * int(REFUSED_BURST)):
             assert 403 == (await cell.ask("POST", "/api/v1/setup", {}))[0]
@@ -125,13 +116,10 @@ def test_who_only_may_look_does_not_fill_the_disc() -> None:
         assert REFUSED_BURST <= told["count"] <= REFUSED_BURST + 5
         assert ("log in", "ok") == (told["records"][-1]["verb"], told["records"][-1]["outcome"])
 
-    run(test)
 
-
-def test_log_ins_have_a_quota_of_their_own() -> None:
+async def test_log_ins_have_a_quota_of_their_own() -> None:
     """Logging in again and again fills nothing; how many were left out is a record, and refusals are kept."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         more = 7
         for _ in range(int(PERSON_BURST) + more):
             await cell.log_in("Vera")
@@ -143,13 +131,10 @@ def test_log_ins_have_a_quota_of_their_own() -> None:
         assert [("", "leave out", "rate"), ("Vera", "POST", "role"), ("Anna", "log in", "ok")] == records[-3:]
         assert told["records"][-3]["reason"].startswith(f"{more} refusals and log-ins before this")
 
-    run(test)
 
-
-def test_what_was_lost_is_said_when_the_disc_takes_records_again() -> None:
+async def test_what_was_lost_is_said_when_the_disc_takes_records_again() -> None:
     """With how many, and why: the first record after them."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         (cell.state / "audit.jsonl").mkdir()
         for name in ("Vera", "Otto", "Anna"):
             await cell.log_in(name)
@@ -160,19 +145,14 @@ def test_what_was_lost_is_said_when_the_disc_takes_records_again() -> None:
         assert ("lose", "disc", "POST") == (lost["verb"], lost["outcome"], done["verb"])
         assert lost["reason"].startswith("3 records before this may be missing: ")
 
-    run(test)
 
-
-def test_an_audit_that_cannot_be_kept_is_in_the_journal(caplog: pytest.LogCaptureFixture) -> None:
+async def test_an_audit_that_cannot_be_kept_is_in_the_journal(caplog: pytest.LogCaptureFixture) -> None:
     """What was done is done, and said there with the reason."""
     caplog.set_level(logging.INFO, "edged.adapters.web.auditing")
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         (cell.state / "audit.jsonl").mkdir()
         await cell.log_in()
         assert 201 == (await cell.ask("POST", "/api/v1/setup", {}))[0]
         said = [record.getMessage() for record in caplog.records]
         assert any("cannot be written" in line for line in said)
         assert any("POST 'setup' by Anna" in line for line in said)
-
-    run(test)

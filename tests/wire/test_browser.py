@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import shutil
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,6 @@ from helpers.browser import Browser, browser
 from helpers.cells import flange, frame_pair
 from helpers.setuppage import TOO_WIDE, UNTRANSLATED, come_back, freeze, leave, thaw
 from helpers.snapshots import make_snapshot, make_target
-from helpers.waiting import WHOLE_S
 from wire.test_web import sources
 
 from edged.adapters.web import WebPublisher, WebSettings
@@ -62,44 +61,36 @@ def fill(web: WebPublisher) -> None:
     web.announce(make_snapshot(11))
 
 
-def on_the_page(
-    test: Callable[[Browser, WebPublisher], Awaitable[None]],
-    width: int = 1400,
-    height: int = 900,
-    limit_mm: float = 0.2,
-    query: str = "",
-) -> None:
-    """Run a test on a filled page; nothing may be refused by its own security policy, or fail unseen."""
-
-    async def bounded() -> None:
-        rectification = make_rectification(flange().rig)
-        asked = replace(
-            sources(),
-            rectification=lambda: rectification,
-            limits=lambda: {1: limit_mm},
-            facts=lambda: FACTS,
-            known_registers=lambda: REGISTERS,
-        )
-        web = WebPublisher("cell", WebSettings(port=0), asked)
-        await web.start()
-        try:
-            fill(web)
-            async with asyncio.timeout(WHOLE_S), browser() as page:
-                await page.open(f"http://127.0.0.1:{web.port}/{query}", width, height)
-                await page.until('document.querySelector("#left image[href]")')
-                await test(page, web)
-                assert [] == page.complaints
-        finally:
-            await web.close()
-
-    asyncio.run(bounded())
+@asynccontextmanager
+async def on_the_page(
+    width: int = 1400, height: int = 900, limit_mm: float = 0.2, query: str = ""
+) -> AsyncIterator[tuple[Browser, WebPublisher]]:
+    """A filled page; nothing may be refused by its own security policy, or fail unseen."""
+    rectification = make_rectification(flange().rig)
+    asked = replace(
+        sources(),
+        rectification=lambda: rectification,
+        limits=lambda: {1: limit_mm},
+        facts=lambda: FACTS,
+        known_registers=lambda: REGISTERS,
+    )
+    web = WebPublisher("cell", WebSettings(port=0), asked)
+    await web.start()
+    try:
+        fill(web)
+        async with browser() as page:
+            await page.open(f"http://127.0.0.1:{web.port}/{query}", width, height)
+            await page.until('document.querySelector("#left image[href]")')
+            yield page, web
+            assert [] == page.complaints
+    finally:
+        await web.close()
 
 
 @pytest.mark.slow
-def test_thumbnails_open_and_zoom_with_wheel_buttons_and_keys() -> None:
+async def test_thumbnails_open_and_zoom_with_wheel_buttons_and_keys() -> None:
     """A click enlarges a cycle; both pictures show the same part; the next cycle keeps it; Escape closes."""
-
-    async def test(page: Browser, _web: WebPublisher) -> None:
+    async with on_the_page() as (page, _):
         await page.until('document.querySelectorAll("#recent img").length === 8')
         await page.click("#recent li:nth-child(3) button")
         await page.until(OPEN)
@@ -132,14 +123,11 @@ def test_thumbnails_open_and_zoom_with_wheel_buttons_and_keys() -> None:
         await page.ask("Input.dispatchKeyEvent", type="keyDown", key="Escape", windowsVirtualKeyCode=27)
         await page.until(f"!{OPEN}")
 
-    on_the_page(test)
-
 
 @pytest.mark.slow
-def test_a_fault_opens_with_its_reason_and_its_count() -> None:
+async def test_a_fault_opens_with_its_reason_and_its_count() -> None:
     """The first of two alike has its pictures; the live picture opens, too, and what comes later is newer."""
-
-    async def test(page: Browser, web: WebPublisher) -> None:
+    async with on_the_page() as (page, web):
         assert "2 times" in await page.value('document.querySelector("#faults").textContent')
         await page.click("#faults button")
         await page.until(OPEN)
@@ -157,17 +145,14 @@ def test_a_fault_opens_with_its_reason_and_its_count() -> None:
         await page.click("#newer")
         await page.until('document.querySelector("#viewed").textContent.includes("cycle 12")')
 
-    on_the_page(test)
-
 
 @pytest.mark.slow
-def test_the_sigma_has_a_bar_with_a_remedy_for_each_part() -> None:
+async def test_the_sigma_has_a_bar_with_a_remedy_for_each_part() -> None:
     """As long as the sigma, each part by its share of the variance; what is beyond the limit is said."""
     target = make_target()
     x, y, z = 1e3 * np.sqrt(np.diag(target.covariance)[:3])
     known = replace(target, by_edges=0.36 * target.covariance)
-
-    async def test(page: Browser, web: WebPublisher) -> None:
+    async with on_the_page(limit_mm=(y + z) / 2000.0) as (page, web):
         assert await page.value('document.querySelector("#budget").hidden')
         web.announce(make_snapshot(12, Status.OK, (known,)))
         await page.until('document.querySelectorAll("#budget .bars svg").length === 3')
@@ -182,8 +167,6 @@ def test_the_sigma_has_a_bar_with_a_remedy_for_each_part() -> None:
         assert edges / calibration == pytest.approx(0.36 / 0.64)
         assert (edges + calibration) / sum(widths[:4]) == pytest.approx(z / x)
         assert "more views of the board" in await page.value('document.querySelector("#budget").textContent')
-
-    on_the_page(test, limit_mm=(y + z) / 2e3)
 
 
 def fail(web: WebPublisher) -> None:
@@ -224,12 +207,11 @@ LANGUAGE = """(() => { const list = document.querySelector("#language"); list.va
 
 
 @pytest.mark.slow
-def test_it_speaks_german_throughout() -> None:
+async def test_it_speaks_german_throughout() -> None:
     """As chosen, and after a reload: every word that can be read stands in the German texts; numbers have
     their comma; a browser in English says the same by the English texts.
     """
-
-    async def test(page: Browser, web: WebPublisher) -> None:
+    async with on_the_page() as (page, web):
         fail(web)
         web.announce(CellState(CellPhase.FAULT, False, False, "flange", 1, 0, "camera left: late", 104))
         await page.value('document.querySelector("#registers").open = true')
@@ -255,18 +237,15 @@ def test_it_speaks_german_throughout() -> None:
             assert ("cycle number" in read) == (tag == "en")
             assert count in read
 
-    on_the_page(test)
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 1280])
-def test_no_word_is_written_into_the_page(width: int) -> None:
+async def test_no_word_is_written_into_the_page(width: int) -> None:
     """With texts that are stretched and marked, whatever can be read or heard carries the mark, and fits; of
     a good result, a bad one and a fault, with a cycle enlarged. axe finds nothing.
     """
     known = replace(make_target(), by_edges=0.36 * make_target().covariance)
-
-    async def test(page: Browser, web: WebPublisher) -> None:
+    async with on_the_page(width, 844, query="?pseudo") as (page, web):
         web.announce(make_snapshot(12, Status.OK, (known,)))
         await page.until('document.querySelectorAll("#budget .bars svg").length === 3')
         await page.value('document.querySelectorAll("details").forEach((one) => (one.open = true))')
@@ -286,26 +265,20 @@ def test_no_word_is_written_into_the_page(width: int) -> None:
         assert [] == await page.value(UNTRANSLATED)
         assert [] == await page.violations()
 
-    on_the_page(test, width, 844, query="?pseudo")
-
 
 @pytest.mark.slow
-def test_texts_that_come_while_a_language_is_chosen_are_in_it() -> None:
+async def test_texts_that_come_while_a_language_is_chosen_are_in_it() -> None:
     """Whichever of both ends first."""
-
-    async def test(page: Browser, _web: WebPublisher) -> None:
+    async with on_the_page() as (page, _):
         for tag, told in (("de", "Nummer des Zyklus"), ("en", "cycle number")):
             await page.value(f"""{LANGUAGE % tag}; document.querySelector("#registers").open = true""")
             await page.until(f'document.querySelector("#words").textContent.includes("{told}")')
 
-    on_the_page(test)
-
 
 @pytest.mark.slow
-def test_a_lost_cell_is_not_shown_as_present() -> None:
+async def test_a_lost_cell_is_not_shown_as_present() -> None:
     """Also where the language is chosen meanwhile."""
-
-    async def test(page: Browser, web: WebPublisher) -> None:
+    async with on_the_page() as (page, web):
         await page.value(LANGUAGE % "de")
         await page.until('document.documentElement.lang === "de"')
         await web.close()
@@ -314,15 +287,12 @@ def test_a_lost_cell_is_not_shown_as_present() -> None:
         await page.until('document.querySelector("#badge").textContent === "no connection"')
         page.complaints.clear()  # of the connection
 
-    on_the_page(test)
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["leave", "freeze"])
-def test_a_page_that_comes_back_from_the_browsers_memory_is_live_again(way: str) -> None:
+async def test_a_page_that_comes_back_from_the_browsers_memory_is_live_again(way: str) -> None:
     """What stands on it is not shown as present until then; nothing is reloaded."""
-
-    async def test(page: Browser, web: WebPublisher) -> None:
+    async with on_the_page() as (page, web):
         await page.until('document.querySelector("#badge").textContent === "OK"')
         await (leave if way == "leave" else freeze)(page)
         assert "no connection" == await page.value('document.querySelector("#badge").textContent')
@@ -330,16 +300,13 @@ def test_a_page_that_comes_back_from_the_browsers_memory_is_live_again(way: str)
         await (come_back if way == "leave" else thaw)(page)
         await page.until('document.querySelector("#badge").textContent === "no target"')
 
-    on_the_page(test)
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 768, 1400])
-def test_nothing_is_wider_than_the_window(width: int) -> None:
+async def test_nothing_is_wider_than_the_window(width: int) -> None:
     """Neither the page nor the enlarged pictures, which two fingers zoom."""
     overflow = "Math.max(document.documentElement.scrollWidth - innerWidth, 0)"
-
-    async def test(page: Browser, _web: WebPublisher) -> None:
+    async with on_the_page(width, 844) as (page, _):
         await page.value('document.querySelector("#registers").open = true')
         await page.until('document.querySelector("#words tr")')
         assert 0 == await page.value(overflow)
@@ -354,5 +321,3 @@ def test_nothing_is_wider_than_the_window(width: int) -> None:
         await page.pinch("#largeleft", (40.0, 100.0))
         await page.until(f"{BOX}[2] < {whole[2]}")
         assert (await page.value(BOX))[2] == pytest.approx(whole[2] / 2.5, rel=0.05)
-
-    on_the_page(test, width, 844)

@@ -22,7 +22,7 @@ from helpers import structured_text, urscript
 from helpers.goldenkeeper import golden_cell
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.snapshots import make_target, make_transform
-from helpers.waiting import LIMIT_S
+from helpers.waiting import wait_until
 from pymodbus.client import ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 
@@ -35,20 +35,6 @@ from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
 from edged.robot.orientations import Brand, Convention, transform_of
 from edged.robots.formats import render
 from edged.vision.geometry.rigid import rotation_vector
-
-
-def until(condition: Callable[[], Any], what: str) -> Any:
-    """Wait for a true value and return it."""
-    deadline_s = time.monotonic() + LIMIT_S
-    while True:
-        value = condition()
-        if value:
-            return value
-        assert time.monotonic() < deadline_s, f"not in time: {what}"
-        time.sleep(0.002)
-
-
-# --- Python ----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +82,7 @@ def test_the_python_client_drives_every_command(client_module: ModuleType, setti
         LiveCell(settings) as cell,
         client_module.EdgedCell("127.0.0.1", cell.port, **options) as client,
     ):
-        until(lambda: "READY" in client.status()["bits"], "READY")
+        wait_until(lambda: "READY" in client.status()["bits"])
         cell.targets = (make_target(), make_target(x_mm=30.0))
         result = client.locate()
         assert (True, "OK", 10_000, 2) == (result.ok, result.code, result.values["X"], result.values["COUNT"])
@@ -122,7 +108,7 @@ def test_the_python_client_gives_part_after_part(client_module: ModuleType) -> N
     targets = [make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0)]
     targets.insert(1, make_target(reject=Reject.TOLERANCE, x_mm=40.0))
     with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
-        until(lambda: "READY" in client.status()["bits"], "READY")
+        wait_until(lambda: "READY" in client.status()["bits"])
         cell.targets = tuple(targets)
         parts = list(client.parts())
         assert [(10_000, 2), (20_000, 1), (30_000, 0)] == [
@@ -159,7 +145,7 @@ def test_the_python_client_reads_jobs_and_tries_all(client_module: ModuleType) -
     """Their names by number; of all jobs the one whose part agrees best; counters go on."""
     cell = two_kinds()
     with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
-        until(lambda: "READY" in client.status()["bits"], "READY")
+        wait_until(lambda: "READY" in client.status()["bits"])
         assert {1: "job1", 2: "job2"} == client.jobs()
         one, best = client.locate(), client.locate(all_jobs=True)
         assert [(1, 10_000), (2, 20_000)] == [(r.values["JOB"], r.values["X"]) for r in (one, best)]
@@ -174,7 +160,7 @@ def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None
     cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes))
     cell.targets = (make_target(x_mm=10.0), make_target(x_mm=50.0))
     with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
-        until(lambda: "READY" in client.status()["bits"], "READY")
+        wait_until(lambda: "READY" in client.status()["bits"])
         assert 2 == len(list(client.parts()))
         client.narrow(2)
         assert [50_000] == [part.values["X"] for part in client.parts()]
@@ -242,10 +228,10 @@ def test_structured_text_tries_all_jobs() -> None:
 def test_the_python_client_says_where_the_tool_takes_the_part(client_module: ModuleType) -> None:
     """In um and 0.001 degrees; None for a job without grasps, and for a part that is not ok."""
     with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
-        until(lambda: "READY" in client.status()["bits"], "READY")
+        wait_until(lambda: "READY" in client.status()["bits"])
         assert client.locate().grasp is None
     with LiveCell().pick(GRASPS) as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
-        until(lambda: "READY" in client.status()["bits"], "READY")
+        wait_until(lambda: "READY" in client.status()["bits"])
         result = client.locate()
         tool = cell.targets[0].rig_from_part @ PART_FROM_TCP
         assert [round(x * 1000) for x in tool[:3, 3]] == [result.grasp[axis] for axis in "XYZ"]
@@ -259,7 +245,7 @@ def test_the_python_client_reads_offsets(client_module: ModuleType) -> None:
     cell = LiveCell()
     golden_cell(cell)
     with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
-        until(lambda: "READY" in client.status()["bits"], "READY")
+        wait_until(lambda: "READY" in client.status()["bits"])
         assert client.offset(client.locate()) is None
         assert ("KEPT", False) == ((kept := client.golden()).code, kept.ok)
         assert client.offset(kept) is None
@@ -277,7 +263,7 @@ def test_the_python_client_ends_in_time(client_module: ModuleType) -> None:
         cell.slow_s = 0.6
         with pytest.raises(client_module.CommandRefused, match="TIMEOUT"):
             client.locate(timeout_s=0.1)
-        until(lambda: "READY" in client.status()["bits"] and not client.status()["OPEN_COMMANDS"], "idle")
+        wait_until(lambda: "READY" in client.status()["bits"] and not client.status()["OPEN_COMMANDS"])
         time.sleep(0.6)
         assert not client.latest().ok
 
@@ -310,7 +296,7 @@ def test_the_python_client_does_not_move_a_robot_by_what_no_robot_may_use(
     with cell:
         for options, ok in (({}, False), (allowed, True)):
             with client_module.EdgedCell("127.0.0.1", cell.port, **options) as client:
-                until(lambda client=client: "READY" in client.status()["bits"], "READY")
+                wait_until(lambda client=client: "READY" in client.status()["bits"])
                 result = client.locate()
                 assert ("OK", 10_000, ok) == (result.code, result.values["X"], result.ok)
 
@@ -364,7 +350,7 @@ def test_the_python_client_runs_on_pymodbus_of_before_3_10(monkeypatch: pytest.M
         LiveCell(ModbusSettings(port=0, unit_id=7)) as cell,
         module.EdgedCell("127.0.0.1", cell.port, unit_id=7) as client,
     ):
-        until(lambda: "READY" in client.status()["bits"], "READY")
+        wait_until(lambda: "READY" in client.status()["bits"])
         assert client.locate().ok
 
 
@@ -749,10 +735,8 @@ def test_structured_text_gives_way_to_another_clients_command() -> None:
         assert other.connect()
         try:
             command = [1, 0, 500, 0, 0, int(Option.ONCE)]
-            until(lambda: not other.write_registers(ADDRESS["COMMAND"], command).isError(), "its turn")
-            until(
-                lambda: 500 == other.read_holding_registers(ADDRESS["DONE_SEQ"], count=1).registers[0], "it"
-            )
+            wait_until(lambda: not other.write_registers(ADDRESS["COMMAND"], command).isError())
+            wait_until(lambda: 500 == other.read_holding_registers(ADDRESS["DONE_SEQ"], count=1).registers[0])
         finally:
             other.close()
         plc.scan()

@@ -11,7 +11,6 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from helpers.scriptedhead import Ear
 from helpers.waiting import WHOLE_S
 from helpers.webcell import Cell, running
 
@@ -81,7 +80,7 @@ def beside(kind: str, connections: int) -> tuple[int, int]:
     """Commands that a PLC has answered, and floods that were closed; who has logged in can still look."""
 
     async def bounded() -> tuple[int, int]:
-        async with asyncio.timeout(WHOLE_S), running(Ear(), True, modbus=ModbusSettings(port=0)) as cell:
+        async with asyncio.timeout(WHOLE_S), running(modbus=ModbusSettings(port=0)) as cell:
             assert cell.modbus is not None
             sessions = list[dict[str, str]]()
             for _ in range(TABS // OF_SESSION):

@@ -5,16 +5,15 @@ from __future__ import annotations
 import dataclasses
 import random
 import socket
-import time
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+from helpers.linerobot import ready
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.snapshots import make_target
-from helpers.waiting import LIMIT_S
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.picking import Bounds, Box
@@ -53,10 +52,7 @@ class Robot:
 @contextmanager
 def connected(cell: LiveCell, brand: Brand = Brand.KUKA) -> Iterator[Robot]:
     """A robot on the socket of a cell that is ready."""
-    deadline_s = time.monotonic() + LIMIT_S
-    while not cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
+    ready(cell)
     robot = Robot(cell.server.line_port, brand)
     try:
         yield robot

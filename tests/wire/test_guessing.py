@@ -11,7 +11,7 @@ import aiohttp
 import pytest
 from helpers.browsersession import PASSWORD, BrowserSession
 from helpers.waiting import LIMIT_S, until
-from helpers.webcell import Cell, run
+from helpers.webcell import Cell, running
 
 import edged.identity.access
 from edged.adapters.web import server
@@ -38,7 +38,7 @@ async def attempt(browser: BrowserSession, name: str, password: str) -> int:
 
 
 @pytest.mark.slow
-def test_an_own_password_buys_no_guesses_at_that_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_own_password_buys_no_guesses_at_that_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four wrong ones, one's own, and again: two dozen guesses an hour, not thousands."""
     guesses = list[str]()
     is_password = edged.identity.access.is_password
@@ -49,23 +49,19 @@ def test_an_own_password_buys_no_guesses_at_that_of_another(monkeypatch: pytest.
 
     monkeypatch.setattr("edged.identity.access.is_password", counted)
     monkeypatch.setattr(server, "REQUESTS_AT_ONCE", 10_000)  # an hour passes here in seconds
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         for turn in range(int(HOUR_S / STEP_S)):
             for _ in range(4):
                 await attempt(cell, "Anna", f"guess {turn}")
             await attempt(cell, "Vera", PASSWORD)
             cell.sleep(STEP_S)
-
-    run(test)
     assert 5 <= len(guesses) <= 24
 
 
 @pytest.mark.slow
-def test_one_account_is_not_guessed_at_from_many_addresses() -> None:
+async def test_one_account_is_not_guessed_at_from_many_addresses() -> None:
     """After twenty it waits, wherever they come from; where its owner came in before, they come in now."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Anna")
         statuses = list[int]()
         for n in range(2, 32):
@@ -78,10 +74,8 @@ def test_one_account_is_not_guessed_at_from_many_addresses() -> None:
             assert 429 == await attempt(stranger, "Anna", PASSWORD)
         assert 303 == await attempt(cell, "Anna", PASSWORD)
 
-    run(test)
 
-
-def test_nobody_waits_behind_one_who_floods_the_log_in(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_nobody_waits_behind_one_who_floods_the_log_in(monkeypatch: pytest.MonkeyPatch) -> None:
     """While one address asks again and again, another is next, and the flooder has one place in the queue."""
     looked_at = list[str]()
     may_go_on = threading.Semaphore(0)
@@ -91,7 +85,7 @@ def test_nobody_waits_behind_one_who_floods_the_log_in(monkeypatch: pytest.Monke
         assert may_go_on.acquire(timeout=LIMIT_S)
         return password == PASSWORD
 
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         monkeypatch.setattr("edged.identity.access.is_password", slow)
         async with somebody_at(cell, "127.0.0.9") as flooder, somebody_at(cell, "127.0.0.7") as other:
             flood = [asyncio.create_task(attempt(flooder, "Anna", f"guess {n}")) for n in range(4)]
@@ -108,13 +102,10 @@ def test_nobody_waits_behind_one_who_floods_the_log_in(monkeypatch: pytest.Monke
             assert [303, 303, 429, 429] == sorted([await task for task in flood])
         assert PASSWORD == looked_at[1]
 
-    run(test)
 
-
-def test_sessions_with_the_pages_password_displace_nobody() -> None:
+async def test_sessions_with_the_pages_password_displace_nobody() -> None:
     """Seventy of them end no engineer's; of one address eight stay."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Anna")
         anna = cell.cookies()
         seen = list[dict[str, str]]()
@@ -130,13 +121,10 @@ def test_sessions_with_the_pages_password_displace_nobody() -> None:
             open_still += (await cell.ask("GET", "/api/v1/me"))[0] == 200
         assert 8 == open_still
 
-    run(test)
 
-
-def test_a_persons_ninth_session_ends_their_own_first() -> None:
+async def test_a_persons_ninth_session_ends_their_own_first() -> None:
     """And no other person's."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Ben")
         ben = cell.cookies()
         seen = list[dict[str, str]]()
@@ -149,5 +137,3 @@ def test_a_persons_ninth_session_ends_their_own_first() -> None:
             cell.use(cookies)
             statuses.append((await cell.ask("GET", "/api/v1/me"))[0])
         assert [200, 401] + [200] * 8 == statuses
-
-    run(test)

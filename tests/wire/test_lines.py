@@ -16,12 +16,12 @@ import pytest
 from helpers.linerobot import Robot, connected, ready
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
 from helpers.snapshots import make_target
-from helpers.waiting import LIMIT_S
+from helpers.waiting import wait_until
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymodbus.client import ModbusTcpClient
 
-from edged.adapters.modbus import LineSettings, ModbusSettings, lines
+from edged.adapters.modbus import LineSettings, ModbusSettings, lineserver
 from edged.adapters.modbus.lines import parse
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
@@ -37,10 +37,7 @@ KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
 
 def until_free(plc: ModbusTcpClient) -> None:
     """Write BOX 2 as soon as no other client has the turn, and give the turn up."""
-    deadline_s = time.monotonic() + LIMIT_S
-    while plc.write_register(reg.ADDRESS["BOX"], 2).isError():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    wait_until(lambda: not plc.write_register(reg.ADDRESS["BOX"], 2).isError())
     assert not plc.write_register(reg.ADDRESS["OPTIONS"], Option.RELEASE).isError()
 
 
@@ -220,10 +217,7 @@ def test_a_robots_line_leaves_alone_what_a_plc_wrote() -> None:
         assert [0, 0] == [robot.ask(f"{2 + lock},AUTO_LOCK,{lock}")[1] for lock in (0, 1)]
         assert [1, 0] == plc.read_holding_registers(reg.ADDRESS["AUTO_LOCK"], count=2).registers
         robot.socket.shutdown(socket.SHUT_RDWR)
-        deadline_s = time.monotonic() + LIMIT_S
-        while plc.read_holding_registers(reg.ADDRESS["AUTO_LOCK"], count=1).registers != [0]:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        wait_until(lambda: [0] == plc.read_holding_registers(reg.ADDRESS["AUTO_LOCK"], count=1).registers)
         plc.close()
 
 
@@ -446,7 +440,7 @@ def test_lines_are_told_apart_however_the_network_cuts_them(
 
     async def heard() -> list[bytes]:
         reader = asyncio.StreamReader()
-        messages, found = lines.Messages(reader), []
+        messages, found = lineserver.Messages(reader), []
         for piece in pieces:
             reader.feed_data(piece)
         reader.feed_eof()
@@ -541,7 +535,7 @@ def test_a_robot_that_may_command_makes_a_stranger_go() -> None:
 
 def test_the_robot_that_is_silent_longest_makes_room_for_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     """Eight that lost their power lock nobody out: its own first, then anybody's; one that talks stays."""
-    monkeypatch.setattr(lines, "SILENT_S", 0.3)
+    monkeypatch.setattr(lineserver, "SILENT_S", 0.3)
     with LiveCell(dataclasses.replace(KUKA, owner_s=0.3)) as cell, contextlib.ExitStack() as ends:
 
         def connect(host: str) -> Robot:
@@ -569,7 +563,7 @@ def test_the_robot_that_is_silent_longest_makes_room_for_the_next(monkeypatch: p
 
 def test_no_stranger_makes_a_robot_go(monkeypatch: pytest.MonkeyPatch) -> None:
     """However long the robots are silent; of strangers who is silent longest makes room for the next."""
-    monkeypatch.setattr(lines, "SILENT_S", 0.0)
+    monkeypatch.setattr(lineserver, "SILENT_S", 0.0)
     changed = dataclasses.replace(KUKA, owner_s=0.0, writers=(ip_network("127.0.0.9/32"),))
     with LiveCell(changed) as cell, contextlib.ExitStack() as ends:
 
@@ -592,7 +586,7 @@ def test_no_stranger_makes_a_robot_go(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_a_robot_that_waits_for_its_picture_is_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its command is under way: seven others make room before it does."""
-    monkeypatch.setattr(lines, "SILENT_S", 0.1)
+    monkeypatch.setattr(lineserver, "SILENT_S", 0.1)
     with LiveCell(dataclasses.replace(KUKA, owner_s=0.1)) as cell, contextlib.ExitStack() as ends:
         ready(cell)
         robots = [Robot(cell.server.line_port) for _ in range(8)]

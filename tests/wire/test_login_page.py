@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import shutil
 
 import pytest
-from helpers.browser import Browser, browser
+from helpers.browser import browser
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import Ear
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, log_in
-from helpers.waiting import WHOLE_S
-from helpers.webcell import Cell, run, running
+from helpers.webcell import Cell, running
 
 from edged.adapters.web.assets import read_assets
 from edged.identity.invite import Invite
@@ -31,12 +28,11 @@ PROBLEM = (
 )
 
 
-def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_best() -> None:
+async def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_best() -> None:
     """On this device, then in the browser's order, whatever the region; English for all other languages, and
     for headers that are none. It needs no script.
     """
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         for liked, chosen, expected in (
             ("de-CH, de;q=0.9, en;q=0.8", "", "de"),
             ("en-GB,en;q=0.9,de;q=0.8", "", "en"),
@@ -59,8 +55,6 @@ def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_best() ->
                 assert f'<html lang="{expected}">' in text, sent
                 assert (expected == "de") == (german in text), sent
                 assert "<script" not in text
-
-    run(test)
 
 
 @pytest.mark.slow
@@ -87,7 +81,7 @@ def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_best() ->
         ),
     ],
 )
-def test_what_went_wrong_is_said(
+async def test_what_went_wrong_is_said(
     tag: str, wrong: str, differ: str, short: str, code: str, wait: str, storage: str
 ) -> None:
     """On the form, which can be filled in again; nothing of it before. Where to go afterwards is kept."""
@@ -103,7 +97,7 @@ def test_what_went_wrong_is_said(
             assert 'name="password"' in text
             return answer.status, told[1] if told else "", answer.url.path_qs
 
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         guess = {"name": "Anna", "password": "guess"}
         for path, form, status, expected, place in (
             ("/login", None, 200, "", "/login"),
@@ -120,14 +114,10 @@ def test_what_went_wrong_is_said(
             assert (status, place) == (found, at)
             assert bool(expected) == bool(told)
             assert re.search(expected, told)
-
-    async def without_users(cell: Cell) -> None:
+    async with running(users=None) as cell:
         status, told, _ = await problem(cell, "/invite", {**NEW, "code": Invite(cell.state).make()})
         assert 500 == status
         assert re.search(storage, told)
-
-    run(test)
-    run(without_users, users=None)
 
 
 def words(text: str) -> set[str]:
@@ -137,13 +127,13 @@ def words(text: str) -> set[str]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
-def test_they_can_be_read_and_used_by_everybody() -> None:
+async def test_they_can_be_read_and_used_by_everybody() -> None:
     """In every language every word stands in the texts; nothing is cut off or too small for a finger, and axe
     finds nothing, also where something went wrong. The language that is chosen on a page is that of the form
     from then on, in a browser that would like another.
     """
 
-    async def test(page: Browser, cell: Cell) -> None:
+    async with running() as cell, browser() as page:
         agent = await page.value("navigator.userAgent")
         texts = read_assets()
         for tag in ("de", "fr", "ja", "zh", "en"):
@@ -170,9 +160,3 @@ def test_they_can_be_read_and_used_by_everybody() -> None:
         await page.click("header form button")
         await page.until('document.querySelector("#password")')
         assert "de" == await page.value("document.documentElement.lang")
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), running(Ear(), True) as cell, browser() as page:
-            await test(page, cell)
-
-    asyncio.run(bounded())

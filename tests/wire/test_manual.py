@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 from base64 import b64encode
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -14,7 +13,6 @@ import aiohttp
 import pytest
 from helpers.browsersession import browsing
 from helpers.pagesources import FixedSources
-from helpers.waiting import WHOLE_S
 from yarl import URL
 
 from edged.adapters.web import WebPublisher, WebSettings
@@ -61,39 +59,25 @@ async def served(
         await web.close()
 
 
-def run(test: Callable[[], Awaitable[None]]) -> None:
-    """A test's coroutine, bounded."""
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S):
-            await test()
-
-    asyncio.run(bounded())
-
-
-def test_each_file_is_sent_as_what_it_is(built: Path) -> None:
+async def test_each_file_is_sent_as_what_it_is(built: Path) -> None:
     """Content and type, whatever the machine's table of types says; the folder itself is its first page."""
-
-    async def test() -> None:
-        async with served(built) as (_, session):
-            types = {}
-            for name, text in FILES.items():
-                async with session.get(f"/manual/{name}") as answer:
-                    assert (200, text) == (answer.status, await answer.text())
-                    types[Path(name).suffix] = answer.headers["Content-Type"]
-            assert types == {
-                ".html": "text/html; charset=utf-8",
-                ".js": "text/javascript; charset=utf-8",
-                ".svg": "image/svg+xml",
-                ".css": "text/css; charset=utf-8",
-                ".json": "application/json",
-                ".inv": "application/octet-stream",
-            }
-            for path in ("/manual", "/manual/"):
-                async with session.get(path) as answer:
-                    assert ("/manual/", FILES["index.html"]) == (answer.url.path, await answer.text())
-
-    run(test)
+    async with served(built) as (_, session):
+        types = {}
+        for name, text in FILES.items():
+            async with session.get(f"/manual/{name}") as answer:
+                assert (200, text) == (answer.status, await answer.text())
+                types[Path(name).suffix] = answer.headers["Content-Type"]
+        assert types == {
+            ".html": "text/html; charset=utf-8",
+            ".js": "text/javascript; charset=utf-8",
+            ".svg": "image/svg+xml",
+            ".css": "text/css; charset=utf-8",
+            ".json": "application/json",
+            ".inv": "application/octet-stream",
+        }
+        for path in ("/manual", "/manual/"):
+            async with session.get(path) as answer:
+                assert ("/manual/", FILES["index.html"]) == (answer.url.path, await answer.text())
 
 
 @pytest.mark.parametrize(
@@ -112,109 +96,85 @@ def test_each_file_is_sent_as_what_it_is(built: Path) -> None:
         "/manualx",
     ],
 )
-def test_nothing_else_is_sent(built: Path, path: str) -> None:
+async def test_nothing_else_is_sent(built: Path, path: str) -> None:
     """No path leads out of the folder, and no folder is listed; the server goes on."""
-
-    async def test() -> None:
-        async with served(built) as (_, session):
-            async with session.get(URL(path, encoded=True)) as answer:
-                assert 404 == answer.status
-                assert "secret" not in await answer.text()
-            async with session.get("/manual/") as answer:
-                assert 200 == answer.status
-
-    run(test)
+    async with served(built) as (_, session):
+        async with session.get(URL(path, encoded=True)) as answer:
+            assert 404 == answer.status
+            assert "secret" not in await answer.text()
+        async with session.get("/manual/") as answer:
+            assert 200 == answer.status
 
 
-def test_only_what_the_pages_hold_may_run(built: Path) -> None:
+async def test_only_what_the_pages_hold_may_run(built: Path) -> None:
     """Inline scripts by their hashes, no foreign host; the status page keeps its own, stricter policy."""
-
-    async def test() -> None:
-        async with served(built) as (_, session):
-            async with session.get("/manual/") as answer:
-                policy = answer.headers["Content-Security-Policy"]
-                assert "nosniff" == answer.headers["X-Content-Type-Options"]
-            digest = b64encode(sha256(SCRIPT.encode()).digest()).decode()
-            directives = dict(part.strip().split(" ", 1) for part in policy.split(";"))
-            assert f"'self' 'sha256-{digest}'" == directives["script-src"]
-            assert "'none'" == directives["default-src"] == directives["frame-ancestors"]
-            assert not re.search(r"https?:|\*|unsafe-eval", policy)
-            async with session.get("/") as answer:
-                assert "sha256" not in answer.headers["Content-Security-Policy"]
-                assert "unsafe" not in answer.headers["Content-Security-Policy"]
-
-    run(test)
+    async with served(built) as (_, session):
+        async with session.get("/manual/") as answer:
+            policy = answer.headers["Content-Security-Policy"]
+            assert "nosniff" == answer.headers["X-Content-Type-Options"]
+        digest = b64encode(sha256(SCRIPT.encode()).digest()).decode()
+        directives = dict(part.strip().split(" ", 1) for part in policy.split(";"))
+        assert f"'self' 'sha256-{digest}'" == directives["script-src"]
+        assert "'none'" == directives["default-src"] == directives["frame-ancestors"]
+        assert not re.search(r"https?:|\*|unsafe-eval", policy)
+        async with session.get("/") as answer:
+            assert "sha256" not in answer.headers["Content-Security-Policy"]
+            assert "unsafe" not in answer.headers["Content-Security-Policy"]
 
 
-def test_a_browser_asks_before_it_shows_an_old_page(built: Path) -> None:
+async def test_a_browser_asks_before_it_shows_an_old_page(built: Path) -> None:
     """Pages are asked for again, and sent when they changed; a file named by its content is kept."""
-
-    async def test() -> None:
-        async with served(built) as (_, session):
-            async with session.get("/manual/index.html") as answer:
-                assert "private, no-cache" == answer.headers["Cache-Control"]
-                tag = answer.headers["ETag"]
-            async with session.get("/manual/index.html", headers={"If-None-Match": tag}) as answer:
-                assert (304, b"") == (answer.status, await answer.read())
-            (built / "index.html").write_text("another version")
-            async with session.get("/manual/index.html", headers={"If-None-Match": tag}) as answer:
-                assert (200, "another version") == (answer.status, await answer.text())
-            async with session.get("/manual/assets/app.0123abcd.min.js") as answer:
-                assert "immutable" in answer.headers["Cache-Control"]
-            async with session.get("/manual/assets/app.js") as answer:
-                assert "immutable" not in answer.headers["Cache-Control"]
-
-    run(test)
+    async with served(built) as (_, session):
+        async with session.get("/manual/index.html") as answer:
+            assert "private, no-cache" == answer.headers["Cache-Control"]
+            tag = answer.headers["ETag"]
+        async with session.get("/manual/index.html", headers={"If-None-Match": tag}) as answer:
+            assert (304, b"") == (answer.status, await answer.read())
+        (built / "index.html").write_text("another version")
+        async with session.get("/manual/index.html", headers={"If-None-Match": tag}) as answer:
+            assert (200, "another version") == (answer.status, await answer.text())
+        async with session.get("/manual/assets/app.0123abcd.min.js") as answer:
+            assert "immutable" in answer.headers["Cache-Control"]
+        async with session.get("/manual/assets/app.js") as answer:
+            assert "immutable" not in answer.headers["Cache-Control"]
 
 
 @pytest.mark.slow
-def test_it_is_shown_to_whom_the_status_page_is(built: Path) -> None:
+async def test_it_is_shown_to_whom_the_status_page_is(built: Path) -> None:
     """Nothing without the password: a browser is led to the form; nothing for another host's name."""
     password = "correct horse"
-
-    async def test() -> None:
-        async with served(built, hash_password(password)) as (_, session):
-            for name in ("", *FILES, "nowhere.html"):
-                async with session.get(f"/manual/{name}") as answer:
-                    assert 401 == answer.status, name
-                    assert "manual</html>" not in await answer.text()
-            async with session.get("/manual/how-to/plc.html", headers={"Accept": "text/html"}) as answer:
-                assert "/login" == answer.url.path
-            own = {"Origin": str(session._base_url).rstrip("/")}  # noqa: SLF001  (what the browser would send)
-            await (await session.post("/login", data={"password": password}, headers=own)).read()
-            async with session.get("/manual/how-to/plc.html") as answer:
-                assert FILES["how-to/plc.html"] == await answer.text()
-        async with served(built) as (_, session):
-            async with session.get("/manual/", headers={"Host": "evil.example"}) as answer:
-                assert 421 == answer.status
-            async with session.post("/manual/", data=b"x") as answer:
-                assert 405 == answer.status
-
-    run(test)
+    async with served(built, hash_password(password)) as (_, session):
+        for name in ("", *FILES, "nowhere.html"):
+            async with session.get(f"/manual/{name}") as answer:
+                assert 401 == answer.status, name
+                assert "manual</html>" not in await answer.text()
+        async with session.get("/manual/how-to/plc.html", headers={"Accept": "text/html"}) as answer:
+            assert "/login" == answer.url.path
+        own = {"Origin": str(session._base_url).rstrip("/")}  # noqa: SLF001  (what the browser would send)
+        await (await session.post("/login", data={"password": password}, headers=own)).read()
+        async with session.get("/manual/how-to/plc.html") as answer:
+            assert FILES["how-to/plc.html"] == await answer.text()
+    async with served(built) as (_, session):
+        async with session.get("/manual/", headers={"Host": "evil.example"}) as answer:
+            assert 421 == answer.status
+        async with session.post("/manual/", data=b"x") as answer:
+            assert 405 == answer.status
 
 
-def test_where_it_was_not_built_the_page_says_how(tmp_path: Path) -> None:
+async def test_where_it_was_not_built_the_page_says_how(tmp_path: Path) -> None:
     """And shows it as soon as it was built, without a restart."""
-
-    async def test() -> None:
-        async with served(tmp_path / "manual") as (_, session):
-            for path in ("/manual/", "/manual/how-to/plc.html"):
-                async with session.get(path) as answer:
-                    assert 404 == answer.status
-                    assert "tools/manual" in await answer.text()
-            (tmp_path / "manual").mkdir()
-            (tmp_path / "manual" / "index.html").write_text("built")
-            async with session.get("/manual/") as answer:
-                assert (200, "built") == (answer.status, await answer.text())
-
-    run(test)
+    async with served(tmp_path / "manual") as (_, session):
+        for path in ("/manual/", "/manual/how-to/plc.html"):
+            async with session.get(path) as answer:
+                assert 404 == answer.status
+                assert "tools/manual" in await answer.text()
+        (tmp_path / "manual").mkdir()
+        (tmp_path / "manual" / "index.html").write_text("built")
+        async with session.get("/manual/") as answer:
+            assert (200, "built") == (answer.status, await answer.text())
 
 
-def test_the_status_page_leads_to_it(built: Path) -> None:
+async def test_the_status_page_leads_to_it(built: Path) -> None:
     """By a link that works without scripts."""
-
-    async def test() -> None:
-        async with served(built) as (_, session), session.get("/") as answer:
-            assert '<a href="/manual/">' in await answer.text()
-
-    run(test)
+    async with served(built) as (_, session), session.get("/") as answer:
+        assert '<a href="/manual/">' in await answer.text()

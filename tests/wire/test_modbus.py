@@ -17,7 +17,8 @@ import struct
 import termios
 import tty
 from asyncio.sslproto import SSLProtocol
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 from ipaddress import ip_address, ip_network
 from pathlib import Path
@@ -32,7 +33,7 @@ from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKey
 from cryptography.x509.oid import NameOID
 from helpers.certificates import make_certificates
 from helpers.snapshots import make_snapshot
-from helpers.waiting import LIMIT_S, WHOLE_S, until
+from helpers.waiting import LIMIT_S, until
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from rich.console import Console
@@ -76,6 +77,9 @@ class Clock:
         return self.now_s
 
 
+ON_ANY_PORT = ModbusSettings(port=0)
+
+
 class Rig:
     """A running server with its cell, its clock and one pymodbus client."""
 
@@ -107,21 +111,18 @@ class Rig:
         assert not response.isError(), response
 
 
-def serve(test: Callable[[Rig], Coroutine[Any, Any, None]], settings: ModbusSettings | None = None) -> None:
-    """Run a test against a server on a free port."""
-
-    async def run() -> None:
-        rig = Rig(settings or ModbusSettings(port=0))
-        await rig.server.start()
-        rig.client = AsyncModbusTcpClient("127.0.0.1", port=rig.server.port, timeout=LIMIT_S)
-        try:
-            assert await rig.client.connect()
-            await asyncio.wait_for(test(rig), WHOLE_S)
-        finally:
-            rig.client.close()
-            await rig.server.close()
-
-    asyncio.run(run())
+@asynccontextmanager
+async def served(settings: ModbusSettings = ON_ANY_PORT) -> AsyncIterator[Rig]:
+    """A server on a free port, and a client."""
+    rig = Rig(settings)
+    await rig.server.start()
+    rig.client = AsyncModbusTcpClient("127.0.0.1", port=rig.server.port, timeout=LIMIT_S)
+    try:
+        assert await rig.client.connect()
+        yield rig
+    finally:
+        rig.client.close()
+        await rig.server.close()
 
 
 async def raw(rig: Rig) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
@@ -171,10 +172,9 @@ async def ended(reader: asyncio.StreamReader) -> bool:
     [ModbusSettings(port=0), ModbusSettings(port=0, word_order="low", base_address=1000)],
     ids=["default", "low word first, base 1000"],
 )
-def test_a_plc_locates_a_part(settings: ModbusSettings) -> None:
+async def test_a_plc_locates_a_part(settings: ModbusSettings) -> None:
     """Trigger, EXPOSURE_DONE, result with its sequence, acknowledge: VALID only in between."""
-
-    async def test(rig: Rig) -> None:
+    async with served(settings) as rig:
         rig.server.announce(READY)
         assert StatusBit.READY == await rig.bits()
         await rig.command(CommandKind.LOCATE, 0, 41)
@@ -200,13 +200,10 @@ def test_a_plc_locates_a_part(settings: ModbusSettings) -> None:
         assert StatusBit.RESULT_VALID not in await rig.bits()
         assert reg.INT32_MIN == (await rig.block(reg.RESULT))["X"]
 
-    serve(test, settings)
 
-
-def test_who_connects_for_each_request_says_once() -> None:
+async def test_who_connects_for_each_request_says_once() -> None:
     """The first CMD_SEQ of a connection runs nothing, NACK 8; with ONCE in the same request it runs."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         write = struct.pack(">BHHB6H", 16, 100, 6, 12, CommandKind.LOCATE, 0, 5, 0, 0, 0)
         assert 16 == (await ask(rig, write))[0]
         assert [] == rig.cell.commands
@@ -217,30 +214,24 @@ def test_who_connects_for_each_request_says_once() -> None:
         assert [6] == [command.sequence for command in rig.cell.commands]
         assert 0 == (await rig.block(reg.COMMAND))["OPTIONS"]
 
-    serve(test)
 
-
-def test_each_start_of_the_server_has_another_epoch() -> None:
+async def test_each_start_of_the_server_has_another_epoch() -> None:
     """In status and result alike, never 0; and until a client has written CMD_SEQ a warning says so."""
     epochs = []
-
-    async def test(rig: Rig) -> None:
-        status, result = await rig.block(reg.STATUS), await rig.block(reg.RESULT)
-        assert status["START_EPOCH"] == result["START_EPOCH"] != 0
-        assert reg.Warn.UNSYNCHRONISED == status["WARNING"]
-        await rig.client.write_register(102, 0)
-        assert 0 == (await rig.block(reg.STATUS))["WARNING"]
-        epochs.append(status["START_EPOCH"])
-
     for _ in range(3):
-        serve(test)
+        async with served() as rig:
+            status, result = await rig.block(reg.STATUS), await rig.block(reg.RESULT)
+            assert status["START_EPOCH"] == result["START_EPOCH"] != 0
+            assert reg.Warn.UNSYNCHRONISED == status["WARNING"]
+            await rig.client.write_register(102, 0)
+            assert 0 == (await rig.block(reg.STATUS))["WARNING"]
+            epochs.append(status["START_EPOCH"])
     assert 3 == len(set(epochs))
 
 
-def test_a_result_grows_old() -> None:
+async def test_a_result_grows_old() -> None:
     """Two seconds after its exposure a result is neither valid nor readable; its age goes on."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         rig.server.announce(make_snapshot(3))  # exposed 50 ms before it was published
         rig.clock.now_s += 1.9
         assert StatusBit.RESULT_VALID in await rig.bits()
@@ -250,13 +241,10 @@ def test_a_result_grows_old() -> None:
         for block, name in ((reg.RESULT, "X"), (reg.UR, "UR_X"), (reg.TABLE[0], "T0_X")):
             assert reg.INT32_MIN == (await rig.block(block))[name]
 
-    serve(test)
 
-
-def test_a_dead_camera_shows() -> None:
+async def test_a_dead_camera_shows() -> None:
     """CAPTURE_FAULT replaces the free-running result; CAM_FAULT and its number are up."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         rig.server.announce(make_snapshot(3))
         assert StatusBit.RESULT_VALID in await rig.bits()
         rig.server.announce(make_snapshot(4, status=Status.CAPTURE_FAULT))
@@ -268,13 +256,10 @@ def test_a_dead_camera_shows() -> None:
         result = await rig.block(reg.RESULT)
         assert (reg.ResultCode.CAPTURE_FAULT, reg.INT32_MIN) == (result["RESULT"], result["X"])
 
-    serve(test)
 
-
-def test_commands_that_are_refused_or_unknown_end_in_nack() -> None:
+async def test_commands_that_are_refused_or_unknown_end_in_nack() -> None:
     """The write itself succeeds, NACK and NACK_REASON say why nothing happens."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         rig.cell.refuses = True
         await rig.command(CommandKind.CHANGE_JOB, 77, 1)
         status = await rig.block(reg.STATUS)
@@ -284,13 +269,10 @@ def test_commands_that_are_refused_or_unknown_end_in_nack() -> None:
         assert (2, 1) == (status["DONE_SEQ"], status["NACK_REASON"])
         assert StatusBit.NACK in await rig.bits()
 
-    serve(test)
 
-
-def test_job_change_and_grab_are_acknowledged_without_a_result() -> None:
+async def test_job_change_and_grab_are_acknowledged_without_a_result() -> None:
     """ACK says "prepared", or "the picture was taken"; neither makes coordinates."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         await rig.command(CommandKind.CHANGE_JOB, 2, 1)
         rig.server.announce(JobChanged(2, "lid", rig.cell.commands[0]))
         assert StatusBit.ACK in await rig.bits()
@@ -302,13 +284,10 @@ def test_job_change_and_grab_are_acknowledged_without_a_result() -> None:
         assert not bits & (StatusBit.RESULT_VALID | StatusBit.NOK)
         assert reg.ResultCode.GRABBED == (await rig.block(reg.RESULT))["RESULT"]
 
-    serve(test)
 
-
-def test_verify_answers_ok_and_gives_no_coordinates() -> None:
+async def test_verify_answers_ok_and_gives_no_coordinates() -> None:
     """VERIFY of a good part: ACK and OK, RESULT_VALID stays down; of none: ACK and NOK."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         await rig.command(CommandKind.VERIFY, 0, 1)
         rig.server.announce(make_snapshot(1, command=rig.cell.commands[0]))
         bits = await rig.bits()
@@ -323,13 +302,11 @@ def test_verify_answers_ok_and_gives_no_coordinates() -> None:
         assert StatusBit.ACK | StatusBit.NOK in await rig.bits()
         assert StatusBit.OK not in await rig.bits()
 
-    serve(test)
 
-
-def test_one_client_writes_the_other_gets_an_exception_until_the_first_has_gone() -> None:
+async def test_one_client_writes_the_other_gets_an_exception_until_the_first_has_gone() -> None:
     """DEVICE BUSY while another holds the right; the end of its connection passes it on."""
+    async with served() as rig:
 
-    async def test(rig: Rig) -> None:
         async def claim() -> bytes:
             return await ask(rig, struct.pack(">BHH", 6, 104, 1))
 
@@ -340,13 +317,10 @@ def test_one_client_writes_the_other_gets_an_exception_until_the_first_has_gone(
         assert 0 == (await rig.block(reg.COMMAND))["OPTIONS"]
         assert not (await rig.client.write_register(104, 0)).isError()
 
-    serve(test)
 
-
-def test_one_read_is_never_half_of_two_results() -> None:
+async def test_one_read_is_never_half_of_two_results() -> None:
     """Results change between requests while a client reads: head, tail, CRC and X always belong together."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         for cycle in range(1, 150):
             reads = [rig.client.read_holding_registers(300, count=48) for _ in range(3)]
             tasks = [asyncio.create_task(read) for read in reads]
@@ -358,16 +332,13 @@ def test_one_read_is_never_half_of_two_results() -> None:
                 assert crc16(data[:92]) == words[46]
                 assert words[0] == words[47] == struct.unpack(">I", data[76:80])[0]
 
-    serve(test)
-
 
 # --- function codes and exceptions -------------------------------------------------------------
 
 
-def test_both_tables_and_bits_show_the_same_words() -> None:
+async def test_both_tables_and_bits_show_the_same_words() -> None:
     """FC3 and FC4 read the same; FC1 and FC2 read the bits of register r at 16 r; FC23 writes and reads."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         rig.server.announce(READY)
         rig.server.announce(make_snapshot(1))
         holding = (await rig.client.read_holding_registers(300, count=48)).registers
@@ -378,8 +349,6 @@ def test_both_tables_and_bits_show_the_same_words() -> None:
             assert bits == sum(1 << i for i, bit in enumerate(seen) if bit)
         both = await rig.client.readwrite_registers(read_address=104, read_count=1, address=104, values=[17])
         assert [17] == both.registers
-
-    serve(test)
 
 
 EXCEPTIONS = {
@@ -411,42 +380,33 @@ EXCEPTIONS = {
 
 
 @pytest.mark.parametrize("case", EXCEPTIONS)
-def test_a_wrong_request_gets_the_right_exception(case: str) -> None:
+async def test_a_wrong_request_gets_the_right_exception(case: str) -> None:
     """Function code with its high bit, the code of the specification, and the connection goes on."""
     pdu, code = EXCEPTIONS[case]
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         assert bytes((pdu[0] | 0x80, code)) == await ask(rig, pdu)
 
-    serve(test)
 
-
-def test_a_refused_fc23_writes_nothing() -> None:
+async def test_a_refused_fc23_writes_nothing() -> None:
     """Its read lies in a gap: the write is not carried out either."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         assert bytes((0x97, 2)) == await ask(rig, struct.pack(">BHHHHBH", 23, 50, 1, 104, 1, 2, 9))
         assert 0 == (await rig.block(reg.COMMAND))["CLIENT_HEARTBEAT"]
 
-    serve(test)
 
-
-def test_unit_ids() -> None:
+async def test_unit_ids() -> None:
     """The own unit, 0 and 255 are this device; another one is a gateway target that does not respond."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         read = struct.pack(">BHH", 3, 0, 1)
         for unit in (1, 0, 255):
             assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await ask(rig, read, unit)
         assert bytes((0x83, 0x0B)) == await ask(rig, read, 17)
 
-    serve(test)
 
-
-def test_a_peer_cannot_flood_the_log(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_peer_cannot_flood_the_log(caplog: pytest.LogCaptureFixture) -> None:
     """200 refused commands, 50 strangers: one line each; the next line says how many were held back."""
 
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         rig.cell.refuses = True
         for sequence in range(1, 201):
             await rig.command(CommandKind.LOCATE, 0, sequence)
@@ -455,8 +415,6 @@ def test_a_peer_cannot_flood_the_log(caplog: pytest.LogCaptureFixture) -> None:
             writer.write(b"GET / HTTP/1.1\r\n\r\n")
             assert await ended(reader)
             writer.close()
-
-    serve(test)
     assert 2 == len([record for record in caplog.records if record.name.startswith("edged.adapters.modbus")])
     now_s = 0.0
     limit = LogLimit("edged.test", clock_s=lambda: now_s)
@@ -467,10 +425,9 @@ def test_a_peer_cannot_flood_the_log(caplog: pytest.LogCaptureFixture) -> None:
     assert caplog.messages[-2:] == ["flood", "flood (2 more lines like this were held back)"]
 
 
-def test_device_identification() -> None:
+async def test_device_identification() -> None:
     """FC43/14 as pymodbus asks for it, whole and object by object."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         basic = await rig.client.execute(False, ReadDeviceInformationRequest(read_code=1, object_id=0))
         assert {0, 1, 2} == set(basic.information)
         assert b"edged" == basic.information[0]
@@ -479,16 +436,13 @@ def test_device_identification() -> None:
         assert bytes((0xAB, 2)) == await ask(rig, bytes((0x2B, 0x0E, 4, 0x7F)))
         assert bytes((0xAB, 3)) == await ask(rig, bytes((0x2B, 0x0E, 9, 0)))
 
-    serve(test)
-
 
 # --- connections -----------------------------------------------------------------------------------
 
 
-def test_pipelined_requests_all_get_their_answer_in_order() -> None:
+async def test_pipelined_requests_all_get_their_answer_in_order() -> None:
     """100 requests in one segment, the last one cut in two."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         reader, writer = await raw(rig)
         data = b"".join(frame(struct.pack(">BHH", 3, 0, 1), i) for i in range(1, 101))
         writer.write(data[:-5])
@@ -498,8 +452,6 @@ def test_pipelined_requests_all_get_their_answer_in_order() -> None:
         await response(reader, 100)
         writer.close()
         await writer.wait_closed()
-
-    serve(test)
 
 
 @pytest.mark.parametrize(
@@ -513,23 +465,19 @@ def test_pipelined_requests_all_get_their_answer_in_order() -> None:
     ],
     ids=["protocol id", "no function", "length 0", "length 255", "a browser"],
 )
-def test_lost_framing_closes_the_connection(data: bytes) -> None:
+async def test_lost_framing_closes_the_connection(data: bytes) -> None:
     """What follows a header that cannot be right would be guesswork."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         reader, writer = await raw(rig)
         writer.write(data)
         assert await ended(reader)
         writer.close()
         assert not (await rig.client.read_holding_registers(0, count=1)).isError()
 
-    serve(test)
 
-
-def test_hostile_frames_leave_no_trace() -> None:
+async def test_hostile_frames_leave_no_trace() -> None:
     """3,000 random and mutated frames on 30 connections: a good client is served, nobody stays connected."""
-
-    async def test(rig: Rig) -> None:
+    async with served(ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),))) as rig:
         dice = random.Random(5)
         good = [pdu for pdu, _ in EXCEPTIONS.values()] + [struct.pack(">BHH", 3, 300, 48)]
         for _ in range(30):
@@ -549,30 +497,24 @@ def test_hostile_frames_leave_no_trace() -> None:
             assert not (await rig.client.read_holding_registers(300, count=48)).isError()
         assert 1 == (await rig.block(reg.STATUS))["CLIENTS"]
 
-    serve(test, ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),)))
 
-
-def test_who_may_not_write_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
+async def test_who_may_not_write_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
     """Exception 1 for each write, from every connection; one line of the log, with a field to search for."""
-
-    async def test(rig: Rig) -> None:
+    async with served(ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),))) as rig:
         for write in (rig.client.write_registers(100, [1, 0, 1]), rig.client.write_register(102, 1)):
             answer = await write
             assert 1 == answer.exception_code
         assert not (await rig.client.read_holding_registers(300, count=48)).isError()
         assert ("127.0.0.1",) == rig.server.refused_writers
-
-    serve(test, ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),)))
     (line,) = [record for record in caplog.records if "refused" in record.message]
     assert "127.0.0.1 wrote and was refused with exception 1: it is not in modbus.writers" in line.message
     assert {"refused_writer": "127.0.0.1"} == fields_of(line)
 
 
 @pytest.mark.slow
-def test_a_client_that_does_not_read_is_not_answered_for_ever() -> None:
+async def test_a_client_that_does_not_read_is_not_answered_for_ever() -> None:
     """Back-pressure: it cannot make the server buffer its answers; others are served meanwhile."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         with socket.create_connection(("127.0.0.1", rig.server.port)) as lazy:
             lazy.setblocking(False)
             request = frame(struct.pack(">BHH", 3, 600, 120)) * 50
@@ -584,25 +526,19 @@ def test_a_client_that_does_not_read_is_not_answered_for_ever() -> None:
                     await asyncio.wait_for(loop.sock_sendall(lazy, request), 1.0)
             assert not (await rig.client.read_holding_registers(300, count=48)).isError()
 
-    serve(test)
 
-
-def test_idle_and_dribbling_connections_are_closed() -> None:
+async def test_idle_and_dribbling_connections_are_closed() -> None:
     """A connection that completes no request in the time is closed, even if bytes come."""
-
-    async def test(rig: Rig) -> None:
+    async with served(ModbusSettings(port=0, idle_s=0.2)) as rig:
         reader, writer = await raw(rig)
         writer.write(b"\0")
         assert await ended(reader)
         writer.close()
 
-    serve(test, ModbusSettings(port=0, idle_s=0.2))
 
-
-def test_too_many_clients_are_closed_at_once() -> None:
+async def test_too_many_clients_are_closed_at_once() -> None:
     """The third of two connections ends; the others go on."""
-
-    async def test(rig: Rig) -> None:
+    async with served(ModbusSettings(port=0, max_clients=2)) as rig:
         _, second = await raw(rig)
         reader, third = await raw(rig)
         assert await ended(reader)
@@ -610,14 +546,11 @@ def test_too_many_clients_are_closed_at_once() -> None:
         for writer in (second, third):
             writer.close()
 
-    serve(test, ModbusSettings(port=0, max_clients=2))
 
-
-def test_a_plc_that_lost_its_power_gets_in_again(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_plc_that_lost_its_power_gets_in_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its own dead connections take all places: one that was silent makes room, an active one never."""
     monkeypatch.setattr(tcp, "SILENT_S", 0.3)
-
-    async def test(rig: Rig) -> None:
+    async with served(ModbusSettings(port=0, max_clients=2)) as rig:
         dead_reader, dead = await raw(rig)
         async with asyncio.timeout(LIMIT_S):
             while True:
@@ -632,13 +565,10 @@ def test_a_plc_that_lost_its_power_gets_in_again(monkeypatch: pytest.MonkeyPatch
         for one in (dead, writer):
             one.close()
 
-    serve(test, ModbusSettings(port=0, max_clients=2))
 
-
-def test_connections_are_kept_for_the_plc_that_has_reserved_them() -> None:
+async def test_connections_are_kept_for_the_plc_that_has_reserved_them() -> None:
     """Two of three places are kept for 127.0.0.9: 127.0.0.1 gets one, 127.0.0.9 both of its own."""
-
-    async def test(rig: Rig) -> None:
+    async with served(ModbusSettings(port=0, max_clients=3, reserved={ip_address("127.0.0.9"): 2})) as rig:
         reader, second = await raw(rig)
         assert await ended(reader)
         plc = [
@@ -653,41 +583,30 @@ def test_connections_are_kept_for_the_plc_that_has_reserved_them() -> None:
         for writer in (second, *(writer for _, writer in plc)):
             writer.close()
 
-    serve(test, ModbusSettings(port=0, max_clients=3, reserved={ip_address("127.0.0.9"): 2}))
 
-
-def test_networks_that_may_not_connect_or_not_write() -> None:
+async def test_networks_that_may_not_connect_or_not_write() -> None:
     """A stranger is closed when there is a list of readers; who is no writer gets "illegal function"."""
 
-    async def read_only(rig: Rig) -> None:
+    async with served(ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),))) as rig:
         assert bytes((0x86, 1)) == await ask(rig, struct.pack(">BHH", 6, 102, 1))
         assert [] == rig.cell.commands
         assert 5 == len(await ask(rig, struct.pack(">BHH", 3, 0, 1))) + 1
-
-    serve(read_only, ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),)))
-
-    async def closed() -> None:
-        lan = (ip_network("10.0.0.0/8"),)
-        server = ModbusPublisher(ModbusSettings(port=0, readers=lan, writers=lan), Cell())
-        await server.start()
-        reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
-        assert await ended(reader)
-        writer.close()
-        await server.close()
-
-    asyncio.run(closed())
+    lan = (ip_network("10.0.0.0/8"),)
+    server = ModbusPublisher(ModbusSettings(port=0, readers=lan, writers=lan), Cell())
+    await server.start()
+    reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+    assert await ended(reader)
+    writer.close()
+    await server.close()
 
 
-def test_a_port_in_use_is_named() -> None:
+async def test_a_port_in_use_is_named() -> None:
     """`ListenError` says which port and how to find out who has it."""
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         second = ModbusPublisher(ModbusSettings(port=rig.server.port), Cell())
         with pytest.raises(ListenError, match=f"127.0.0.1:{rig.server.port}: the port is in use"):
             await second.start()
         await second.close()
-
-    serve(test)
 
 
 # --- RTU -------------------------------------------------------------------------------------------
@@ -747,91 +666,79 @@ def test_frames_that_arrive_together_are_told_apart() -> None:
     assert [] == split_frames(b"")
 
 
-def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Path) -> None:
+async def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Path) -> None:
     """Foreign ids and damaged frames: silence. Broadcast: carried out in silence. Unplugged: reopened."""
-
-    async def run() -> None:
+    line = Line(tmp_path / "line")
+    cell = Cell()
+    settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.05)
+    server = ModbusPublisher(ModbusSettings(port=0, serial=settings), cell)
+    await server.start()
+    try:
+        assert MAGIC_ANSWER == await rtu_answer(line, rtu_frame(1, READ_MAGIC), 7)
+        # whatever was answered to these would come before the answer to the last one
+        damaged = bytearray(rtu_frame(1, READ_MAGIC))
+        damaged[3] ^= 1
+        broadcast = rtu_frame(0, struct.pack(">BHHB6H", 16, 100, 6, 12, 1, 0, 5, 0, 0, reg.Option.ONCE))
+        for data in (rtu_frame(9, READ_MAGIC), bytes(damaged), broadcast):
+            os.write(line.master, data)
+            await asyncio.sleep(0.06)
+        assert MAGIC_ANSWER == await rtu_answer(line, rtu_frame(1, READ_MAGIC), 7)
+        assert [5] == [command.sequence for command in cell.commands]
+        line.unplug()
+        await asyncio.sleep(0.2)
         line = Line(tmp_path / "line")
-        cell = Cell()
-        settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.05)
-        server = ModbusPublisher(ModbusSettings(port=0, serial=settings), cell)
-        await server.start()
-        try:
-            assert MAGIC_ANSWER == await rtu_answer(line, rtu_frame(1, READ_MAGIC), 7)
-            # whatever was answered to these would come before the answer to the last one
-            damaged = bytearray(rtu_frame(1, READ_MAGIC))
-            damaged[3] ^= 1
-            broadcast = rtu_frame(0, struct.pack(">BHHB6H", 16, 100, 6, 12, 1, 0, 5, 0, 0, reg.Option.ONCE))
-            for data in (rtu_frame(9, READ_MAGIC), bytes(damaged), broadcast):
-                os.write(line.master, data)
-                await asyncio.sleep(0.06)
-            assert MAGIC_ANSWER == await rtu_answer(line, rtu_frame(1, READ_MAGIC), 7)
-            assert [5] == [command.sequence for command in cell.commands]
-            line.unplug()
-            await asyncio.sleep(0.2)
-            line = Line(tmp_path / "line")
-            async with asyncio.timeout(LIMIT_S):
-                while True:  # the server looks for the device every 50 ms
-                    try:
-                        answer = await asyncio.wait_for(rtu_answer(line, rtu_frame(1, READ_MAGIC), 7), 0.3)
-                        break
-                    except TimeoutError:
-                        continue
-            assert answer.endswith(MAGIC_ANSWER)
-        finally:
-            await server.close()
-            line.unplug()
-
-    asyncio.run(run())
+        async with asyncio.timeout(LIMIT_S):
+            while True:  # the server looks for the device every 50 ms
+                try:
+                    answer = await asyncio.wait_for(rtu_answer(line, rtu_frame(1, READ_MAGIC), 7), 0.3)
+                    break
+                except TimeoutError:
+                    continue
+        assert answer.endswith(MAGIC_ANSWER)
+    finally:
+        await server.close()
+        line.unplug()
 
 
-def test_a_serial_line_comes_back_over_errors_of_the_terminal(
+async def test_a_serial_line_comes_back_over_errors_of_the_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An adapter that re-enumerates can be opened and not be set up: that is tried again, too."""
+    line = Line(tmp_path / "line")
+    settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.01)
+    server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
+    await server.start()
+    try:
+        real, refusals = serial.Serial, []
 
-    async def run() -> None:
+        def half_there(*arguments: Any, **options: Any) -> Any:
+            if len(refusals) < 2:
+                refusals.append(1)
+                raise termios.error(5, "Input/output error")
+            return real(*arguments, **options)
+
+        monkeypatch.setattr(serial, "Serial", half_there)
+        line.unplug()
         line = Line(tmp_path / "line")
-        settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.01)
-        server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
-        await server.start()
-        try:
-            real, refusals = serial.Serial, []
-
-            def half_there(*arguments: Any, **options: Any) -> Any:
-                if len(refusals) < 2:
-                    refusals.append(1)
-                    raise termios.error(5, "Input/output error")
-                return real(*arguments, **options)
-
-            monkeypatch.setattr(serial, "Serial", half_there)
-            line.unplug()
-            line = Line(tmp_path / "line")
-            async with asyncio.timeout(LIMIT_S):
-                while True:
-                    with contextlib.suppress(TimeoutError):
-                        answer = await asyncio.wait_for(rtu_answer(line, rtu_frame(1, READ_MAGIC), 7), 0.3)
-                        break
-            assert answer.endswith(MAGIC_ANSWER)
-            assert 2 == len(refusals)
-        finally:
-            await server.close()
-            line.unplug()
-
-    asyncio.run(run())
+        async with asyncio.timeout(LIMIT_S):
+            while True:
+                with contextlib.suppress(TimeoutError):
+                    answer = await asyncio.wait_for(rtu_answer(line, rtu_frame(1, READ_MAGIC), 7), 0.3)
+                    break
+        assert answer.endswith(MAGIC_ANSWER)
+        assert 2 == len(refusals)
+    finally:
+        await server.close()
+        line.unplug()
 
 
-def test_a_serial_line_that_is_not_there_is_a_listen_error(tmp_path: Path) -> None:
+async def test_a_serial_line_that_is_not_there_is_a_listen_error(tmp_path: Path) -> None:
     """And the TCP port that was opened before is closed again."""
-
-    async def run() -> None:
-        settings = SerialSettings(str(tmp_path / "nothing"))
-        server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
-        with pytest.raises(ListenError, match="is it plugged in"):
-            await server.start()
-        assert 0 == server.port
-
-    asyncio.run(run())
+    settings = SerialSettings(str(tmp_path / "nothing"))
+    server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
+    with pytest.raises(ListenError, match="is it plugged in"):
+        await server.start()
+    assert 0 == server.port
 
 
 # --- TLS -------------------------------------------------------------------------------------------
@@ -904,7 +811,7 @@ def test_what_is_no_certificate_has_no_role() -> None:
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
-def test_tls_needs_a_certificate_and_its_role_decides_about_writing(tmp_path: Path) -> None:
+async def test_tls_needs_a_certificate_and_its_role_decides_about_writing(tmp_path: Path) -> None:
     """An operator writes, a viewer reads, and who shows no certificate of ours gets nothing."""
     make_certificates(tmp_path)
     tls = TlsSettings(tmp_path / "server.pem", tmp_path / "server.key", tmp_path / "ca.pem")
@@ -920,20 +827,17 @@ def test_tls_needs_a_certificate_and_its_role_decides_about_writing(tmp_path: Pa
         finally:
             writer.transport.abort()
 
-    async def run() -> None:
-        server = ModbusPublisher(ModbusSettings(port=0, tls=tls), Cell())
-        await server.start()
-        try:
-            write, read = struct.pack(">BHH", 6, 104, 1), struct.pack(">BHH", 3, 0, 1)
-            assert write == await ask_as(server.port, "operator", write)
-            assert bytes((0x86, 1)) == await ask_as(server.port, "viewer", write)
-            assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await ask_as(server.port, "viewer", read)
-            with pytest.raises((ssl.SSLError, ConnectionError, asyncio.IncompleteReadError)):
-                await ask_as(server.port, None, read)
-        finally:
-            await server.close()
-
-    asyncio.run(run())
+    server = ModbusPublisher(ModbusSettings(port=0, tls=tls), Cell())
+    await server.start()
+    try:
+        write, read = struct.pack(">BHH", 6, 104, 1), struct.pack(">BHH", 3, 0, 1)
+        assert write == await ask_as(server.port, "operator", write)
+        assert bytes((0x86, 1)) == await ask_as(server.port, "viewer", write)
+        assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await ask_as(server.port, "viewer", read)
+        with pytest.raises((ssl.SSLError, ConnectionError, asyncio.IncompleteReadError)):
+            await ask_as(server.port, None, read)
+    finally:
+        await server.close()
 
 
 @pytest.fixture
@@ -953,20 +857,17 @@ def operator(tls: TlsSettings) -> ssl.SSLContext:
     return context
 
 
-def serve_tls(settings: ModbusSettings, test: Callable[[ModbusPublisher], Coroutine[Any, Any, None]]) -> None:
-    """Run a test against a server whose clients may take an hour for their handshake."""
-
-    async def run() -> None:
-        server = ModbusPublisher(settings, Cell())
-        await server.start()
-        try:
-            await asyncio.wait_for(test(server), WHOLE_S)
-        finally:
-            await server.close()
-
+@asynccontextmanager
+async def served_tls(settings: ModbusSettings) -> AsyncIterator[ModbusPublisher]:
+    """A server whose clients may take an hour for their handshake."""
+    server = ModbusPublisher(settings, Cell())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(door, "HANDSHAKE_S", 3600.0)
-        asyncio.run(run())
+        await server.start()
+        try:
+            yield server
+        finally:
+            await server.close()
 
 
 async def locate_id(server: ModbusPublisher, tls: TlsSettings, host: str) -> bytes:
@@ -982,11 +883,10 @@ async def locate_id(server: ModbusPublisher, tls: TlsSettings, host: str) -> byt
 
 
 @pytest.mark.parametrize("plc", ["127.0.0.9", "127.0.0.1"], ids=["elsewhere", "at the same address"])
-def test_handshakes_take_places_and_give_way_to_a_plc(tls: TlsSettings, plc: str) -> None:
+async def test_handshakes_take_places_and_give_way_to_a_plc(tls: TlsSettings, plc: str) -> None:
     """Forty connections that say nothing: four are left, the others end at once, and a PLC gets in."""
     settings = ModbusSettings(port=0, tls=tls, max_clients=4, writers=(ip_network(f"{plc}/32"),))
-
-    async def test(server: ModbusPublisher) -> None:
+    async with served_tls(settings) as server:
         half = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(40)]
         over = {asyncio.create_task(ended(reader)) for reader, _ in half}
         while len(over) > 4:
@@ -998,58 +898,51 @@ def test_handshakes_take_places_and_give_way_to_a_plc(tls: TlsSettings, plc: str
         for _, writer in half:
             writer.transport.abort()
 
-    serve_tls(settings, test)
 
-
-def test_strangers_are_closed_before_the_handshake(tls: TlsSettings) -> None:
+async def test_strangers_are_closed_before_the_handshake(tls: TlsSettings) -> None:
     """Who is not in the list of networks costs no handshake."""
     settings = ModbusSettings(
         port=0, tls=tls, readers=(ip_network("127.0.0.9/32"),), writers=(ip_network("127.0.0.9/32"),)
     )
-
-    async def test(server: ModbusPublisher) -> None:
+    async with served_tls(settings) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
         assert await ended(reader)
         writer.close()
         assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await locate_id(server, tls, "127.0.0.9")
 
-    serve_tls(settings, test)
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [b"no TLS", b""], ids=["nonsense", "nothing"])
-def test_a_handshake_that_fails_leaves_no_memory(tls: TlsSettings, sent: bytes) -> None:
+async def test_a_handshake_that_fails_leaves_no_memory(tls: TlsSettings, sent: bytes) -> None:
     """Its buffers, 256 KiB, go with it, without a search for garbage; so do those of a PLC that leaves."""
-
-    async def test(server: ModbusPublisher) -> None:
-        for _ in range(5):
-            reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
-            writer.write(sent)
-            if not sent:
-                writer.write_eof()
-            assert await ended(reader)
-            writer.close()
-            del reader, writer
-        assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await locate_id(server, tls, "127.0.0.1")
-        await until(lambda: not server.clients)
-        for _ in range(3):  # the loop's own last references
-            await asyncio.sleep(0)
-        sessions = [one for one in gc.get_objects() if type(one) is SSLProtocol]
-        assert [] == [one for one in sessions if one._server_side]  # noqa: SLF001  (asyncio tells it nowhere else)
 
     gc.collect()
     gc.disable()
     try:
-        serve_tls(ModbusSettings(port=0, tls=tls), test)
+        async with served_tls(ModbusSettings(port=0, tls=tls)) as server:
+            for _ in range(5):
+                reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+                writer.write(sent)
+                if not sent:
+                    writer.write_eof()
+                assert await ended(reader)
+                writer.close()
+                del reader, writer
+            assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await locate_id(server, tls, "127.0.0.1")
+            await until(lambda: not server.clients)
+            for _ in range(3):  # the loop's own last references
+                await asyncio.sleep(0)
+            sessions = [one for one in gc.get_objects() if type(one) is SSLProtocol]
+            assert [] == [one for one in sessions if one._server_side]  # noqa: SLF001  (asyncio tells it nowhere else)
     finally:
         gc.enable()
 
 
-def test_the_longest_silent_of_many_writers_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_longest_silent_of_many_writers_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each has one connection, and lost its power: the one that was heard of last stays, who polls too."""
     monkeypatch.setattr(tcp, "SILENT_S", 0.3)
+    async with served(ModbusSettings(port=0, max_clients=4, owner_s=0.3)) as rig:
 
-    async def test(rig: Rig) -> None:
         async def connect(last: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
             host = f"127.0.0.{last}"
             return await asyncio.open_connection("127.0.0.1", rig.server.port, local_addr=(host, 0))
@@ -1070,14 +963,13 @@ def test_the_longest_silent_of_many_writers_makes_room(monkeypatch: pytest.Monke
         for _, writer in (*dead, plc):
             writer.close()
 
-    serve(test, ModbusSettings(port=0, max_clients=4, owner_s=0.3))
 
-
-def test_a_stranger_takes_the_place_of_silent_strangers_only(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_stranger_takes_the_place_of_silent_strangers_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of what they leave behind; never that of a PLC, which may be silent between two commands."""
     monkeypatch.setattr(tcp, "SILENT_S", 0.0)
+    writers = (ip_network("127.0.0.1/32"), ip_network("127.0.0.2/32"))
+    async with served(ModbusSettings(port=0, max_clients=3, owner_s=0.0, writers=writers)) as rig:
 
-    async def test(rig: Rig) -> None:
         async def connect(last: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
             host = f"127.0.0.{last}"
             return await asyncio.open_connection("127.0.0.1", rig.server.port, local_addr=(host, 0))
@@ -1094,15 +986,11 @@ def test_a_stranger_takes_the_place_of_silent_strangers_only(monkeypatch: pytest
         for _, writer in (stranger, silent, later, refused, *plcs):
             writer.close()
 
-    writers = (ip_network("127.0.0.1/32"), ip_network("127.0.0.2/32"))
-    serve(test, ModbusSettings(port=0, max_clients=3, owner_s=0.0, writers=writers))
 
-
-def test_one_that_takes_many_places_gives_one_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_one_that_takes_many_places_gives_one_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """A silent connection of whoever has more than the newcomer makes room, also where both may write."""
     monkeypatch.setattr(tcp, "SILENT_S", 0.3)
-
-    async def test(rig: Rig) -> None:
+    async with served(ModbusSettings(port=0, max_clients=4)) as rig:
         many = [await raw(rig) for _ in range(3)]
         async with asyncio.timeout(LIMIT_S):
             while True:
@@ -1118,13 +1006,10 @@ def test_one_that_takes_many_places_gives_one_up(monkeypatch: pytest.MonkeyPatch
         for _, writer in (*many, plc):
             writer.close()
 
-    serve(test, ModbusSettings(port=0, max_clients=4))
 
-
-def test_a_server_that_closes_ends_the_handshakes(tls: TlsSettings) -> None:
+async def test_a_server_that_closes_ends_the_handshakes(tls: TlsSettings) -> None:
     """Before it, under way, and failed: no socket is left behind."""
-
-    async def test(server: ModbusPublisher) -> None:
+    async with served_tls(ModbusSettings(port=0, tls=tls)) as server:
         ends = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(3)]
         hello = ssl.MemoryBIO()
         client = operator(tls).wrap_bio(ssl.MemoryBIO(), hello, server_hostname="localhost")
@@ -1137,8 +1022,6 @@ def test_a_server_that_closes_ends_the_handshakes(tls: TlsSettings) -> None:
         for reader, writer in ends:
             assert await ended(reader)
             writer.close()
-
-    serve_tls(ModbusSettings(port=0, tls=tls), test)
 
 
 # --- edged registers --read --------------------------------------------------------------------------
@@ -1154,10 +1037,9 @@ def read_out(place: str, base_address: int = 0) -> str:
 @pytest.mark.parametrize(
     "settings", [ModbusSettings(port=0), ModbusSettings(port=0, word_order="low", base_address=1000)]
 )
-def test_a_cell_is_read_and_decoded(settings: ModbusSettings) -> None:
+async def test_a_cell_is_read_and_decoded(settings: ModbusSettings) -> None:
     """Result by name, lengths in mm, the exposure as a date; empty rows of the target table are left out."""
-
-    async def test(rig: Rig) -> None:
+    async with served(settings) as rig:
         rig.server.announce(make_snapshot(7))
         text = await asyncio.to_thread(read_out, f"127.0.0.1:{rig.server.port}", settings.base_address)
         assert re.search(r"RESULT\s.*1\s.*OK", text)
@@ -1166,18 +1048,13 @@ def test_a_cell_is_read_and_decoded(settings: ModbusSettings) -> None:
         assert "RESERVED" not in text
         assert 1 == len(re.findall(r"T\d+_X\b", text))
 
-    serve(test, settings)
 
-
-def test_what_is_no_cell_is_named() -> None:
+async def test_what_is_no_cell_is_named() -> None:
     """Nobody there, a wrong base address, a wrong port: one line with what to look at."""
     with pytest.raises(UserError, match=r"nothing answers at 127\.0\.0\.1"):
         read_command("127.0.0.1:1", 0, 1, Console())
     with pytest.raises(UserError, match="expected HOST or HOST:PORT"):
         read_command("cell:port", 0, 1, Console())
-
-    async def test(rig: Rig) -> None:
+    async with served() as rig:
         with pytest.raises(UserError, match=r"another base address|base-address"):
             await asyncio.to_thread(read_command, f"127.0.0.1:{rig.server.port}", 7, 1, Console())
-
-    serve(test)

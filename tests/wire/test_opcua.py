@@ -196,7 +196,7 @@ def test_the_table_has_every_type_of_the_specification_and_each_number_once() ->
 
 
 @pytest.mark.slow
-def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: OpcUaCell) -> None:
+async def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: OpcUaCell) -> None:
     """As the tables of the specification have them: names, types and arguments of methods."""
     model = read_model()
     expected = {
@@ -208,51 +208,37 @@ def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: OpcUaCell
         f"{RECIPES}.Recipes.job1": 1002,
         RESULTS: 1007,
     }
-
-    async def look() -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        async with Client(open_cell.url) as client:
-            for path, number in expected.items():
-                node = client.get_node(path)
-                names = {(await child.read_browse_name()).Name for child in await node.get_children()}
-                rows = [row for row in model.children[f"1:{number}"] if row.rule == "M"]
-                missing = {row.name.removeprefix("0:") for row in rows} - names
-                found[path] = ((await node.read_type_definition()).Identifier, missing)
-        return found
-
-    assert {path: (number, set()) for path, number in expected.items()} == asyncio.run(look())
+    async with Client(open_cell.url) as client:
+        for path, number in expected.items():
+            node = client.get_node(path)
+            names = {(await child.read_browse_name()).Name for child in await node.get_children()}
+            rows = [row for row in model.children[f"1:{number}"] if row.rule == "M"]
+            assert number == (await node.read_type_definition()).Identifier, path
+            assert set() == {row.name.removeprefix("0:") for row in rows} - names, path
 
 
 @pytest.mark.slow
-def test_every_register_is_a_variable_with_its_number_and_unit(open_cell: OpcUaCell) -> None:
+async def test_every_register_is_a_variable_with_its_number_and_unit(open_cell: OpcUaCell) -> None:
     """The same numbers as over Modbus, from the one schema; what stands for none is BadNoData."""
-
-    async def look() -> None:
-        async with Client(open_cell.url) as client:
-            names = [(block.name, register) for block in reg.BLOCKS for register in block.registers]
-            nodes = [
-                client.get_node(f"ns=3;s=Registers.{block}.{register.name}") for block, register in names
-            ]
-            ids = [ua.ReadValueId(NodeId=node.nodeid, AttributeId=ua.AttributeIds.Value) for node in nodes]
-            data = await client.uaclient.read(ua.ReadParameters(NodesToRead=ids))
-            expected = {one.address: value for one, value in open_cell.call(open_cell.server.values)}
-            changing = {"HEARTBEAT", "UR_HEARTBEAT", "RESULT_AGE"}
-            for (block, one), got in zip(names, data, strict=True):
-                if got.StatusCode.is_good() and one.name not in changing and not one.name.endswith("CRC16"):
-                    assert expected.get(one.address, 0) == pytest.approx(got.Value.Value), (block, one.name)
-            bad = {
-                one.name for (_, one), got in zip(names, data, strict=True) if not got.StatusCode.is_good()
-            }
-            assert {"X", "F_X", "SIGMA_X", "G_SIGMA_X", "T0_X", "UR_X", "G_X", "UG_X"} <= bad
-            assert "RESULT" not in bad
-            unit = await client.get_node("ns=3;s=Registers.float.F_X.EngineeringUnits").read_value()
-            assert ("mm", 5066068) == (unit.DisplayName.Text, unit.UnitId)  # OPC 10000-8, table 78: MMT
-
-    asyncio.run(look())
+    async with Client(open_cell.url) as client:
+        names = [(block.name, register) for block in reg.BLOCKS for register in block.registers]
+        nodes = [client.get_node(f"ns=3;s=Registers.{block}.{register.name}") for block, register in names]
+        ids = [ua.ReadValueId(NodeId=node.nodeid, AttributeId=ua.AttributeIds.Value) for node in nodes]
+        data = await client.uaclient.read(ua.ReadParameters(NodesToRead=ids))
+        expected = {one.address: value for one, value in open_cell.call(open_cell.server.values)}
+        changing = {"HEARTBEAT", "UR_HEARTBEAT", "RESULT_AGE"}
+        for (block, one), got in zip(names, data, strict=True):
+            if got.StatusCode.is_good() and one.name not in changing and not one.name.endswith("CRC16"):
+                assert expected.get(one.address, 0) == pytest.approx(got.Value.Value), (block, one.name)
+        bad = {one.name for (_, one), got in zip(names, data, strict=True) if not got.StatusCode.is_good()}
+        assert {"X", "F_X", "SIGMA_X", "G_SIGMA_X", "T0_X", "UR_X", "G_X", "UG_X"} <= bad
+        assert "RESULT" not in bad
+        unit = await client.get_node("ns=3;s=Registers.float.F_X.EngineeringUnits").read_value()
+        assert ("mm", 5066068) == (unit.DisplayName.Text, unit.UnitId)  # OPC 10000-8, table 78: MMT
 
 
 @pytest.mark.slow
-def test_a_job_is_a_recipe_and_comes_and_goes_with_the_configuration(open_cell: OpcUaCell) -> None:
+async def test_a_job_is_a_recipe_and_comes_and_goes_with_the_configuration(open_cell: OpcUaCell) -> None:
     """After a reload with other jobs the folder has those, each with its methods."""
 
     async def names(client: Client) -> set[str]:
@@ -265,112 +251,94 @@ def test_a_job_is_a_recipe_and_comes_and_goes_with_the_configuration(open_cell: 
         except ua.uaerrors.BadNodeIdUnknown:  # it went between the list and its name
             return False
 
-    async def look() -> None:
-        async with Client(open_cell.url) as client:
-            assert {"job1", "job2"} == await names(client)
-            internal = await client.get_node(f"{RECIPES}.Recipes.job2.InternalId").read_value()
-            open_cell.call(lambda: open_cell.jobs.__setitem__(1, (3, "job3")))
-            await until(lambda: has_jobs(client, {"job1", "job3"}))
-            assert "job2" == internal.Id
-            with pytest.raises(ua.uaerrors.BadNotSupported):
-                await client.get_node(f"{RECIPES}.Recipes.job3").call_method("2:Unprepare")
-
-    asyncio.run(look())
+    async with Client(open_cell.url) as client:
+        assert {"job1", "job2"} == await names(client)
+        internal = await client.get_node(f"{RECIPES}.Recipes.job2.InternalId").read_value()
+        open_cell.call(lambda: open_cell.jobs.__setitem__(1, (3, "job3")))
+        await until(lambda: has_jobs(client, {"job1", "job3"}))
+        assert "job2" == internal.Id
+        with pytest.raises(ua.uaerrors.BadNotSupported):
+            await client.get_node(f"{RECIPES}.Recipes.job3").call_method("2:Unprepare")
 
 
 # --- one command, one result -------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_a_single_job_ends_in_one_result_with_the_numbers_of_the_payload(
+async def test_a_single_job_ends_in_one_result_with_the_numbers_of_the_payload(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
     """JobStarted, ResultReady and Ready carry the job's id; the content is the message of `edged.payload`."""
-
-    async def run() -> None:
-        async with connected(cell, secure) as client:
-            notes = await events_of(client)
-            job, error = await start(client)
-            assert 0 == error
-            await until(lambda: {1013, 1023, 1024, 1025} <= set(notes.types()))
-            (ready,) = [event for event in notes.events if event.EventType.Identifier == 1024]
-            (content,) = ready.ResultContent
-            payload = json.loads(content.Value if isinstance(content, ua.Variant) else content)
-            target = payload["targets"][0]
-            assert (job, "measurement 1", "part 7") == (ready.JobId.Id, ready.MeasId.Id, ready.PartId.Id)
-            assert ("job1", 1) == (ready.InternalRecipeId.Id, ready.ResultState)
-            assert 3 == len(target["pose_robot"]["sigma_mm"])
-            x_mm = await register(client, "float", "F_X")
-            assert target["pose_robot"]["position_mm"][0] == pytest.approx(x_mm, abs=1e-3)
-            handle, data, error = await client.get_node(RESULTS).call_method(
-                "2:GetResultById", ready.ResultId, ua.Variant(0, I32)
-            )
-            assert (0, 0, job) == (handle, error, data.JobId.Id)
-            assert 1 == cell.head.captures
-
-    asyncio.run(run())
+    async with connected(cell, secure) as client:
+        notes = await events_of(client)
+        job, error = await start(client)
+        assert 0 == error
+        await until(lambda: {1013, 1023, 1024, 1025} <= set(notes.types()))
+        (ready,) = [event for event in notes.events if event.EventType.Identifier == 1024]
+        (content,) = ready.ResultContent
+        payload = json.loads(content.Value if isinstance(content, ua.Variant) else content)
+        target = payload["targets"][0]
+        assert (job, "measurement 1", "part 7") == (ready.JobId.Id, ready.MeasId.Id, ready.PartId.Id)
+        assert ("job1", 1) == (ready.InternalRecipeId.Id, ready.ResultState)
+        assert 3 == len(target["pose_robot"]["sigma_mm"])
+        x_mm = await register(client, "float", "F_X")
+        assert target["pose_robot"]["position_mm"][0] == pytest.approx(x_mm, abs=1e-3)
+        handle, data, error = await client.get_node(RESULTS).call_method(
+            "2:GetResultById", ready.ResultId, ua.Variant(0, I32)
+        )
+        assert (0, 0, job) == (handle, error, data.JobId.Id)
+        assert 1 == cell.head.captures
 
 
 @pytest.mark.slow
-def test_an_acknowledged_result_falls_everywhere_in_one_write(cell: OpcUaCell, secure: OpcUaSettings) -> None:
+async def test_an_acknowledged_result_falls_everywhere_in_one_write(
+    cell: OpcUaCell, secure: OpcUaSettings
+) -> None:
     """Coordinates, the latest result and its flag: value gone, status BadNoData, told in one message."""
-
-    async def run() -> None:
-        async with connected(cell, secure) as client:
-            sequence, _ = await command(client, 1)
-            latest = client.get_node(f"{RESULTS}.Results.Latest")
-            await until(lambda: has_x(client))
-            assert sequence == await register(client, "result", "SEQ_HEAD")
-            notes = Notes()
-            subscription = await client.create_subscription(20, notes)
-            await subscription.subscribe_data_change([client.get_node(X), latest])
-            await until(lambda: len(notes.changes) == 2)
-            (error,) = [
-                await client.get_node("ns=3;s=Handshake").call_method(
-                    "3:Acknowledge", ua.Variant(sequence, U16)
-                )
-            ]
-            await until(lambda: len(notes.changes) == 4)
-            assert 0 == error
-            assert [("X", NO_DATA), ("Latest", NO_DATA)] == [
-                (name, code) for name, _, code in notes.changes[2:]
-            ]
-            bits = await register(client, "status", "STATUS_BITS")
-            assert not bits & reg.StatusBit.RESULT_VALID
-            _, data, error = await client.get_node(RESULTS).call_method(
-                "2:GetResultById", ua.ResultIdDataType(), ua.Variant(0, I32)
-            )
-            assert (0, -110) == (data.ResultState, error)
-
-    asyncio.run(run())
+    async with connected(cell, secure) as client:
+        sequence, _ = await command(client, 1)
+        latest = client.get_node(f"{RESULTS}.Results.Latest")
+        await until(lambda: has_x(client))
+        assert sequence == await register(client, "result", "SEQ_HEAD")
+        notes = Notes()
+        subscription = await client.create_subscription(20, notes)
+        await subscription.subscribe_data_change([client.get_node(X), latest])
+        await until(lambda: len(notes.changes) == 2)
+        (error,) = [
+            await client.get_node("ns=3;s=Handshake").call_method("3:Acknowledge", ua.Variant(sequence, U16))
+        ]
+        await until(lambda: len(notes.changes) == 4)
+        assert 0 == error
+        assert [("X", NO_DATA), ("Latest", NO_DATA)] == [(name, code) for name, _, code in notes.changes[2:]]
+        bits = await register(client, "status", "STATUS_BITS")
+        assert not bits & reg.StatusBit.RESULT_VALID
+        _, data, error = await client.get_node(RESULTS).call_method(
+            "2:GetResultById", ua.ResultIdDataType(), ua.Variant(0, I32)
+        )
+        assert (0, -110) == (data.ResultState, error)
 
 
 @pytest.mark.slow
-def test_no_value_that_has_fallen_waits_in_a_slow_subscription(
+async def test_no_value_that_has_fallen_waits_in_a_slow_subscription(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
     """It was valid and acknowledged between two messages: the next one says BadNoData, and no coordinate."""
-
-    async def run() -> list[int]:
-        async with connected(cell, secure) as client:
-            notes = Notes()
-            subscription = await client.create_subscription(1000, notes)
-            await subscription.subscribe_data_change(client.get_node(X), queuesize=10)
-            await until(lambda: notes.changes)
-            sequence, _ = await command(client, 1)
-            await until(lambda: has_x(client))
-            await client.get_node("ns=3;s=Handshake").call_method("3:Acknowledge", ua.Variant(sequence, U16))
-            await until(lambda: len(notes.changes) > 1)
-        return [code for _, _, code in notes.changes]
-
-    assert {NO_DATA} == set(asyncio.run(run()))
+    async with connected(cell, secure) as client:
+        notes = Notes()
+        subscription = await client.create_subscription(1000, notes)
+        await subscription.subscribe_data_change(client.get_node(X), queuesize=10)
+        await until(lambda: notes.changes)
+        sequence, _ = await command(client, 1)
+        await until(lambda: has_x(client))
+        await client.get_node("ns=3;s=Handshake").call_method("3:Acknowledge", ua.Variant(sequence, U16))
+        await until(lambda: len(notes.changes) > 1)
+    assert {NO_DATA} == {code for _, _, code in notes.changes}
 
 
 @pytest.mark.slow
-def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secure: OpcUaSettings) -> None:
+async def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secure: OpcUaSettings) -> None:
     """Validity is a promise in time: after it no read gives a coordinate, and subscribers are told."""
-
-    async def run(cell: OpcUaCell) -> list[tuple[str, Any, int]]:
+    with OpcUaCell(secure, ModbusSettings(port=0, validity_s=0.4)) as cell:
         async with connected(cell, secure) as client:
             notes = Notes()
             subscription = await client.create_subscription(20, notes)
@@ -379,21 +347,17 @@ def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secure: Op
             await until(lambda: len(notes.changes) == 3)
             assert await register(client, "result", "X") is None
             assert not await register(client, "status", "STATUS_BITS") & reg.StatusBit.RESULT_VALID
-        return notes.changes
-
-    with OpcUaCell(secure, ModbusSettings(port=0, validity_s=0.4)) as cell:
-        changes = asyncio.run(run(cell))
+        changes = notes.changes
 
     assert [NO_DATA, 0, NO_DATA] == [code for _, _, code in changes]
 
 
 @pytest.mark.slow
-def test_a_result_whose_time_is_over_is_not_shown_though_the_cell_is_busy_elsewhere(
+async def test_a_result_whose_time_is_over_is_not_shown_though_the_cell_is_busy_elsewhere(
     secure: OpcUaSettings,
 ) -> None:
     """The server's thread lets it fall itself: it does not need the cell's loop for that."""
-
-    async def run(cell: OpcUaCell) -> None:
+    with OpcUaCell(secure, ModbusSettings(port=0, validity_s=0.5)) as cell:
         async with connected(cell, secure) as client:
             await command(client, 1)
             await until(lambda: has_x(client))
@@ -407,9 +371,6 @@ def test_a_result_whose_time_is_over_is_not_shown_though_the_cell_is_busy_elsewh
             await until(lambda: has_no_x(client))
             assert not done.is_set()
             await done.wait()
-
-    with OpcUaCell(secure, ModbusSettings(port=0, validity_s=0.5)) as cell:
-        asyncio.run(run(cell))
 
 
 @pytest.mark.slow
@@ -438,191 +399,157 @@ def test_no_read_sees_halves_of_two_results(secure: OpcUaSettings) -> None:
 
 
 @pytest.mark.slow
-def test_a_part_that_no_robot_may_use_has_a_result_and_no_coordinate(
+async def test_a_part_that_no_robot_may_use_has_a_result_and_no_coordinate(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
     """LOW_QUALITY: completed, rejected, and the content's list of good targets is empty."""
-
-    async def run() -> None:
-        async with connected(cell, secure) as client:
-            cell.targets = (make_target(Reject.RESIDUAL),)
-            notes = await events_of(client)
-            await start(client)
-            await until(lambda: 1024 in notes.types())
-            (ready,) = [event for event in notes.events if event.EventType.Identifier == 1024]
-            (content,) = ready.ResultContent
-            assert [] == json.loads(content.Value if isinstance(content, ua.Variant) else content)["targets"]
-            assert await register(client, "result", "X") is None
-
-    asyncio.run(run())
+    async with connected(cell, secure) as client:
+        cell.targets = (make_target(Reject.RESIDUAL),)
+        notes = await events_of(client)
+        await start(client)
+        await until(lambda: 1024 in notes.types())
+        (ready,) = [event for event in notes.events if event.EventType.Identifier == 1024]
+        (content,) = ready.ResultContent
+        assert [] == json.loads(content.Value if isinstance(content, ua.Variant) else content)["targets"]
+        assert await register(client, "result", "X") is None
 
 
 @pytest.mark.slow
-def test_verify_gives_no_coordinates_also_not_in_the_content(cell: OpcUaCell, secure: OpcUaSettings) -> None:
+async def test_verify_gives_no_coordinates_also_not_in_the_content(
+    cell: OpcUaCell, secure: OpcUaSettings
+) -> None:
     """It answers OK or NOK: nothing for a robot."""
-
-    async def run() -> None:
-        async with connected(cell, secure) as client:
-            notes = await events_of(client)
-            await command(client, 4)
-            await until(lambda: 1024 in notes.types())
-            (ready,) = [event for event in notes.events if event.EventType.Identifier == 1024]
-            assert not ready.ResultContent
-            assert await register(client, "status", "STATUS_BITS") & reg.StatusBit.OK
-
-    asyncio.run(run())
+    async with connected(cell, secure) as client:
+        notes = await events_of(client)
+        await command(client, 4)
+        await until(lambda: 1024 in notes.types())
+        (ready,) = [event for event in notes.events if event.EventType.Identifier == 1024]
+        assert not ready.ResultContent
+        assert await register(client, "status", "STATUS_BITS") & reg.StatusBit.OK
 
 
 @pytest.mark.slow
-def test_a_recipe_is_prepared_by_the_handshakes_job_change(cell: OpcUaCell, secure: OpcUaSettings) -> None:
+async def test_a_recipe_is_prepared_by_the_handshakes_job_change(
+    cell: OpcUaCell, secure: OpcUaSettings
+) -> None:
     """IsCompleted is false until RecipePrepared says so; one that is loaded needs no command."""
-
-    async def run() -> None:
-        async with connected(cell, secure) as client:
-            notes = await events_of(client)
-            empty = ua.RecipeIdExternalDataType()
-            first = await client.get_node(RECIPES).call_method(
-                "2:PrepareRecipe", empty, ua.RecipeIdInternalDataType(Id="job2")
-            )
-            await until(lambda: 1022 in notes.types())
-            second = await client.get_node(f"{RECIPES}.Recipes.job2").call_method("2:Prepare")
-            unknown = await client.get_node(RECIPES).call_method(
-                "2:PrepareRecipe", ua.RecipeIdExternalDataType(Id="job9"), ua.RecipeIdInternalDataType()
-            )
-            assert ("job2", False, 0) == (first[0].Id, *first[1:])
-            assert [True, 0] == second
-            assert [False, -int(NackReason.REFUSED)] == unknown[1:]
-            assert 2 == await register(client, "status", "ACTIVE_JOB")
-            assert await client.get_node(f"{RECIPES}.Recipes.job2.IsPrepared").read_value()
-
-    asyncio.run(run())
+    async with connected(cell, secure) as client:
+        notes = await events_of(client)
+        empty = ua.RecipeIdExternalDataType()
+        first = await client.get_node(RECIPES).call_method(
+            "2:PrepareRecipe", empty, ua.RecipeIdInternalDataType(Id="job2")
+        )
+        await until(lambda: 1022 in notes.types())
+        second = await client.get_node(f"{RECIPES}.Recipes.job2").call_method("2:Prepare")
+        unknown = await client.get_node(RECIPES).call_method(
+            "2:PrepareRecipe", ua.RecipeIdExternalDataType(Id="job9"), ua.RecipeIdInternalDataType()
+        )
+        assert ("job2", False, 0) == (first[0].Id, *first[1:])
+        assert [True, 0] == second
+        assert [False, -int(NackReason.REFUSED)] == unknown[1:]
+        assert 2 == await register(client, "status", "ACTIVE_JOB")
+        assert await client.get_node(f"{RECIPES}.Recipes.job2.IsPrepared").read_value()
 
 
 @pytest.mark.slow
-def test_a_camera_that_fails_is_a_failed_result_and_the_state_error(
+async def test_a_camera_that_fails_is_a_failed_result_and_the_state_error(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
     """The handshake answers NACK, CAPTURE_FAULT; the machine leaves Error when the camera is back."""
-
-    async def run() -> None:
-        async with connected(cell, secure) as client:
-            notes = await events_of(client)
-            cell.head.broken = True
+    async with connected(cell, secure) as client:
+        notes = await events_of(client)
+        cell.head.broken = True
+        await start(client)
+        await until(lambda: {1019, 1024} <= set(notes.types()))
+        (result,) = [event for event in notes.events if event.EventType.Identifier == 1024]
+        state = await client.get_node(f"{MACHINE}.CurrentState").read_value()
+        inner = await client.get_node(f"{AUTOMATIC}.CurrentState").read_data_value(raise_on_bad_status=False)
+        with pytest.raises(ua.uaerrors.BadInvalidState):
             await start(client)
-            await until(lambda: {1019, 1024} <= set(notes.types()))
-            (result,) = [event for event in notes.events if event.EventType.Identifier == 1024]
-            state = await client.get_node(f"{MACHINE}.CurrentState").read_value()
-            inner = await client.get_node(f"{AUTOMATIC}.CurrentState").read_data_value(
-                raise_on_bad_status=False
-            )
-            with pytest.raises(ua.uaerrors.BadInvalidState):
-                await start(client)
-            cell.head.broken = False
-            await until(lambda: 1020 in notes.types())
-            assert (4, "Error") == (result.ResultState, state.Text)
-            assert ua.StatusCodes.BadStateNotActive == inner.StatusCode.value
-
-    asyncio.run(run())
+        cell.head.broken = False
+        await until(lambda: 1020 in notes.types())
+        assert (4, "Error") == (result.ResultState, state.Text)
+        assert ua.StatusCodes.BadStateNotActive == inner.StatusCode.value
 
 
 @pytest.mark.slow
-def test_a_job_that_does_not_exist_runs_nothing(cell: OpcUaCell, secure: OpcUaSettings) -> None:
+async def test_a_job_that_does_not_exist_runs_nothing(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """Neither by the specification's method nor by the cell's own: refused, as over Modbus."""
-
-    async def run() -> None:
-        async with connected(cell, secure) as client:
-            assert ("", -int(NackReason.REFUSED)) == await start(client, "job9")
-            assert -int(NackReason.REFUSED) == (await command(client, 1, 9))[1]
-            assert -int(NackReason.UNKNOWN_COMMAND) == (await command(client, 77))[1]
-        assert 0 == cell.head.captures
-
-    asyncio.run(run())
+    async with connected(cell, secure) as client:
+        assert ("", -int(NackReason.REFUSED)) == await start(client, "job9")
+        assert -int(NackReason.REFUSED) == (await command(client, 1, 9))[1]
+        assert -int(NackReason.UNKNOWN_COMMAND) == (await command(client, 77))[1]
+    assert 0 == cell.head.captures
 
 
 @pytest.mark.slow
-def test_only_one_client_commands_at_a_time_whatever_it_speaks(
+async def test_only_one_client_commands_at_a_time_whatever_it_speaks(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
     """While a PLC holds the right to write a method answers Error -114, and the other way round."""
-
-    async def run() -> None:
-        plc = ModbusTcpClient("127.0.0.1", port=cell.port)
-        async with connected(cell, secure) as client:
-            await asyncio.to_thread(plc.connect)
-            await asyncio.to_thread(plc.write_register, reg.ADDRESS["JOB"], 1)
-            assert -114 == (await start(client))[1]
-            await asyncio.to_thread(plc.write_register, reg.ADDRESS["OPTIONS"], int(reg.Option.RELEASE))
-            assert 0 == (await start(client))[1]
-            refused = await asyncio.to_thread(plc.write_register, reg.ADDRESS["JOB"], 1)
-            assert 6 == refused.exception_code
-            await until(lambda: cell.head.captures == 1)
-            await client.get_node("ns=3;s=Handshake").call_method("3:Release")
-            taken = await asyncio.to_thread(plc.write_register, reg.ADDRESS["JOB"], 1)
-            assert not taken.isError()
-        plc.close()
-
-    asyncio.run(run())
+    plc = ModbusTcpClient("127.0.0.1", port=cell.port)
+    async with connected(cell, secure) as client:
+        await asyncio.to_thread(plc.connect)
+        await asyncio.to_thread(plc.write_register, reg.ADDRESS["JOB"], 1)
+        assert -114 == (await start(client))[1]
+        await asyncio.to_thread(plc.write_register, reg.ADDRESS["OPTIONS"], int(reg.Option.RELEASE))
+        assert 0 == (await start(client))[1]
+        refused = await asyncio.to_thread(plc.write_register, reg.ADDRESS["JOB"], 1)
+        assert 6 == refused.exception_code
+        await until(lambda: cell.head.captures == 1)
+        await client.get_node("ns=3;s=Handshake").call_method("3:Release")
+        taken = await asyncio.to_thread(plc.write_register, reg.ADDRESS["JOB"], 1)
+        assert not taken.isError()
+    plc.close()
 
 
 @pytest.mark.slow
-def test_who_hangs_up_gives_up_its_right_to_write(cell: OpcUaCell, secure: OpcUaSettings) -> None:
+async def test_who_hangs_up_gives_up_its_right_to_write(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """The next client need not wait until it lapses."""
-
-    async def run() -> None:
-        async with connected(cell, secure) as client:
-            await command(client, 3)
-            assert 1 == await register(client, "status", "WRITE_OWNER")
-            await until(lambda: cell.head.captures == 1)
-        async with connected(cell, secure) as client:
-            await until(lambda: nobody_owns(client), 3)
-
-    asyncio.run(run())
+    async with connected(cell, secure) as client:
+        await command(client, 3)
+        assert 1 == await register(client, "status", "WRITE_OWNER")
+        await until(lambda: cell.head.captures == 1)
+    async with connected(cell, secure) as client:
+        await until(lambda: nobody_owns(client), 3)
 
 
 @pytest.mark.slow
-def test_what_a_cell_cannot_do_is_said(cell: OpcUaCell, secure: OpcUaSettings) -> None:
+async def test_what_a_cell_cannot_do_is_said(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """BadNotSupported, and the cell measures on."""
     cause = (ua.Variant(0, I32), ua.Variant("", ua.VariantType.String))
-
-    async def run() -> None:
-        async with connected(cell, secure) as client:
-            for path, name in (
-                (MACHINE, "Reset"),
-                (MACHINE, "Halt"),
-                (AUTOMATIC, "Stop"),
-                (AUTOMATIC, "Abort"),
-                (AUTOMATIC, "StartContinuous"),
-                (RECIPES, "UnprepareRecipe"),
-            ):
-                with pytest.raises(ua.uaerrors.BadNotSupported):
-                    await client.get_node(path).call_method(f"2:{name}", *cause)
-            assert 0 == await client.get_node(MACHINE).call_method("2:SelectModeAutomatic")
-            with pytest.raises(ua.uaerrors.BadArgumentsMissing):
-                await client.get_node(AUTOMATIC).call_method("2:StartSingleJob")
-            with pytest.raises(ua.uaerrors.BadInvalidArgument):
-                await command(client, 1, 0, (1.0, 2.0))
-
-    asyncio.run(run())
+    async with connected(cell, secure) as client:
+        for path, name in (
+            (MACHINE, "Reset"),
+            (MACHINE, "Halt"),
+            (AUTOMATIC, "Stop"),
+            (AUTOMATIC, "Abort"),
+            (AUTOMATIC, "StartContinuous"),
+            (RECIPES, "UnprepareRecipe"),
+        ):
+            with pytest.raises(ua.uaerrors.BadNotSupported):
+                await client.get_node(path).call_method(f"2:{name}", *cause)
+        assert 0 == await client.get_node(MACHINE).call_method("2:SelectModeAutomatic")
+        with pytest.raises(ua.uaerrors.BadArgumentsMissing):
+            await client.get_node(AUTOMATIC).call_method("2:StartSingleJob")
+        with pytest.raises(ua.uaerrors.BadInvalidArgument):
+            await command(client, 1, 0, (1.0, 2.0))
 
 
 # --- who may -------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_without_certificate_nothing_can_be_read_unless_it_is_allowed(
+async def test_without_certificate_nothing_can_be_read_unless_it_is_allowed(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
     """The endpoints can be asked for, all of them encrypted; a session cannot be had."""
-
-    async def run() -> None:
-        client = Client(cell.url)
-        endpoints = await client.connect_and_get_server_endpoints()
-        assert {ua.MessageSecurityMode.SignAndEncrypt} == {one.SecurityMode for one in endpoints}
-        with pytest.raises(ua.UaError):
-            async with Client(cell.url):
-                pass
-
-    asyncio.run(run())
+    client = Client(cell.url)
+    endpoints = await client.connect_and_get_server_endpoints()
+    assert {ua.MessageSecurityMode.SignAndEncrypt} == {one.SecurityMode for one in endpoints}
+    with pytest.raises(ua.UaError):
+        async with Client(cell.url):
+            pass
 
 
 @pytest.mark.slow
@@ -636,45 +563,36 @@ def test_without_certificate_nothing_can_be_read_unless_it_is_allowed(
         ("expired", "operator", PASSWORD),
     ],
 )
-def test_a_wrong_password_no_user_and_a_strange_certificate_are_refused(
+async def test_a_wrong_password_no_user_and_a_strange_certificate_are_refused(
     name: str, user: str, password: str, cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
     """One thing alone is not enough."""
-
-    async def run() -> None:
+    with pytest.raises((ua.UaError, ConnectionError, TimeoutError)):
         async with connected(cell, secure, name=name, user=user, password=password):
             pass
-
-    with pytest.raises((ua.UaError, ConnectionError, TimeoutError)):
-        asyncio.run(run())
 
     assert 0 == cell.head.captures
 
 
 @pytest.mark.slow
-def test_a_strange_certificate_is_kept_so_that_it_can_be_trusted(
+async def test_a_strange_certificate_is_kept_so_that_it_can_be_trusted(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
     """As a file beside the folder of trusted ones, the same bytes."""
     assert secure.trusted is not None
     folder = secure.trusted.parent
-
-    async def run() -> None:
+    with pytest.raises((ua.UaError, ConnectionError, TimeoutError)):
         async with connected(cell, secure, name="stranger"):
             pass
-
-    with pytest.raises((ua.UaError, ConnectionError, TimeoutError)):
-        asyncio.run(run())
 
     kept = [file.read_bytes() for file in (folder / "rejected").iterdir()]
     assert (folder / "stranger.der").read_bytes() in kept
 
 
 @pytest.mark.slow
-def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) -> None:
+async def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) -> None:
     """Also over an encrypted channel; and no password is taken over one that is not."""
-
-    async def run(cell: OpcUaCell) -> None:
+    with OpcUaCell(replace(secure, anonymous=True)) as cell:
         async with Client(cell.url, timeout=LIMIT_S) as client:
             assert 1 == await register(client, "status", "ACTIVE_JOB")
             for call in (start(client), command(client, 1)):
@@ -693,39 +611,31 @@ def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) -> Non
                 pass
         assert 0 == cell.head.captures
 
-    with OpcUaCell(replace(secure, anonymous=True)) as cell:
-        asyncio.run(run(cell))
-
 
 @pytest.mark.slow
-def test_a_client_reaches_its_own_subscriptions_only(open_cell: OpcUaCell) -> None:
+async def test_a_client_reaches_its_own_subscriptions_only(open_cell: OpcUaCell) -> None:
     """asyncua numbers those of all clients in one row: a stranger could end them."""
-
-    async def run() -> None:
-        notes = Notes()
-        async with Client(open_cell.url) as one, Client(open_cell.url) as other:
-            subscription = await one.create_subscription(20, notes)
-            await subscription.subscribe_data_change(one.get_node("ns=3;s=Registers.status.HEARTBEAT"))
-            number = subscription.subscription_id
-            for attempt in (
-                other.uaclient.delete_subscriptions([number]),
-                other.uaclient.set_publishing_mode(
-                    ua.SetPublishingModeParameters(PublishingEnabled=False, SubscriptionIds=[number])
-                ),
-            ):
-                with pytest.raises(ua.uaerrors.BadSubscriptionIdInvalid):
-                    await attempt
-            seen = len(notes.changes)
-            await until(lambda: len(notes.changes) > seen + 3)
-
-    asyncio.run(run())
+    notes = Notes()
+    async with Client(open_cell.url) as one, Client(open_cell.url) as other:
+        subscription = await one.create_subscription(20, notes)
+        await subscription.subscribe_data_change(one.get_node("ns=3;s=Registers.status.HEARTBEAT"))
+        number = subscription.subscription_id
+        for attempt in (
+            other.uaclient.delete_subscriptions([number]),
+            other.uaclient.set_publishing_mode(
+                ua.SetPublishingModeParameters(PublishingEnabled=False, SubscriptionIds=[number])
+            ),
+        ):
+            with pytest.raises(ua.uaerrors.BadSubscriptionIdInvalid):
+                await attempt
+        seen = len(notes.changes)
+        await until(lambda: len(notes.changes) > seen + 3)
 
 
 @pytest.mark.slow
-def test_a_network_that_is_not_listed_is_not_let_in(secure: OpcUaSettings) -> None:
+async def test_a_network_that_is_not_listed_is_not_let_in(secure: OpcUaSettings) -> None:
     """Its connection is closed before a byte is read."""
-
-    async def run(cell: OpcUaCell) -> bytes:
+    with OpcUaCell(replace(secure, readers=(ip_network("10.0.0.0/8"),))) as cell:
         reader, writer = await asyncio.open_connection("127.0.0.1", cell.publisher.port)
         with pytest.raises(ConnectionError):
             try:
@@ -734,10 +644,7 @@ def test_a_network_that_is_not_listed_is_not_let_in(secure: OpcUaSettings) -> No
                 writer.close()
             if data == b"":
                 raise ConnectionResetError
-        return data
-
-    with OpcUaCell(replace(secure, readers=(ip_network("10.0.0.0/8"),))) as cell:
-        assert b"" == asyncio.run(run(cell))
+        assert b"" == data
 
 
 @pytest.mark.slow
@@ -763,17 +670,13 @@ def test_files_that_do_not_fit_are_named(
 
 
 @pytest.mark.slow
-def test_a_port_that_is_taken_is_a_listen_error_and_leaves_nothing(open_cell: OpcUaCell) -> None:
+async def test_a_port_that_is_taken_is_a_listen_error_and_leaves_nothing(open_cell: OpcUaCell) -> None:
     """No thread, no socket."""
     settings = OpcUaSettings("cell1", port=open_cell.publisher.port, anonymous=True)
-
-    async def run() -> None:
-        publisher = OpcUaPublisher(settings, lambda: None, lambda: JOBS)
-        with pytest.raises(ListenError, match="cannot listen"):
-            await publisher.start()
-        await publisher.close()
-
-    asyncio.run(run())
+    publisher = OpcUaPublisher(settings, lambda: None, lambda: JOBS)
+    with pytest.raises(ListenError, match="cannot listen"):
+        await publisher.start()
+    await publisher.close()
 
 
 # --- another client --------------------------------------------------------------------------------
@@ -860,7 +763,7 @@ def _expired(secure: OpcUaSettings) -> None:
 
 
 @pytest.mark.slow
-def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_registers(tmp_path: Path) -> None:
+async def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_registers(tmp_path: Path) -> None:
     """Modbus on another port: other registers, another epoch, and the same OPC UA session shows them."""
     small, port, modbus = SmallCell(tmp_path), free_port(), free_port()
     small.config.write_text(small.config.read_text() + f"\n[opcua]\nport = {port}\nanonymous = true\n")
@@ -876,7 +779,8 @@ def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_registers(tm
         state = await client.get_node(f"{AUTOMATIC}.CurrentState").read_value()
         return state is not None and state.Text == "ContinuousExecution" and await has_x(client)
 
-    async def look() -> None:
+    try:
+        daemon.wait_ready()
         async with Client(f"opc.tcp://127.0.0.1:{port}") as client:
             await until(lambda: measures(client), 30)
             before = await epoch(client)
@@ -885,9 +789,5 @@ def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_registers(tm
             daemon.process.send_signal(signal.SIGHUP)
             await until(lambda: has_another(client, before), 30)
             await until(lambda: measures(client), 30)
-
-    try:
-        daemon.wait_ready()
-        asyncio.run(look())
     finally:
         daemon.stop()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import socket
 import struct
 import subprocess
@@ -116,61 +115,50 @@ def test_who_says_nothing_has_to_go(cell: OpcUaCell, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell) -> None:
+async def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell) -> None:
     """One address gets half of the connections, however many it opens; who is logged in stays."""
-
-    async def run() -> None:
-        async with Client(cell.url, timeout=LIMIT_S) as first:
-            with ExitStack() as lines:
-                for _ in range(30):
-                    lines.enter_context(closing(connect(cell)))
-                async with Client(cell.url, timeout=LIMIT_S) as second:
-                    for client in (first, second):
-                        assert 1 == await client.get_node("ns=3;s=Registers.status.ACTIVE_JOB").read_value()
-
-    asyncio.run(run())
+    async with Client(cell.url, timeout=LIMIT_S) as first:
+        with ExitStack() as lines:
+            for _ in range(30):
+                lines.enter_context(closing(connect(cell)))
+            async with Client(cell.url, timeout=LIMIT_S) as second:
+                for client in (first, second):
+                    assert 1 == await client.get_node("ns=3;s=Registers.status.ACTIVE_JOB").read_value()
 
 
 @pytest.mark.slow
-def test_a_request_is_bounded(cell: OpcUaCell) -> None:
+async def test_a_request_is_bounded(cell: OpcUaCell) -> None:
     """As many nodes as the server says that it takes, and no more; one method a request."""
-
-    async def run() -> None:
-        async with Client(cell.url, timeout=LIMIT_S) as client:
-            said = client.get_node(ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead)
-            assert MAX_NODES == await said.read_value()
-            one = ua.ReadValueId(NodeId=ua.NodeId(2258), AttributeId=ua.AttributeIds.Value)
-            await client.uaclient.read(ua.ReadParameters(NodesToRead=[one] * MAX_NODES))
-            with pytest.raises(ua.uaerrors.BadTooManyOperations):
-                await client.uaclient.read(ua.ReadParameters(NodesToRead=[one] * (MAX_NODES + 1)))
-            call = ua.CallMethodRequest(ua.NodeId("Handshake", 3), ua.NodeId("Handshake.Release", 3))
-            with pytest.raises(ua.uaerrors.BadTooManyOperations):
-                await client.uaclient.call([call, call])
-
-    asyncio.run(run())
+    async with Client(cell.url, timeout=LIMIT_S) as client:
+        said = client.get_node(ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead)
+        assert MAX_NODES == await said.read_value()
+        one = ua.ReadValueId(NodeId=ua.NodeId(2258), AttributeId=ua.AttributeIds.Value)
+        await client.uaclient.read(ua.ReadParameters(NodesToRead=[one] * MAX_NODES))
+        with pytest.raises(ua.uaerrors.BadTooManyOperations):
+            await client.uaclient.read(ua.ReadParameters(NodesToRead=[one] * (MAX_NODES + 1)))
+        call = ua.CallMethodRequest(ua.NodeId("Handshake", 3), ua.NodeId("Handshake.Release", 3))
+        with pytest.raises(ua.uaerrors.BadTooManyOperations):
+            await client.uaclient.call([call, call])
 
 
 @pytest.mark.slow
-def test_a_session_holds_a_share_and_no_more(cell: OpcUaCell) -> None:
+async def test_a_session_holds_a_share_and_no_more(cell: OpcUaCell) -> None:
     """Of subscriptions; they go with it."""
 
     class Notes:
         def datachange_notification(self, node: object, value: object, data: object) -> None:
             """Nothing of interest."""
 
-    async def run() -> None:
-        for _ in range(3):
-            async with Client(cell.url, timeout=LIMIT_S) as client:
-                for _ in range(MAX_SUBSCRIPTIONS):
-                    subscription = await client.create_subscription(0, Notes())
-                with pytest.raises(ua.uaerrors.BadTooManySubscriptions):
-                    await client.create_subscription(0, Notes())
-                node = client.get_node("ns=3;s=Registers.status.HEARTBEAT")
-                with pytest.raises(ua.uaerrors.BadTooManyMonitoredItems):
-                    for _ in range(5):
-                        await subscription.subscribe_data_change([node] * 900)
-
-    asyncio.run(run())
+    for _ in range(3):
+        async with Client(cell.url, timeout=LIMIT_S) as client:
+            for _ in range(MAX_SUBSCRIPTIONS):
+                subscription = await client.create_subscription(0, Notes())
+            with pytest.raises(ua.uaerrors.BadTooManySubscriptions):
+                await client.create_subscription(0, Notes())
+            node = client.get_node("ns=3;s=Registers.status.HEARTBEAT")
+            with pytest.raises(ua.uaerrors.BadTooManyMonitoredItems):
+                for _ in range(5):
+                    await subscription.subscribe_data_change([node] * 900)
 
 
 # --- passwords -------------------------------------------------------------------------------------

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 from typing import Any
 
 import pytest
 from helpers.browsersession import PASSWORD
-from helpers.webcell import HASH, Cell, run
+from helpers.webcell import HASH, Cell, running
 
 from edged.identity.access import Access
 from edged.identity.invite import Invite
@@ -25,10 +24,9 @@ async def me(cell: Cell) -> tuple[str, str]:
     return told["name"], told["role"]
 
 
-def test_everybody_is_who_they_said() -> None:
+async def test_everybody_is_who_they_said() -> None:
     """By name and password; with the page's password alone somebody may look; a wrong one is nobody."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         for said, name, role in (
             ("anna", "Anna", "engineer"),
             ("Otto", "Otto", "operator"),
@@ -40,13 +38,10 @@ def test_everybody_is_who_they_said() -> None:
         for name, password in (("Anna", "guess"), ("Nobody", PASSWORD)):
             assert not await cell.comes_in(name, password)
 
-    run(test)
 
-
-def test_an_engineer_makes_changes_and_removes_users() -> None:
+async def test_an_engineer_makes_changes_and_removes_users() -> None:
     """It holds at once; sessions end with the user, and with the password."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         anna = cell.cookies()
         new = {"name": "Jörg B.", "role": "operator", "password": NEW, "language": "de"}
@@ -75,13 +70,10 @@ def test_an_engineer_makes_changes_and_removes_users() -> None:
         cell.use(joerg)
         assert 401 == (await cell.ask("GET", "/api/v1/me", None))[0]
 
-    run(test)
 
-
-def test_there_is_always_an_engineer() -> None:
+async def test_there_is_always_an_engineer() -> None:
     """The last one can neither be taken out nor made less."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         assert (204, None) == await cell.ask("DELETE", "/api/v1/users/Ben", None)
         for method, document in (("DELETE", None), ("PUT", {"role": "viewer"})):
@@ -89,13 +81,10 @@ def test_there_is_always_an_engineer() -> None:
             assert (409, "last_engineer") == (status, problem["code"])
         assert ("Anna", "engineer") == await me(cell)
 
-    run(test)
 
-
-def test_everybody_changes_their_own_password() -> None:
+async def test_everybody_changes_their_own_password() -> None:
     """With the old one; other sessions of theirs end, this one goes on; nobody's cannot be changed."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Vera")
         other = cell.cookies()
         await cell.log_in("Vera")
@@ -115,8 +104,6 @@ def test_everybody_changes_their_own_password() -> None:
         await cell.log_in("")
         assert 404 == (await cell.ask("PUT", place, {"old": PASSWORD, "new": NEW}))[0]
 
-    run(test)
-
 
 @pytest.mark.parametrize(
     "document, field",
@@ -131,23 +118,19 @@ def test_everybody_changes_their_own_password() -> None:
         ({"name": "A", "role": "viewer"}, "password"),
     ],
 )
-def test_a_user_that_cannot_be_names_the_field(document: dict[str, Any], field: str) -> None:
+async def test_a_user_that_cannot_be_names_the_field(document: dict[str, Any], field: str) -> None:
     """And nobody is made."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         status, problem = await cell.ask("POST", "/api/v1/users", document)
         assert (400, "invalid", field) == (status, problem["code"], problem["field"])
         _, listed = await cell.ask("GET", "/api/v1/users", None)
         assert 4 == len(listed["users"])
 
-    run(test)
 
-
-def test_the_first_engineer_comes_in_by_the_code(caplog: pytest.LogCaptureFixture) -> None:
+async def test_the_first_engineer_comes_in_by_the_code(caplog: pytest.LogCaptureFixture) -> None:
     """Which the journal names, once; a wrong one and two passwords that differ let nobody in."""
-
-    async def test(cell: Cell) -> None:
+    async with running(users={}) as cell:
         (line,) = [one.getMessage() for one in caplog.records if "with the code" in one.getMessage()]
         code = line.partition("with the code ")[2].partition(",")[0]
         form = {"code": code, "name": "Erna", "password": NEW, "again": NEW}
@@ -167,51 +150,45 @@ def test_the_first_engineer_comes_in_by_the_code(caplog: pytest.LogCaptureFixtur
         async with cell.session.get("/invite") as answer:
             assert 200 == answer.status
 
-    run(test, users={})
 
-
-def test_rights_of_an_engineer_end_without_a_sign_of_them(tmp_path: Path) -> None:
+async def test_rights_of_an_engineer_end_without_a_sign_of_them(tmp_path: Path) -> None:
     """After ten minutes they may look; what they did meanwhile counts, and the password brings them back."""
     users = UserFile(tmp_path / "users.json")
-    for name, role in (("Anna", "engineer"), ("Otto", "operator")):
-        users.put(User(name=name, role=role, password_hash=HASH))
+    for who, role in (("Anna", "engineer"), ("Otto", "operator")):
+        users.put(User(name=who, role=role, password_hash=HASH))
     now_s = [0.0]
     access = Access(HASH, lambda: now_s[0], users=users, invite=Invite(tmp_path))
 
-    async def test() -> None:
-        cookies = [await access.log_in("", PASSWORD, name) or "" for name in ("Anna", "Otto")]
+    cookies = [await access.log_in("", PASSWORD, name) or "" for name in ("Anna", "Otto")]
 
-        def roles() -> list[Role]:
-            found = [access.visitor(cookie, "") for cookie in cookies]
-            return [visitor.role for visitor in found if visitor is not None]
+    def roles() -> list[Role]:
+        found = [access.visitor(cookie, "") for cookie in cookies]
+        return [visitor.role for visitor in found if visitor is not None]
 
-        both, idle = [Role.ENGINEER, Role.OPERATOR], [Role.VIEWER, Role.OPERATOR]
-        now_s[0] = IDLE_S - 1
-        assert both == roles()
-        anna = access.visitor(cookies[0], "")
-        assert anna is not None
-        access.note_activity(anna.session)
-        now_s[0] += IDLE_S - 1
-        assert both == roles()
-        now_s[0] += 1
-        assert idle == roles()
-        access.note_activity(anna.session)
-        assert idle == roles()
-        visitor = access.visitor(cookies[0], "")
-        assert visitor is not None
-        assert visitor.is_idle
-        assert not await access.confirm("", visitor, "guess")
-        assert idle == roles()
-        assert await access.confirm("", visitor, PASSWORD)
-        assert both == roles()
-
-    asyncio.run(test())
+    both, idle = [Role.ENGINEER, Role.OPERATOR], [Role.VIEWER, Role.OPERATOR]
+    now_s[0] = IDLE_S - 1
+    assert both == roles()
+    anna = access.visitor(cookies[0], "")
+    assert anna is not None
+    access.note_activity(anna.session)
+    now_s[0] += IDLE_S - 1
+    assert both == roles()
+    now_s[0] += 1
+    assert idle == roles()
+    access.note_activity(anna.session)
+    assert idle == roles()
+    visitor = access.visitor(cookies[0], "")
+    assert visitor is not None
+    assert visitor.is_idle
+    assert not await access.confirm("", visitor, "guess")
+    assert idle == roles()
+    assert await access.confirm("", visitor, PASSWORD)
+    assert both == roles()
 
 
-def test_who_is_idle_is_told_so_and_wakes() -> None:
+async def test_who_is_idle_is_told_so_and_wakes() -> None:
     """403 with a code of its own, by which the page asks for the password; the lease goes on meanwhile."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         _, entered = await cell.ask("POST", "/api/v1/setup", {})
         cell.sleep(IDLE_S)
@@ -232,14 +209,11 @@ def test_who_is_idle_is_told_so_and_wakes() -> None:
             assert (204, None) == await cell.ask("PUT", "/api/v1/setup/lease", entered)
         assert 403 == (await cell.ask("POST", "/api/v1/captures", entered))[0]
 
-    run(test)
-
 
 @pytest.mark.slow
-def test_users_that_cannot_be_read_let_nobody_in(caplog: pytest.LogCaptureFixture) -> None:
+async def test_users_that_cannot_be_read_let_nobody_in(caplog: pytest.LogCaptureFixture) -> None:
     """It is in the journal; the page goes on, with its own password, and no code makes an engineer."""
-
-    async def test(cell: Cell) -> None:
+    async with running(users=None) as cell:
         assert any("nobody can log in by name" in one.getMessage() for one in caplog.records)
         assert not await cell.comes_in("Anna")
         await cell.log_in("")
@@ -251,5 +225,3 @@ def test_users_that_cannot_be_read_let_nobody_in(caplog: pytest.LogCaptureFixtur
             assert 500 == answer.status
             assert "users.json" in await answer.text()
         assert Invite(cell.state).take(code, "Erna", is_new=True)
-
-    run(test, users=None)

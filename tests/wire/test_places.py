@@ -15,8 +15,8 @@ import pytest
 from helpers.browsersession import PASSWORD
 from helpers.certificates import make_certificates
 from helpers.pagesources import FixedSources
-from helpers.waiting import WHOLE_S, until
-from helpers.webcell import HASH, Cell, run
+from helpers.waiting import until
+from helpers.webcell import HASH, Cell, running
 
 from edged.adapters.web import WebPublisher, WebSettings, login, places, sockets
 
@@ -55,18 +55,15 @@ def shut(lines: list[tuple[StreamReader, StreamWriter]]) -> None:
 
 
 @pytest.mark.slow
-def test_a_stranger_has_eight_places(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_stranger_has_eight_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """At one address; the ninth takes that of their own which was silent longest."""
     monkeypatch.setattr(login, "FORM_S", 60.0)
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         lines = [await connect(cell, "127.0.0.9") for _ in range(20)]
         await until(lambda: len(clients(cell)) <= places.OF_ADDRESS)
         assert [False] * 8 == [await is_closed(reader) for reader, _ in lines[-8:]]
         assert 8 == await still_open(lines)
         shut(lines)
-
-    run(test)
 
 
 def clients(cell: Cell) -> list[str]:
@@ -77,13 +74,12 @@ def clients(cell: Cell) -> list[str]:
 
 
 @pytest.mark.slow
-def test_a_form_that_does_not_come_keeps_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_form_that_does_not_come_keeps_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """From a hundred and twenty addresses, each with a body that is awaited: another stranger comes in, and
     who has logged in is served on a new connection.
     """
     monkeypatch.setattr(login, "FORM_S", 60.0)
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Anna")
         lines = [await connect(cell, f"127.0.1.{n % 100 + 1}", SLOW_FORM) for n in range(200)]
         await until(lambda: len(clients(cell)) <= places.MAX_CONNECTIONS - places.KEPT)
@@ -95,14 +91,11 @@ def test_a_form_that_does_not_come_keeps_no_place(monkeypatch: pytest.MonkeyPatc
             assert (await reader.readline()).startswith(b"HTTP/1.1 ")
         shut([*lines, (reader, writer)])
 
-    run(test)
-
 
 @pytest.mark.slow
-def test_strangers_end_no_connection_of_people() -> None:
+async def test_strangers_end_no_connection_of_people() -> None:
     """Ten idle ones of somebody who has logged in outlast two hundred of strangers at the same address."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Anna")
         cookie = "; ".join(f"{name}={value}" for name, value in cell.cookies().items())
         asked = f"GET /api/v1/me HTTP/1.1\r\nHost: 127.0.0.1\r\nCookie: {cookie}\r\n\r\n".encode()
@@ -118,13 +111,10 @@ def test_strangers_end_no_connection_of_people() -> None:
             assert (await reader.readline()).startswith(b"HTTP/1.1 200")
         shut([*mine, *lines])
 
-    run(test)
 
-
-def test_a_session_has_four_sockets() -> None:
+async def test_a_session_has_four_sockets() -> None:
     """The fifth is refused; another session has its own."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Vera")
         tabs = [await cell.session.ws_connect(PLACE, origin=cell.origin) for _ in range(4)]
         with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
@@ -134,14 +124,11 @@ def test_a_session_has_four_sockets() -> None:
         for tab in tabs:
             await tab.close()
 
-    run(test)
-
 
 @pytest.mark.slow
-def test_sockets_are_kept_for_people() -> None:
+async def test_sockets_are_kept_for_people() -> None:
     """Whoever has the page's password takes half of them at most, however often they log in."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         tabs = list[aiohttp.ClientWebSocketResponse]()
         with contextlib.suppress(aiohttp.WSServerHandshakeError):
             while True:
@@ -154,15 +141,12 @@ def test_sockets_are_kept_for_people() -> None:
         for tab in tabs:
             await tab.close()
 
-    run(test)
-
 
 @pytest.mark.slow
-def test_requests_that_expect_too_much_are_counted() -> None:
+async def test_requests_that_expect_too_much_are_counted() -> None:
     """`Expect:` is answered before anything else of a request is asked: it counts all the same."""
     line, count = b"GET /health HTTP/1.1\r\nHost: 127.0.0.1\r\nExpect: more\r\n\r\n", 4000
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         reader, writer = await connect(cell, "127.0.0.9")
         writer.write(line * count)
         answers = b""
@@ -172,14 +156,11 @@ def test_requests_that_expect_too_much_are_counted() -> None:
         assert 0 < answers.count(b"HTTP/1.1 417 ") < count
         writer.close()
 
-    run(test)
-
 
 @pytest.mark.parametrize("coding", ["deflate", "gzip", "br"])
-def test_a_compressed_body_is_not_unpacked(coding: str) -> None:
+async def test_a_compressed_body_is_not_unpacked(coding: str) -> None:
     """A few kilobytes of it would be megabytes in the loop, before anybody is asked who they are."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         form = zlib.compress(urlencode({"name": "Vera", "password": PASSWORD}).encode())
         headers = {
             "Origin": cell.origin,
@@ -190,15 +171,12 @@ def test_a_compressed_body_is_not_unpacked(coding: str) -> None:
             assert 415 == answer.status
         assert {} == cell.cookies()
 
-    run(test)
 
-
-def test_a_request_without_a_host_asks_no_name_server(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_request_without_a_host_asks_no_name_server(monkeypatch: pytest.MonkeyPatch) -> None:
     """A load balancer's, for example; it is answered, and it is no browser's."""
     asked = list[tuple[str, ...]]()
     monkeypatch.setattr("socket.getfqdn", lambda *names: asked.append(names) or "cellpc")
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         for line, expected in (
             (b"GET /health HTTP/1.0\r\n\r\n", b"503"),
             (b"POST /login HTTP/1.0\r\nOrigin: http://\r\nContent-Length: 0\r\n\r\n", b"403"),
@@ -206,34 +184,24 @@ def test_a_request_without_a_host_asks_no_name_server(monkeypatch: pytest.Monkey
             reader, writer = await connect(cell, "127.0.0.9", line)
             assert (await reader.readline()).split()[1] in (expected, b"200")
             writer.close()
-
-    run(test)
     assert [] == asked
 
 
 @pytest.mark.slow
-def test_handshakes_of_one_address_keep_nobody_out(tmp_path: Path) -> None:
+async def test_handshakes_of_one_address_keep_nobody_out(tmp_path: Path) -> None:
     """Two hundred connections at once that want TLS: somebody else's is served beside them."""
     make_certificates(tmp_path)
     certificate, key = tmp_path / "server.pem", tmp_path / "server.key"
     settings = WebSettings(port=0, password_hash=HASH, certificate=certificate, key=key)
 
-    async def test() -> None:
-        web = WebPublisher("cell1", settings, FixedSources(rectification=lambda: pytest.fail("no picture")))
-        await web.start()
-        trusting = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
-        place = f"https://127.0.0.1:{web.port}/login"
-        lines = [
-            await asyncio.open_connection("127.0.0.1", web.port, local_addr=("127.0.0.9", 0))
-            for _ in range(200)
-        ]
-        async with aiohttp.ClientSession() as session, session.get(place, ssl=trusting) as answer:
-            assert 200 == answer.status
-        shut(lines)
-        await web.close()
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S):
-            await test()
-
-    asyncio.run(bounded())
+    web = WebPublisher("cell1", settings, FixedSources(rectification=lambda: pytest.fail("no picture")))
+    await web.start()
+    trusting = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+    place = f"https://127.0.0.1:{web.port}/login"
+    lines = [
+        await asyncio.open_connection("127.0.0.1", web.port, local_addr=("127.0.0.9", 0)) for _ in range(200)
+    ]
+    async with aiohttp.ClientSession() as session, session.get(place, ssl=trusting) as answer:
+        assert 200 == answer.status
+    shut(lines)
+    await web.close()

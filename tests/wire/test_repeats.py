@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 from helpers.browsersession import PASSWORD
-from helpers.webcell import Cell, run
+from helpers.webcell import running
 
 from edged.adapters.web.repeats import KEPT, KEPT_S, MAX_LETTERS
 
@@ -19,10 +19,9 @@ def again(key: str) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_what_is_sent_again_is_answered_as_before() -> None:
+async def test_what_is_sent_again_is_answered_as_before() -> None:
     """Also while the first is still being done; what else is sent with its key is refused."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         first, second = await asyncio.gather(
             *(cell.ask("POST", USERS, NEW, **again("erna")) for _ in range(2))
@@ -37,27 +36,21 @@ def test_what_is_sent_again_is_answered_as_before() -> None:
         outcomes = [one["outcome"] for one in told["records"] if one["verb"] == "POST"]
         assert ["again", "again", "exists", "key", "ok"] == sorted(outcomes)
 
-    run(test)
 
-
-def test_what_was_refused_may_be_possible_later() -> None:
+async def test_what_was_refused_may_be_possible_later() -> None:
     """With the same key it is tried again."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         cell.cycle.lock_setup(True)
         assert 409 == (await cell.ask("POST", "/api/v1/setup", {}, **again("1")))[0]
         cell.cycle.lock_setup(False)
         assert 201 == (await cell.ask("POST", "/api/v1/setup", {}, **again("1")))[0]
 
-    run(test)
-
 
 @pytest.mark.slow
-def test_a_key_is_that_of_its_session_for_ten_minutes() -> None:
+async def test_a_key_is_that_of_its_session_for_ten_minutes() -> None:
     """Others may use the same; what is old is forgotten, and what is too much; too long a key is none."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Ben")
         tongue = "/api/v1/me", {"language": "de"}
         assert 200 == (await cell.ask("PUT", *tongue, **again("1")))[0]
@@ -71,5 +64,3 @@ def test_a_key_is_that_of_its_session_for_ten_minutes() -> None:
         assert 200 == (await cell.ask("PUT", *tongue, **again("1")))[0]
         cell.sleep(KEPT_S + 1)
         assert 200 == (await cell.ask("PUT", "/api/v1/me", {"language": "en"}, **again("1")))[0]
-
-    run(test)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import ssl
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
@@ -15,8 +14,7 @@ from argon2 import PasswordHasher
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
 from helpers.certificates import make_certificates
 from helpers.pagesources import FixedSources
-from helpers.waiting import WHOLE_S
-from helpers.webcell import HASH, USERS, Cell, run
+from helpers.webcell import HASH, USERS, Cell, running
 
 from edged.adapters.web import WebPublisher, WebSettings
 from edged.identity.invite import Invite
@@ -45,16 +43,6 @@ async def page(
         await web.close()
 
 
-def bounded(test: Any) -> None:
-    """A test's coroutine, bounded."""
-
-    async def whole() -> None:
-        async with asyncio.timeout(WHOLE_S):
-            await test
-
-    asyncio.run(whole())
-
-
 async def logged_in(browser: BrowserSession, **how: Any) -> aiohttp.ClientResponse:
     """The answer to a log-in with the page's password."""
     headers = {"Origin": browser.origin} | how.pop("headers", {})
@@ -67,60 +55,47 @@ async def logged_in(browser: BrowserSession, **how: Any) -> aiohttp.ClientRespon
 # --- cookies, hosts, origins -------------------------------------------------------------------
 
 
-def test_two_cells_on_one_host_have_two_cookies() -> None:
+async def test_two_cells_on_one_host_have_two_cookies() -> None:
     """Browsers send cookies to every port of a host: logging in at one cell leaves the other alone."""
-
-    async def test() -> None:
-        async with page("cell1") as one, page("cell2") as other:
-            names = [set((await logged_in(browser)).cookies) for browser in (one, other)]
-            assert 2 == len(names[0] | names[1])
-
-    bounded(test())
+    async with page("cell1") as one, page("cell2") as other:
+        names = [set((await logged_in(browser)).cookies) for browser in (one, other)]
+        assert 2 == len(names[0] | names[1])
 
 
-def test_the_cookie_of_a_page_with_tls_is_bound_to_its_host(tmp_path: Path) -> None:
+async def test_the_cookie_of_a_page_with_tls_is_bound_to_its_host(tmp_path: Path) -> None:
     """`__Host-`: neither another host nor a page without TLS can set it in a browser."""
     make_certificates(tmp_path)
-
-    async def test() -> None:
-        trusting = ssl.create_default_context()
-        trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
-        async with page("cell1", tmp_path / "server.pem", tmp_path / "server.key") as browser:
-            answer = await logged_in(browser, ssl=trusting)
-            (header,) = answer.headers.getall("Set-Cookie")
-            assert header.startswith("__Host-")
-            assert "Secure" in header and "Path=/" in header and "Domain" not in header
-
-    bounded(test())
+    trusting = ssl.create_default_context()
+    trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
+    async with page("cell1", tmp_path / "server.pem", tmp_path / "server.key") as browser:
+        answer = await logged_in(browser, ssl=trusting)
+        (header,) = answer.headers.getall("Set-Cookie")
+        assert header.startswith("__Host-")
+        assert "Secure" in header and "Path=/" in header and "Domain" not in header
 
 
-def test_only_names_of_this_machine_are_served(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_only_names_of_this_machine_are_served(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also by a page with a password: its addresses, its host's name, and those that the settings name."""
     monkeypatch.setattr("socket.gethostname", lambda: "cellpc")
-
-    async def test() -> None:
-        async with page("cell1", names=("cells.plant.example",)) as browser:
-            for host, expected in (
-                ("evil.example", 421),
-                ("cellpc.evil.example", 421),
-                ("", 421),
-                ("cellpc:8080", 200),
-                ("CellPC.local", 200),
-                ("cells.plant.example", 200),
-                ("10.0.0.5:8080", 200),
-                ("[fd00::5]:8080", 200),
-                ("localhost", 200),
-            ):
-                async with browser.session.get("/login", headers={"Host": host}) as answer:
-                    assert expected == answer.status, host
-
-    bounded(test())
+    async with page("cell1", names=("cells.plant.example",)) as browser:
+        for host, expected in (
+            ("evil.example", 421),
+            ("cellpc.evil.example", 421),
+            ("", 421),
+            ("cellpc:8080", 200),
+            ("CellPC.local", 200),
+            ("cells.plant.example", 200),
+            ("10.0.0.5:8080", 200),
+            ("[fd00::5]:8080", 200),
+            ("localhost", 200),
+        ):
+            async with browser.session.get("/login", headers={"Host": host}) as answer:
+                assert expected == answer.status, host
 
 
-def test_a_page_elsewhere_logs_nobody_in_or_out() -> None:
+async def test_a_page_elsewhere_logs_nobody_in_or_out() -> None:
     """Their own account into somebody's browser, for example."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Anna")
         form = {"name": "Vera", "password": PASSWORD}
         for origin in ({"Origin": "http://evil.example"}, {"Origin": "null"}, {}):
@@ -131,16 +106,13 @@ def test_a_page_elsewhere_logs_nobody_in_or_out() -> None:
                     assert 403 == answer.status, (origin, path)
         assert "Anna" == (await cell.ask("GET", "/api/v1/me"))[1]["name"]
 
-    run(test)
-
 
 # --- the lease ---------------------------------------------------------------------------------
 
 
-def test_a_token_is_of_use_to_its_session_alone() -> None:
+async def test_a_token_is_of_use_to_its_session_alone() -> None:
     """Not to another engineer who has seen it, nor to another session of hers: they take the cell over."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Anna")
         anna = cell.cookies()
         _, token = await cell.ask("POST", "/api/v1/setup", {})
@@ -159,17 +131,14 @@ def test_a_token_is_of_use_to_its_session_alone() -> None:
         _, taken = await cell.ask("POST", "/api/v1/setup", {"take_over": True})
         assert 201 == (await cell.ask("POST", "/api/v1/captures", taken))[0]
 
-    run(test)
-
 
 # --- the password once more ----------------------------------------------------------------------
 
 
-def test_people_are_changed_with_the_own_password_alone() -> None:
+async def test_people_are_changed_with_the_own_password_alone() -> None:
     """Said within the last minutes: to log in, or again. Looking, and setting up, go on without."""
     person = {"name": "Erna", "role": "operator", "password": NEW}
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Anna")
         assert CONFIRMED_S < IDLE_S
         cell.sleep(CONFIRMED_S)
@@ -186,13 +155,10 @@ def test_people_are_changed_with_the_own_password_alone() -> None:
         assert (204, None) == await cell.ask("POST", "/api/v1/me/wake", {"password": PASSWORD})
         assert 201 == (await cell.ask("POST", "/api/v1/users", person))[0]
 
-    run(test)
 
-
-def test_a_weak_password_is_refused() -> None:
+async def test_a_weak_password_is_refused() -> None:
     """Of the lists, of rows of keys, of one's own name: for somebody new, for oneself, and by a code."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Anna")
         for password in ("Password1!", "qwertzuiop", "20252026", "abababab", "Erna1990", "P@ssw0rd"):
             person = {"name": "Erna", "role": "operator", "password": password}
@@ -206,8 +172,6 @@ def test_a_weak_password_is_refused() -> None:
         code = Invite(cell.state).make("Erna")
         assert "/invite?common" == await redeemed(cell, code, "Erna", "erna12345")
 
-    run(test)
-
 
 async def redeemed(cell: Cell, code: str, name: str, password: str = NEW) -> str:
     """Where the form of a code leads."""
@@ -217,10 +181,9 @@ async def redeemed(cell: Cell, code: str, name: str, password: str = NEW) -> str
         return answer.headers["Location"]
 
 
-def test_an_invitation_makes_nobody_but_whom_it_was_made_for() -> None:
+async def test_an_invitation_makes_nobody_but_whom_it_was_made_for() -> None:
     """One for Erna gives nobody Anna's account; the journal's first one is for a name that is new."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         code = Invite(cell.state).make("Erna")
         for name in ("Anna", "Somebody", "\u0415rna"):
             assert "/invite?wrong" == await redeemed(cell, code, name)
@@ -230,13 +193,10 @@ def test_an_invitation_makes_nobody_but_whom_it_was_made_for() -> None:
         assert await cell.comes_in("Vera")
         assert await cell.comes_in("Anna")
 
-    run(test)
 
-
-def test_nobody_gets_a_name_that_looks_like_anothers() -> None:
+async def test_nobody_gets_a_name_that_looks_like_anothers() -> None:
     """With a Cyrillic letter, or a digit for a letter; a name in another form logs in the same user."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Anna")
         for name in ("\u0410nna", "Ann\u0430", "Anna\u3164", "\uff21nna", "0tto"):
             person = {"name": name, "role": "engineer", "password": NEW}
@@ -246,13 +206,10 @@ def test_nobody_gets_a_name_that_looks_like_anothers() -> None:
         assert "Anna" == (await cell.ask("GET", "/api/v1/me"))[1]["name"]
         assert set(USERS) == {user.name for user in UserFile(cell.state / "users.json").users}
 
-    run(test)
 
-
-def test_everybody_sees_their_sessions_and_ends_them_all() -> None:
+async def test_everybody_sees_their_sessions_and_ends_them_all() -> None:
     """Where they are logged in, and nobody else's; this one ends with the others."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Ben")
         ben = cell.cookies()
         seen = list[Mapping[str, str]]()
@@ -274,26 +231,20 @@ def test_everybody_sees_their_sessions_and_ends_them_all() -> None:
             status, problem = await cell.ask(method, "/api/v1/me/sessions")
             assert (404, "no_user") == (status, problem["code"])
 
-    run(test)
 
-
-def test_a_token_reads_the_metrics_and_nothing_else() -> None:
+async def test_a_token_reads_the_metrics_and_nothing_else() -> None:
     """So that a scraper needs no password of the page; a wrong one is a guess."""
-
-    async def test() -> None:
-        hashed = PasswordHasher(1, 512, 1).hash(TOKEN)
-        async with page("cell1", metrics_password_hash=hashed) as browser:
-            for path, token, expected in (
-                ("/metrics", TOKEN, 200),
-                ("/status.json", TOKEN, 401),
-                ("/", TOKEN, 401),
-                ("/metrics", "\u00e9", 401),
-                *(("/metrics", "guess", 401),) * 5,
-                ("/metrics", "guess", 429),
-                ("/metrics", TOKEN, 200),
-            ):
-                headers = {"Authorization": f"Bearer {token}"}
-                async with browser.session.get(path, headers=headers) as answer:
-                    assert expected == answer.status, (path, token)
-
-    bounded(test())
+    hashed = PasswordHasher(1, 512, 1).hash(TOKEN)
+    async with page("cell1", metrics_password_hash=hashed) as browser:
+        for path, token, expected in (
+            ("/metrics", TOKEN, 200),
+            ("/status.json", TOKEN, 401),
+            ("/", TOKEN, 401),
+            ("/metrics", "\u00e9", 401),
+            *(("/metrics", "guess", 401),) * 5,
+            ("/metrics", "guess", 429),
+            ("/metrics", TOKEN, 200),
+        ):
+            headers = {"Authorization": f"Bearer {token}"}
+            async with browser.session.get(path, headers=headers) as answer:
+                assert expected == answer.status, (path, token)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.browsersession import PASSWORD
 from helpers.waiting import until
-from helpers.webcell import Cell, run
+from helpers.webcell import running
 
 from edged.domain.cell import CellPhase
 
@@ -21,10 +21,9 @@ CHANGING = (
 )
 
 
-def test_somebody_takes_the_cell_looks_and_gives_it_back() -> None:
+async def test_somebody_takes_the_cell_looks_and_gives_it_back() -> None:
     """The state changes before the answer; pictures are what the cameras gave, to the last grey value."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         status, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         assert (201, CellPhase.SETUP) == (status, cell.ear.state())
@@ -40,14 +39,12 @@ def test_somebody_takes_the_cell_looks_and_gives_it_back() -> None:
                 assert np.array_equal(np.zeros((4, 4), np.uint8), image)
         assert (204, None) == await cell.ask("DELETE", "/api/v1/setup", token)
         await until(lambda: cell.ear.state() is CellPhase.READY)
+    assert [] == cell.ear.snapshots()
 
-    assert [] == run(test).snapshots()
 
-
-def test_two_people_are_told_of_each_other() -> None:
+async def test_two_people_are_told_of_each_other() -> None:
     """The second is refused with the first one's name, may take over, and the first one's token ends."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         _, first = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         status, refused = await cell.ask("POST", "/api/v1/setup", {"name": "Ben"})
@@ -61,13 +58,10 @@ def test_two_people_are_told_of_each_other() -> None:
         assert (204, None) == await cell.ask("DELETE", "/api/v1/setup", {"name": "Carl"})
         await until(lambda: cell.ear.state() is CellPhase.READY)
 
-    run(test)
 
-
-def test_a_dead_camera_and_an_old_picture_are_problems_with_a_code() -> None:
+async def test_a_dead_camera_and_an_old_picture_are_problems_with_a_code() -> None:
     """Of RFC 9457: what a program needs, and a sentence."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         for _ in range(5):
@@ -80,14 +74,13 @@ def test_a_dead_camera_and_an_old_picture_are_problems_with_a_code() -> None:
         assert (503, "camera_104") == (status, problem["code"])
         assert "unplugged" in problem["detail"]
 
-    run(test)
-
 
 @pytest.mark.parametrize("method, path, document", CHANGING)
-def test_nobody_changes_the_cell_but_from_the_page(method: str, path: str, document: dict[str, str]) -> None:
+async def test_nobody_changes_the_cell_but_from_the_page(
+    method: str, path: str, document: dict[str, str]
+) -> None:
     """Not without logging in, not with the password of a scraper, not from another page or from none."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         async with cell.session.request(method, path, json=document) as answer:
             assert 401 == answer.status
         basic = "Basic " + base64.b64encode(f"edged:{PASSWORD}".encode()).decode()
@@ -102,20 +95,18 @@ def test_nobody_changes_the_cell_but_from_the_page(method: str, path: str, docum
             assert (403, "origin") == (answer.status, (await answer.json())["code"])
         async with cell.session.request(method, path, data=document, headers=sent) as answer:
             assert 415 == answer.status
-
-    ear = run(test)
+    ear = cell.ear
     assert CellPhase.SETUP not in {event.state for event in ear.events if hasattr(event, "setup_by")}
 
 
 @pytest.mark.parametrize("method, path, document", CHANGING)
-def test_without_the_switch_there_is_no_such_route(method: str, path: str, document: dict[str, str]) -> None:
+async def test_without_the_switch_there_is_no_such_route(
+    method: str, path: str, document: dict[str, str]
+) -> None:
     """A page that only shows has nothing that changes the cell."""
-
-    async def test(cell: Cell) -> None:
+    async with running(commissioning=False) as cell:
         await cell.log_in("")
         assert 404 == (await cell.ask(method, path, document))[0]
-
-    run(test, commissioning=False)
 
 
 @pytest.mark.parametrize(
@@ -135,10 +126,9 @@ def test_without_the_switch_there_is_no_such_route(method: str, path: str, docum
         (b'{"name": "' + b"a" * 5000 + b'"}', 413, "too_large", None),
     ],
 )
-def test_what_is_no_request_is_said(body: bytes, status: int, code: str, field: str | None) -> None:
+async def test_what_is_no_request_is_said(body: bytes, status: int, code: str, field: str | None) -> None:
     """By its place; and it takes no cell."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         headers = {"Origin": cell.origin, "Content-Type": "application/json"}
         async with cell.session.post("/api/v1/setup", data=body, headers=headers) as answer:
@@ -148,18 +138,13 @@ def test_what_is_no_request_is_said(body: bytes, status: int, code: str, field: 
             assert (code, field) == (problem["code"], problem.get("field"))
         assert CellPhase.SETUP is not cell.ear.state()
 
-    run(test)
 
-
-def test_the_plant_that_runs_is_named() -> None:
+async def test_the_plant_that_runs_is_named() -> None:
     """409 with AUTO_LOCK, and READY stays."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         cell.cycle.lock_setup(True)
         status, problem = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         assert 409 == status
         assert "AUTO_LOCK" in problem["detail"]
         await until(lambda: cell.ear.state() is CellPhase.READY)
-
-    run(test)

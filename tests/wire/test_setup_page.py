@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import shutil
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import Ear
 from helpers.setuppage import (
     DIALOG,
     LEASE,
@@ -27,7 +26,7 @@ from helpers.setuppage import (
     take,
     thaw,
 )
-from helpers.waiting import WHOLE_S, until
+from helpers.waiting import until
 from helpers.webcell import Cell, running
 
 from edged.domain.cell import CellPhase
@@ -39,27 +38,20 @@ pytestmark = [
 ]
 
 
-def on_the_page(
-    test: Callable[[Browser, Cell], Awaitable[None]],
-    width: int = 1280,
-    height: int = 900,
-    place: str = "/setup",
-) -> None:
-    """Run a test on the page of whoever logged in; nothing may fail unseen."""
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), running(Ear(), True) as cell, browser() as page:
-            await log_in(page, cell.origin, "Anna", PASSWORD, place, (width, height))
-            await test(page, cell)
-            assert [] == page.complaints
-
-    asyncio.run(bounded())
+@asynccontextmanager
+async def on_the_page(
+    width: int = 1280, height: int = 900, place: str = "/setup"
+) -> AsyncIterator[tuple[Browser, Cell]]:
+    """Anna's page; nothing may fail unseen."""
+    async with running() as cell, browser() as page:
+        await log_in(page, cell.origin, "Anna", PASSWORD, place, (width, height))
+        yield page, cell
+        assert [] == page.complaints
 
 
-def test_somebody_takes_the_cell_and_gives_it_back() -> None:
+async def test_somebody_takes_the_cell_and_gives_it_back() -> None:
     """The state stands in words; a reload and the back button keep cell and step; leaving is asked about."""
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await page.until(f'{STATE} === "READY"')
         await take(page)
         assert cell.ear.state() is CellPhase.SETUP
@@ -76,13 +68,10 @@ def test_somebody_takes_the_cell_and_gives_it_back() -> None:
         await until(lambda: cell.ear.state() is CellPhase.READY)
         await page.until(f'{STATE} === "READY"')
 
-    on_the_page(test)
 
-
-def test_whoever_loses_the_cell_is_told_who_has_it() -> None:
+async def test_whoever_loses_the_cell_is_told_who_has_it() -> None:
     """And can only look from then on, until they take it over again."""
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await take(page)
         await cell.log_in()
         status, _ = await cell.ask("POST", "/api/v1/setup", {"name": "Ben", "take_over": True})
@@ -97,15 +86,12 @@ def test_whoever_loses_the_cell_is_told_who_has_it() -> None:
         await page.until('document.querySelector(".lease.mine")')
         page.complaints.clear()  # of the lease that was lost
 
-    on_the_page(test)
 
-
-def test_the_page_speaks_as_it_is_told() -> None:
+async def test_the_page_speaks_as_it_is_told() -> None:
     """The language is chosen at once and kept, also with the user and for the Run page, where it is chosen
     likewise; numbers are written, and read, as people write them.
     """
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await page.value(
             """(() => { const list = document.querySelector(".language select"); list.value = "de";
             list.dispatchEvent(new Event("change", {bubbles: true})); })()"""
@@ -135,13 +121,10 @@ def test_the_page_speaks_as_it_is_told() -> None:
         await page.open(f"{cell.origin}/setup", 1280, 900)
         await page.until(f'document.querySelector("#state") && {STATE} === "READY"')
 
-    on_the_page(test)
 
-
-def test_a_step_that_is_chosen_while_the_page_comes_is_entered() -> None:
+async def test_a_step_that_is_chosen_while_the_page_comes_is_entered() -> None:
     """The one that it would begin with does not take its place."""
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await page.ask(
             "Page.addScriptToEvaluateOnNewDocument",
             source="""{ const asked = fetch;
@@ -153,10 +136,8 @@ def test_a_step_that_is_chosen_while_the_page_comes_is_entered() -> None:
         await page.until('document.querySelector("main[data-page=system] h1")')
         assert "#/system" == await page.value("location.hash")
 
-    on_the_page(test)
 
-
-def test_of_an_answer_and_what_was_told_meanwhile_the_newer_one_holds() -> None:
+async def test_of_an_answer_and_what_was_told_meanwhile_the_newer_one_holds() -> None:
     """A message that overtakes an answer is newer: of the same document, and no older revision."""
     race = """Promise.all([import("/static/setup/shared/live.js"), import("/static/vendor/ui.js")])
     .then(async ([{ newest }, { signal }]) => {
@@ -169,30 +150,23 @@ def test_of_an_answer_and_what_was_told_meanwhile_the_newer_one_holds() -> None:
       const held = [];
       for (const one of messages) held.push(await raced(one && { id: one[0], revision: one[1] }));
       return held; })"""
-
-    async def test(page: Browser, _cell: Cell) -> None:
+    async with on_the_page() as (page, _):
         assert [False, False, False, True, True] == await page.value(race)
 
-    on_the_page(test)
 
-
-def test_no_word_is_written_into_the_page() -> None:
+async def test_no_word_is_written_into_the_page() -> None:
     """With texts that are stretched and marked, whatever can be read or heard carries the mark, and fits."""
-
-    async def test(page: Browser, _cell: Cell) -> None:
+    async with on_the_page(360, 740, "/setup?pseudo") as (page, _):
         assert [] == await page.value(UNTRANSLATED)
         await take(page)
         assert [] == await page.value(UNTRANSLATED)
         assert 0 == await page.value(TOO_WIDE)
 
-    on_the_page(test, 360, 740, "/setup?pseudo")
-
 
 @pytest.mark.parametrize(("width", "height"), [(360, 740), (800, 480), (1920, 1080)])
-def test_everybody_can_use_the_shell(width: int, height: int) -> None:
+async def test_everybody_can_use_the_shell(width: int, height: int) -> None:
     """axe finds nothing; all fits the window, also with letters twice as large; fingers find every target."""
-
-    async def test(page: Browser, _cell: Cell) -> None:
+    async with on_the_page(width, height) as (page, _):
         await take(page)
         assert [] == await page.violations()
         assert 0 == await page.value(TOO_WIDE)
@@ -200,13 +174,10 @@ def test_everybody_can_use_the_shell(width: int, height: int) -> None:
         await page.value('document.documentElement.style.fontSize = "200%"')
         assert 0 == await page.value(TOO_WIDE)
 
-    on_the_page(test, width, height)
 
-
-def test_who_was_away_says_the_password_again() -> None:
+async def test_who_was_away_says_the_password_again() -> None:
     """After ten minutes an engineer may only look; the page says so, and the password changes it."""
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await page.until(f'{STATE} === "READY"')
         cell.sleep(660.0)
         await press(page, "Take the cell")
@@ -221,14 +192,11 @@ def test_who_was_away_says_the_password_again() -> None:
         await take(page)
         assert cell.ear.state() is CellPhase.SETUP
 
-    on_the_page(test)
 
-
-def test_an_engineer_says_who_may_come_in() -> None:
+async def test_an_engineer_says_who_may_come_in() -> None:
     """Name, role and first password; nobody takes the own rights away; what was done stands in the audit."""
     people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await page.click('header nav a[href="#/system"]')
         await page.until(f"{people}.length === 4")
         assert await page.value("document.querySelector(\"[aria-label='Role of Anna']\").disabled")
@@ -249,14 +217,11 @@ def test_an_engineer_says_who_may_come_in() -> None:
         assert [] == await page.value(UNTRANSLATED)
         assert 0 == await page.value(TOO_WIDE)
 
-    on_the_page(test)
 
-
-def test_who_may_come_in_is_changed_with_the_password() -> None:
+async def test_who_may_come_in_is_changed_with_the_password() -> None:
     """Some minutes after the log-in it is asked for; a wrong one is said there, and the right one goes on."""
     people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await go(page, "system")
         await page.until(f'{people}.includes("Vera")')
         cell.sleep(CONFIRMED_S)
@@ -274,14 +239,11 @@ def test_who_may_come_in_is_changed_with_the_password() -> None:
         await page.until(f'!{people}.includes("Vera")')
         assert not await cell.comes_in("Vera")
 
-    on_the_page(test)
 
-
-def test_a_page_shows_where_somebody_is_logged_in_and_ends_it_all() -> None:
+async def test_a_page_shows_where_somebody_is_logged_in_and_ends_it_all() -> None:
     """The other device stands there with this one; then both ask for the password."""
     lines = '[...document.querySelectorAll("[aria-labelledby=sessions] li")].map((e) => e.textContent)'
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await cell.log_in()
         await go(page, "system")
         await page.until(f"{lines}.length === 2")
@@ -291,13 +253,10 @@ def test_a_page_shows_where_somebody_is_logged_in_and_ends_it_all() -> None:
         assert 401 == (await cell.ask("GET", "/api/v1/me"))[0]
         page.complaints.clear()  # of the session that has ended
 
-    on_the_page(test)
 
-
-def test_everybody_has_a_password_of_their_own() -> None:
+async def test_everybody_has_a_password_of_their_own() -> None:
     """Who knows the present one changes it; it is said aloud, and counts at once."""
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await go(page, "system")
         await page.type(".own [autocomplete=current-password]", "wrong")
         await page.type(".own [autocomplete=new-password]", "another horse")
@@ -312,10 +271,8 @@ def test_everybody_has_a_password_of_their_own() -> None:
         assert not await cell.comes_in("Anna")
         assert await cell.comes_in("Anna", "another horse")
 
-    on_the_page(test)
 
-
-def test_a_keyboard_is_enough() -> None:
+async def test_a_keyboard_is_enough() -> None:
     """Tab comes to the link that skips the head first, and Escape leaves a question as it was."""
     focused = "document.activeElement.textContent.trim()"
 
@@ -323,7 +280,7 @@ def test_a_keyboard_is_enough() -> None:
         await page.ask("Input.dispatchKeyEvent", type="keyDown", key=name, windowsVirtualKeyCode=code, **text)
         await page.ask("Input.dispatchKeyEvent", type="keyUp", key=name, windowsVirtualKeyCode=code)
 
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await key(page, "Tab", 9)
         assert "Skip to content" == await page.value(focused)
         for _ in range(40):
@@ -342,10 +299,8 @@ def test_a_keyboard_is_enough() -> None:
         await key(page, "Enter", 13, text="\r")
         await page.until('document.querySelector(".lease.mine")')
 
-    on_the_page(test)
 
-
-def test_few_keys_lead_about_and_none_while_somebody_types() -> None:
+async def test_few_keys_lead_about_and_none_while_somebody_types() -> None:
     """They are listed by "?", go to steps, press nothing, and single ones can be switched off."""
     shown = 'document.querySelector("main").dataset.page'
 
@@ -353,7 +308,7 @@ def test_few_keys_lead_about_and_none_while_somebody_types() -> None:
         await page.press(name)
         await page.until(f"{shown} === {expected!r}")
 
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await page.press("?")
         await page.until(DIALOG)
         assert [] == await page.violations()
@@ -379,13 +334,10 @@ def test_few_keys_lead_about_and_none_while_somebody_types() -> None:
         assert "system" == await page.value(shown)
         assert cell.ear.state() is CellPhase.READY
 
-    on_the_page(test)
 
-
-def test_a_page_that_does_not_come_says_so() -> None:
+async def test_a_page_that_does_not_come_says_so() -> None:
     """It is fetched when it is first entered; what happened is said, and what is there stays."""
-
-    async def test(page: Browser, _cell: Cell) -> None:
+    async with on_the_page() as (page, _):
         await page.ask("Network.enable")
         await page.ask("Network.setBlockedURLs", urls=["*/cell/system.js"])
         await page.value('location.hash = "#/system"')
@@ -393,27 +345,21 @@ def test_a_page_that_does_not_come_says_so() -> None:
         await go(page, "welcome")
         page.complaints.clear()  # of the page that was kept away
 
-    on_the_page(test)
 
-
-def test_a_page_without_its_cell_says_so() -> None:
+async def test_a_page_without_its_cell_says_so() -> None:
     """As soon as the connection ends, in words."""
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await page.until(f'{STATE} === "READY"')
         await cell.web.close()
         await page.until(said("Connection to the cell lost"))
         page.complaints.clear()  # of the connection
 
-    on_the_page(test)
-
 
 @pytest.mark.parametrize("way", ["leave", "freeze"])
-def test_a_page_that_comes_back_from_the_browsers_memory_listens_again(way: str) -> None:
+async def test_a_page_that_comes_back_from_the_browsers_memory_listens_again(way: str) -> None:
     """Its socket is closed when it is left; what happened meanwhile stands there, without a reload."""
     connected = "live.isConnected.value"
-
-    async def test(page: Browser, cell: Cell) -> None:
+    async with on_the_page() as (page, cell):
         await page.value('import("/static/setup/shared/live.js").then((live) => { globalThis.live = live; })')
         await page.until(connected)
         await (leave if way == "leave" else freeze)(page)
@@ -422,5 +368,3 @@ def test_a_page_that_comes_back_from_the_browsers_memory_listens_again(way: str)
         assert 201 == (await cell.ask("POST", "/api/v1/setup", {"name": "Ben"}))[0]
         await (come_back if way == "leave" else thaw)(page)
         await page.until(f'{STATE} === "SETUP by Ben"')
-
-    on_the_page(test)

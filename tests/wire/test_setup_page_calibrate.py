@@ -24,7 +24,7 @@ from helpers.setuppage import (
     said,
     take_over,
 )
-from helpers.stagecell import Newcomer, run
+from helpers.stagecell import Newcomer, staged
 from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER
@@ -54,10 +54,9 @@ async def ask_for_a_board(page: Browser, newcomer: Newcomer) -> None:
     await page.until(said("Which board?"))
 
 
-def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path) -> None:
+async def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path) -> None:
     """The seen board and the next one are drawn over the pictures; what was begun goes on anywhere."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
             await ask_for_a_board(page, newcomer)
@@ -88,13 +87,10 @@ def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path)
             assert 0 == await page.value(TOO_WIDE)
             assert [] == page.complaints
 
-    run(tmp_path, test, gige=False)
 
-
-def test_the_hand_follows_until_something_else_is_laid_there(tmp_path: Path) -> None:
+async def test_the_hand_follows_until_something_else_is_laid_there(tmp_path: Path) -> None:
     """A part that was laid before the cameras stays there, though the calibration still draws a place."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
             await ask_for_a_board(page, newcomer)
@@ -112,13 +108,10 @@ def test_the_hand_follows_until_something_else_is_laid_there(tmp_path: Path) -> 
             assert "part" == (await newcomer.ask("GET", "stage"))["showing"]
             assert [] == page.complaints
 
-    run(tmp_path, test, gige=False)
 
-
-def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
+async def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
     """By another calibration, while live pairs are looked at: nothing opens the first one again by itself."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
             await ask_for_a_board(page, newcomer)
@@ -147,13 +140,10 @@ def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
             await page.until(GHOST)
             assert [] == page.complaints
 
-    run(tmp_path, test, gige=False)
 
-
-def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
+async def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
     """On this screen and from another one; a calibration that is begun after that has nothing of it."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         first = await newcomer.ask("POST", "calibrations", {"boards": ["chessboard:9x8:4"]}, 201)
         second = await newcomer.ask("POST", "calibrations", {"boards": ["chessboard:11x8:4"]}, 201)
@@ -178,8 +168,6 @@ def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
             await page.until(f"{VIEWS} === 1")
             assert [] == page.complaints
 
-    run(tmp_path, test, gige=False)
-
 
 async def overtaken(newcomer: Newcomer, page: Browser, identity: str) -> None:
     """What is told of a draft has come to a page."""
@@ -193,88 +181,77 @@ async def overtaken(newcomer: Newcomer, page: Browser, identity: str) -> None:
         await page.until(f'live.told("mark").value?.id === {goal_um}')
 
 
-def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -> None:
+async def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -> None:
     """At once, on the page where it was activated, and on one that comes later."""
     cell = BoardCell(tmp_path)
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running(), browser() as page:
-            place, token = await with_views(cell, 6)
-            _, begun = await cell.ask("POST", f"{place}/solve", {})
-            assert "done" == (await cell.done(begun["task"]))["state"]
-            origin = f"http://127.0.0.1:{cell.port}"
-            await log_in(page, origin, "Anna", PASSWORD, "/setup", (1280, 900))
-            await go(page, "calibrate")
-            await page.until(f"{VIEWS} === 6")
-            status, _ = await cell.ask("PUT", f"{place}/auto", {"token": token, "on": True})
-            assert 200 == status
-            status, _ = await cell.ask("POST", f"{place}/activate", {"token": token, "note": "the first"})
-            assert 200 == status
-            assert not (await cell.ask("GET", place))[1]["auto"]
-            await page.until(said("Take views automatically"))
-            await take_over(page)
-            await press(page, "Begin another calibration")
-            await page.until(said("Which board?"))
-            await go(page, "welcome")
-            await go(page, "calibrate")
-            await page.until(said("Which board?"))
-            await page.type("[name=mm]", "6")
-            await press(page, "Begin")
-            await page.until(said(SPEC))  # it is recognised in live pairs
-            await press(page, "Take this view now")
-            await page.until(f"{VIEWS} === 1")
-            await discard(page)
-            await page.until(said("Which board?"))
-            await page.ask("Page.reload")
-            await page.until(said("Which board?"))
-            assert [] == page.complaints
-
-    asyncio.run(bounded())
+    async with asyncio.timeout(WHOLE_S), cell.running(), browser() as page:
+        place, token = await with_views(cell, 6)
+        _, begun = await cell.ask("POST", f"{place}/solve", {})
+        assert "done" == (await cell.done(begun["task"]))["state"]
+        origin = f"http://127.0.0.1:{cell.port}"
+        await log_in(page, origin, "Anna", PASSWORD, "/setup", (1280, 900))
+        await go(page, "calibrate")
+        await page.until(f"{VIEWS} === 6")
+        status, _ = await cell.ask("PUT", f"{place}/auto", {"token": token, "on": True})
+        assert 200 == status
+        status, _ = await cell.ask("POST", f"{place}/activate", {"token": token, "note": "the first"})
+        assert 200 == status
+        assert not (await cell.ask("GET", place))[1]["auto"]
+        await page.until(said("Take views automatically"))
+        await take_over(page)
+        await press(page, "Begin another calibration")
+        await page.until(said("Which board?"))
+        await go(page, "welcome")
+        await go(page, "calibrate")
+        await page.until(said("Which board?"))
+        await page.type("[name=mm]", "6")
+        await press(page, "Begin")
+        await page.until(said(SPEC))  # it is recognised in live pairs
+        await press(page, "Take this view now")
+        await page.until(f"{VIEWS} === 1")
+        await discard(page)
+        await page.until(said("Which board?"))
+        await page.ask("Page.reload")
+        await page.until(said("Which board?"))
+        assert [] == page.complaints
 
 
-def test_another_calibration_is_begun_after_a_stop(tmp_path: Path) -> None:
+async def test_another_calibration_is_begun_after_a_stop(tmp_path: Path) -> None:
     """What was under way then is still there, is put aside or thrown away, and hinders nothing."""
     cell = BoardCell(tmp_path)
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), browser() as page:
+    async with asyncio.timeout(WHOLE_S), browser() as page:
+        async with cell.running():
+            await with_views(cell, 3)
+        for end in ("put aside", "thrown away"):
             async with cell.running():
-                await with_views(cell, 3)
-            for end in ("put aside", "thrown away"):
-                async with cell.running():
-                    await log_in(
-                        page, f"http://127.0.0.1:{cell.port}", "Anna", PASSWORD, "/setup", (1280, 900)
-                    )
-                    await go(page, "calibrate")
-                    if end == "put aside":
-                        await page.until(f"{VIEWS} === 3")
-                        await press(page, "Begin another calibration")
-                        await page.until(said("Which board?"))
-                        await page.type("[name=mm]", "6")
-                        await press(page, "Begin")
-                        await page.until(said("Hold the board before both cameras"))
-                        page.complaints.clear()  # of a socket whose cell has stopped
-                    else:
-                        await page.until(said("Hold the board before both cameras"))
-                        await discard(page)
-                        await page.until(said("Which board?"))
-                        await discard(page)
-                        await page.until(f"!{said('Begun before')}")
-                        await page.type("[name=mm]", "7")
-                        await press(page, "Begin")
-                        await page.until(said("Hold the board before both cameras"))
-
-    asyncio.run(bounded())
+                await log_in(page, f"http://127.0.0.1:{cell.port}", "Anna", PASSWORD, "/setup", (1280, 900))
+                await go(page, "calibrate")
+                if end == "put aside":
+                    await page.until(f"{VIEWS} === 3")
+                    await press(page, "Begin another calibration")
+                    await page.until(said("Which board?"))
+                    await page.type("[name=mm]", "6")
+                    await press(page, "Begin")
+                    await page.until(said("Hold the board before both cameras"))
+                    page.complaints.clear()  # of a socket whose cell has stopped
+                else:
+                    await page.until(said("Hold the board before both cameras"))
+                    await discard(page)
+                    await page.until(said("Which board?"))
+                    await discard(page)
+                    await page.until(f"!{said('Begun before')}")
+                    await page.type("[name=mm]", "7")
+                    await press(page, "Begin")
+                    await page.until(said("Hold the board before both cameras"))
 
 
-def test_a_check_says_in_words_and_shapes_whether_the_calibration_holds(tmp_path: Path) -> None:
+async def test_a_check_says_in_words_and_shapes_whether_the_calibration_holds(tmp_path: Path) -> None:
     """The board is stated once; what is wrong has a remedy; the step is ticked by the verdict alone."""
     true = small_rig()
     relation = true.right_from_left.copy()
     relation[:3, 3] *= 1.005
     save_rig(tmp_path / "rig.json", replace(true, right_from_left=relation, calibration_id="wide"))
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
             await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
@@ -304,5 +281,3 @@ def test_a_check_says_in_words_and_shapes_whether_the_calibration_holds(tmp_path
             assert [] == await page.value(UNTRANSLATED)
             assert 0 == await page.value(TOO_WIDE)
             assert [] == page.complaints
-
-    run(tmp_path, test, gige=False)

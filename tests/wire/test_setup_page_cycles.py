@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import shutil
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -16,7 +16,6 @@ from helpers.browsersession import PASSWORD
 from helpers.recordedcell import RecordingCell, exposures, record
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
 from helpers.smallcell import SmallCell
-from helpers.waiting import WHOLE_S
 
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
@@ -82,26 +81,20 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], RecordingCell
     return made
 
 
-def on_the_page(
+@asynccontextmanager
+async def on_the_page(
     made: Callable[[], RecordingCell],
-    test: Callable[[Browser, RecordingCell], Awaitable[None]],
     width: int = 1280,
     height: int = 900,
     place: str = "/setup#/cycles",
     there: str = 'document.querySelector(".cycle")',
-) -> None:
-    """Run a test on Anna's page; nothing may fail unseen."""
-
-    async def bounded() -> None:
-        cell = made()
-        async with asyncio.timeout(WHOLE_S), cell.running(), browser() as page:
-            origin = f"http://127.0.0.1:{cell.port}"
-            await log_in(page, origin, "Anna", PASSWORD, place, (width, height))
-            await page.until(there)
-            await test(page, cell)
-            assert [] == page.complaints
-
-    asyncio.run(bounded())
+) -> AsyncIterator[tuple[Browser, RecordingCell]]:
+    """Anna's page; nothing may fail unseen."""
+    async with made().running() as cell, browser() as page:
+        await log_in(page, f"http://127.0.0.1:{cell.port}", "Anna", PASSWORD, place, (width, height))
+        await page.until(there)
+        yield page, cell
+        assert [] == page.complaints
 
 
 async def choose(page: Browser, name: str, value: str) -> None:
@@ -122,7 +115,7 @@ async def look(page: Browser, status: str) -> None:
     await page.until('document.querySelector("#cycle")')
 
 
-def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
+async def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
     cell: Callable[[], RecordingCell],
 ) -> None:
     """A failed cycle stands beside a good one at the same zoom, feature by feature; what would have helped is
@@ -130,8 +123,7 @@ def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
     with its picture; it is used with a reason that is signed, and not before. After that no job is taught
     from a cycle of the rig before.
     """
-
-    async def test(page: Browser, cell: RecordingCell) -> None:
+    async with on_the_page(cell) as (page, cell):
         assert ["No pictures", "No part", "Not good", "OK", "OK", "OK"] == await page.value(LINES)
         await choose(page, "reason", "SIGMA_LIMIT")
         await page.until(f"({LINES}).length === 1")
@@ -186,13 +178,10 @@ def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
         )
         assert await page.value(f"{button}.disabled")
 
-    on_the_page(cell, test)
 
-
-def test_a_job_is_taught_from_a_recorded_cycle(cell: Callable[[], RecordingCell]) -> None:
+async def test_a_job_is_taught_from_a_recorded_cycle(cell: Callable[[], RecordingCell]) -> None:
     """Its pair, every grey value, is that of a new draft; the page Teach opens it, also after a reload."""
-
-    async def test(page: Browser, cell: RecordingCell) -> None:
+    async with on_the_page(cell) as (page, cell):
         await look(page, "OK")
         count = int(await page.value('document.querySelector("#cycle").textContent.match(/[0-9]+/)[0]'))
         await press(page, "Teach from this cycle")
@@ -207,17 +196,17 @@ def test_a_job_is_taught_from_a_recorded_cycle(cell: Callable[[], RecordingCell]
         await page.ask("Page.reload")
         await page.until("""!window.isOld && document.querySelector('main[data-page="teach"] .editor')""")
 
-    on_the_page(cell, test)
 
-
-def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
+async def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
     cell: Callable[[], RecordingCell],
 ) -> None:
     """Its name alone needs no signature; what would become active with it does, in the same dialog, which can
     be used by everybody; what is wrong otherwise is said there, too.
     """
-
-    async def test(page: Browser, cell: RecordingCell) -> None:
+    async with on_the_page(cell, place="/setup#/jobs", there='document.querySelector(".job")') as (
+        page,
+        cell,
+    ):
         job = cell.config.parent / "jobs" / "flange" / "job.toml"
         text = job.read_text()
         dialog = 'document.querySelector("dialog[open]").innerText'
@@ -263,15 +252,12 @@ def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
         assert ["422", "409"] == [one.partition("status of ")[2][:3] for one in page.complaints]
         page.complaints.clear()  # the browser's own word for what was refused
 
-    on_the_page(cell, test, place="/setup#/jobs", there='document.querySelector(".job")')
 
-
-def test_everybody_can_use_it(cell: Callable[[], RecordingCell]) -> None:
+async def test_everybody_can_use_it(cell: Callable[[], RecordingCell]) -> None:
     """With all that it may show, narrow and wide: axe finds nothing, all fits, fingers find every target, and
     no word is written into the page.
     """
-
-    async def test(page: Browser, _cell: RecordingCell) -> None:
+    async with on_the_page(cell, 360, 740, "/setup?pseudo#/cycles") as (page, _):
         await page.value('document.querySelectorAll(".cycle")[2].click()')
         await page.until('document.querySelector("#cycle")')
         await page.click("main .primary")
@@ -295,13 +281,13 @@ def test_everybody_can_use_it(cell: Callable[[], RecordingCell]) -> None:
             assert 0 == await page.value(TOO_WIDE)
             assert [] == await page.value(SMALL_TARGETS)
 
-    on_the_page(cell, test, 360, 740, "/setup?pseudo#/cycles")
 
-
-def test_a_button_beside_a_job_keeps_where_its_part_lies(cell: Callable[[], RecordingCell]) -> None:
+async def test_a_button_beside_a_job_keeps_where_its_part_lies(cell: Callable[[], RecordingCell]) -> None:
     """The page says that it is kept, or why not; the page stays fit for everybody."""
-
-    async def test(page: Browser, cell: RecordingCell) -> None:
+    async with on_the_page(cell, place="/setup#/jobs", there='document.querySelector(".job")') as (
+        page,
+        cell,
+    ):
         place = golden_file(cell.config.with_name("rig.json"), 1)
         place.parent.write_text("in the way")
         dialog = 'document.querySelector("dialog[open]").innerText'
@@ -316,5 +302,3 @@ def test_a_button_beside_a_job_keeps_where_its_part_lies(cell: Callable[[], Reco
         assert "flange" == load_golden(place).job
         assert [] == await page.violations()
         assert ([], 0) == (await page.value(SMALL_TARGETS), await page.value(TOO_WIDE))
-
-    on_the_page(cell, test, place="/setup#/jobs", there='document.querySelector(".job")')

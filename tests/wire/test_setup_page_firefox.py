@@ -9,7 +9,7 @@ import pytest
 from helpers.browsersession import PASSWORD
 from helpers.firefox import PROGRAM, firefox
 from helpers.setuppage import DIALOG, STEPS, TOO_WIDE, log_in, press, said
-from helpers.stagecell import Newcomer, run
+from helpers.stagecell import staged
 
 from edged.commands.stage import USER
 
@@ -23,10 +23,9 @@ OUTLINED = (
 LIVE = 'document.querySelectorAll(".view canvas:not([hidden])").length === 2'
 
 
-def test_firefox_logs_in_takes_the_cell_and_sees_every_page(tmp_path: Path) -> None:
+async def test_firefox_logs_in_takes_the_cell_and_sees_every_page(tmp_path: Path) -> None:
     """Live pictures come, a view is taken, no page is too wide for a phone, and its console says nothing."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with firefox() as page:
             await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
@@ -53,5 +52,3 @@ def test_firefox_logs_in_takes_the_cell_and_sees_every_page(tmp_path: Path) -> N
                 '[...document.querySelectorAll(".strip img")].every((image) => image.naturalWidth)'
             )
             assert [] == page.complaints
-
-    run(tmp_path, test, gige=False)

@@ -2,44 +2,38 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
 import shutil
 import struct
 import zipfile
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import Ear
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
-from helpers.waiting import WHOLE_S, until
+from helpers.waiting import until
 from helpers.webcell import Cell, running
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.domain.cell import CellPhase
 from edged.plc.registers import MAP_VERSION, WordOrder
-from edged.robots.formats import FORMATS, written
-from edged.setup.plcroutes import FILES
+from edged.robots.formats import DOWNLOADS, FORMATS, written
 
 pytestmark = pytest.mark.slow
 CLIENT = 4711
 """Of no connection: as OPC UA writes."""
 
 
-def beside(test: Callable[[Cell, ModbusPublisher], Awaitable[None]], order: WordOrder = "high") -> None:
-    """A test beside a cell that serves Modbus, bounded."""
-
-    async def bounded() -> None:
-        settings = ModbusSettings(port=0, word_order=order)
-        async with asyncio.timeout(WHOLE_S), running(Ear(), True, modbus=settings) as cell:
-            assert cell.modbus is not None
-            await until(lambda: cell.ear.state() is CellPhase.READY)
-            await test(cell, cell.modbus)
-
-    asyncio.run(bounded())
+@asynccontextmanager
+async def beside(order: WordOrder = "high") -> AsyncIterator[tuple[Cell, ModbusPublisher]]:
+    """A cell that serves Modbus."""
+    async with running(modbus=ModbusSettings(port=0, word_order=order)) as cell:
+        assert cell.modbus is not None
+        await until(lambda: cell.ear.state() is CellPhase.READY)
+        yield cell, cell.modbus
 
 
 async def command(cell: Cell, modbus: ModbusPublisher, sequence: int, code: int = 1) -> dict[str, Any]:
@@ -50,10 +44,9 @@ async def command(cell: Cell, modbus: ModbusPublisher, sequence: int, code: int 
     return dict((await cell.ask("GET", "/api/v1/plc/exchanges", None))[1]["exchanges"][0])
 
 
-def test_exchanges_and_client_sources_are_told_as_they_are() -> None:
+async def test_exchanges_and_client_sources_are_told_as_they_are() -> None:
     """Two commands as they were; every source is what `edged registers` prints, several files are packed."""
-
-    async def test(cell: Cell, modbus: ModbusPublisher) -> None:
+    async with beside() as (cell, modbus):
         await cell.log_in("Vera")
         modbus.write(CLIENT, {"CMD_SEQ": 0})
         right, wrong = await command(cell, modbus, 5), await command(cell, modbus, 6, 99)
@@ -69,22 +62,20 @@ def test_exchanges_and_client_sources_are_told_as_they_are() -> None:
         )
         status, plc = await cell.ask("GET", "/api/v1/plc", None)
         assert (200, True, modbus.port, "high") == (status, plc["listening"], plc["port"], plc["word_order"])
-        assert {one["kind"]: one["file"] for one in plc["clients"]} == FILES
-        assert {"md", "json"} == set(FORMATS) - set(FILES)
-        for kind in FILES:
+        assert {one["kind"]: one["file"] for one in plc["clients"]} == DOWNLOADS
+        assert {"md", "json"} == set(FORMATS) - set(DOWNLOADS)
+        for kind in DOWNLOADS:
             async with cell.session.get(f"/api/v1/plc/clients/{kind}") as answer:
-                assert FILES[kind] in answer.headers["Content-Disposition"]
+                assert DOWNLOADS[kind] in answer.headers["Content-Disposition"]
                 data = await answer.read()
             if len(written(kind)) > 1:
                 with zipfile.ZipFile(io.BytesIO(data)) as archive:
                     files = {name: archive.read(name).decode() for name in archive.namelist()}
                 assert written(kind) == files
             else:
-                assert {FILES[kind]: data.decode()} == written(kind)
+                assert {DOWNLOADS[kind]: data.decode()} == written(kind)
         async with cell.session.get("/api/v1/plc/clients/cobol") as answer:
             assert 404 == answer.status
-
-    beside(test)
 
 
 def swapped(value: int, words: bool, octets: bool) -> int:
@@ -95,38 +86,34 @@ def swapped(value: int, words: bool, octets: bool) -> int:
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
-def test_the_page_tells_what_is_swapped_shows_the_ladder_and_gives_the_cell_back() -> None:
+async def test_the_page_tells_what_is_swapped_shows_the_ladder_and_gives_the_cell_back() -> None:
     """Words, bytes, an address that is one off; READY; the last commands as they come; nothing is cut off."""
+    async with beside() as (cell, modbus), browser() as page:
+        await log_in(page, cell.origin, "Anna", PASSWORD, "/setup", (1280, 900))
+        await take(page)
+        await go(page, "plc")
+        await page.until(said("How the PLC reaches the cell"))
+        assert await page.value(said("You have the cell: READY comes when you give it back."))
+        await check_probes(page)
 
-    async def test(cell: Cell, modbus: ModbusPublisher) -> None:
-        async with browser() as page:
-            await log_in(page, cell.origin, "Anna", PASSWORD, "/setup", (1280, 900))
-            await take(page)
-            await go(page, "plc")
-            await page.until(said("How the PLC reaches the cell"))
-            assert await page.value(said("You have the cell: READY comes when you give it back."))
-            await check_probes(page)
+        await press(page, "Give the cell back: READY")
+        await page.until(DIALOG)
+        await page.click("dialog[open] .primary")
+        await page.until(said("The cell is READY: it measures for the plant."))
+        modbus.write(CLIENT, {"CMD_SEQ": 0})
+        modbus.write(CLIENT, {"COMMAND": 256, "JOB": 0, "CMD_SEQ": 8})
+        await page.until(said("The bytes are swapped"))
+        modbus.write(CLIENT, {"COMMAND": 1, "JOB": 0, "CMD_SEQ": 9})
+        await page.until(said("EXPOSURE_DONE: the robot may leave the picture"))
+        await page.until(said("result: no part found."))
+        assert [] == await page.violations()
+        assert [] == await page.value(SMALL_TARGETS)
 
-            await press(page, "Give the cell back: READY")
-            await page.until(DIALOG)
-            await page.click("dialog[open] .primary")
-            await page.until(said("The cell is READY: it measures for the plant."))
-            modbus.write(CLIENT, {"CMD_SEQ": 0})
-            modbus.write(CLIENT, {"COMMAND": 256, "JOB": 0, "CMD_SEQ": 8})
-            await page.until(said("The bytes are swapped"))
-            modbus.write(CLIENT, {"COMMAND": 1, "JOB": 0, "CMD_SEQ": 9})
-            await page.until(said("EXPOSURE_DONE: the robot may leave the picture"))
-            await page.until(said("result: no part found."))
-            assert [] == await page.violations()
-            assert [] == await page.value(SMALL_TARGETS)
-
-            await page.open(f"{cell.origin}/setup?pseudo#/plc", 360, 740)
-            await page.until('document.querySelectorAll(".plc-exchanges details").length === 2')
-            assert [] == await page.value(UNTRANSLATED)
-            assert 0 == await page.value(TOO_WIDE)
-            assert [] == page.complaints
-
-    beside(test)
+        await page.open(f"{cell.origin}/setup?pseudo#/plc", 360, 740)
+        await page.until('document.querySelectorAll(".plc-exchanges details").length === 2')
+        assert [] == await page.value(UNTRANSLATED)
+        assert 0 == await page.value(TOO_WIDE)
+        assert [] == page.complaints
 
 
 async def check_probes(page: Browser) -> None:

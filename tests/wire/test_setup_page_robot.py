@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
 from helpers.cells import small_rig
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, discard, go, log_in, press, said
-from helpers.stagecell import Newcomer, run
+from helpers.stagecell import Newcomer, staged
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig, save_rig
@@ -64,32 +65,28 @@ async def accessible(page: Browser) -> None:
     assert [] == page.complaints
 
 
-def on_stage(folder: Path, test: Callable[[Newcomer, Browser], Awaitable[None]]) -> None:
+@asynccontextmanager
+async def on_stage(folder: Path) -> AsyncIterator[tuple[Newcomer, Browser]]:
     """With a rig that knows no robot, a board before it, and a page that has the cell."""
     save_rig(folder / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": "chessboard:11x8:4"})
-
-    async def staged(newcomer: Newcomer) -> None:
+    async with staged(folder, gige=False) as newcomer, browser() as page:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         await newcomer.ask("POST", "stage/robot/walk", {})
-        async with browser() as page:
-            await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
-            await press(page, "Take over")
-            await page.until(DIALOG)
-            await page.click("dialog[open] .primary")
-            await page.until('document.querySelector(".lease.mine")')
-            await go(page, "robot")
-            await page.until(said("How do you want to do it?"))
-            await test(newcomer, page)
-
-    run(folder, staged, gige=False)
+        await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+        await press(page, "Take over")
+        await page.until(DIALOG)
+        await page.click("dialog[open] .primary")
+        await page.until('document.querySelector(".lease.mine")')
+        await go(page, "robot")
+        await page.until(said("How do you want to do it?"))
+        yield newcomer, page
 
 
-def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
+async def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
     """Five touches, one of them mistyped, named, put right; kept, proved by one more touch, active. What is
     sent is what stands in the field, and an answer that comes after newer news takes nothing back.
     """
-
-    async def test(newcomer: Newcomer, page: Browser) -> None:
+    async with on_stage(tmp_path) as (_, page):
         await accessible(page)
         await choose(page, "brand", "fanuc")
         await press(page, "Begin")
@@ -137,13 +134,10 @@ def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
         await page.until(said("Point 1 of 6"))
         assert [] == page.complaints
 
-    on_stage(tmp_path, test)
 
-
-def test_another_registration_is_begun_and_one_is_discarded(tmp_path: Path) -> None:
+async def test_another_registration_is_begun_and_one_is_discarded(tmp_path: Path) -> None:
     """Nothing opens the one before again but who says so: neither another step nor a reload."""
-
-    async def test(newcomer: Newcomer, page: Browser) -> None:
+    async with on_stage(tmp_path) as (newcomer, page):
         await press(page, "Begin")
         await page.until(said("Point 1 of 6"))
         await press(page, "Begin another one")
@@ -174,13 +168,10 @@ def test_another_registration_is_begun_and_one_is_discarded(tmp_path: Path) -> N
         # the page may be asking for what the other screen discards
         assert [] == [complaint for complaint in page.complaints if first["id"] not in complaint]
 
-    on_stage(tmp_path, test)
 
-
-def test_poses_of_another_brand_are_told_and_read_rightly_by_one_button(tmp_path: Path) -> None:
+async def test_poses_of_another_brand_are_told_and_read_rightly_by_one_button(tmp_path: Path) -> None:
     """They are said to be KUKA's and are those of Universal Robots; the sky has them; nothing is cut off."""
-
-    async def test(newcomer: Newcomer, page: Browser) -> None:
+    async with on_stage(tmp_path) as (newcomer, page):
         await page.click("[name=way][value=poses]")
         await choose(page, "brand", "kuka")
         await press(page, "Begin")
@@ -200,5 +191,3 @@ def test_poses_of_another_brand_are_told_and_read_rightly_by_one_button(tmp_path
         await page.until('document.querySelector(".robot-sky .star")')
         assert [] == await page.value(UNTRANSLATED)
         assert 0 == await page.value(TOO_WIDE)
-
-    on_stage(tmp_path, test)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
 import shutil
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
-from helpers.scriptedhead import Ear
 from helpers.setuppage import log_in, press, said
-from helpers.waiting import WHOLE_S
 from helpers.webcell import Cell, running
 
 pytestmark = [
@@ -28,24 +26,18 @@ BESIDE = """(() => {
     left: box.left, right: innerWidth - box.right }; })()"""
 
 
-def with_a_page(
-    test: Callable[[Browser, Cell], Awaitable[None]], name: str, size: tuple[int, int], place: str
-) -> None:
-    """Run a test on the page of somebody."""
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S), running(Ear(), True) as cell, browser() as page:
-            await log_in(page, cell.origin, name, PASSWORD, place, size)
-            await test(page, cell)
-
-    asyncio.run(bounded())
+@asynccontextmanager
+async def with_a_page(name: str, size: tuple[int, int], place: str) -> AsyncIterator[tuple[Browser, Cell]]:
+    """The page of somebody."""
+    async with running() as cell, browser() as page:
+        await log_in(page, cell.origin, name, PASSWORD, place, size)
+        yield page, cell
 
 
 @pytest.mark.parametrize("size", [(360, 740), (800, 480), (1280, 900)])
-def test_an_error_stands_beside_what_was_pressed(size: tuple[int, int]) -> None:
+async def test_an_error_stands_beside_what_was_pressed(size: tuple[int, int]) -> None:
     """In sight, also on a small screen, far down a page, and when the page is scrolled after that."""
-
-    async def test(page: Browser, _cell: Cell) -> None:
+    async with with_a_page("Anna", size, "/setup#/system") as (page, _):
         await page.until('document.querySelector(".own")')
         await page.type(".own [autocomplete=current-password]", "wrong")
         await page.type(".own [autocomplete=new-password]", "another horse")
@@ -61,10 +53,8 @@ def test_an_error_stands_beside_what_was_pressed(size: tuple[int, int]) -> None:
         await press(page, "Understood")
         await page.until('!document.querySelector(".trouble")')
 
-    with_a_page(test, "Anna", size, "/setup#/system")
 
-
-def test_the_next_person_is_typed_while_the_first_one_is_added() -> None:
+async def test_the_next_person_is_typed_while_the_first_one_is_added() -> None:
     """What was entered meanwhile stays in its fields."""
     name = 'document.querySelector("#users ~ form label:nth-child(1) input")'
     people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
@@ -73,8 +63,7 @@ def test_the_next_person_is_typed_while_the_first_one_is_added() -> None:
         if (request?.method === "POST" && path.endsWith("/users"))
           await new Promise((done) => { window.goOn = done; });
         return asked(path, request); }; }"""
-
-    async def test(page: Browser, _cell: Cell) -> None:
+    async with with_a_page("Anna", (1280, 900), "/setup#/system") as (page, _):
         await page.until(f"{people}.length === 4")
         await page.value(slow)
         await page.type("#users ~ form label:nth-child(1) input", "Rita")
@@ -86,5 +75,3 @@ def test_the_next_person_is_typed_while_the_first_one_is_added() -> None:
         await page.until(f'{people}.includes("Rita")')
         assert "Sven" == await page.value(f"{name}.value")
         assert "" == await page.value('document.querySelector("#users ~ form [type=password]").value')
-
-    with_a_page(test, "Anna", (1280, 900), "/setup#/system")

@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 from helpers.livecell import LiveCell
 from helpers.smallcell import DaemonProcess, SmallCell
-from helpers.waiting import LIMIT_S, WHOLE_S
+from helpers.waiting import LIMIT_S, WHOLE_S, wait_until
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.modbus import ModbusSettings
@@ -146,11 +146,11 @@ def test_in_setup_nothing_is_ready_valid_or_carried_out(cell: LiveCell) -> None:
             token = on_loop(cell, lambda: cell.cycle.session.enter_setup("Anna"))
             seen = counts["setup"], counts["refused"]
             entered_ns.append(time.time_ns())
-            _until(lambda seen=seen: counts["setup"] > seen[0] and counts["refused"] > seen[1] + 1)
+            wait_until(lambda seen=seen: counts["setup"] > seen[0] and counts["refused"] > seen[1] + 1)
             on_loop(cell, lambda token=token: cell.cycle.session.capture(token))
             on_loop(cell, lambda token=token: cell.cycle.session.leave_setup(token))
             done = counts["carried out"]
-            _until(lambda done=done: counts["carried out"] > done)
+            wait_until(lambda done=done: counts["carried out"] > done)
     finally:
         stop.set()
         for thread in threads:
@@ -158,13 +158,6 @@ def test_in_setup_nothing_is_ready_valid_or_carried_out(cell: LiveCell) -> None:
 
     assert [] == wrong
     assert min(counts.values()) >= 12
-
-
-def _until(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.001)
 
 
 def test_a_result_does_not_survive_setup(cell: LiveCell) -> None:
@@ -198,7 +191,7 @@ def test_auto_lock_refuses_and_ends_setup_for_as_long_as_its_connection(cell: Li
         plc.write("AUTO_LOCK", [1])
         plc.until(lambda status: not in_setup(status))
     with Plc(cell.port) as plc:
-        _until(lambda: cell.call(lambda: _may_enter(cell)))
+        wait_until(lambda: cell.call(lambda: _may_enter(cell)))
         assert 0 == plc.read(reg.COMMAND)["AUTO_LOCK"]
 
 
@@ -228,7 +221,7 @@ def test_mbpoll_sees_setup_and_ends_it(cell: LiveCell) -> None:
     assert (5, Warn.SETUP, SetupSource.PERSON) == (seen[200], seen[205] & Warn.SETUP, seen[218])
     assert not seen[201] & LEAVE
     mbpoll("-r", "120", "127.0.0.1", "1")
-    _until(lambda: words()[200] != 5)
+    wait_until(lambda: words()[200] != 5)
     assert 0 == words()[218]
 
 
@@ -267,11 +260,11 @@ def test_a_cell_without_a_calibration_runs_in_setup_until_it_has_one(tmp_path: P
                 (kept / "jobs").rename(small.folder / "jobs")
                 daemon.process.send_signal(signal.SIGHUP)
                 plc.until(lambda status: bool(status["STATUS_BITS"] & StatusBit.READY))
-                _until(lambda: (200, "") == _ready(small.web_port))  # the page hears of it a moment later
+                wait_until(lambda: (200, "") == _ready(small.web_port))  # the page hears of it a moment later
                 assert plc.command(CommandKind.LOCATE)["STATUS_BITS"] & StatusBit.RESULT_VALID
                 shutil.move(small.folder / "jobs", kept / "jobs")
                 daemon.process.send_signal(signal.SIGHUP)
-                _until(lambda log=daemon.log: any("reload refused" in line for line in log))
+                wait_until(lambda log=daemon.log: any("reload refused" in line for line in log))
                 assert not in_setup(plc.read(reg.STATUS)), "what measures goes on"
                 assert plc.command(CommandKind.LOCATE)["STATUS_BITS"] & StatusBit.RESULT_VALID
         finally:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers.waiting import LIMIT_S, until
-from helpers.webcell import Cell, run
+from helpers.webcell import Cell, running
 
 from edged.adapters.web import server, sockets
 from edged.domain.overview import Overview
@@ -66,10 +66,9 @@ async def opened(cell: Cell) -> Tab:
     return Tab(await cell.session.ws_connect(PLACE, origin=cell.origin))
 
 
-def test_a_tab_hears_of_the_cell_as_it_changes() -> None:
+async def test_a_tab_hears_of_the_cell_as_it_changes() -> None:
     """At once after it was opened, and after each change; of who has the cell, too."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         tab = await opened(cell)
         await tab.hear("cell", state="READY", setup=None)
@@ -80,13 +79,10 @@ def test_a_tab_hears_of_the_cell_as_it_changes() -> None:
         await tab.hear("cell", state="READY")
         await tab.socket.close()
 
-    run(test)
 
-
-def test_live_pictures_come_one_after_another_as_they_are_seen() -> None:
+async def test_live_pictures_come_one_after_another_as_they_are_seen() -> None:
     """Left and right of one exposure; the next only after `seen`; a viewer sees the same; off is off."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         tab, other = await opened(cell), await opened(cell)
@@ -110,13 +106,10 @@ def test_live_pictures_come_one_after_another_as_they_are_seen() -> None:
         for one in (tab, other):
             await one.socket.close()
 
-    run(test)
 
-
-def test_closing_the_tab_ends_its_pictures() -> None:
+async def test_closing_the_tab_ends_its_pictures() -> None:
     """The cameras rest, and the cell is still taken."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         tab, other = await opened(cell), await opened(cell)
@@ -127,13 +120,10 @@ def test_closing_the_tab_ends_its_pictures() -> None:
         assert (204, None) == await cell.ask("PUT", "/api/v1/setup/lease", entered)
         await other.socket.close()
 
-    run(test)
 
-
-def test_live_without_the_cell_is_refused() -> None:
+async def test_live_without_the_cell_is_refused() -> None:
     """It is said why, to who asked, and the tab stays."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         tab = await opened(cell)
         for said in ({"live": True}, {"live": True, "token": "of nobody"}):
@@ -143,15 +133,12 @@ def test_live_without_the_cell_is_refused() -> None:
         assert 0 == cell.head.captures
         await tab.socket.close()
 
-    run(test)
 
-
-def test_only_an_engineer_lets_cameras_run() -> None:
+async def test_only_an_engineer_lets_cameras_run() -> None:
     """Who may look is told so, so is one who has somebody else's token, and one of whom there was no sign; a
     finger is one.
     """
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         anna = cell.cookies()
         _, entered = await cell.ask("POST", "/api/v1/setup", {})
@@ -179,14 +166,11 @@ def test_only_an_engineer_lets_cameras_run() -> None:
         assert "idle" == (await tab.hear("live", on=False))["code"]
         await tab.socket.close()
 
-    run(test)
 
-
-def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.MonkeyPatch) -> None:
     """AUTO_LOCK changes nothing of a cell that is ready: when it is idle it is looked at, too."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.05)
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         tab = await opened(cell)
         assert not (await tab.hear("cell", state="READY"))["plc"]["auto_lock"]
@@ -194,14 +178,11 @@ def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.Monkey
         assert {"owner": "10.0.0.5", "auto_lock": True} == (await tab.hear("cell"))["plc"]
         await tab.socket.close()
 
-    run(test)
-
 
 @pytest.mark.parametrize("said", ["{", "[]", '{"seen": -1}', '{"seen": 1.5}', '{"colour": 1}', "[" * 900])
-def test_what_is_no_message_ends_the_socket(said: str) -> None:
+async def test_what_is_no_message_ends_the_socket(said: str) -> None:
     """A page that says such things is none of ours."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         tab = await opened(cell)
         await tab.socket.send_str(said)
@@ -209,13 +190,10 @@ def test_what_is_no_message_ends_the_socket(said: str) -> None:
             await tab.socket.receive()
         assert aiohttp.WSCloseCode.POLICY_VIOLATION == tab.socket.close_code
 
-    run(test)
 
-
-def test_a_page_elsewhere_or_without_a_session_opens_no_socket() -> None:
+async def test_a_page_elsewhere_or_without_a_session_opens_no_socket() -> None:
     """Browsers open a WebSocket to any host: its Origin is looked at, as for all that changes the cell."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         with pytest.raises(aiohttp.WSServerHandshakeError, match="401"):
             await cell.session.ws_connect(PLACE, origin=cell.origin)
         await cell.log_in()
@@ -224,13 +202,10 @@ def test_a_page_elsewhere_or_without_a_session_opens_no_socket() -> None:
                 await cell.session.ws_connect(PLACE, origin=origin)
         assert 426 == (await cell.ask("GET", PLACE, None))[0]
 
-    run(test)
 
-
-def test_logging_out_ends_the_socket() -> None:
+async def test_logging_out_ends_the_socket() -> None:
     """With a code by which the page asks for the password."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         tab = await opened(cell)
         await tab.hear("cell")
@@ -243,14 +218,11 @@ def test_logging_out_ends_the_socket() -> None:
             await tab.socket.receive()
         assert sockets.LOGGED_OUT == tab.socket.close_code
 
-    run(test)
 
-
-def test_there_are_so_many_sockets_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_there_are_so_many_sockets_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that is closed makes room."""
     monkeypatch.setattr(sockets, "MAX_SOCKETS", 2)
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         tabs = [await opened(cell) for _ in range(2)]
         with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
@@ -266,13 +238,10 @@ def test_there_are_so_many_sockets_and_no_more(monkeypatch: pytest.MonkeyPatch) 
         for tab in tabs:
             await tab.socket.close()
 
-    run(test)
 
-
-def test_stopping_ends_every_socket() -> None:
+async def test_stopping_ends_every_socket() -> None:
     """The browser is told, and the daemon does not wait for it."""
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in()
         tab = await opened(cell)
         await tab.hear("cell")
@@ -282,14 +251,11 @@ def test_stopping_ends_every_socket() -> None:
         await closing
         assert aiohttp.WSCloseCode.GOING_AWAY == tab.socket.close_code
 
-    run(test)
 
-
-def test_a_ping_is_answered_and_too_many_end_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_ping_is_answered_and_too_many_end_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:
     """It says why; for a while whoever did it has no turn, on another connection, too; others have theirs."""
     monkeypatch.setattr(server, "FLOODED_S", 60.0)
-
-    async def test(cell: Cell) -> None:
+    async with running() as cell:
         await cell.log_in("Vera")
         socket = await cell.session.ws_connect(PLACE, origin=cell.origin, autoping=False)
         await socket.ping(b"here")
@@ -309,5 +275,3 @@ def test_a_ping_is_answered_and_too_many_end_the_socket(monkeypatch: pytest.Monk
         cell.session.cookie_jar.clear()
         await cell.log_in("Anna")
         assert 200 == (await cell.ask("GET", "/api/v1/me"))[0]
-
-    run(test)

@@ -7,14 +7,13 @@ import json
 import resource
 import socket
 import struct
-import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from helpers.smallcell import DaemonProcess, SmallCell
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, wait_until
 
 DESCRIPTORS = 1024
 STRANGERS = 1100
@@ -28,14 +27,6 @@ def descriptors(wanted: int) -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, before[1]))
     yield
     resource.setrlimit(resource.RLIMIT_NOFILE, before)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    """Wait for a condition."""
-    deadline_s = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < deadline_s, "condition not met in time"
-        time.sleep(0.05)
 
 
 def magic(port: int) -> bool:
@@ -82,10 +73,10 @@ def test_more_strangers_than_descriptors_take_nothing_from_the_cell(tmp_path: Pa
                     one.settimeout(LIMIT_S)
                     with contextlib.suppress(OSError):
                         one.connect(("127.0.0.1", port))
-                until(lambda: magic(cell.modbus_port))
+                wait_until(lambda: magic(cell.modbus_port))
                 before = newest()
-                until(lambda before=before: newest() > before + 1)
-                until(lambda: is_ready(cell.web_port))
+                wait_until(lambda before=before: newest() > before + 1)
+                wait_until(lambda: is_ready(cell.web_port))
         assert daemon.process.poll() is None
     finally:
         daemon.stop()

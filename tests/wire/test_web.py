@@ -27,7 +27,7 @@ from helpers.cells import flange, frame_pair
 from helpers.livecell import GRASPS
 from helpers.pagesources import FixedSources
 from helpers.snapshots import make_snapshot, make_target, make_transform
-from helpers.waiting import LIMIT_S, WHOLE_S, until
+from helpers.waiting import LIMIT_S, until
 from helpers.webcell import HASH
 from rich.console import Console
 
@@ -125,16 +125,6 @@ def own_origin(session: aiohttp.ClientSession) -> dict[str, str]:
     return {"Origin": str(session._base_url).rstrip("/")}  # noqa: SLF001  (what it has open)
 
 
-def run(test: Callable[[], Awaitable[None]]) -> None:
-    """A test's coroutine, bounded."""
-
-    async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S):
-            await test()
-
-    asyncio.run(bounded())
-
-
 async def next_event(stream: aiohttp.StreamReader) -> tuple[str, dict[str, Any]]:
     """Name and data of the next server-sent event."""
     name = ""
@@ -146,118 +136,94 @@ async def next_event(stream: aiohttp.StreamReader) -> tuple[str, dict[str, Any]]
             return name, json.loads(line[6:])
 
 
-def test_every_path_has_its_headers() -> None:
+async def test_every_path_has_its_headers() -> None:
     """No script but our own, no frame, no cache; also on errors."""
-
-    async def test() -> None:
-        async with served() as (_, session):
-            for path in (
-                "/",
-                "/status.json",
-                "/registers.json",
-                "/metrics",
-                "/nowhere",
-                *map("/static/{}".format, read_assets()),
-            ):
-                async with session.get(path) as answer:
-                    assert (answer.status == 200) == (path != "/nowhere"), path
-                    assert "script-src 'self'" in answer.headers["Content-Security-Policy"]
-                    assert answer.headers["Cache-Control"] == "no-store"
-
-    run(test)
+    async with served() as (_, session):
+        for path in (
+            "/",
+            "/status.json",
+            "/registers.json",
+            "/metrics",
+            "/nowhere",
+            *map("/static/{}".format, read_assets()),
+        ):
+            async with session.get(path) as answer:
+                assert (answer.status == 200) == (path != "/nowhere"), path
+                assert "script-src 'self'" in answer.headers["Content-Security-Policy"]
+                assert answer.headers["Cache-Control"] == "no-store"
 
 
-def test_the_page_needs_nothing_from_elsewhere() -> None:
+async def test_the_page_needs_nothing_from_elsewhere() -> None:
     """A cell PC has no internet: no address outside of the page itself."""
-
-    async def test() -> None:
-        async with served() as (_, session):
-            for path in ("/", "/login", *map("/static/{}".format, read_assets())):
-                async with session.get(path) as answer:
-                    text = await answer.text()
-                namespaces = r"http://www\.w3\.org/(2000/svg|1999/xhtml|1998/Math/MathML)"
-                found = [
-                    one for one in re.findall(r"https?://[^\"' ]+", text) if not re.fullmatch(namespaces, one)
-                ]
-                assert [] == found, path
-                assert "<script>" not in text and " onclick" not in text
-
-    run(test)
+    async with served() as (_, session):
+        for path in ("/", "/login", *map("/static/{}".format, read_assets())):
+            async with session.get(path) as answer:
+                text = await answer.text()
+            namespaces = r"http://www\.w3\.org/(2000/svg|1999/xhtml|1998/Math/MathML)"
+            found = [
+                one for one in re.findall(r"https?://[^\"' ]+", text) if not re.fullmatch(namespaces, one)
+            ]
+            assert [] == found, path
+            assert "<script>" not in text and " onclick" not in text
 
 
-def test_a_viewer_hears_of_each_cycle() -> None:
+async def test_a_viewer_hears_of_each_cycle() -> None:
     """First everything, then the newest state with the points in between, none twice."""
-
-    async def test() -> None:
-        async with served() as (web, session):
-            web.announce(READY)
-            measure(web, 1)
-            async with session.get("/events") as answer:
-                name, first = await next_event(answer.content)
-                assert (name, [point["cycle"] for point in first["points"]]) == ("all", [1])
-                assert first["cell"] == "cell<1>"
-                assert first["state"]["ready"]
-                assert first["result"]["targets"][0]["position_mm"][0] == 10.0
-                for cycle in (2, 3, 4):
-                    measure(web, cycle)
-                seen: list[int] = []
-                while not seen or seen[-1] < 4:
-                    _, update = await next_event(answer.content)
-                    seen += [point["cycle"] for point in update["points"]]
-                assert seen == [2, 3, 4]
-
-    run(test)
+    async with served() as (web, session):
+        web.announce(READY)
+        measure(web, 1)
+        async with session.get("/events") as answer:
+            name, first = await next_event(answer.content)
+            assert (name, [point["cycle"] for point in first["points"]]) == ("all", [1])
+            assert first["cell"] == "cell<1>"
+            assert first["state"]["ready"]
+            assert first["result"]["targets"][0]["position_mm"][0] == 10.0
+            for cycle in (2, 3, 4):
+                measure(web, cycle)
+            seen: list[int] = []
+            while not seen or seen[-1] < 4:
+                _, update = await next_event(answer.content)
+                seen += [point["cycle"] for point in update["points"]]
+            assert seen == [2, 3, 4]
 
 
 @pytest.mark.slow
-def test_a_viewer_that_does_not_read_holds_nothing_up() -> None:
+async def test_a_viewer_that_does_not_read_holds_nothing_up() -> None:
     """Announcing is as quick as without it, and the connection holds no queue of states."""
-
-    async def test() -> None:
-        async with served() as (web, session), session.get("/events"):
-            for cycle in range(1, 3 * HISTORY):
-                measure(web, cycle)
-                if cycle % 100 == 0:
-                    await asyncio.sleep(0)
-            async with session.get("/status.json") as answer:
-                assert (await answer.json())["result"]["cycle"] == 3 * HISTORY - 1
-
-    run(test)
+    async with served() as (web, session), session.get("/events"):
+        for cycle in range(1, 3 * HISTORY):
+            measure(web, cycle)
+            if cycle % 100 == 0:
+                await asyncio.sleep(0)
+        async with session.get("/status.json") as answer:
+            assert (await answer.json())["result"]["cycle"] == 3 * HISTORY - 1
 
 
-def test_closing_ends_every_viewer() -> None:
+async def test_closing_ends_every_viewer() -> None:
     """A stop of the daemon does not wait for a browser."""
-
-    async def test() -> None:
-        async with served() as (web, session), session.get("/events") as answer:
-            await next_event(answer.content)
-            await asyncio.wait_for(web.close(), LIMIT_S)
-            assert (await answer.content.read()).strip() == b""
-
-    run(test)
+    async with served() as (web, session), session.get("/events") as answer:
+        await next_event(answer.content)
+        await asyncio.wait_for(web.close(), LIMIT_S)
+        assert (await answer.content.read()).strip() == b""
 
 
-def test_pictures_are_rectified_and_end_with_their_cycle() -> None:
+async def test_pictures_are_rectified_and_end_with_their_cycle() -> None:
     """A JPEG in the shape of the rectified image; an old cycle is 404, and so is a foreign side or size."""
-
-    async def test() -> None:
-        async with served() as (web, session):
-            for cycle in range(1, RECENT + SPARE + 2):
-                measure(web, cycle)
-            width, height = RECTIFICATION.size
-            for size, width_px in (("", 960), ("/small", THUMBNAIL_PX), ("/full", width)):
-                async with session.get(f"/picture/2/left{size}") as answer:
-                    image = cv2.imdecode(np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_UNCHANGED)
-                assert image is not None
-                assert width_px == image.shape[1]
-                assert abs(image.shape[1] / image.shape[0] - width / height) < 0.01
-                assert abs(int(np.median(image)) - 100) <= 1
-            for path in ("1/left", "2/middle", "2/left/huge", "99999999999999999999/left"):
-                path = f"/picture/{path}"
-                async with session.get(path) as answer:
-                    assert answer.status == 404
-
-    run(test)
+    async with served() as (web, session):
+        for cycle in range(1, RECENT + SPARE + 2):
+            measure(web, cycle)
+        width, height = RECTIFICATION.size
+        for size, width_px in (("", 960), ("/small", THUMBNAIL_PX), ("/full", width)):
+            async with session.get(f"/picture/2/left{size}") as answer:
+                image = cv2.imdecode(np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_UNCHANGED)
+            assert image is not None
+            assert width_px == image.shape[1]
+            assert abs(image.shape[1] / image.shape[0] - width / height) < 0.01
+            assert abs(int(np.median(image)) - 100) <= 1
+        for path in ("1/left", "2/middle", "2/left/huge", "99999999999999999999/left"):
+            path = f"/picture/{path}"
+            async with session.get(path) as answer:
+                assert answer.status == 404
 
 
 @pytest.mark.parametrize("width_px", [960, 200])
@@ -408,22 +374,18 @@ def test_the_last_cycles_stay_to_be_looked_at(monkeypatch: pytest.MonkeyPatch) -
     assert [100] == [one["cycle"] for one in page.status()["recent"]]
 
 
-def test_a_cycle_can_be_asked_for() -> None:
+async def test_a_cycle_can_be_asked_for() -> None:
     """What the enlarged pictures say of it; 404 once it is forgotten, as for its pictures."""
-
-    async def test() -> None:
-        async with served() as (web, session):
-            web.announce(ExposureDone(5, None, make_pair()))
-            web.announce(make_snapshot(5, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),)))
-            async with session.get("/cycle/5.json") as answer:
-                shown = await answer.json()
-            assert (5, "LOW_QUALITY", "flange") == (shown["cycle"], shown["status"], shown["job"])
-            assert ["SIGMA_LIMIT"] == [one["code"] for one in shown["why"]]
-            assert [False] == [mark["good"] for mark in shown["picture"]["marks"]]
-            async with session.get("/cycle/6.json") as answer:
-                assert 404 == answer.status
-
-    run(test)
+    async with served() as (web, session):
+        web.announce(ExposureDone(5, None, make_pair()))
+        web.announce(make_snapshot(5, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),)))
+        async with session.get("/cycle/5.json") as answer:
+            shown = await answer.json()
+        assert (5, "LOW_QUALITY", "flange") == (shown["cycle"], shown["status"], shown["job"])
+        assert ["SIGMA_LIMIT"] == [one["code"] for one in shown["why"]]
+        assert [False] == [mark["good"] for mark in shown["picture"]["marks"]]
+        async with session.get("/cycle/6.json") as answer:
+            assert 404 == answer.status
 
 
 def test_a_page_in_fault_knows_since_when_there_is_no_picture() -> None:
@@ -463,17 +425,13 @@ def test_the_orientation_is_what_the_plc_reads() -> None:
     assert list(best.integers[3:]) == [round(1000 * value) for value in shown["deg"]]
 
 
-def test_the_log_in_names_the_cell() -> None:
+async def test_the_log_in_names_the_cell() -> None:
     """Who has ten of them open knows which password is asked for; a name is text, not HTML."""
-
-    async def test() -> None:
-        async with (
-            served(WebSettings(port=0, password_hash=HASH)) as (_, session),
-            session.get("/login") as answer,
-        ):
-            assert '<h1 translate="no">cell&lt;1&gt;</h1>' in await answer.text()
-
-    run(test)
+    async with (
+        served(WebSettings(port=0, password_hash=HASH)) as (_, session),
+        session.get("/login") as answer,
+    ):
+        assert '<h1 translate="no">cell&lt;1&gt;</h1>' in await answer.text()
 
 
 def test_why_nothing_was_found_reaches_the_page() -> None:
@@ -504,25 +462,22 @@ def test_why_nothing_was_found_reaches_the_page() -> None:
         assert [line] == page.status()["faults"][0]["why"] or cycle > 1
 
 
-def test_only_a_viewer_has_the_cell_look_again() -> None:
+async def test_only_a_viewer_has_the_cell_look_again() -> None:
     """A miss alone asks nothing; the first who looks at the page does, and the answer is kept."""
     looks = list[str]()
 
     def look() -> None:
         looks.append(threading.current_thread().name)
 
-    async def test() -> None:
-        async with served() as (web, session):
-            web.announce(replace(make_snapshot(1, Status.NO_TARGET), nearest=Nearest(look)))
-            assert not looks
-            for _ in range(2):
-                async with session.get("/status.json") as answer:
-                    (line,) = (await answer.json())["why"]
-                    assert "nothing in the left picture is like the part" in line["text"]
-            (thread,) = looks
-            assert thread.startswith("web")  # never the loop's, which has the PLC to answer
-
-    run(test)
+    async with served() as (web, session):
+        web.announce(replace(make_snapshot(1, Status.NO_TARGET), nearest=Nearest(look)))
+        assert not looks
+        for _ in range(2):
+            async with session.get("/status.json") as answer:
+                (line,) = (await answer.json())["why"]
+                assert "nothing in the left picture is like the part" in line["text"]
+        (thread,) = looks
+        assert thread.startswith("web")  # never the loop's, which has the PLC to answer
 
 
 def test_a_fault_without_pictures_is_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -565,7 +520,7 @@ def test_why_a_target_was_not_good_is_in_words() -> None:
     assert page.history()[0].get("position_mm") is None
 
 
-def test_a_terminal_says_facts_and_the_last_fault_in_english() -> None:
+async def test_a_terminal_says_facts_and_the_last_fault_in_english() -> None:
     """`edged status`: values as they are, sentences without their codes, several of them in one line."""
     facts = {
         "Cameras": {
@@ -574,120 +529,96 @@ def test_a_terminal_says_facts_and_the_last_fault_in_english() -> None:
         }
     }
     console = Console(file=io.StringIO(), width=200)
-
-    async def test() -> None:
-        async with served(asked=sources(facts)) as (web, _):
-            web.announce(READY)
-            bad = make_target(Reject.SIGMA_LIMIT | Reject.KEEP_OUT)
-            web.announce(make_snapshot(5, Status.LOW_QUALITY, (bad,)))
-            code = await asyncio.to_thread(status, f"http://127.0.0.1:{web.port}", False, console)
-            assert 0 == code
-
-    run(test)
+    async with served(asked=sources(facts)) as (web, _):
+        web.announce(READY)
+        bad = make_target(Reject.SIGMA_LIMIT | Reject.KEEP_OUT)
+        web.announce(make_snapshot(5, Status.LOW_QUALITY, (bad,)))
+        code = await asyncio.to_thread(status, f"http://127.0.0.1:{web.port}", False, console)
+        assert 0 == code
     assert isinstance(console.file, io.StringIO)
     told = console.file.getvalue()
     assert "source gige, left 41.5 °C; b c" in told
     assert "cycle 5: sigma over its limit. in a keep-out zone" in told
 
 
-def test_numbers_that_are_none_are_null() -> None:
+async def test_numbers_that_are_none_are_null() -> None:
     """JSON has no NaN; a browser would refuse the whole answer."""
-
-    async def test() -> None:
-        async with served() as (_, session), session.get("/registers.json") as answer:
-            rows = json.loads(await answer.text(), parse_constant=lambda name: pytest.fail(name))
-            assert [(row["value"], row["text"]) for row in rows] == [(7, "7"), (None, "–")]
-
-    run(test)
+    async with served() as (_, session), session.get("/registers.json") as answer:
+        rows = json.loads(await answer.text(), parse_constant=lambda name: pytest.fail(name))
+        assert [(row["value"], row["text"]) for row in rows] == [(7, "7"), (None, "–")]
 
 
-def test_ready_tells_a_load_balancer_and_a_person() -> None:
+async def test_ready_tells_a_load_balancer_and_a_person() -> None:
     """503 with the reason until a trigger would be carried out; alive all the time."""
-
-    async def test() -> None:
-        async with served() as (web, session):
-            for state, expected in (
-                (CellState(CellPhase.FAULT, False, False, "flange", 1, 0, "cable", 104), 503),
-                (replace(SETUP, setup_by="Anna"), 503),
-                (READY, 200),
-            ):
-                web.announce(state)
-                async with session.get("/ready") as answer:
-                    assert answer.status == expected
-                    assert (await answer.json())["error"] == state.why
-                async with session.get("/health") as answer:
-                    assert (answer.status, (await answer.json())["state"]) == (200, state.state)
-
-    run(test)
+    async with served() as (web, session):
+        for state, expected in (
+            (CellState(CellPhase.FAULT, False, False, "flange", 1, 0, "cable", 104), 503),
+            (replace(SETUP, setup_by="Anna"), 503),
+            (READY, 200),
+        ):
+            web.announce(state)
+            async with session.get("/ready") as answer:
+                assert answer.status == expected
+                assert (await answer.json())["error"] == state.why
+            async with session.get("/health") as answer:
+                assert (answer.status, (await answer.json())["state"]) == (200, state.state)
 
 
-def test_without_a_session_only_the_form_is_shown() -> None:
+async def test_without_a_session_only_the_form_is_shown() -> None:
     """Every other path asks for the password; a browser is led to the form, a scraper told how."""
-
-    async def test() -> None:
-        async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
-            for path in (
-                "/status.json",
-                "/events",
-                "/registers.json",
-                "/metrics",
-                "/picture/1/left",
-                "/static/run/run.js",
-            ):
-                async with session.get(path) as answer:
-                    assert answer.status == 401, path
-            for path in sorted(FREE):
-                async with session.get(path) as answer:
-                    assert answer.status in (200, 503), path
-            async with session.get("/", headers={"Accept": "text/html"}) as answer:
-                assert answer.url.path == "/login"
-            basic = "Basic " + b64encode(f"prometheus:{PASSWORD}".encode()).decode()
-            async with session.get("/metrics", headers={"Authorization": basic}) as answer:
-                assert (await answer.text()).startswith("# HELP")
-
-    run(test)
+    async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
+        for path in (
+            "/status.json",
+            "/events",
+            "/registers.json",
+            "/metrics",
+            "/picture/1/left",
+            "/static/run/run.js",
+        ):
+            async with session.get(path) as answer:
+                assert answer.status == 401, path
+        for path in sorted(FREE):
+            async with session.get(path) as answer:
+                assert answer.status in (200, 503), path
+        async with session.get("/", headers={"Accept": "text/html"}) as answer:
+            assert answer.url.path == "/login"
+        basic = "Basic " + b64encode(f"prometheus:{PASSWORD}".encode()).decode()
+        async with session.get("/metrics", headers={"Authorization": basic}) as answer:
+            assert (await answer.text()).startswith("# HELP")
 
 
 @pytest.mark.slow
-def test_the_password_opens_a_session_and_log_out_ends_it() -> None:
+async def test_the_password_opens_a_session_and_log_out_ends_it() -> None:
     """The cookie is out of reach of scripts and other sites."""
-
-    async def test() -> None:
-        async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
-            own, form = own_origin(session), {"password": PASSWORD}
-            async with session.post("/login", data={"password": "guess"}, headers=own) as answer:
-                assert answer.url.path == "/login"
-            async with session.post("/login", data=form, headers=own, allow_redirects=False) as answer:
-                cookie = answer.headers["Set-Cookie"]
-                assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
-            async with session.get("/status.json") as answer:
-                assert (answer.status, (await answer.json())["protected"]) == (200, True)
-            await (await session.post("/logout", headers=own)).read()
-            async with session.get("/status.json") as answer:
-                assert answer.status == 401
-
-    run(test)
+    async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
+        own, form = own_origin(session), {"password": PASSWORD}
+        async with session.post("/login", data={"password": "guess"}, headers=own) as answer:
+            assert answer.url.path == "/login"
+        async with session.post("/login", data=form, headers=own, allow_redirects=False) as answer:
+            cookie = answer.headers["Set-Cookie"]
+            assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+        async with session.get("/status.json") as answer:
+            assert (answer.status, (await answer.json())["protected"]) == (200, True)
+        await (await session.post("/logout", headers=own)).read()
+        async with session.get("/status.json") as answer:
+            assert answer.status == 401
 
 
 @pytest.mark.slow
-def test_guessing_is_slowed_down() -> None:
+async def test_guessing_is_slowed_down() -> None:
     """After five wrong passwords the right one has to wait too; others are not locked out with it."""
-
-    async def test() -> None:
-        now_s = [0.0]
-        access = Access(HASH, lambda: now_s[0])
-        for _ in range(5):
-            assert await access.log_in("10.0.0.9", "guess") is None
-        with pytest.raises(TooManyAttempts):
-            await access.log_in("10.0.0.9", PASSWORD)
-        assert await access.log_in("10.0.0.7", PASSWORD)
-        now_s[0] = 31.0
-        assert await access.log_in("10.0.0.9", PASSWORD)
-
-    run(test)
+    now_s = [0.0]
+    access = Access(HASH, lambda: now_s[0])
+    for _ in range(5):
+        assert await access.log_in("10.0.0.9", "guess") is None
+    with pytest.raises(TooManyAttempts):
+        await access.log_in("10.0.0.9", PASSWORD)
+    assert await access.log_in("10.0.0.7", PASSWORD)
+    now_s[0] = 31.0
+    assert await access.log_in("10.0.0.9", PASSWORD)
 
 
-def test_log_ins_at_once_cost_one_hash_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_log_ins_at_once_cost_one_hash_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
     """While a password is checked a few others wait, and the rest is told when to come again."""
     hashed, at_once, most = list[str](), [0], [0]
     started, may_end = threading.Event(), threading.Event()
@@ -702,54 +633,46 @@ def test_log_ins_at_once_cost_one_hash_after_another(monkeypatch: pytest.MonkeyP
         return password == PASSWORD
 
     monkeypatch.setattr("edged.identity.access.is_password", slow)
-
-    async def test() -> None:
-        access = Access(HASH)
-        first = asyncio.create_task(access.log_in("10.0.0.9", "guess"))
-        try:
-            await asyncio.to_thread(started.wait, 20)
-            others = [
-                asyncio.create_task(access.log_in(f"10.0.{n // 200}.{n % 200}", "guess")) for n in range(1500)
-            ]
-            refused = 1500 - MAX_WAITING
-            await until(lambda: sum(task.done() for task in others) == refused)
-            # who hangs up does not make room: the thread goes on
-            first.cancel()
-            await asyncio.wait({first})
-            assert ["guess"] == hashed
-        finally:
-            may_end.set()
-        found = await asyncio.gather(*others, return_exceptions=True)
-        assert [1.0] * refused == [error.wait_s for error in found if isinstance(error, TooManyAttempts)]
-        assert (1 + MAX_WAITING, 1) == (len(hashed), most[0])
-
-    run(test)
+    access = Access(HASH)
+    first = asyncio.create_task(access.log_in("10.0.0.9", "guess"))
+    try:
+        await asyncio.to_thread(started.wait, 20)
+        others = [
+            asyncio.create_task(access.log_in(f"10.0.{n // 200}.{n % 200}", "guess")) for n in range(1500)
+        ]
+        refused = 1500 - MAX_WAITING
+        await until(lambda: sum(task.done() for task in others) == refused)
+        # who hangs up does not make room: the thread goes on
+        first.cancel()
+        await asyncio.wait({first})
+        assert ["guess"] == hashed
+    finally:
+        may_end.set()
+    found = await asyncio.gather(*others, return_exceptions=True)
+    assert [1.0] * refused == [error.wait_s for error in found if isinstance(error, TooManyAttempts)]
+    assert (1 + MAX_WAITING, 1) == (len(hashed), most[0])
 
 
-def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who breaks off each guess has spent it all the same: after five the sixth is not looked at."""
     hashed = list[str]()
     monkeypatch.setattr("edged.identity.access.is_password", lambda _, password: hashed.append(password))
-
-    async def test() -> None:
-        access = Access(HASH, lambda: 0.0)
-        for _ in range(1000):
-            guess = asyncio.create_task(access.log_in("10.0.0.9", "guess"))
-            await asyncio.sleep(0)
-            guess.cancel()
-            await asyncio.wait({guess})
-            refused = None if guess.cancelled() else guess.exception()
-            if isinstance(refused, TooManyAttempts) and refused.wait_s == 30.0:
-                break
-        else:
-            pytest.fail("no guess was refused for a while")
-        # whoever broke off before a thread was free was not looked at either
-        assert len(hashed) <= 5
-
-    run(test)
+    access = Access(HASH, lambda: 0.0)
+    for _ in range(1000):
+        guess = asyncio.create_task(access.log_in("10.0.0.9", "guess"))
+        await asyncio.sleep(0)
+        guess.cancel()
+        await asyncio.wait({guess})
+        refused = None if guess.cancelled() else guess.exception()
+        if isinstance(refused, TooManyAttempts) and refused.wait_s == 30.0:
+            break
+    else:
+        pytest.fail("no guess was refused for a while")
+    # whoever broke off before a thread was free was not looked at either
+    assert len(hashed) <= 5
 
 
-def test_who_hangs_up_as_it_is_their_turn_takes_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_who_hangs_up_as_it_is_their_turn_takes_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
     """A log-in that ends at the moment when the one before it does: the next is looked at all the same."""
     may_end, ended = threading.Event(), threading.Event()
 
@@ -759,43 +682,35 @@ def test_who_hangs_up_as_it_is_their_turn_takes_nobody_elses(monkeypatch: pytest
         return password == "right"
 
     monkeypatch.setattr("edged.identity.access.is_password", check)
-
-    async def test() -> None:
-        access = Access(HASH, lambda: 0.0)
-        asked = [("10.0.0.1", "wrong"), ("10.0.0.2", "right"), ("10.0.0.3", "right")]
-        first, second, third = (asyncio.create_task(access.log_in(*one)) for one in asked)
-        await asyncio.sleep(0.1)  # the others wait
-        may_end.set()
-        ended.wait(LIMIT_S)
-        time.sleep(0.2)  # noqa: ASYNC251  (the loop stands still: what the thread says is in its queue)
-        await asyncio.sleep(0)  # that it has ended is known; its turn is not given on yet
-        second.cancel()
-        await asyncio.wait({first, second, third}, timeout=LIMIT_S)
-        assert third.done()
-        assert third.exception() is None
-
-    run(test)
+    access = Access(HASH, lambda: 0.0)
+    asked = [("10.0.0.1", "wrong"), ("10.0.0.2", "right"), ("10.0.0.3", "right")]
+    first, second, third = (asyncio.create_task(access.log_in(*one)) for one in asked)
+    await asyncio.sleep(0.1)  # the others wait
+    may_end.set()
+    ended.wait(LIMIT_S)
+    time.sleep(0.2)  # noqa: ASYNC251  (the loop stands still: what the thread says is in its queue)
+    await asyncio.sleep(0)  # that it has ended is known; its turn is not given on yet
+    second.cancel()
+    await asyncio.wait({first, second, third}, timeout=LIMIT_S)
+    assert third.done()
+    assert third.exception() is None
 
 
-def test_who_has_to_wait_is_told_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_who_has_to_wait_is_told_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """429 with Retry-After in whole seconds, never 0; over the form and over HTTP Basic."""
     monkeypatch.setattr("edged.identity.access.is_password", lambda *_: False)
-
-    async def test() -> None:
-        async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
-            basic = {"Authorization": "Basic " + b64encode(b"x:guess").decode()}
-            for _ in range(5):
-                async with session.get("/metrics", headers=basic) as answer:
-                    assert answer.status == 401
-            for answer in (
-                await session.get("/metrics", headers=basic),
-                await session.post("/login", data={"password": PASSWORD}, headers=own_origin(session)),
-            ):
-                async with answer:
-                    assert answer.status == 429
-                    assert 1 <= int(answer.headers["Retry-After"]) <= 30
-
-    run(test)
+    async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
+        basic = {"Authorization": "Basic " + b64encode(b"x:guess").decode()}
+        for _ in range(5):
+            async with session.get("/metrics", headers=basic) as answer:
+                assert answer.status == 401
+        for answer in (
+            await session.get("/metrics", headers=basic),
+            await session.post("/login", data={"password": PASSWORD}, headers=own_origin(session)),
+        ):
+            async with answer:
+                assert answer.status == 429
+                assert 1 <= int(answer.headers["Retry-After"]) <= 30
 
 
 @pytest.mark.parametrize(
@@ -809,16 +724,14 @@ def test_who_has_to_wait_is_told_how_long(monkeypatch: pytest.MonkeyPatch) -> No
         b"Authorization: \xff",
     ],
 )
-def test_bytes_that_are_no_text_are_not_logged_in(header: bytes, caplog: pytest.LogCaptureFixture) -> None:
+async def test_bytes_that_are_no_text_are_not_logged_in(
+    header: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
     """A cookie or a password of other bytes is a wrong one: 401 or 400, and no traceback in the log."""
-
-    async def test() -> None:
-        async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
-            for path in (b"GET /status.json", b"POST /logout"):
-                head, _ = await answered(web.port, path, header)
-                assert head in (b"HTTP/1.1 401", b"HTTP/1.1 400"), head
-
-    run(test)
+    async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
+        for path in (b"GET /status.json", b"POST /logout"):
+            head, _ = await answered(web.port, path, header)
+            assert head in (b"HTTP/1.1 401", b"HTTP/1.1 400"), head
     assert [] == [record.getMessage() for record in caplog.records if record.exc_info]
 
 
@@ -835,18 +748,14 @@ def test_bytes_that_are_no_text_are_not_logged_in(header: bytes, caplog: pytest.
         (b"text/plain", b"password=x"),
     ],
 )
-def test_a_form_of_other_bytes_is_a_wrong_password(
+async def test_a_form_of_other_bytes_is_a_wrong_password(
     content_type: bytes, body: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Whatever is sent to the form: back to the form, and no traceback in the log."""
-
-    async def test() -> None:
-        async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
-            fields = b"Content-Type: " + content_type + b"\r\nContent-Length: %d" % len(body)
-            head, rest = await answered(web.port, b"POST /login", fields, body)
-            assert (b"HTTP/1.1 303", True) == (head, b"/login?wrong" in rest)
-
-    run(test)
+    async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
+        fields = b"Content-Type: " + content_type + b"\r\nContent-Length: %d" % len(body)
+        head, rest = await answered(web.port, b"POST /login", fields, body)
+        assert (b"HTTP/1.1 303", True) == (head, b"/login?wrong" in rest)
     assert [] == [record.getMessage() for record in caplog.records if record.exc_info]
 
 
@@ -867,64 +776,48 @@ async def answered(port: int, request: bytes, header: bytes, body: bytes = b"") 
     return answer[:12], answer[12:]
 
 
-def test_a_session_ends_by_itself() -> None:
+async def test_a_session_ends_by_itself() -> None:
     """Twelve hours after the log-in."""
-
-    async def test() -> None:
-        now_s = [0.0]
-        access = Access(HASH, lambda: now_s[0])
-        cookie = await access.log_in("10.0.0.9", PASSWORD)
-        assert cookie is not None
-        assert access.visitor(cookie, "10.0.0.9")
-        now_s[0] = 12 * 3600.0 + 1
-        assert access.visitor(cookie, "10.0.0.9") is None
-
-    run(test)
+    now_s = [0.0]
+    access = Access(HASH, lambda: now_s[0])
+    cookie = await access.log_in("10.0.0.9", PASSWORD)
+    assert cookie is not None
+    assert access.visitor(cookie, "10.0.0.9")
+    now_s[0] = 12 * 3600.0 + 1
+    assert access.visitor(cookie, "10.0.0.9") is None
 
 
-def test_a_foreign_host_name_reaches_no_open_page() -> None:
+async def test_a_foreign_host_name_reaches_no_open_page() -> None:
     """A page elsewhere whose name was made to point here (DNS rebinding) gets nothing."""
-
-    async def test() -> None:
-        async with served() as (_, session):
-            for host, expected in (
-                ("evil.example", 421),
-                ("localhost:1", 200),
-                ("127.0.0.1", 200),
-                ("[::1]:8080", 200),
-            ):
-                async with session.get("/status.json", headers={"Host": host}) as answer:
-                    assert answer.status == expected, host
-
-    run(test)
+    async with served() as (_, session):
+        for host, expected in (
+            ("evil.example", 421),
+            ("localhost:1", 200),
+            ("127.0.0.1", 200),
+            ("[::1]:8080", 200),
+        ):
+            async with session.get("/status.json", headers={"Host": host}) as answer:
+                assert answer.status == expected, host
 
 
-def test_nothing_can_be_changed_and_large_bodies_are_refused() -> None:
+async def test_nothing_can_be_changed_and_large_bodies_are_refused() -> None:
     """The page is read-only: other methods are 405, and a body that is no form is cut off."""
-
-    async def test() -> None:
-        async with served() as (_, session):
-            for path in ("/", "/status.json", "/registers.json", "/metrics"):
-                async with session.post(path, data=b"x") as answer:
-                    assert answer.status == 405
-            form, own = {"password": "x" * 100_000}, own_origin(session)
-            async with session.post("/login", data=form, headers=own) as answer:
-                assert answer.status == 413
-
-    run(test)
+    async with served() as (_, session):
+        for path in ("/", "/status.json", "/registers.json", "/metrics"):
+            async with session.post(path, data=b"x") as answer:
+                assert answer.status == 405
+        form, own = {"password": "x" * 100_000}, own_origin(session)
+        async with session.post("/login", data=form, headers=own) as answer:
+            assert answer.status == 413
 
 
-def test_a_port_in_use_is_named() -> None:
+async def test_a_port_in_use_is_named() -> None:
     """With the place, before anything else is started."""
-
-    async def test() -> None:
-        async with served() as (web, _):
-            other = WebPublisher("cell", WebSettings(port=web.port), sources())
-            with pytest.raises(ListenError, match=f"127.0.0.1:{web.port}"):
-                await other.start()
-            await other.close()
-
-    run(test)
+    async with served() as (web, _):
+        other = WebPublisher("cell", WebSettings(port=web.port), sources())
+        with pytest.raises(ListenError, match=f"127.0.0.1:{web.port}"):
+            await other.start()
+        await other.close()
 
 
 def test_a_snapshot_without_its_exposure_has_no_picture() -> None:
@@ -958,153 +851,123 @@ async def ended(reader: StreamReader) -> bool:
     "sent",
     [b"", b"GET / HTTP/1.1\r\nHost: x\r\nX: ", SLOW_FORM],
 )
-def test_a_request_that_does_not_come_is_not_waited_for(sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_request_that_does_not_come_is_not_waited_for(
+    sent: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Nothing, half a header, half a form: closed, whatever is dribbled meanwhile."""
     monkeypatch.setattr(server, "IDLE_S", 0.4)
     monkeypatch.setattr(login, "FORM_S", 0.2)
-
-    async def test() -> None:
-        async with served() as (web, _):
-            reader, writer = await connect(web)
-            writer.write(sent)
-            closed = asyncio.create_task(ended(reader))
-            while not closed.done():
-                writer.write(b"x" if sent else b"")
-                await asyncio.wait({closed}, timeout=0.1)
-            assert closed.result()
-            writer.close()
-
-    run(test)
+    async with served() as (web, _):
+        reader, writer = await connect(web)
+        writer.write(sent)
+        closed = asyncio.create_task(ended(reader))
+        while not closed.done():
+            writer.write(b"x" if sent else b"")
+            await asyncio.wait({closed}, timeout=0.1)
+        assert closed.result()
+        writer.close()
 
 
-def test_an_answer_that_nobody_fetches_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_answer_that_nobody_fetches_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Requests without end, and not one answer is read: closed."""
     monkeypatch.setattr(server, "IDLE_S", 0.4)
+    async with served() as (web, _):
+        _, writer = await connect(web)
+        with pytest.raises(ConnectionError):
+            while True:
+                writer.write(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 100)
+                await writer.drain()
+        writer.close()
 
-    async def test() -> None:
-        async with served() as (web, _):
-            _, writer = await connect(web)
-            with pytest.raises(ConnectionError):
-                while True:
-                    writer.write(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 100)
-                    await writer.drain()
+
+async def test_many_connections_take_no_place_from_others() -> None:
+    """Three times as many as there are places, from one address: its own make room, and others are served."""
+    async with served() as (web, session):
+        other_reader, other = await connect(web, "127.0.0.2")
+        many = [await connect(web) for _ in range(3 * places.MAX_CONNECTIONS)]
+        async with session.get("/health") as answer:
+            assert answer.status == 200
+        for reader, _ in many[: 2 * places.MAX_CONNECTIONS]:
+            assert await ended(reader)
+        other.write(b"GET /health HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert (await other_reader.readline()).startswith(b"HTTP/1.1 200")
+        for _, writer in (*many, (None, other)):
             writer.close()
 
-    run(test)
 
-
-def test_many_connections_take_no_place_from_others() -> None:
-    """Three times as many as there are places, from one address: its own make room, and others are served."""
-
-    async def test() -> None:
-        async with served() as (web, session):
-            other_reader, other = await connect(web, "127.0.0.2")
-            many = [await connect(web) for _ in range(3 * places.MAX_CONNECTIONS)]
-            async with session.get("/health") as answer:
-                assert answer.status == 200
-            for reader, _ in many[: 2 * places.MAX_CONNECTIONS]:
-                assert await ended(reader)
-            other.write(b"GET /health HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-            assert (await other_reader.readline()).startswith(b"HTTP/1.1 200")
-            for _, writer in (*many, (None, other)):
-                writer.close()
-
-    run(test)
-
-
-def test_viewers_that_do_not_read_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_viewers_that_do_not_read_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is written to them goes nowhere: the connection is ended."""
     monkeypatch.setattr(viewers, "WRITE_S", 0.2)
     monkeypatch.setattr(viewers, "PERIOD_S", 0.0)
-
-    async def test() -> None:
-        async with served(asked=sources({"Modbus": {"text": "x" * 1_000_000}})) as (web, _):
-            _, writer = await connect(web)
-            writer.transport.pause_reading()
-            writer.write(b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-            with pytest.raises(ConnectionError):
-                for cycle in itertools.count(1):
-                    measure(web, cycle, error="camera left: gone")
-                    writer.write(b"\r\n")
-                    await writer.drain()
-                    await asyncio.sleep(0.01)
-            writer.close()
-
-    run(test)
+    async with served(asked=sources({"Modbus": {"text": "x" * 1_000_000}})) as (web, _):
+        _, writer = await connect(web)
+        writer.transport.pause_reading()
+        writer.write(b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        with pytest.raises(ConnectionError):
+            for cycle in itertools.count(1):
+                measure(web, cycle, error="camera left: gone")
+                writer.write(b"\r\n")
+                await writer.drain()
+                await asyncio.sleep(0.01)
+        writer.close()
 
 
-def test_viewers_of_one_address_do_not_keep_others_out() -> None:
+async def test_viewers_of_one_address_do_not_keep_others_out() -> None:
     """All places are taken by one address: its first viewer goes, and another address sees the cell."""
     asked = b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
-
-    async def test() -> None:
-        async with served() as (web, _):
-            many = []
-            for _ in range(viewers.MAX_VIEWERS):
-                many.append(await connect(web))
-                many[-1][1].write(asked)
-                assert (await many[-1][0].readline()).startswith(b"HTTP/1.1 200")
-            reader, writer = await connect(web, "127.0.0.2")
-            writer.write(asked)
-            assert (await reader.readline()).startswith(b"HTTP/1.1 200")
-            assert await ended(many[0][0])
-            for _, one in (*many, (reader, writer)):
-                one.close()
-
-    run(test)
+    async with served() as (web, _):
+        many = []
+        for _ in range(viewers.MAX_VIEWERS):
+            many.append(await connect(web))
+            many[-1][1].write(asked)
+            assert (await many[-1][0].readline()).startswith(b"HTTP/1.1 200")
+        reader, writer = await connect(web, "127.0.0.2")
+        writer.write(asked)
+        assert (await reader.readline()).startswith(b"HTTP/1.1 200")
+        assert await ended(many[0][0])
+        for _, one in (*many, (reader, writer)):
+            one.close()
 
 
-def test_what_is_no_http_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
+async def test_what_is_no_http_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
     """Not one for each request, and none of the parser's insides."""
-
-    async def test() -> None:
-        async with served() as (web, _):
-            for sent in (
-                b"\x16\x03\x01",
-                b"GET / HTTP/9.9",
-                b"GET /\0 HTTP/1.1",
-                b"GET / HTTP/1.1\r\na b: c",
-            ) * 5:
-                reader, writer = await connect(web)
-                writer.write(sent + b"\r\n\r\n")
-                assert await ended(reader)
-                writer.close()
-
-    run(test)
+    async with served() as (web, _):
+        for sent in (
+            b"\x16\x03\x01",
+            b"GET / HTTP/9.9",
+            b"GET /\0 HTTP/1.1",
+            b"GET / HTTP/1.1\r\na b: c",
+        ) * 5:
+            reader, writer = await connect(web)
+            writer.write(sent + b"\r\n\r\n")
+            assert await ended(reader)
+            writer.close()
     (record,) = caplog.records
     assert "127.0.0.1 sent what is no HTTP" in record.getMessage()
     assert record.exc_info is None
 
 
-def test_a_bug_that_strangers_find_is_one_trace(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_bug_that_strangers_find_is_one_trace(caplog: pytest.LogCaptureFixture) -> None:
     """Whatever request makes the page or its library fail: not one trace for each."""
-
-    async def test() -> None:
-        async with served(metrics=lambda: 1 / 0) as (_, session):
-            for _ in range(5):
-                async with session.get("/metrics") as answer:
-                    assert answer.status == 500
-
-    run(test)
+    async with served(metrics=lambda: 1 / 0) as (_, session):
+        for _ in range(5):
+            async with session.get("/metrics") as answer:
+                assert answer.status == 500
     (record,) = caplog.records
     assert isinstance(record.exc_info[1], ZeroDivisionError)
 
 
-def test_who_leaves_in_the_middle_of_a_form_leaves_no_trace(caplog: pytest.LogCaptureFixture) -> None:
+async def test_who_leaves_in_the_middle_of_a_form_leaves_no_trace(caplog: pytest.LogCaptureFixture) -> None:
     """It is no fault of the page."""
-
-    async def test() -> None:
-        async with served() as (web, session):
-            _, writer = await connect(web)
-            writer.write(SLOW_FORM)
-            await writer.drain()
-            async with session.get("/health") as answer:  # by then the form is being read
-                assert answer.status == 200
-            writer.transport.abort()
-            async with session.get("/health") as answer:
-                assert answer.status == 200
-
-    run(test)
+    async with served() as (web, session):
+        _, writer = await connect(web)
+        writer.write(SLOW_FORM)
+        await writer.drain()
+        async with session.get("/health") as answer:  # by then the form is being read
+            assert answer.status == 200
+        writer.transport.abort()
+        async with session.get("/health") as answer:
+            assert answer.status == 200
     assert [] == caplog.messages
 
 
@@ -1122,20 +985,18 @@ def test_who_leaves_in_the_middle_of_a_form_leaves_no_trace(caplog: pytest.LogCa
         ("Expect: nothing", b""),
     ],
 )
-def test_no_form_makes_an_internal_error(header: str, body: bytes, caplog: pytest.LogCaptureFixture) -> None:
+async def test_no_form_makes_an_internal_error(
+    header: str, body: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
     """Whatever is posted to the login is answered with a status of the client's, and leaves no trace."""
-
-    async def test() -> None:
-        async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
-            reader, writer = await connect(web)
-            head = (
-                "POST /login HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://127.0.0.1\r\n"
-                f"{header}\r\nContent-Length: {len(body)}\r\n\r\n"
-            )
-            writer.write(head.encode("latin-1") + body)
-            status = int((await reader.readline()).split()[1])
-            assert 300 <= status < 500
-            writer.close()
-
-    run(test)
+    async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
+        reader, writer = await connect(web)
+        head = (
+            "POST /login HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://127.0.0.1\r\n"
+            f"{header}\r\nContent-Length: {len(body)}\r\n\r\n"
+        )
+        writer.write(head.encode("latin-1") + body)
+        status = int((await reader.readline()).split()[1])
+        assert 300 <= status < 500
+        writer.close()
     assert not [record for record in caplog.records if record.exc_info]

@@ -21,7 +21,7 @@ import zenoh
 from helpers.ports import free_port
 from helpers.schema_check import load_schema, violations
 from helpers.snapshots import make_snapshot
-from helpers.waiting import LIMIT_S, until, wait_until
+from helpers.waiting import LIMIT_S, until
 from helpers.zenohcell import READY, Cell, Peer, ask, ignore, is_message, peer
 
 from edged.adapters.zenoh import (
@@ -67,22 +67,18 @@ REGISTERED = Registration(Method.HAND_EYE, 10, 9, 4, rms_mm=0.02)
 
 
 @pytest.mark.slow
-def test_every_cycle_arrives_in_order_and_documented():
+async def test_every_cycle_arrives_in_order_and_documented():
     """A subscriber in another process sees each cycle once, in order, as the schema says."""
-
-    async def main() -> list[dict[str, Any]]:
-        async with Cell() as cell:
-            with listener(cell.port) as other:
-                lines = []
-                for cycle in range(1, 21):
-                    cell.publisher.announce(make_snapshot(cycle, list(Status)[cycle % len(Status)]))
-                    if cycle == 1:  # until it is heard the subscriber may still be asking for what was before
-                        lines.append(await other.until(is_message("target")))
-                lines += [await other.until(is_message("target")) for _ in range(19)]
-                health = await other.until(is_message("health", cycles=20))
-                return [line["document"] for line in (*lines, health)]
-
-    *targets, health = asyncio.run(main())
+    async with Cell() as cell:
+        with listener(cell.port) as other:
+            lines = []
+            for cycle in range(1, 21):
+                cell.publisher.announce(make_snapshot(cycle, list(Status)[cycle % len(Status)]))
+                if cycle == 1:  # until it is heard the subscriber may still be asking for what was before
+                    lines.append(await other.until(is_message("target")))
+            lines += [await other.until(is_message("target")) for _ in range(19)]
+            health = await other.until(is_message("health", cycles=20))
+            *targets, health = [line["document"] for line in (*lines, health)]
     assert [*range(1, 21)] == [target["cycle"] for target in targets]
     assert [*range(1, 21)] == [target["sequence"] for target in targets]
     assert 1_700_000_000_000_000_000 == targets[3]["exposed_ns"]
@@ -92,38 +88,30 @@ def test_every_cycle_arrives_in_order_and_documented():
     assert {"OK": 5, "NO_TARGET": 5, "LOW_QUALITY": 5, "CAPTURE_FAULT": 5} == health["cycles_by_status"]
 
 
-def test_who_comes_late_gets_the_last_result_and_state():
+async def test_who_comes_late_gets_the_last_result_and_state():
     """A subscriber that appears after the last cycle learns it without another one."""
-
-    async def main() -> None:
-        async with Cell() as cell:
-            cell.publisher.announce(READY)
-            for cycle in (1, 2, 3):
-                cell.publisher.announce(make_snapshot(cycle))
-            with listener(cell.port) as other:
-                await other.until(is_message("target", cycle=3))
-                other.close()
-            with listener(cell.port) as other:
-                await other.until(is_message("state", state="READY", job="flange"))
-
-    asyncio.run(main())
+    async with Cell() as cell:
+        cell.publisher.announce(READY)
+        for cycle in (1, 2, 3):
+            cell.publisher.announce(make_snapshot(cycle))
+        with listener(cell.port) as other:
+            await other.until(is_message("target", cycle=3))
+            other.close()
+        with listener(cell.port) as other:
+            await other.until(is_message("state", state="READY", job="flange"))
 
 
-def test_a_trigger_is_answered_by_the_result_it_asked_for():
+async def test_a_trigger_is_answered_by_the_result_it_asked_for():
     """The reply carries the command; a result of another cycle does not answer it."""
+    async with Cell() as cell:
 
-    async def main() -> list[dict[str, Any]]:
-        async with Cell() as cell:
+        def react(command: Command) -> None:
+            cell.publisher.announce(make_snapshot(7))
+            cell.publisher.announce(make_snapshot(8, command=Command(CommandKind.LOCATE, "modbus", 1)))
+            cell.publisher.announce(make_snapshot(9, command=command))
 
-            def react(command: Command) -> None:
-                cell.publisher.announce(make_snapshot(7))
-                cell.publisher.announce(make_snapshot(8, command=Command(CommandKind.LOCATE, "modbus", 1)))
-                cell.publisher.announce(make_snapshot(9, command=command))
-
-            cell.commander.react = react
-            return await ask(cell.port, "edged/cell1/trigger?job=2;kind=grab;flange=500,0,700,0,1,0,0")
-
-    (reply,) = asyncio.run(main())
+        cell.commander.react = react
+        (reply,) = await ask(cell.port, "edged/cell1/trigger?job=2;kind=grab;flange=500,0,700,0,1,0,0")
     assert reply["ok"]
     assert 9 == reply["document"]["cycle"]
     command = {"kind": "GRAB", "source": "zenoh", "sequence": 1, "job": 2, "box": 0}
@@ -132,35 +120,30 @@ def test_a_trigger_is_answered_by_the_result_it_asked_for():
     assert [] == violations(reply["document"], SCHEMA, SCHEMA)
 
 
-def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
+async def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
     """Refused, failed later, never finished, job changed: one reply each, and nothing stays pending."""
+    async with Cell() as cell:
 
-    async def main() -> tuple[list[dict[str, Any]], Cell]:
-        async with Cell() as cell:
+        def refuse(command: Command) -> None:
+            raise CommandRefused("queue full")
 
-            def refuse(command: Command) -> None:
-                raise CommandRefused("queue full")
-
-            reactions = iter(
-                [
-                    refuse,
-                    lambda command: cell.publisher.announce(CommandFailed(command, "job 2 is gone")),
-                    ignore,
-                    lambda command: cell.publisher.announce(JobChanged(2, "cover", command)),
-                    lambda command: cell.publisher.announce(Registered(command, REGISTERED, None, "it fits")),
-                    lambda command: cell.publisher.announce(
-                        Registered(command, REGISTERED, Obstacle.NOT_SEEN, "too dark")
-                    ),
-                ]
-            )
-            cell.commander.react = lambda command: next(reactions)(command)
-            selectors = ("", "?job=2", "?timeout_s=0.2", "?kind=change_job;job=2")
-            selectors += ("?kind=register_solve", "?kind=register_add;flange=1,2,3,1,0,0,0")
-            replies = await ask(cell.port, *(f"edged/cell1/trigger{selector}" for selector in selectors))
-            cell.publisher.announce(make_snapshot(command=cell.commander.commands[2]))  # too late: no harm
-            return replies, cell
-
-    replies, cell = asyncio.run(main())
+        reactions = iter(
+            [
+                refuse,
+                lambda command: cell.publisher.announce(CommandFailed(command, "job 2 is gone")),
+                ignore,
+                lambda command: cell.publisher.announce(JobChanged(2, "cover", command)),
+                lambda command: cell.publisher.announce(Registered(command, REGISTERED, None, "it fits")),
+                lambda command: cell.publisher.announce(
+                    Registered(command, REGISTERED, Obstacle.NOT_SEEN, "too dark")
+                ),
+            ]
+        )
+        cell.commander.react = lambda command: next(reactions)(command)
+        selectors = ("", "?job=2", "?timeout_s=0.2", "?kind=change_job;job=2")
+        selectors += ("?kind=register_solve", "?kind=register_add;flange=1,2,3,1,0,0,0")
+        replies = await ask(cell.port, *(f"edged/cell1/trigger{selector}" for selector in selectors))
+        cell.publisher.announce(make_snapshot(command=cell.commander.commands[2]))  # too late: no harm
     assert [False, False, False, True, True, False] == [reply["ok"] for reply in replies]
     errors = [reply["document"].get("error") for reply in replies]
     assert [
@@ -186,7 +169,7 @@ def test_a_job_is_the_number_that_is_written():
     assert 121 == parse_trigger(zenoh.Parameters("job=0000121"), 5.0).job
 
 
-def test_wrong_parameters_are_refused_with_what_was_expected():
+async def test_wrong_parameters_are_refused_with_what_was_expected():
     """Hostile or mistyped parameters reach nobody but the one who sent them."""
     bad = {
         "kind=melt": "kind: expected one of locate, change_job, grab, verify, hand_eye_start, touch_start, "
@@ -205,26 +188,18 @@ def test_wrong_parameters_are_refused_with_what_was_expected():
         "flange=1_0,2,3,1,0,0,0": "flange: expected a finite number, got '1_0'",
         "flange=1,2,3,1,1,0,0": "flange: the quaternion has the length 1.4142, expected 1",
     }
-
-    async def main() -> tuple[list[dict[str, Any]], Cell]:
-        async with Cell() as cell:
-            return await ask(cell.port, *(f"edged/cell1/trigger?{text}" for text in bad)), cell
-
-    replies, cell = asyncio.run(main())
+    async with Cell() as cell:
+        replies = await ask(cell.port, *(f"edged/cell1/trigger?{text}" for text in bad))
     assert list(bad.values()) == [reply["document"]["error"] for reply in replies]
     assert [] == cell.commander.commands
 
 
-def test_looking_around_with_wildcards_triggers_nothing():
+async def test_looking_around_with_wildcards_triggers_nothing():
     """`get edged/**` reads what can be read and moves nothing."""
-
-    async def main() -> tuple[list[dict[str, Any]], Cell]:
-        async with Cell() as cell:
-            cell.publisher.announce(READY)
-            cell.publisher.announce(make_snapshot(5))
-            return await ask(cell.port, "edged/**", "edged/*/trigger"), cell
-
-    replies, cell = asyncio.run(main())
+    async with Cell() as cell:
+        cell.publisher.announce(READY)
+        cell.publisher.announce(make_snapshot(5))
+        replies = await ask(cell.port, "edged/**", "edged/*/trigger")
     assert [] == cell.commander.commands
     by_schema = {reply["document"]["schema"]: reply["document"] for reply in replies}
     assert {"edged/target/1", "edged/jobs/1", "edged/config/1", "edged/error/1"} == by_schema.keys()
@@ -237,20 +212,16 @@ def test_looking_around_with_wildcards_triggers_nothing():
     ]
 
 
-def test_last_says_how_old_it_is_and_when_there_is_none():
+async def test_last_says_how_old_it_is_and_when_there_is_none():
     """`last` before the first cycle is an error, after it the result and its age; a reload ends it."""
-
-    async def main() -> list[dict[str, Any]]:
-        async with Cell() as cell:
-            before = await ask(cell.port, "edged/cell1/last")
-            snapshot = make_snapshot(4)
-            late = dataclasses.replace(snapshot, published_ns=snapshot.exposed_ns + 10_000_000_000)
-            cell.publisher.announce(late)
-            after = await ask(cell.port, "edged/cell1/last")
-            cell.publisher.announce(Basis(1, "cal", "beef"))
-            return before + after + await ask(cell.port, "edged/cell1/last")
-
-    before, after, reloaded = asyncio.run(main())
+    async with Cell() as cell:
+        before = await ask(cell.port, "edged/cell1/last")
+        snapshot = make_snapshot(4)
+        late = dataclasses.replace(snapshot, published_ns=snapshot.exposed_ns + 10_000_000_000)
+        cell.publisher.announce(late)
+        after = await ask(cell.port, "edged/cell1/last")
+        cell.publisher.announce(Basis(1, "cal", "beef"))
+        before, after, reloaded = before + after + await ask(cell.port, "edged/cell1/last")
     for without in (before, reloaded):
         assert without["document"]["error"] == "nothing has been measured since the start or the last reload"
     # the stamps are years old: a clock that somebody sets makes no result younger or older
@@ -258,69 +229,53 @@ def test_last_says_how_old_it_is_and_when_there_is_none():
     assert [] == violations(after["document"], SCHEMA, SCHEMA)
 
 
-def test_the_liveliness_token_goes_with_the_cell():
+async def test_the_liveliness_token_goes_with_the_cell():
     """`alive` appears with the cell and is withdrawn by its end, without any message of it."""
 
-    async def main() -> None:
-        def alive(kind: str) -> Callable[[dict[str, Any]], bool]:
-            return lambda line: (line.get("key"), line.get("kind")) == ("edged/cell1/alive", kind)
+    def alive(kind: str) -> Callable[[dict[str, Any]], bool]:
+        return lambda line: (line.get("key"), line.get("kind")) == ("edged/cell1/alive", kind)
 
-        with contextlib.ExitStack() as stack:
-            async with Cell() as cell:
-                other = stack.enter_context(listener(cell.port))
-                await other.until(alive("put"))
-            await other.until(alive("delete"))
-
-    asyncio.run(main())
+    with contextlib.ExitStack() as stack:
+        async with Cell() as cell:
+            other = stack.enter_context(listener(cell.port))
+            await other.until(alive("put"))
+        await other.until(alive("delete"))
 
 
-def test_closing_answers_who_waits_and_leaves_no_thread():
+async def test_closing_answers_who_waits_and_leaves_no_thread():
     """A trigger that is pending at the end gets an error at once; all our threads are gone."""
     before = python_threads()
-
-    async def main() -> list[dict[str, Any]]:
-        async with Cell() as cell:
-            cell.publisher.announce(READY)
-            asked = asyncio.create_task(ask(cell.port, "edged/cell1/trigger?timeout_s=60"))
-            await cell.commander.came.wait()
-            await cell.publisher.close()
-            cell.publisher.announce(make_snapshot())  # the loop may still talk: nobody listens
-            return await asked
-
-    (reply,) = asyncio.run(main())
+    async with Cell() as cell:
+        cell.publisher.announce(READY)
+        asked = asyncio.create_task(ask(cell.port, "edged/cell1/trigger?timeout_s=60"))
+        await cell.commander.came.wait()
+        await cell.publisher.close()
+        cell.publisher.announce(make_snapshot())  # the loop may still talk: nobody listens
+        (reply,) = await asked
     assert "the daemon is stopping" == reply["document"]["error"]
-    wait_until(lambda: python_threads() <= before)
+    await until(lambda: python_threads() <= before)
 
 
-def test_a_port_in_use_is_a_listen_error_that_names_it():
+async def test_a_port_in_use_is_a_listen_error_that_names_it():
     """A second cell at the same endpoint does not start, says why, and leaves nothing behind."""
     before = python_threads()
-
-    async def main() -> int:
-        async with Cell() as cell:
-            rival = ZenohPublisher(ZenohSettings("cell2", (f"tcp/127.0.0.1:{cell.port}",)), None)
-            with pytest.raises(ListenError, match=rf"zenoh: .*{cell.port}.*Address already in use"):
-                await rival.start()
-            await rival.close()
-            return cell.port
-
-    asyncio.run(main())
-    wait_until(lambda: python_threads() <= before)
+    async with Cell() as cell:
+        rival = ZenohPublisher(ZenohSettings("cell2", (f"tcp/127.0.0.1:{cell.port}",)), None)
+        with pytest.raises(ListenError, match=rf"zenoh: .*{cell.port}.*Address already in use"):
+            await rival.start()
+        await rival.close()
+    await until(lambda: python_threads() <= before)
 
 
 @pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:99999x", "carrier-pigeon/roof:1"])
-def test_an_endpoint_that_cannot_be_is_refused(endpoint):
+async def test_an_endpoint_that_cannot_be_is_refused(endpoint):
     """A mistyped endpoint is an error of the user that shows the endpoint."""
     publisher = ZenohPublisher(ZenohSettings("cell1", (endpoint,)), None)
-
-    async def main() -> None:
+    with pytest.raises((ConfigError, ListenError), match=endpoint.split("/")[0]):
         try:
             await publisher.start()
         finally:
             await publisher.close()
-
-    with pytest.raises((ConfigError, ListenError), match=endpoint.split("/")[0]):
-        asyncio.run(main())
 
 
 @pytest.mark.parametrize("content", [None, "{", "{ mode: 'peer', lisen: 3 }"])
@@ -334,24 +289,20 @@ def test_a_zenoh_file_with_a_mistake_is_a_config_error(tmp_path, content):
         asyncio.run(publisher.start())
 
 
-def test_what_zenohs_own_file_says_wins(tmp_path):
+async def test_what_zenohs_own_file_says_wins(tmp_path):
     """Endpoints of the file are used instead of those of the cell's configuration."""
     port = free_port()
     file = tmp_path / "zenoh.json5"
     file.write_text(json.dumps({"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}))
-
-    async def main() -> list[dict[str, Any]]:
-        async with Cell(config_file=file) as cell:
-            with socket.socket() as probe:
-                assert 0 != probe.connect_ex(("127.0.0.1", cell.port)), "the other endpoint is not opened"
-            return await ask(port, "edged/cell1/jobs")
-
-    (reply,) = asyncio.run(main())
+    async with Cell(config_file=file) as cell:
+        with socket.socket() as probe:
+            assert 0 != probe.connect_ex(("127.0.0.1", cell.port)), "the other endpoint is not opened"
+        (reply,) = await ask(port, "edged/cell1/jobs")
     assert reply["ok"]
 
 
 @pytest.mark.slow
-def test_results_come_back_when_the_router_does(caplog):
+async def test_results_come_back_when_the_router_does(caplog):
     """A fleet's router that dies and returns is found again by cell and subscriber, without a restart.
 
     The cell's log says when it goes and when it is there.
@@ -361,27 +312,24 @@ def test_results_come_back_when_the_router_does(caplog):
     endpoint = f"tcp/127.0.0.1:{port}"
     expected: list[str] = []
 
-    async def main() -> None:
-        async with Cell(listen=(), connect=(endpoint,)) as cell:
-            with listener(port) as other:
-                for cycle in (1, 2):
-                    with peer("router", mode="router", listen__endpoints=[endpoint]) as router:
-                        heard = asyncio.create_task(other.until(is_message("target", cycle=cycle)))
-                        while not heard.done():
-                            cell.publisher.announce(make_snapshot(cycle))
-                            await asyncio.wait({heard}, timeout=0.1)
-                        await heard
-                        expected.append("connected")
-                        await until(lambda: told() == expected)
-                        router.close(kill=True)
-                        expected.append("gone")
-                        await until(lambda: told() == expected)
-
     def told() -> list[str]:
         lines = [line for line in caplog.messages if "the router" in line]
         return ["gone" if "is gone" in line else "connected" for line in lines]
 
-    asyncio.run(main())
+    async with Cell(listen=(), connect=(endpoint,)) as cell:
+        with listener(port) as other:
+            for cycle in (1, 2):
+                with peer("router", mode="router", listen__endpoints=[endpoint]) as router:
+                    heard = asyncio.create_task(other.until(is_message("target", cycle=cycle)))
+                    while not heard.done():
+                        cell.publisher.announce(make_snapshot(cycle))
+                        await asyncio.wait({heard}, timeout=0.1)
+                    await heard
+                    expected.append("connected")
+                    await until(lambda: told() == expected)
+                    router.close(kill=True)
+                    expected.append("gone")
+                    await until(lambda: told() == expected)
 
 
 def test_a_router_that_is_not_there_is_said_once(caplog):
@@ -394,47 +342,36 @@ def test_a_router_that_is_not_there_is_said_once(caplog):
     assert "no router answers at tcp/192.0.2.1:7447" in line
 
 
-def test_strangers_do_not_take_every_descriptor(monkeypatch):
+async def test_strangers_do_not_take_every_descriptor(monkeypatch):
     """Sessions beyond the limit are refused; who connects and says nothing is closed."""
     monkeypatch.setattr(session, "MAX_SESSIONS", 2)
     monkeypatch.setattr(session, "ACCEPT_TIMEOUT_MS", 300)
-
-    async def main() -> None:
-        async with Cell() as cell:
-            reader, writer = await asyncio.open_connection("127.0.0.1", cell.port)
-            async with asyncio.timeout(LIMIT_S):
-                with contextlib.suppress(ConnectionError):
-                    assert b"" == await reader.read()
-            writer.close()
-            strangers = session_config("client", [], [f"tcp/127.0.0.1:{cell.port}"])
-            opened = [await asyncio.to_thread(zenoh.open, strangers) for _ in range(2)]
-            with pytest.raises(zenoh.ZError):
-                await asyncio.to_thread(zenoh.open, strangers)
-            for one in opened:
-                await asyncio.to_thread(one.close)
-
-    asyncio.run(main())
+    async with Cell() as cell:
+        reader, writer = await asyncio.open_connection("127.0.0.1", cell.port)
+        async with asyncio.timeout(LIMIT_S):
+            with contextlib.suppress(ConnectionError):
+                assert b"" == await reader.read()
+        writer.close()
+        strangers = session_config("client", [], [f"tcp/127.0.0.1:{cell.port}"])
+        opened = [await asyncio.to_thread(zenoh.open, strangers) for _ in range(2)]
+        with pytest.raises(zenoh.ZError):
+            await asyncio.to_thread(zenoh.open, strangers)
+        for one in opened:
+            await asyncio.to_thread(one.close)
 
 
-def test_ros2_nodes_get_good_poses_and_see_the_publisher(monkeypatch):
+async def test_ros2_nodes_get_good_poses_and_see_the_publisher(monkeypatch):
     """Both topics carry the same sequence with an attachment of 33 bytes; faults carry no pose."""
     monkeypatch.setattr(ros2, "_xxh3_128", lambda _data: bytes(range(16)))
     samples: queue.Queue[zenoh.Sample] = queue.Queue()
-
-    async def main() -> list[zenoh.Sample]:
-        async with Cell(ros2_domain_id=5) as cell:
-            other = open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"]))
-            try:
-                other.declare_subscriber("5/edged/cell1/**", samples.put)
-                other.liveliness().declare_subscriber("@ros2_lv/5/**", samples.put, history=True)
-                tokens = [await asyncio.to_thread(samples.get, timeout=LIMIT_S) for _ in range(3)]
-                cell.publisher.announce(make_snapshot(1, Status.CAPTURE_FAULT))
-                cell.publisher.announce(make_snapshot(2))
-                return tokens + [await asyncio.to_thread(samples.get, timeout=LIMIT_S) for _ in range(2)]
-            finally:
-                other.close()
-
-    *tokens, pose, twin = asyncio.run(main())
+    async with Cell(ros2_domain_id=5) as cell:
+        with open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"])) as other:
+            other.declare_subscriber("5/edged/cell1/**", samples.put)
+            other.liveliness().declare_subscriber("@ros2_lv/5/**", samples.put, history=True)
+            tokens = [await asyncio.to_thread(samples.get, timeout=LIMIT_S) for _ in range(3)]
+            cell.publisher.announce(make_snapshot(1, Status.CAPTURE_FAULT))
+            cell.publisher.announce(make_snapshot(2))
+            pose, twin = [await asyncio.to_thread(samples.get, timeout=LIMIT_S) for _ in range(2)]
     assert ["MP", "MP", "NN"] == sorted(str(token.key_expr).split("/")[5] for token in tokens)
     assert [ros2.POSE.name, ros2.POSE_WITH_COVARIANCE.name] == [
         str(s.key_expr).split("/")[4] for s in (pose, twin)
@@ -445,7 +382,7 @@ def test_ros2_nodes_get_good_poses_and_see_the_publisher(monkeypatch):
     assert ros2.encode_pose_with_covariance(expected) == twin.payload.to_bytes()
 
 
-def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
+async def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
     """One side that is looked at is sent as a JPEG of its exposure; the other one is never encoded."""
     samples: queue.Queue[zenoh.Sample] = queue.Queue()
     image = np.tile(np.arange(0, 256, dtype=np.uint8), (960, 5))
@@ -458,22 +395,15 @@ def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
         lambda pixels, *size, jpeg=preview.jpeg: encoded.append(pixels.any()) or jpeg(pixels, *size),
     )
     exposure = ExposureDone(4, None, FramePair(left, right))
-
-    async def main() -> zenoh.Sample:
-        async with Cell() as cell:
-            cell.publisher.announce(exposure)  # nobody looks
-            other = open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"]))
-            try:
-                other.declare_subscriber("edged/cell1/preview/left", samples.put)
-                deadline_s = time.monotonic() + LIMIT_S
-                while samples.empty() and time.monotonic() < deadline_s:
-                    cell.publisher.announce(exposure)
-                    await asyncio.sleep(0.02)
-                return samples.get_nowait()
-            finally:
-                other.close()
-
-    sample = asyncio.run(main())
+    async with Cell() as cell:
+        cell.publisher.announce(exposure)  # nobody looks
+        with open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"])) as other:
+            other.declare_subscriber("edged/cell1/preview/left", samples.put)
+            deadline_s = time.monotonic() + LIMIT_S
+            while samples.empty() and time.monotonic() < deadline_s:
+                cell.publisher.announce(exposure)
+                await asyncio.sleep(0.02)
+            sample = samples.get_nowait()
     assert all(encoded), "the right image is black"
     picture = cv2.imdecode(np.frombuffer(sample.payload.to_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
     assert (480, 640) == picture.shape

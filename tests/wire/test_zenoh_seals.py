@@ -126,28 +126,24 @@ FALSE: dict[str, Callable[[Message], Message]] = {
 
 
 @pytest.mark.slow
-def test_who_has_the_key_hears_the_cell_alone():
+async def test_who_has_the_key_hears_the_cell_alone():
     """Not what others publish under the cell's name without it, whatever that is made of; each is counted."""
-
-    async def main() -> None:
-        async with Cell(mode="router", shared_key=KEY) as cell:
-            with contextlib.ExitStack() as stack:
-                stranger = stack.enter_context(stranger_at(cell.port))
-                subscriber = Subscriber(cell.port, KEY, stack)
-                await until(lambda: "health" in subscriber.kinds and stranger.heard)
-                cell.publisher.announce(make_snapshot(1))
-                await until(lambda: subscriber.cycles == [1] and stranger.targets())
-                for count, forge in enumerate(FALSE.values(), 1):
-                    stranger.says(*forge(stranger.targets()[0]))
-                    await until(lambda count=count: dropped(subscriber) == count)
-                cell.publisher.announce(make_snapshot(2))
-                await until(lambda: subscriber.cycles == [1, 2])
-                old = stranger.targets()[0]
-                stranger.says(*old)  # what was true once
-                await until(lambda: dropped(subscriber) == len(FALSE) + 1)
-                assert [1, 2] == subscriber.cycles
-
-    asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+    async with Cell(mode="router", shared_key=KEY) as cell:
+        with contextlib.ExitStack() as stack:
+            stranger = stack.enter_context(stranger_at(cell.port))
+            subscriber = Subscriber(cell.port, KEY, stack)
+            await until(lambda: "health" in subscriber.kinds and stranger.heard)
+            cell.publisher.announce(make_snapshot(1))
+            await until(lambda: subscriber.cycles == [1] and stranger.targets())
+            for count, forge in enumerate(FALSE.values(), 1):
+                stranger.says(*forge(stranger.targets()[0]))
+                await until(lambda count=count: dropped(subscriber) == count)
+            cell.publisher.announce(make_snapshot(2))
+            await until(lambda: subscriber.cycles == [1, 2])
+            old = stranger.targets()[0]
+            stranger.says(*old)  # what was true once
+            await until(lambda: dropped(subscriber) == len(FALSE) + 1)
+            assert [1, 2] == subscriber.cycles
 
 
 def dropped(subscriber: Subscriber) -> int:
@@ -156,77 +152,65 @@ def dropped(subscriber: Subscriber) -> int:
 
 
 @pytest.mark.slow
-def test_who_comes_late_or_meets_a_restart_hears_the_cell():
+async def test_who_comes_late_or_meets_a_restart_hears_the_cell():
     """The last result is signed, too; after a restart the counter goes on, though the session is another."""
-
-    async def main() -> None:
-        async with Cell(mode="router", shared_key=KEY) as cell:
-            cell.publisher.announce(READY)
-            cell.publisher.announce(make_snapshot(1))
-            with contextlib.ExitStack() as stack:
-                subscriber = Subscriber(cell.port, KEY, stack)
-                await until(lambda: subscriber.cycles == [1] and "state" in subscriber.kinds)
-                await cell.publisher.close()
-                here = (f"tcp/127.0.0.1:{cell.port}",)
-                async with Cell(mode="router", shared_key=KEY, listen=here) as again:
-                    again.publisher.announce(make_snapshot(2))
-                    await until(lambda: subscriber.cycles == [1, 2])
-                assert [] == subscriber.listening.doubts()
-
-    asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+    async with Cell(mode="router", shared_key=KEY) as cell:
+        cell.publisher.announce(READY)
+        cell.publisher.announce(make_snapshot(1))
+        with contextlib.ExitStack() as stack:
+            subscriber = Subscriber(cell.port, KEY, stack)
+            await until(lambda: subscriber.cycles == [1] and "state" in subscriber.kinds)
+            await cell.publisher.close()
+            here = (f"tcp/127.0.0.1:{cell.port}",)
+            async with Cell(mode="router", shared_key=KEY, listen=here) as again:
+                again.publisher.announce(make_snapshot(2))
+                await until(lambda: subscriber.cycles == [1, 2])
+            assert [] == subscriber.listening.doubts()
 
 
 @pytest.mark.slow
-def test_without_a_key_two_sessions_of_a_name_are_named():
+async def test_without_a_key_two_sessions_of_a_name_are_named():
     """A restart is none of that; a peer that publishes beside the cell is, as soon as the cell goes on."""
-
-    async def main() -> None:
-        async with Cell(mode="router") as cell:
-            with contextlib.ExitStack() as stack:
-                stranger = stack.enter_context(stranger_at(cell.port))
-                subscriber = Subscriber(cell.port, None, stack)
-                await until(lambda: "health" in subscriber.kinds and stranger.heard)
-                assert [] == subscriber.listening.doubts()
-                true = stranger.heard[-1]
-                session = json.loads(true[2])["session"]
-                stranger.says(*resealed(true, session="0badf00d"))
-                await until(lambda: subscriber.listening.doubts())
-                (doubt,) = subscriber.listening.doubts()
-                assert doubt.startswith("cell1: two Zenoh sessions publish for it, ")
-                assert session in doubt
-                assert "0badf00d" in doubt
-
-    asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+    async with Cell(mode="router") as cell:
+        with contextlib.ExitStack() as stack:
+            stranger = stack.enter_context(stranger_at(cell.port))
+            subscriber = Subscriber(cell.port, None, stack)
+            await until(lambda: "health" in subscriber.kinds and stranger.heard)
+            assert [] == subscriber.listening.doubts()
+            true = stranger.heard[-1]
+            session = json.loads(true[2])["session"]
+            stranger.says(*resealed(true, session="0badf00d"))
+            await until(lambda: subscriber.listening.doubts())
+            (doubt,) = subscriber.listening.doubts()
+            assert doubt.startswith("cell1: two Zenoh sessions publish for it, ")
+            assert session in doubt
+            assert "0badf00d" in doubt
 
 
 @pytest.mark.parametrize("key", [KEY, None])
-def test_an_answer_is_bound_to_what_was_asked(key: bytes | None):
+async def test_an_answer_is_bound_to_what_was_asked(key: bytes | None):
     """Its MAC is over the parameters, a nonce among them: a former answer is none. It always names who."""
-
-    async def main() -> None:
-        async with Cell(mode="router", shared_key=key) as cell:
-            cell.publisher.announce(make_snapshot(4))
-            cell.commander.react = lambda command: cell.publisher.announce(make_snapshot(5, command=command))
-            with stranger_at(cell.port) as asker:
-                for name in ("last", "jobs", "config", "trigger"):
-                    parameters = f"nonce={os.urandom(8).hex()}"
-                    (reply,) = await asyncio.to_thread(
-                        lambda name=name, asked=parameters: list(
-                            asker.session.get(f"edged/cell1/{name}?{asked}", timeout=WHOLE_S)
-                        )
-                    )
-                    payload, seal = reply.ok.payload.to_bytes(), json.loads(reply.ok.attachment.to_bytes())
-                    head = f"edged/1\nedged/cell1/{name}\n{seal['session']}\n{seal['counter']}\n"
-                    text = f"{head}{len(parameters)}\n{parameters}\n".encode()
-                    mac = None if key is None else hmac.new(key, text + payload, hashlib.sha256).hexdigest()
-                    assert mac == seal.get("mac")
-                    assert [] == violations(seal, SCHEMA["$defs"]["attachment"], SCHEMA)
+    async with Cell(mode="router", shared_key=key) as cell:
+        cell.publisher.announce(make_snapshot(4))
+        cell.commander.react = lambda command: cell.publisher.announce(make_snapshot(5, command=command))
+        with stranger_at(cell.port) as asker:
+            for name in ("last", "jobs", "config", "trigger"):
+                parameters = f"nonce={os.urandom(8).hex()}"
                 (reply,) = await asyncio.to_thread(
-                    lambda: list(asker.session.get("edged/cell1/trigger?kind=x", timeout=WHOLE_S))
+                    lambda name=name, asked=parameters: list(
+                        asker.session.get(f"edged/cell1/{name}?{asked}", timeout=WHOLE_S)
+                    )
                 )
-                assert seal["session"] == json.loads(reply.err.payload.to_bytes())["session"]
-
-    asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+                payload, seal = reply.ok.payload.to_bytes(), json.loads(reply.ok.attachment.to_bytes())
+                head = f"edged/1\nedged/cell1/{name}\n{seal['session']}\n{seal['counter']}\n"
+                text = f"{head}{len(parameters)}\n{parameters}\n".encode()
+                mac = None if key is None else hmac.new(key, text + payload, hashlib.sha256).hexdigest()
+                assert mac == seal.get("mac")
+                assert [] == violations(seal, SCHEMA["$defs"]["attachment"], SCHEMA)
+            (reply,) = await asyncio.to_thread(
+                lambda: list(asker.session.get("edged/cell1/trigger?kind=x", timeout=WHOLE_S))
+            )
+            assert seal["session"] == json.loads(reply.err.payload.to_bytes())["session"]
 
 
 async def watched(
@@ -253,20 +237,16 @@ async def watched(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("has_key", [True, False])
-def test_watch_shows_what_is_the_cells_own_and_says_what_is_not(
+async def test_watch_shows_what_is_the_cells_own_and_says_what_is_not(
     has_key: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     """With the key the false result is dropped and counted; without it, it is shown, with a warning."""
     file = tmp_path / "zenoh.key"
     file.write_bytes(KEY + b"\n")
     file.chmod(0o600)
-
-    async def main() -> tuple[str, str]:
-        async with Cell(mode="router", shared_key=KEY) as cell:
-            with stranger_at(cell.port) as stranger:
-                return await watched(cell, stranger, file if has_key else None, capsys)
-
-    shown, said = asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+    async with Cell(mode="router", shared_key=KEY) as cell:
+        with stranger_at(cell.port) as stranger:
+            shown, said = await watched(cell, stranger, file if has_key else None, capsys)
     assert has_key == ("cycle     99" not in shown)
     assert ("cell1: 1 message dropped: false, repeated, or signed with another key" in said) == has_key
     assert ("cell1: two Zenoh sessions publish for it" in said) != has_key
@@ -314,46 +294,38 @@ class Program:
 
 
 @pytest.mark.slow
-def test_the_manuals_subscriber_prints_what_comes(tmp_path: Path):
+async def test_the_manuals_subscriber_prints_what_comes(tmp_path: Path):
     """The first lines of the manual, as they stand there."""
     block = re.findall(r"```python\n(.*?)```", HOW_TO.read_text("utf-8"), re.DOTALL)[0]
-
-    async def main() -> list[str]:
-        async with Cell(mode="router") as cell:
-            with Program(block.replace("7447", str(cell.port)), tmp_path) as running:
-                while not running.lines:  # it is connected
-                    cell.publisher.announce(make_snapshot(1))
-                    await asyncio.sleep(0.1)
-                cell.publisher.announce(make_snapshot(2, Status.NO_TARGET))
-                await until(lambda: "NO_TARGET\n" in running.lines)
-                return running.lines
-
-    lines = asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+    async with Cell(mode="router") as cell:
+        with Program(block.replace("7447", str(cell.port)), tmp_path) as running:
+            while not running.lines:  # it is connected
+                cell.publisher.announce(make_snapshot(1))
+                await asyncio.sleep(0.1)
+            cell.publisher.announce(make_snapshot(2, Status.NO_TARGET))
+            await until(lambda: "NO_TARGET\n" in running.lines)
+            lines = running.lines
     assert {"OK\n"} == set(lines[:-1])
 
 
 @pytest.mark.slow
-def test_the_manuals_subscriber_tells_false_messages_apart(tmp_path: Path):
+async def test_the_manuals_subscriber_tells_false_messages_apart(tmp_path: Path):
     """The very lines of the manual, beside a stranger: of the cell's own results each is printed, once."""
     blocks = re.findall(r"```python\n(.*?)```", HOW_TO.read_text("utf-8"), re.DOTALL)
     (block,) = [block for block in blocks if "hmac" in block]
     (tmp_path / "zenoh.key").write_bytes(KEY + b"\n")
-
-    async def main() -> list[str]:
-        async with Cell(mode="router", shared_key=KEY) as cell:
-            program = block.replace("7447", str(cell.port))
-            with stranger_at(cell.port) as stranger, Program(program, tmp_path) as running:
-                cell.publisher.announce(make_snapshot(0))
-                while not running.lines:  # it is connected
-                    cell.publisher.announce(make_snapshot(1))
-                    await asyncio.sleep(0.1)
-                await until(stranger.targets)
-                for forge in FALSE.values():
-                    stranger.says(*forge(stranger.targets()[0]))
-                cell.publisher.announce(make_snapshot(2))
-                await until(lambda: "2 OK\n" in running.lines)
-                return running.lines
-
-    lines = asyncio.run(asyncio.wait_for(main(), WHOLE_S))
+    async with Cell(mode="router", shared_key=KEY) as cell:
+        program = block.replace("7447", str(cell.port))
+        with stranger_at(cell.port) as stranger, Program(program, tmp_path) as running:
+            cell.publisher.announce(make_snapshot(0))
+            while not running.lines:  # it is connected
+                cell.publisher.announce(make_snapshot(1))
+                await asyncio.sleep(0.1)
+            await until(stranger.targets)
+            for forge in FALSE.values():
+                stranger.says(*forge(stranger.targets()[0]))
+            cell.publisher.announce(make_snapshot(2))
+            await until(lambda: "2 OK\n" in running.lines)
+            lines = running.lines
     assert {"1 OK\n"} == set(lines[:-1])
     assert "2 OK\n" == lines[-1]

@@ -134,20 +134,16 @@ async def who_may_what(cell: Cell, certificates: Path, port: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_cell_with_the_example_is_closed_to_who_is_not_named(certificates, tmp_path):
+async def test_a_cell_with_the_example_is_closed_to_who_is_not_named(certificates, tmp_path):
     """Readers read, controllers trigger, a certificate of somebody else does not even connect."""
-
-    async def main() -> None:
-        port = free_port()
-        file = example("zenoh-acl-example.json5", certificates, "cell1", port, tmp_path)
-        async with Cell(config_file=file) as cell:
-            await who_may_what(cell, certificates, port)
-
-    asyncio.run(main())
+    port = free_port()
+    file = example("zenoh-acl-example.json5", certificates, "cell1", port, tmp_path)
+    async with Cell(config_file=file) as cell:
+        await who_may_what(cell, certificates, port)
 
 
 @pytest.mark.slow
-def test_a_fleet_router_with_the_example_is_closed_to_who_is_not_named(certificates, tmp_path):
+async def test_a_fleet_router_with_the_example_is_closed_to_who_is_not_named(certificates, tmp_path):
     """The same through the router; and a cell cannot speak under another cell's name."""
     port = free_port()
     endpoint = f"tls/127.0.0.1:{port}"
@@ -158,16 +154,13 @@ def test_a_fleet_router_with_the_example_is_closed_to_who_is_not_named(certifica
         own.write_text(json.dumps({"transport": {"link": {"tls": identity(certificates, name)}}}))
         return own
 
-    async def main() -> None:
-        with peer("router", file=str(file)):
-            async with Cell(listen=(), connect=(endpoint,), config_file=joins("cell1")) as cell:
-                await who_may_what(cell, certificates, port)
-            async with Cell(listen=(), connect=(endpoint,), config_file=joins("cell2")) as impostor:
-                impostor.publisher.announce(make_snapshot(66))
-                async with asyncio.timeout(LIMIT_S):
-                    # let in as cell2: what follows is the rules' work
-                    while not impostor.publisher.links():  # noqa: ASYNC110  (Zenoh has no event for it)
-                        await asyncio.sleep(0.05)
-                assert [] == await ask_as(certificates, "viewer", port, "edged/cell1/last")
-
-    asyncio.run(main())
+    with peer("router", file=str(file)):
+        async with Cell(listen=(), connect=(endpoint,), config_file=joins("cell1")) as cell:
+            await who_may_what(cell, certificates, port)
+        async with Cell(listen=(), connect=(endpoint,), config_file=joins("cell2")) as impostor:
+            impostor.publisher.announce(make_snapshot(66))
+            async with asyncio.timeout(LIMIT_S):
+                # let in as cell2: what follows is the rules' work
+                while not impostor.publisher.links():  # noqa: ASYNC110  (Zenoh has no event for it)
+                    await asyncio.sleep(0.05)
+            assert [] == await ask_as(certificates, "viewer", port, "edged/cell1/last")

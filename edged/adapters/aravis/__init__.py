@@ -25,22 +25,3 @@ from edged.adapters.aravis.library import CameraInfo, aravis_missing, control_st
 from edged.adapters.aravis.session import CameraHealth
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.trigger import Action, FreeRun, LineTrigger, Output, Software, Trigger
-
-__all__ = [
-    "Action",
-    "AravisCamera",
-    "AravisSettings",
-    "CameraHealth",
-    "CameraInfo",
-    "FreeRun",
-    "HeardCamera",
-    "LineTrigger",
-    "Output",
-    "Software",
-    "Trigger",
-    "aravis_missing",
-    "control_state",
-    "give_address",
-    "list_cameras",
-    "with_addresses",
-]

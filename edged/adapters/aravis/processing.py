@@ -1,7 +1,7 @@
 """What a camera makes of a picture before it sends it, switched off: measuring needs what the sensor saw.
 
 Another program, or the maker, may have left on what pleases the eye. A filter moves edges, a table bends grey
-values, a test pattern is no picture at all; and every picture looks as well as the last. What stands under
+values, a test pattern is not a picture at all; and every picture looks as well as the last. What stands under
 `features` in the configuration is left as it stands there. Gamma is only looked at: the calibration measures
 it.
 """

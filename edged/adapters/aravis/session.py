@@ -63,7 +63,7 @@ CLOCK_READINGS = 5
 """Clock readings at the start; each trigger adds one. The quietest of them counts."""
 
 REPEAT_S = 0.5
-"""Aravis sends a command again when it has had no answer for so long (ARV_GV_DEVICE_GVCP_TIMEOUT_MS)."""
+"""Aravis repeats a command that has not been answered for this long (ARV_GV_DEVICE_GVCP_TIMEOUT_MS)."""
 
 LOOK_S = 5.0
 """While images are taken, temperature and state of the clock are asked for this often."""
@@ -205,7 +205,7 @@ class CameraSession:
         return sent_ns
 
     def _fire(self) -> None:
-        """A camera that is still exposing may refuse: that is no lost connection."""
+        """A camera that is still exposing may refuse; the connection is not lost by that."""
         try:
             self._camera.software_trigger()
         except self._library.glib.Error as error:
@@ -370,7 +370,7 @@ class CameraSession:
 
     @contextlib.contextmanager
     def _talking(self, doing: str) -> Iterator[None]:
-        """Translate errors; after an error that means "gone" nothing is sent to the camera any more."""
+        """Translate errors; after an error that means "gone" nothing more is sent to the camera."""
         try:
             with translated(self.name, doing):
                 yield

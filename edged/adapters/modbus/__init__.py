@@ -3,12 +3,3 @@
 from edged.adapters.modbus.publisher import ModbusPublisher
 from edged.adapters.modbus.security import server_context
 from edged.adapters.modbus.settings import LineSettings, ModbusSettings, SerialSettings, TlsSettings
-
-__all__ = [
-    "LineSettings",
-    "ModbusPublisher",
-    "ModbusSettings",
-    "SerialSettings",
-    "TlsSettings",
-    "server_context",
-]

@@ -113,9 +113,10 @@ class CellRegisters:
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self._jobs, self._are_jobs_placed = jobs, False
         self._counts: dict[str, int] = {}
-        self.ladder = Ladder()
+        self.addresses: dict[int, str] = {}
+        """Where each Modbus client is connected from, by its number."""
+        self.ladder = Ladder(self.addresses)
         self._place_basis()
-        self.clients = 0
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
         self._change: asyncio.Future[None] | None = None
 
@@ -158,7 +159,7 @@ class CellRegisters:
         valid = hs.is_valid(self._state, now_s)
         status: dict[str, reg.Number] = {
             **status_values(self._state, self._cell, now_s, valid=valid, simulated=self._is_simulated),
-            "CLIENTS": self.clients,
+            "CLIENTS": len(self.addresses),
             "START_EPOCH": self._epoch,
             "CONVENTION": self._settings.convention,
         }
@@ -450,7 +451,8 @@ class CellRegisters:
     def _step(self, event: ev.Event[reg.RegisterResult], now_s: float) -> tuple[ev.Effect, ...]:
         before = self._state
         self._state, effects = hs.step(before, event, now_s)
-        self.ladder.took(event, before, self._state, effects, now_s)
+        if effects or not isinstance(event, ev.Tick):  # which comes with each read of a register
+            self.ladder.took(event, before, self._state, effects, now_s)
         for effect in effects:
             if isinstance(effect, ev.Answered):
                 self._submitted.pop(effect.ticket, None)

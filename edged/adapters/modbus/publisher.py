@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from edged.adapters.modbus.cell import CellRegisters
-from edged.adapters.modbus.lines import LineServer
+from edged.adapters.modbus.lineserver import LineServer
 from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.refusals import Refusals
 from edged.adapters.modbus.rtu import RtuServer
@@ -44,7 +44,6 @@ class ModbusPublisher:
         clients = itertools.count(1)
         self._refusals = Refusals()
         self._tcp = TcpServer(settings, self._cell, clients, self._refusals, context)
-        self._cell.ladder.name_of = self._tcp.peer
         serial = settings.serial
         self._rtu = (
             RtuServer(serial, settings.unit_id, self._cell, next(clients)) if serial is not None else None
@@ -110,13 +109,15 @@ class ModbusPublisher:
     @property
     def clients(self) -> int:
         """How many are connected."""
-        return self._cell.clients
+        return len(self._cell.addresses)
 
     @property
     def owner(self) -> str:
         """Holder of the right to write: an address, or the kind of client; "" without one."""
         owner = self._cell.owner
-        return "" if owner is None else self._tcp.peer(owner) or "serial line, robot, OPC UA or PLC's memory"
+        if owner is None:
+            return ""
+        return self._cell.addresses.get(owner, "serial line, robot, OPC UA or PLC's memory")
 
     @property
     def settings(self) -> ModbusSettings:

@@ -89,20 +89,13 @@ class TcpServer:
     def entered(self, connection: ModbusConnection) -> None:
         """A connection is through its handshake."""
         self._connections[connection.client] = connection
-        self.cell.clients += 1
-
-    def peer(self, number: int) -> str | None:
-        """The address of a client; None if it is not one of these connections."""
-        return next(
-            (client.peer for client, connection in self._connections.items() if connection.number == number),
-            None,
-        )
+        self.cell.addresses[connection.number] = connection.client.peer
 
     def _left(self, client: TcpClient) -> None:
         """Free the place of a closed connection, and its right to write, at once."""
         connection = self._connections.pop(client, None)
         if connection is not None:
-            self.cell.clients -= 1
+            del self.cell.addresses[connection.number]
             self.cell.gone(connection.number)
 
     def _admit(self, newcomer: TcpClient) -> bool:

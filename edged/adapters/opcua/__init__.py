@@ -3,10 +3,3 @@
 from edged.adapters.opcua.publisher import OpcUaPublisher
 from edged.adapters.opcua.security import ServerIdentity, identity_of
 from edged.adapters.opcua.settings import OpcUaSettings
-
-__all__ = [
-    "OpcUaPublisher",
-    "OpcUaSettings",
-    "ServerIdentity",
-    "identity_of",
-]

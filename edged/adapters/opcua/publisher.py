@@ -25,6 +25,7 @@ from edged.errors import CommandRefused
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason
 from edged.plc.registersource import RegisterSource
+from edged.plc.registerwatch import RegisterWatch
 
 TICK_S = 0.1
 """Period of HEARTBEAT and RESULT_AGE; everything else is shown when it changes."""
@@ -52,19 +53,15 @@ class OpcUaPublisher:
         identity: ServerIdentity | None = None,
     ) -> None:
         self._settings = settings
-        self._registers = registers
+        self._watch = RegisterWatch(registers, self._show)
         self._jobs = jobs
         self._identity = identity
         self._numbers = itertools.count(1_000_000)  # the Modbus server counts its own from 1
         self._clients: dict[ua.NodeId, int] = {}
-        self._watched: RegisterSource | None = None
         self._snapshot: Snapshot | None = None
         self._started_ns = time.time_ns()
         self._server: ServerThread | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._ticking: asyncio.TimerHandle | None = None
-        self._is_due = False
-        self._is_closed = False
 
     @property
     def port(self) -> int:
@@ -76,7 +73,7 @@ class OpcUaPublisher:
         identity = self._identity
         if identity is None:
             identity = await asyncio.to_thread(identity_of, self._settings)
-        self._loop = asyncio.get_running_loop()
+        self._watch.start()
         server = ServerThread(self._settings, identity, self, self._nudge, self._session_gone)
         self._server = server
         await server.start()
@@ -84,19 +81,15 @@ class OpcUaPublisher:
 
     def announce(self, event: Event) -> None:
         """Take note of an event; shown after the registers have taken note of it."""
-        if self._is_closed:
-            return
         if isinstance(event, Snapshot):
             self._snapshot = event
-        self._show_soon()
+        self._watch.show_soon()
 
     async def close(self) -> None:
         """Disconnect every client and end the thread."""
-        self._is_closed = True
+        self._watch.close()
         if self._ticking is not None:
             self._ticking.cancel()
-        if self._watched is not None:
-            self._watched.unwatch(self._show_soon)
         if self._server is not None:
             await self._server.stop()
         for session in list(self._clients):
@@ -105,29 +98,19 @@ class OpcUaPublisher:
     # --- showing -----------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        if self._loop is not None and not self._is_closed:
+        if self._watch.loop is not None and not self._watch.is_closed:
             self._show()
-            self._ticking = self._loop.call_later(TICK_S, self._tick)
-
-    def _show_soon(self) -> None:
-        """Show in the next turn of the loop, when every publisher knows of the event."""
-        if self._loop is not None and not self._is_due and not self._is_closed:
-            self._is_due = True
-            self._loop.call_soon(self._show)
+            self._ticking = self._watch.loop.call_later(TICK_S, self._tick)
 
     def _show(self) -> None:
-        self._is_due = False
-        picture = None if self._is_closed else self._picture()
+        picture = self._picture()
         if picture is not None and self._server is not None:
             self._server.post(picture)
 
     def _picture(self) -> RegisterPicture | None:
-        registers = self._registers()
-        if registers is not self._watched:  # exchanged by a reload, with its clients
+        if self._watch.look():
             self._clients.clear()
-            self._watched = registers
-            if registers is not None:
-                registers.watch(self._show_soon)
+        registers = self._watch.source
         if registers is None:
             return None
         found = registers.values()
@@ -167,24 +150,24 @@ class OpcUaPublisher:
         return await self._on_loop(self._write(session, values))
 
     async def _on_loop(self, work: Coroutine[Any, Any, T]) -> T:
-        if self._loop is None or self._is_closed:
+        if self._watch.loop is None or self._watch.is_closed:
             work.close()
             raise CommandRefused("the daemon is stopping")
-        future: concurrent.futures.Future[T] = asyncio.run_coroutine_threadsafe(work, self._loop)
+        future: concurrent.futures.Future[T] = asyncio.run_coroutine_threadsafe(work, self._watch.loop)
         return await asyncio.wait_for(asyncio.wrap_future(future), CALL_S)
 
     async def _command(
         self, session: ua.NodeId, wanted: Mapping[str, reg.Number]
     ) -> tuple[int, int, RegisterPicture]:
         picture = self._picture()
-        if picture is None or self._watched is None:
+        if picture is None:
             raise CommandRefused("the registers are being exchanged")
         sequence = int(picture.values["LAST_SEQ"]) % reg.UINT16_MAX + 1
         words: dict[str, reg.Number] = {register.name: 0 for register in reg.COMMAND.registers}
         words |= {**wanted, "CMD_SEQ": sequence, "OPTIONS": reg.Option.ONCE}
         error = self._put(session, words)
         after = self._picture() or picture
-        self._show_soon()
+        self._watch.show_soon()
         if not error and after.values["DONE_SEQ"] == sequence and after.values["NACK_REASON"]:
             error = -int(after.values["NACK_REASON"])
         return sequence, error, after
@@ -193,11 +176,11 @@ class OpcUaPublisher:
         if self._picture() is None:
             raise CommandRefused("the registers are being exchanged")
         error = self._put(session, values)
-        self._show_soon()
+        self._watch.show_soon()
         return error
 
     def _put(self, session: ua.NodeId, values: Mapping[str, reg.Number]) -> int:
-        registers = self._watched
+        registers = self._watch.source
         if registers is None:
             return -int(NackReason.REFUSED)
         client = self._clients.setdefault(session, next(self._numbers))
@@ -209,17 +192,12 @@ class OpcUaPublisher:
 
     def _nudge(self) -> None:
         """A result has expired on the server's thread: show the present registers."""
-        self._from_thread(self._show_soon)
+        self._watch.from_thread(self._watch.show_soon)
 
     def _session_gone(self, session: ua.NodeId) -> None:
-        self._from_thread(lambda: self._forget(session))
-
-    def _from_thread(self, work: Callable[[], None]) -> None:
-        loop = self._loop
-        if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(work)
+        self._watch.from_thread(lambda: self._forget(session))
 
     def _forget(self, session: ua.NodeId) -> None:
         client = self._clients.pop(session, None)
-        if client is not None and self._watched is not None:
-            self._watched.leave(client)
+        if client is not None and self._watch.source is not None:
+            self._watch.source.leave(client)

@@ -214,7 +214,7 @@ class Space:
 
     @property
     def is_overdue(self) -> bool:
-        """Whether a coordinate is shown that may not be used any more."""
+        """Whether a coordinate is shown that may no longer be used."""
         picture = self.picture
         return not self._fallen and picture is not None and 0.0 < picture.valid_until_s <= self._moment_s()
 
@@ -467,7 +467,7 @@ RESULT_KINDS: dict[str, ua.VariantType] = {
     "CreationTime": ua.VariantType.DateTime,
     "ResultContent": ua.VariantType.Variant,
 }
-"""Types of the fields of a result that are no structures."""
+"""Types of the fields of a result that are not structures."""
 
 
 def is_unknown(register: reg.Register, value: reg.Number) -> bool:

@@ -9,18 +9,9 @@ import enum
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from edged.domain.cell import CellPhase
 from edged.plc.registers import Flag, Number, StatusBit
-
-
-class CellStates(enum.IntEnum):
-    """Register STATE."""
-
-    STARTING = 0
-    READY = 1
-    BUSY = 2
-    FAULT = 3
-    STOPPING = 4
-    SETUP = 5
+from edged.plc.statuswords import STATES
 
 
 class Top(enum.Enum):
@@ -52,11 +43,11 @@ class VisionState:
 def vision_state(values: Mapping[str, Number], *, free_running: bool) -> VisionState:
     """The state by the registers. free_running : the cell measures without commands."""
     state, bits = int(values["STATE"]), int(values["STATUS_BITS"])
-    if state in (CellStates.STARTING, CellStates.SETUP):  # people have to do something first
+    if state in (STATES[CellPhase.STARTING], STATES[CellPhase.SETUP]):  # people have to do something first
         return VisionState(Top.PREOPERATIONAL, None)
-    if state == CellStates.STOPPING:
+    if state == STATES[CellPhase.STOPPING]:
         return VisionState(Top.HALTED, None)
-    if state == CellStates.FAULT or bits & StatusBit.ERROR:
+    if state == STATES[CellPhase.FAULT] or bits & StatusBit.ERROR:
         return VisionState(Top.ERROR, None)
     if int(values["OPEN_COMMANDS"]):
         automatic = Automatic.SINGLE_EXECUTION

@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 ANSWER_S = 1.0
 """For one step of a PLC's answer; a scan takes 1 to 100 ms, and an S7-300 serves its partners after it."""
 HANG_S = 6.0
-"""For a whole answer: who sends a byte a second is hung up on. snap7 waits 5 s for a connection."""
+"""For a whole answer: a PLC that sends a byte a second is disconnected. snap7 waits 5 s for a connection."""
 FIRST_RETRY_S, LAST_RETRY_S = 0.5, 8.0
 T = TypeVar("T")
 EDGES = ("CMD_SEQ", "CONTROL")
@@ -44,15 +44,15 @@ class PlcMemory(Protocol):
         """The image from the cell, 128 bytes."""
 
     def close(self) -> None:
-        """Hang up; may be called at any time."""
+        """Disconnect; may be called at any time."""
 
     @property
     def line(self) -> socket.socket | None:
-        """The open socket, for who does not want to wait for it any longer."""
+        """The open socket, so that another thread can end a wait for it."""
 
 
 class ExchangeThread:
-    """Reads each period and hands on what is new; writes the newest image. Connects again for ever.
+    """Reads once a period and hands on what is new; writes the newest image. Reconnects for ever.
 
     make : a connection, not yet open. take : an image to the cell that differs from the one before it, or is
     the first of a connection. lost : why there is no connection now. Both are called on this thread.
@@ -75,11 +75,11 @@ class ExchangeThread:
         )  # one that hangs ends with us
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def post(self, image: bytes) -> None:
-        """Write this as soon as may be, unless a newer one comes first."""
+        """Write this image as soon as possible, unless a newer one comes first."""
         if image != self._newest:
             self._newest = image
             self._is_news.set()
@@ -94,7 +94,7 @@ class ExchangeThread:
                 line.shutdown(socket.SHUT_RDWR)
 
     def stop(self, limit_s: float) -> bool:
-        """End, which the PLC's memory then says, where it answers. False: it hangs, and is left behind."""
+        """Stop; a PLC that answers then has an empty image. False: the thread hangs, and is left behind."""
         self._stopping.set()
         self._is_news.set()
         if self._thread.ident is not None:  # it was begun

@@ -89,7 +89,7 @@ class LogixMemory:
         self._tag(WRITE_TAG, "FromCell", kind + struct.pack("<H", elements) + image)
 
     def close(self) -> None:
-        """Hang up; the controller forgets the session with it."""
+        """Disconnect; the controller then forgets the session."""
         if self.line is not None:
             self.line.close()
 

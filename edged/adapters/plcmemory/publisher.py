@@ -22,6 +22,7 @@ from edged.logs import FaultLog
 from edged.plc.processimage import IMAGE_BYTES, NO_IMAGE, SHOWN_BLOCKS, image_from_cell, values_to_cell
 from edged.plc.registers import COMMAND
 from edged.plc.registersource import RegisterSource
+from edged.plc.registerwatch import RegisterWatch
 
 log = logging.getLogger(__name__)
 
@@ -85,16 +86,19 @@ class PlcMemoryPublisher:
         registers: Callable[[], RegisterSource | None],
         make: Callable[[], PlcMemory],
     ) -> None:
-        self._section, self._registers = section, registers
+        self._section, self._watch = section, RegisterWatch(registers, self._show)
         self._written, self._is_little = WRITTEN[section.handshake], make().is_little
-        self._thread = ExchangeThread(make, section.period_ms / 1000, self._taken, self._lost)
+        self._thread = ExchangeThread(
+            make,
+            section.period_ms / 1000,
+            lambda image: self._watch.from_thread(lambda: self._take(image)),
+            lambda fault: self._watch.from_thread(lambda: self._leave(fault)),
+        )
         self._numbers = itertools.count(2_000_000)  # Modbus counts its clients from 1, OPC UA from 1,000,000
         self._client = next(self._numbers)
-        self._watched: RegisterSource | None = None
         self._image: bytes | None = None  # of the PLC, on this connection
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._next_show: asyncio.TimerHandle | None = None
-        self._is_due = self._is_closed = self._is_refused = False
+        self._is_refused = False
         self._faults = FaultLog(log, kind="plc")
         self.problem = "no answer yet"
         """Why the PLC is not reached; "" while it is."""
@@ -105,37 +109,30 @@ class PlcMemoryPublisher:
         return self._section.place
 
     async def start(self) -> None:
-        """Begin to connect; a PLC that does not answer is no reason not to start."""
-        self._loop = asyncio.get_running_loop()
+        """Begin to connect; the cell starts even if the PLC does not answer."""
+        self._watch.start()
         self._show()
         self._thread.start()
 
     def announce(self, event: Event) -> None:  # noqa: ARG002  (the registers know it)
         """Shown after the registers have taken note of it."""
-        self._show_soon()
+        self._watch.show_soon()
 
     async def close(self) -> None:
-        """Say to the PLC that nothing is valid, where it answers, and hang up."""
-        self._is_closed = True
+        """Tell a PLC that answers that nothing is valid, and disconnect."""
+        self._watch.close()
         if self._next_show is not None:
             self._next_show.cancel()
-        if self._watched is not None:
-            self._watched.unwatch(self._show_soon)
-            self._watched.leave(self._client)
-        if self._loop is not None and not await asyncio.to_thread(self._thread.stop, STOP_S):
+        if self._watch.source is not None:
+            self._watch.source.leave(self._client)
+        if self._watch.loop is not None and not await asyncio.to_thread(self._thread.stop, STOP_S):
             log.warning("plc: %s does not answer, and is left behind", self.place)
 
     # --- showing -------------------------------------------------------------------------------
 
-    def _show_soon(self) -> None:
-        if self._loop is not None and not self._is_due and not self._is_closed:
-            self._is_due = True
-            self._loop.call_soon(self._show)
-
     def _show(self) -> None:
         """Hand the present image to the thread; again at the next tick, or when the coordinates expire."""
-        self._is_due = False
-        if self._is_closed or self._loop is None:
+        if self._watch.is_closed or self._watch.loop is None:
             return
         self._thread.look()
         source, next_s = self._source(), TICK_S
@@ -150,32 +147,17 @@ class PlcMemoryPublisher:
                 next_s = min(next_s, max(0.001, until_s - time.monotonic()))
         if self._next_show is not None:
             self._next_show.cancel()
-        self._next_show = self._loop.call_later(next_s, self._show)
+        self._next_show = self._watch.loop.call_later(next_s, self._show)
 
     def _source(self) -> RegisterSource | None:
-        source = self._registers()
-        if source is not self._watched:  # exchanged by a reload, with its clients
-            self._watched = source
-            if source is not None:
-                source.watch(self._show_soon)
-                self._write()
-        return source
+        if self._watch.look():
+            self._write()
+        return self._watch.source
 
     # --- commands, from the thread ---------------------------------------------------------------
 
-    def _taken(self, image: bytes) -> None:
-        self._on_loop(lambda: self._take(image))
-
-    def _lost(self, fault: PlcFault) -> None:
-        self._on_loop(lambda: self._leave(fault))
-
-    def _on_loop(self, work: Callable[[], None]) -> None:
-        loop = self._loop
-        if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(work)
-
     def _take(self, image: bytes) -> None:
-        if self._is_closed:
+        if self._watch.is_closed:
             return
         self._image, self.problem = image, ""
         self._faults.well()
@@ -188,19 +170,19 @@ class PlcMemoryPublisher:
         So does a PLC that writes its registers for ever; what the handshake makes of it is the same.
         """
         self._is_refused = False
-        if self._image is None or self._watched is None:
+        if self._image is None or self._watch.source is None:
             return
         values = values_to_cell(self._image, little=self._is_little)
         try:
-            self._watched.write(self._client, {name: values[name] for name in self._written})
+            self._watch.source.write(self._client, {name: values[name] for name in self._written})
         except CommandRefused:
             self._is_refused = True
 
     def _leave(self, fault: PlcFault) -> None:
-        if self._is_closed:
+        if self._watch.is_closed:
             return
         self._faults.failed(f"plc: {fault}", fault.code)
         self.problem, self._image = str(fault), None
-        if self._watched is not None:
-            self._watched.leave(self._client)
+        if self._watch.source is not None:
+            self._watch.source.leave(self._client)
         self._client = next(self._numbers)

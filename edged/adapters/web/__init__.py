@@ -3,11 +3,3 @@
 from edged.adapters.web.page import PageSources
 from edged.adapters.web.server import SettingUp, WebPublisher
 from edged.adapters.web.settings import WebSettings, page_context
-
-__all__ = [
-    "PageSources",
-    "SettingUp",
-    "WebPublisher",
-    "WebSettings",
-    "page_context",
-]

@@ -26,7 +26,7 @@ REFUSED_PER_S, REFUSED_BURST = 1 / 60, 20.0
 fill the audit, so that its oldest records are deleted; at this rate that takes months. Log-ins that fail,
 under whatever names, have as many of their own: guessing at passwords hides no other refusal."""
 PERSON_PER_S, PERSON_BURST = 1 / 60, 60.0
-"""Log-ins of a person, and what somebody does who is no engineer."""
+"""Log-ins of a person, and what anybody but an engineer does."""
 SAID_S = 60.0
 """Between two records of how many were left out."""
 MAX_RECORDS = 500

@@ -209,7 +209,7 @@ def _check_numerals(body: BaseModel, request: web.Request) -> None:
 
 
 def _invalid(error: ValidationError) -> Problem:
-    """The first mistake, by its place; how many there are is of no use to who must mend the first."""
+    """The first mistake, by its place; the others cannot be seen before it is mended."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     if first["type"] == "json_invalid":
         return Problem(400, "json", "expected JSON")

@@ -1,4 +1,4 @@
-"""The cell at a glance, for who sets it up: what state it is in, and what it lacks."""
+"""The cell at a glance, for the people who set it up: what state it is in, and what it lacks."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ class PageSources(Protocol):
         """How A, B, C state an orientation to the PLC."""
 
     def overview(self) -> Overview:
-        """The cell for who sets it up."""
+        """The cell for the people who set it up."""
 
     def fingerprint(self) -> str:
         """Digest of what the cell runs by."""

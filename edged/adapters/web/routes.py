@@ -212,7 +212,7 @@ def route(
 ) -> Callable[[H], H]:
     """Make a method with one argument, a `Call`, the handler of a `Route`.
 
-    Its annotations say what it takes, `Call[Body]`, and what it answers, unless that is no model.
+    Its annotations say what it takes, `Call[Body]`, and what it answers, unless that is not a model.
     """
 
     def mark(handler: H) -> H:

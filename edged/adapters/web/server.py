@@ -65,7 +65,7 @@ A refused request takes some 0.3 ms of the loop; a viewer asks for three picture
 page that is opened for some eighty files.
 """
 FLOODED_S = 5.0
-"""After flooding a socket, a client's requests are refused for so long."""
+"""How long the requests of a client that flooded a socket are refused."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'",

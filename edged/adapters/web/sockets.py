@@ -45,7 +45,7 @@ PERIOD_S = 0.2
 """The state of the cell is sent this often at most."""
 PING_S = 15.0
 WRITE_S = 10.0
-"""A tab that does not read for so long has gone."""
+"""A tab that has read nothing for this long counts as gone."""
 CLOSE_S = 0.3
 """For a tab to answer that it has heard of the end."""
 WIDTH_PX = 960
@@ -98,7 +98,7 @@ class Sockets:
     """All of them.
 
     encoder : where pictures are encoded. overview : the cell, as a session sees it. holds : whether a session
-    has taken the cell. flooded : told of who sent too much.
+    has taken the cell. flooded : called for a client that sent too much.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class Sockets:
             self._telling = asyncio.get_running_loop().call_later(PERIOD_S, self._tell_cell)
 
     async def close(self) -> None:
-        """End every socket, and hear of nothing any more."""
+        """End every socket, and take no further events."""
         self._closing = True
         for stop in self._stops:
             stop()

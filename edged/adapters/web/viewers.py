@@ -23,7 +23,7 @@ ALIVE_S = 15.0
 """Without a change, a comment keeps the connection open and detects dead ones."""
 MAX_VIEWERS = 32
 WRITE_S = 10.0
-"""A viewer that does not read for so long has gone."""
+"""A viewer that has read nothing for this long counts as gone."""
 
 
 @dataclass(eq=False, slots=True)

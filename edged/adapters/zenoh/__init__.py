@@ -9,13 +9,3 @@ from edged.adapters.zenoh.session import (
     session_config,
     unguarded,
 )
-
-__all__ = [
-    "ZenohPublisher",
-    "ZenohSettings",
-    "configured",
-    "named_files",
-    "open_session",
-    "session_config",
-    "unguarded",
-]

@@ -36,9 +36,9 @@ SHAPE_VERSION = 1
 TEXT, SHAPE = "job.toml", "shape.npz"
 """The files of a job; one says nothing without the other."""
 BODY = "body_"
-"""Before the names of the arrays of the part's surface, beside those of its shape."""
+"""Prefix of the arrays of the part's surface, beside those of its shape."""
 TRACED = "traced_"
-"""Before the names of the arrays of its outlines that are no features."""
+"""Prefix of the arrays of its outlines that are not features."""
 REPLACED = ".old"
 """Ends the name of each folder with a job that was replaced: a cell passes over it."""
 
@@ -92,7 +92,7 @@ def _body_of(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody | None:
 
 
 def _traced_of(arrays: Mapping[str, npt.NDArray[Any]]) -> tuple[TracedCurve, ...]:
-    """The part's outlines that are no features; none of a job that was taught before they were kept."""
+    """The part's outlines that are not features; () for a job that was taught before they were kept."""
     own = {name.removeprefix(TRACED): array for name, array in arrays.items() if name.startswith(TRACED)}
     try:
         return from_arrays(own) if own else ()

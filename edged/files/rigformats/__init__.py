@@ -19,7 +19,6 @@ from edged.files.rigformats.files import DEFAULTS, Imported, Options
 from edged.vision.geometry.camera import StereoRig
 
 RigFormat = Literal["edged", "opencv", "ros", "kalibr", "halcon"]
-__all__ = ["Imported", "Options", "RigFormat", "read_rig", "rig_format", "write_rig"]
 
 
 @dataclass(frozen=True, slots=True)

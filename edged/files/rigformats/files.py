@@ -144,7 +144,7 @@ class Fields:
         return self.nearest_rotation(name, self.numbers(name, (9,)).reshape(3, 3))
 
     def nearest_rotation(self, name: str, matrix: FloatArray) -> FloatArray:
-        """`matrix` without its rounding errors; an error if it is no rotation."""
+        """`matrix` without its rounding errors; an error if it is not a rotation."""
         rotation = nearest_rotation(matrix) if np.linalg.det(matrix) > 0 else np.zeros((3, 3))
         if np.abs(rotation - matrix).max() > _ROTATION_TOLERANCE:
             raise self.error(name, "expected a rotation matrix (orthonormal, determinant 1)")

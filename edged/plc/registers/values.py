@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -271,6 +271,14 @@ def _saturated(value: float, unit: float) -> int:
     return round(min(value / unit, UINT16_MAX)) if math.isfinite(value) and value >= 0 else UINT16_MAX
 
 
+def _sigmas(prefix: str, sigmas: Iterable[float]) -> dict[str, Number]:
+    """Values of PREFIX_SIGMA_X to C. sigmas : mm and degrees."""
+    return {
+        f"{prefix}SIGMA_{axis}": _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
+        for axis, sigma in zip(AXES, sigmas, strict=True)
+    }
+
+
 def _length_um(value_mm: float) -> int:
     return round(value_mm * 1000) if math.isfinite(value_mm) else INT32_MIN
 
@@ -342,8 +350,7 @@ def _offset_values(shift: Shift) -> dict[str, Number]:
         ("OP_", shift.part, shift.sigma_part),
     ):
         values |= {f"{place}{axis}": number for axis, number in zip(AXES, numbers, strict=True)}
-        for axis, sigma in zip(AXES, sigmas, strict=True):
-            values[f"{place}SIGMA_{axis}"] = _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
+        values |= _sigmas(place, sigmas)
     for axis, place_um, turn in zip("XYZ", shift.robot, shift.rotation_vector, strict=False):
         values |= {f"UO_{axis}": place_um, f"UO_R{axis}": turn}
     return values
@@ -353,8 +360,7 @@ def _grasp_values(tool: Tool) -> dict[str, Number]:
     values: dict[str, Number] = {"GRASP": tool.number, "UG_GRASP": tool.number, "G_TURN": tool.turn}
     values |= {"G_RETREAT": tool.retreat, "UG_RETREAT": tool.retreat}
     values |= {f"G_{axis}": number for axis, number in zip(AXES, tool.pose, strict=True)}
-    for axis, sigma in zip(AXES, tool.sigma, strict=True):
-        values[f"G_SIGMA_{axis}"] = _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
+    values |= _sigmas("G_", tool.sigma)
     for axis, place, turn in zip("XYZ", tool.pose, tool.rotation_vector, strict=False):
         values |= {f"UG_{axis}": place, f"UG_R{axis}": turn}
     for axis, place in zip("XYZ", tool.approach, strict=True):
@@ -372,8 +378,8 @@ NOTHING: dict[str, Number] = {
 
 def _coordinates(pose: Pose) -> dict[str, Number]:
     values: dict[str, Number] = dict(zip(AXES, pose.integers, strict=True))
+    values |= _sigmas("", pose.sigma)
     for axis, sigma in zip(AXES, pose.sigma, strict=True):
-        values[f"SIGMA_{axis}"] = _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
         values[f"F_SIGMA_{axis}"] = min(sigma, 1e30)  # near a singular position; float32 ends at 3.4e38
     values["SIGMA_RADIUS"] = _saturated(pose.sigma_radius_mm, 1e-4)
     values["SIGMA_DEPTH"] = _saturated(pose.sigma_depth_mm, 1e-4)
@@ -451,7 +457,7 @@ def counted(before: Mapping[str, int], snapshot: Snapshot) -> dict[str, int]:
 
 def registration_values(registration: Registration, sequence: int, epoch: int) -> dict[str, Number]:
     """Values of the block registration. sequence : CMD_SEQ of the command that led to this state."""
-    values: dict[str, Number] = {
+    return {
         "H_SEQ": sequence,
         "H_METHOD": registration.method,
         "H_SAMPLES": _clamp(registration.samples, UINT16_MAX),
@@ -461,10 +467,8 @@ def registration_values(registration: Registration, sequence: int, epoch: int) -
         "H_HELD_OUT": _limited_um(registration.held_out_mm),
         "H_LIMIT": _limited_um(registration.limit_mm),
         "H_START_EPOCH": epoch,
+        **_sigmas("H_", registration.sigma),
     }
-    for axis, sigma in zip(AXES, registration.sigma, strict=True):
-        values[f"H_SIGMA_{axis}"] = _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
-    return values
 
 
 def _limited_um(value_mm: float) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +9,14 @@ import numpy as np
 import pytest
 from helpers.cellinuse import StillCell
 from helpers.smallcell import SmallCell, pictures
-from helpers.stagecell import Newcomer, run
+from helpers.stagecell import staged
 
 from edged.commands.stage import USER
 from edged.domain.frames import Frame, FramePair
 from edged.errors import UserError
 from edged.files.jobs import load_job
 from edged.files.rig import save_rig
-from edged.setup.calibration.checks import CheckDocument, Checked, Checks, OfferedLength
+from edged.setup.calibration.checks import Checked, Checks, OfferedLength
 from edged.setup.calibration.service import FUNCTIONS
 from edged.setup.cellfiles import read_any_cell
 from edged.setup.jobs.worker import Worker
@@ -28,12 +27,11 @@ BOARD = "chessboard:11x8:4"
 
 
 @pytest.mark.slow
-def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) -> None:
+async def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) -> None:
     """The true rig holds; half a percent of baseline is a length that is wrong by as much, and no row; a
     camera that turned by a pixel is rows that are off by as much; without a board nothing is said of either.
     """
-
-    async def test(newcomer: Newcomer) -> None:
+    async with staged(tmp_path, gige=False) as newcomer:
         body = {**newcomer.token, "board": BOARD}
         true = newcomer.world.cell.rig
         seen = (await newcomer.ask("GET", "cameras"))["found"]
@@ -102,15 +100,13 @@ def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) ->
         known = {"last": unseen, "is_current": False, "boards": [BOARD, "dots:7x7:5"], "parts": []}
         assert known == await newcomer.ask("GET", "checks")
 
-    run(tmp_path, test, gige=False)
-
 
 def _size(length: OfferedLength) -> tuple[str, float | None]:
     return length.name, length.taught_mm and round(length.taught_mm, 1)
 
 
 @pytest.mark.slow
-def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None:
+async def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None:
     """Its diameter comes out as drawn; a baseline one percent too long makes it one percent too large."""
     cell = SmallCell(tmp_path / "cell", source="virtual-inprocess")
     left, right = pictures(cell.virtual, 1)[0]
@@ -121,29 +117,25 @@ def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None
     wide = replace(true, right_from_left=relation, calibration_id="wide")
     running = StillCell(cell.config)
     running.session.pair = pair
-
-    async def checked() -> list[CheckDocument]:
-        in_use = running.in_use(worker := Worker(FUNCTIONS))
-        checks, kept = Checks(in_use), in_use.folder / "check.json"
-        found = []
-        try:
-            for rig in (true, wide):
-                save_rig(in_use.files.config.cell.rig, rig)
-                running.files = read_any_cell(cell.config)
-                found.append(await checks.by_part("theirs", "Anna", job.name, {"c0": 28.0}))
-                known = await checks.last()
-                assert Checked(last=found[-1], is_current=True, boards=[], parts=known.parts) == known
-                (part,) = known.parts
-                assert (job.name, "c0", 28.0) == (part.job, *_size(part.lengths[0]))
-            with pytest.raises(UserError, match="length c9: the job has c0"):
-                await checks.by_part("theirs", "Anna", job.name, {"c9": 28.0})
-            kept.write_text("{")
-            assert None is (await checks.last()).last
-        finally:
-            await worker.close()
-        return found
-
-    good, wrong = asyncio.run(checked())
+    in_use = running.in_use(worker := Worker(FUNCTIONS))
+    checks, kept = Checks(in_use), in_use.folder / "check.json"
+    found = []
+    try:
+        for rig in (true, wide):
+            save_rig(in_use.files.config.cell.rig, rig)
+            running.files = read_any_cell(cell.config)
+            found.append(await checks.by_part("theirs", "Anna", job.name, {"c0": 28.0}))
+            known = await checks.last()
+            assert Checked(last=found[-1], is_current=True, boards=[], parts=known.parts) == known
+            (part,) = known.parts
+            assert (job.name, "c0", 28.0) == (part.job, *_size(part.lengths[0]))
+        with pytest.raises(UserError, match="length c9: the job has c0"):
+            await checks.by_part("theirs", "Anna", job.name, {"c9": 28.0})
+        kept.write_text("{")
+        assert None is (await checks.last()).last
+    finally:
+        await worker.close()
+    good, wrong = found
     (true_length,), (long_length,) = good.lengths, wrong.lengths
     assert abs(true_length.error_percent) <= true_length.spread_percent
     assert "NOT_OK" == wrong.verdict == long_length.verdict

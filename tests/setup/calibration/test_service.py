@@ -16,7 +16,6 @@ import pytest
 from helpers.boardcell import BoardCell, with_views
 from helpers.boardpairs import RIG, SPEC, pairs
 from helpers.samepage import worker_of
-from helpers.waiting import WHOLE_S
 from rich.console import Console
 
 from edged.commands.calibrate import calibrate
@@ -29,10 +28,9 @@ from edged.vision.geometry.uncertainty import calibration_covariance
 
 
 @pytest.mark.slow
-def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
+async def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
     """Over HTTP: suggestions, a solution with its report, its activation, and points where they truly are."""
-
-    async def test(cell: BoardCell) -> None:
+    async with BoardCell(tmp_path).running(page_is_here=False) as cell:
         place, token = await with_views(cell, 6)
         draft = await cell.until(place, lambda draft: not draft["guiding"])
         assert draft["sigma_um"]["z"] > 0
@@ -68,8 +66,6 @@ def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
         again = {"reason": "once more", "token": token}
         assert (422, "input") == await refused(cell, "POST", "/releases/1/activate", again)
         assert (404, "unknown") == await refused(cell, "POST", "/releases/2/activate", again)
-
-    cell = BoardCell(tmp_path).run(test, page_is_here=False)
     assert cell.rig.read_bytes() == next((cell.state / "drafts").glob("*/rig-*.json")).read_bytes()
 
     pictures = next((cell.state / "drafts").glob("*/pictures"))
@@ -92,10 +88,9 @@ def error_in_sigmas(rig: StereoRig) -> float:
 
 
 @pytest.mark.slow
-def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) -> None:
+async def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) -> None:
     """The board is recognised, pairs come over the socket, and one is taken of each place it is held at."""
-
-    async def test(cell: BoardCell) -> None:
+    async with BoardCell(tmp_path).running() as cell:
         _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
         token = entered["token"]
         _, draft = await cell.ask("POST", "/calibrations", {"recognise": True, "mm": 6.0})
@@ -124,8 +119,6 @@ def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) -> Non
             assert 1 == len(draft["views"]), "nobody who has the cell has asked for it"
             looking.cancel()
 
-    BoardCell(tmp_path).run(test)
-
 
 async def look(socket: aiohttp.ClientWebSocketResponse) -> None:
     """A tab that has seen each pair at once."""
@@ -135,35 +128,30 @@ async def look(socket: aiohttp.ClientWebSocketResponse) -> None:
 
 
 @pytest.mark.slow
-def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
+async def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
     """Views, what was left out and undone: the next daemon goes on with the same, and suggests the same."""
     cell = BoardCell(tmp_path)
 
-    async def first() -> Any:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            place, _ = await with_views(cell, 3)
-            await cell.ask("DELETE", f"{place}/views/view_002", {})
-            _, draft = await cell.ask("POST", f"{place}/undo", {})
-            assert (True, True) == (draft["can_undo"], draft["can_redo"])
-            return await cell.until(place, lambda draft: not draft["guiding"])
-
-    async def second(before: Any) -> None:
-        async with asyncio.timeout(WHOLE_S), cell.running():
-            place = f"/calibrations/{before['id']}"
-            after = await cell.until(place, lambda draft: not draft["guiding"])
-            for key in ("revision", "boards", "views", "sigma_um", "suggestion", "can_redo"):
-                assert before[key] == after[key], key
-            _, listed = await cell.ask("GET", "/calibrations")
-            assert [(before["id"], 3)] == [(one["id"], one["views"]) for one in listed["calibrations"]]
-
-    asyncio.run(second(asyncio.run(first())))
+    async with cell.running():
+        place, _ = await with_views(cell, 3)
+        await cell.ask("DELETE", f"{place}/views/view_002", {})
+        _, draft = await cell.ask("POST", f"{place}/undo", {})
+        assert (True, True) == (draft["can_undo"], draft["can_redo"])
+        before = await cell.until(place, lambda draft: not draft["guiding"])
+    async with cell.running():
+        after = await cell.until(place, lambda draft: not draft["guiding"])
+        for key in ("revision", "boards", "views", "sigma_um", "suggestion", "can_redo"):
+            assert before[key] == after[key], key
+        _, listed = await cell.ask("GET", "/calibrations")
+        assert [(before["id"], 3)] == [(one["id"], one["views"]) for one in listed["calibrations"]]
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_worker_that_is_killed_costs_one_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """While it solves, keeps a pair or suggests: that has failed and says so, and the draft is as it was."""
-
-    async def test(cell: BoardCell) -> None:
+    async with BoardCell(tmp_path).running() as cell:
         place, token = await with_views(cell, 3)
         await cell.until(place, lambda draft: not draft["guiding"])
         # nobody else knows its process, nor what it can do
@@ -192,14 +180,11 @@ def test_a_worker_that_is_killed_costs_one_task(tmp_path: Path, monkeypatch: pyt
         _, draft = await cell.ask("GET", place)
         assert (None, None, 3) == (draft["solved"], draft["task"], len(draft["views"]))
 
-    BoardCell(tmp_path).run(test)
-
 
 @pytest.mark.slow
-def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path: Path) -> None:
+async def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path: Path) -> None:
     """Suggestions, a solution, views by themselves: ended. What is begun next is as if it was the first."""
-
-    async def test(cell: BoardCell) -> None:
+    async with BoardCell(tmp_path).running() as cell:
         place, token = await with_views(cell, 3)
         _, begun = await cell.ask("POST", f"{place}/solve", {})
         await cell.ask("PUT", f"{place}/auto", {"token": token, "on": True})
@@ -219,14 +204,11 @@ def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path: Path
         draft = await cell.until(place, lambda draft: not draft["guiding"])
         assert draft["sigma_um"]["z"] > 0
 
-    BoardCell(tmp_path).run(test)
-
 
 @pytest.mark.slow
-def test_live_pairs_are_looked_at_for_the_draft_that_somebody_goes_on_with(tmp_path: Path) -> None:
+async def test_live_pairs_are_looked_at_for_the_draft_that_somebody_goes_on_with(tmp_path: Path) -> None:
     """The one begun last, until somebody goes on with another; the others take no view by themselves."""
-
-    async def test(cell: BoardCell) -> None:
+    async with BoardCell(tmp_path).running() as cell:
         _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
         token = entered["token"]
         places = []
@@ -249,8 +231,6 @@ def test_live_pairs_are_looked_at_for_the_draft_that_somebody_goes_on_with(tmp_p
             assert {places[0][14:]: True, places[1][14:]: False} == current
             looking.cancel()
 
-    BoardCell(tmp_path).run(test)
-
 
 WRONG: dict[str, tuple[str, Callable[[int], tuple[Image, Image]]]] = {
     "calibration_other_board": ("chessboard:9x6:6", lambda view: pairs(6)[view]),
@@ -262,10 +242,9 @@ WRONG: dict[str, tuple[str, Callable[[int], tuple[Image, Image]]]] = {
 
 
 @pytest.mark.slow
-def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
+async def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
     """Each with a code of its own, for which the page has a sentence with the remedy; nothing is solved."""
-
-    async def test(cell: BoardCell) -> None:
+    async with BoardCell(tmp_path).running() as cell:
         _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
         for code, (stated, view) in WRONG.items():
             _, draft = await cell.ask("POST", "/calibrations", {"boards": [stated]})
@@ -283,14 +262,11 @@ def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
             else:
                 assert {"stated": stated, "seen": SPEC} == ended["problem"]["params"]
 
-    BoardCell(tmp_path).run(test)
-
 
 @pytest.mark.slow
-def test_another_board_than_the_stated_one_is_told_at_once(tmp_path: Path) -> None:
+async def test_another_board_than_the_stated_one_is_told_at_once(tmp_path: Path) -> None:
     """Before anybody has taken a view of it."""
-
-    async def test(cell: BoardCell) -> None:
+    async with BoardCell(tmp_path).running() as cell:
         _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
         _, draft = await cell.ask("POST", "/calibrations", {"boards": ["chessboard:9x6:6"]})
         place = f"/calibrations/{draft['id']}"
@@ -306,8 +282,6 @@ def test_another_board_than_the_stated_one_is_told_at_once(tmp_path: Path) -> No
                 assert ("other_board", "chessboard:8x6") == (shown["missing"], shown["other_board"])
             looking.cancel()
 
-    BoardCell(tmp_path).run(test)
-
 
 async def refused(cell: BoardCell, method: str, path: str, document: Any = None) -> tuple[int, str]:
     """Status and code."""
@@ -316,10 +290,9 @@ async def refused(cell: BoardCell, method: str, path: str, document: Any = None)
 
 
 @pytest.mark.slow
-def test_what_cannot_be_is_refused_with_a_code(tmp_path: Path) -> None:
+async def test_what_cannot_be_is_refused_with_a_code(tmp_path: Path) -> None:
     """No board, no lease, nothing of that name, nothing to undo or to solve; and nothing changes."""
-
-    async def test(cell: BoardCell) -> None:
+    async with BoardCell(tmp_path).running() as cell:
         assert (422, "calibration") == await refused(
             cell, "POST", "/calibrations", {"boards": ["carpet:1x1:1"]}
         )
@@ -340,5 +313,3 @@ def test_what_cannot_be_is_refused_with_a_code(tmp_path: Path) -> None:
         state.write_text("{")
         _, listed = await cell.ask("GET", "/calibrations")
         assert "state.json" in listed["calibrations"][0]["trouble"]
-
-    BoardCell(tmp_path).run(test)

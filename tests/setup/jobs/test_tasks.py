@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import pytest
 from helpers.waiting import until
 
@@ -23,17 +21,13 @@ async def started(tasks: Tasks, what: str) -> str:
     return identity
 
 
-def test_as_many_tasks_as_promised_are_known() -> None:
+async def test_as_many_tasks_as_promised_are_known() -> None:
     """The first 20 all stay, with their outcome; each further one has the oldest forgotten."""
+    tasks = Tasks(Notices())
+    ids = [await started(tasks, f"task {number}") for number in range(KEPT)]
+    assert ["done"] * KEPT == [tasks.document(identity).state for identity in ids]
 
-    async def main() -> None:
-        tasks = Tasks(Notices())
-        ids = [await started(tasks, f"task {number}") for number in range(KEPT)]
-        assert ["done"] * KEPT == [tasks.document(identity).state for identity in ids]
-
-        await started(tasks, "one more")
-        with pytest.raises(KeyError):
-            tasks.document(ids[0])
-        assert "done" == tasks.document(ids[1]).state
-
-    asyncio.run(main())
+    await started(tasks, "one more")
+    with pytest.raises(KeyError):
+        tasks.document(ids[0])
+    assert "done" == tasks.document(ids[1]).state

@@ -9,10 +9,9 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Coroutine
-from contextlib import suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import cbor2
 import pytest
@@ -44,22 +43,16 @@ TASKS = {
 }
 
 
-def run(
-    test: Callable[[Worker], Coroutine[Any, Any, None]], cpus: int = 1, limits: TaskLimits | None = None
-) -> None:
-    """A test's coroutine with a worker, bounded; afterwards its process is gone."""
-
-    async def bounded() -> None:
-        worker = Worker(TASKS, lambda: cpus, limits)
-        try:
-            async with asyncio.timeout(WHOLE_S):
-                await test(worker)
-        finally:
-            pid = worker.pid
-            await worker.close()
-            assert not lives(pid)
-
-    asyncio.run(bounded())
+@asynccontextmanager
+async def working(limits: TaskLimits | None = None) -> AsyncIterator[Worker]:
+    """A worker; afterwards its process is gone."""
+    worker = Worker(TASKS, lambda: 1, limits)
+    try:
+        yield worker
+    finally:
+        pid = worker.pid
+        await worker.close()
+        assert not lives(pid)
 
 
 def lives(pid: int | None) -> bool:
@@ -77,24 +70,20 @@ def wait_for_end(pid: int) -> None:
     os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
 
 
-def test_it_stands_back_and_stays_for_the_next_task() -> None:
+async def test_it_stands_back_and_stays_for_the_next_task() -> None:
     """Nicer than who started it, first to go, on as many processors as it may use; one process for all."""
-
-    async def test(worker: Worker) -> None:
+    async with working() as worker:
         first, second = await worker.run("about"), await worker.run("about")
         assert first["pid"] == second["pid"] == worker.pid != os.getpid()
         assert min(19, os.nice(0) + NICENESS) == first["nice"]
         assert min(1000, own_oom_score() + OOM_SCORE) == first["oom"]
         assert 1 == first["cpus"]
 
-    run(test)
 
-
-def test_progress_comes_on_the_loop_and_mistakes_come_back_as_such() -> None:
+async def test_progress_comes_on_the_loop_and_mistakes_come_back_as_such() -> None:
     """First and last word of a stage always; a `UserError` by its kind, a bug without ending the process."""
     told: list[tuple[str, int, int]] = []
-
-    async def test(worker: Worker) -> None:
+    async with working() as worker:
         got = await worker.run("count", 3, progress=lambda *said: told.append(said))
         assert [0, 1, 2] == got
         pid = worker.pid
@@ -104,15 +93,12 @@ def test_progress_comes_on_the_loop_and_mistakes_come_back_as_such() -> None:
             await worker.run("fail")
         assert [0] == await worker.run("count", 1)
         assert pid == worker.pid
-
-    run(test)
     assert [("counting", 0, 3), ("counting", 3, 3)] == [told[0], told[-1]]
 
 
-def test_a_task_that_is_cancelled_is_killed() -> None:
+async def test_a_task_that_is_cancelled_is_killed() -> None:
     """At once, whatever it does; tasks that wait are carried out by a new process."""
-
-    async def test(worker: Worker) -> None:
+    async with working() as worker:
         began = asyncio.Event()
         hanging = asyncio.create_task(worker.run("hang", progress=lambda *_: began.set()))
         waiting = asyncio.create_task(worker.run("count", 2))
@@ -124,13 +110,10 @@ def test_a_task_that_is_cancelled_is_killed() -> None:
         assert [0, 1] == await waiting
         assert pid != worker.pid
 
-    run(test)
 
-
-def test_one_that_is_cancelled_before_it_began_never_does() -> None:
+async def test_one_that_is_cancelled_before_it_began_never_does() -> None:
     """Also while the process is being started for it."""
-
-    async def test(worker: Worker) -> None:
+    async with working() as worker:
         hanging = asyncio.create_task(worker.run("hang"))
         await asyncio.sleep(0)
         hanging.cancel()
@@ -138,13 +121,10 @@ def test_one_that_is_cancelled_before_it_began_never_does() -> None:
             await hanging
         assert [0, 1] == await worker.run("count", 2)
 
-    run(test)
 
-
-def test_a_process_that_dies_is_told_and_replaced() -> None:
+async def test_a_process_that_dies_is_told_and_replaced() -> None:
     """kill -9 from outside, and an exit of its own: what it did fails, the next task has a new process."""
-
-    async def test(worker: Worker) -> None:
+    async with working() as worker:
         began = asyncio.Event()
         hanging = asyncio.create_task(worker.run("hang", progress=lambda *_: began.set()))
         await began.wait()
@@ -160,35 +140,27 @@ def test_a_process_that_dies_is_told_and_replaced() -> None:
         wait_for_end(worker.pid)
         assert [0] == await worker.run("count", 1)
 
-    run(test)
-
 
 @pytest.mark.parametrize(("task", "size"), [("fill", 1500), ("fill_picture", 40_000)])
-def test_a_task_that_takes_too_much_memory_fails_alone(task: str, size: int) -> None:
+async def test_a_task_that_takes_too_much_memory_fails_alone(task: str, size: int) -> None:
     """With a sentence, also where it is a library that has none; the next task has a process of its own."""
-
-    async def test(worker: Worker) -> None:
+    async with working(limits=TaskLimits(1024 * MIB, 60)) as worker:
         pid = (await worker.run("about"))["pid"]
         with pytest.raises(TaskTooLarge, match=rf"^{task}: more than the 1024 MiB .* expected fewer"):
             await worker.run(task, size)
         assert not lives(pid)
         assert 100 << 20 == await worker.run("fill", 100)
 
-    run(test, limits=TaskLimits(1024 * MIB, 60))
-
 
 @pytest.mark.slow
-def test_a_task_that_takes_too_long_is_ended() -> None:
+async def test_a_task_that_takes_too_long_is_ended() -> None:
     """By the processor time that it took itself, not that of the tasks before it; waiting is no work."""
-
-    async def test(worker: Worker) -> None:
+    async with working(limits=TaskLimits(4096 * MIB, 2)) as worker:
         used_s = [await worker.run("burn", 0.7) for _ in range(3)]
         assert used_s[-1] > 2
         with pytest.raises(TaskTooLarge, match="burn: more than the 2 s of processor time that it may take"):
             await worker.run("burn", 30)
         assert [0] == await worker.run("count", 1)
-
-    run(test, limits=TaskLimits(4096 * MIB, 2))
 
 
 def test_a_task_may_take_half_of_the_machine_at_most() -> None:
@@ -198,17 +170,14 @@ def test_a_task_may_take_half_of_the_machine_at_most() -> None:
     assert 2048 * MIB <= limits_here().memory_bytes <= max(2048 * MIB, there // 2)
 
 
-def test_it_ends_when_nobody_wants_it_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_it_ends_when_nobody_wants_it_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """It holds memory; the next task starts another one."""
     monkeypatch.setattr(workers, "IDLE_S", 0.05)
-
-    async def test(worker: Worker) -> None:
+    async with working() as worker:
         pid = (await worker.run("about"))["pid"]
         await until(lambda: worker.pid is None)
         assert not lives(pid)
         assert pid != (await worker.run("about"))["pid"]
-
-    run(test)
 
 
 def test_it_ends_with_who_started_it() -> None:
@@ -233,10 +202,9 @@ def test_it_ends_with_who_started_it() -> None:
     assert int(ended.stdout) > 0  # the worker has our pipe, too: that `run` returned means that it has ended
 
 
-def test_it_reaches_no_network_and_gains_no_rights() -> None:
+async def test_it_reaches_no_network_and_gains_no_rights() -> None:
     """It reads strangers' files: who takes it over finds no PLC, and no program that gives it more."""
-
-    async def test(worker: Worker) -> None:
+    async with working() as worker:
         with socket.create_server(("127.0.0.1", 0)) as server:
             assert await worker.run("connect", server.getsockname()[1])
         found = await worker.run("rights")
@@ -245,19 +213,14 @@ def test_it_reaches_no_network_and_gains_no_rights() -> None:
         if os.geteuid():
             assert 0 == int(found["CapEff"], 16)
 
-    run(test)
-
 
 @pytest.mark.parametrize("kind", ["function", "lock", "object"])
-def test_what_is_no_value_is_no_answer(kind: str) -> None:
+async def test_what_is_no_value_is_no_answer(kind: str) -> None:
     """A bug of the task, and the process stays."""
-
-    async def test(worker: Worker) -> None:
+    async with working() as worker:
         with pytest.raises(TaskFailed, match="is no message"):
             await worker.run("answer", kind)
         assert [0, 1] == await worker.run("count", 2)
-
-    run(test)
 
 
 class Harm:
@@ -271,18 +234,15 @@ class Harm:
 
 
 @pytest.mark.parametrize("is_pickle", [True, False])
-def test_what_it_sends_is_never_run(is_pickle: bool, tmp_path: Path) -> None:
+async def test_what_it_sends_is_never_run(is_pickle: bool, tmp_path: Path) -> None:
     """A process that was taken over is ended, and costs one task."""
     file = tmp_path / "harm"
     forged = pickle.dumps(Harm(file)) if is_pickle else cbor2.dumps([FORMAT, ["make_folders", str(file)]])
-
-    async def test(worker: Worker) -> None:
+    async with working() as worker:
         with pytest.raises(TaskFailed, match="answered nonsense"):
             await worker.run("forge", forged)
         assert not file.exists()
         assert [0, 1] == await worker.run("count", 2)
-
-    run(test)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user with a capability")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -44,9 +43,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     return Recorded(cell.config.parent, folder / "recordings", files, pairs)
 
 
-def beside(recorded: Recorded, folder: Path, test: Callable[[RecordingCell], Awaitable[None]]) -> None:
-    """Run a test beside a running cell."""
-    RecordingCell(folder / "cell", recorded.template, recorded.recordings, recorded.pairs).run(test)
+def cell_of(recorded: Recorded, folder: Path) -> RecordingCell:
+    """A cell that has these recordings."""
+    return RecordingCell(folder / "cell", recorded.template, recorded.recordings, recorded.pairs)
 
 
 def solved(cell: RecordingCell, rig: StereoRig) -> str:
@@ -77,14 +76,13 @@ async def tried(cell: RecordingCell, body: dict[str, object]) -> dict[str, objec
 
 
 @pytest.mark.slow
-def test_a_rig_that_makes_good_cycles_bad_is_signed_for_or_stays_out(
+async def test_a_rig_that_makes_good_cycles_bad_is_signed_for_or_stays_out(
     recorded: Recorded, tmp_path: Path
 ) -> None:
     """Untried it is refused, and tried, too: until a reason is signed, which stands in the release. One that
     keeps every cycle good needs none. Nothing of the cell has changed before; the way back is never barred.
     """
-
-    async def test(cell: RecordingCell) -> None:
+    async with cell_of(recorded, tmp_path).running() as cell:
         before = cell.rig.read_bytes()
         bad = solved(cell, wider(recorded.files.rig, 1.02))
         activate = f"/calibrations/{bad}/activate"
@@ -141,16 +139,13 @@ def test_a_rig_that_makes_good_cycles_bad_is_signed_for_or_stays_out(
         status, release = await cell.ask("POST", f"/calibrations/{fine}/activate", {"note": "again"})
         assert (200, 0, None) == (status, release["tested"]["good_to_bad"], release["tested"]["signed"])
 
-    beside(recorded, tmp_path, test)
-
 
 @pytest.mark.slow
-def test_a_changed_limit_is_tried_on_all_cycles(recorded: Recorded, tmp_path: Path) -> None:
+async def test_a_changed_limit_is_tried_on_all_cycles(recorded: Recorded, tmp_path: Path) -> None:
     """Every good cycle is bad by a limit that none keeps; results are kept, the youngest first, and a
     damaged one harms none.
     """
-
-    async def test(cell: RecordingCell) -> None:
+    async with cell_of(recorded, tmp_path).running() as cell:
         strict = {"job": "flange", "limits": {"max_sigma_mm": 0.0001}}
         result = await tried(cell, {"change": strict})
         assert (CYCLES, ["SIGMA_LIMIT"]) == (
@@ -177,17 +172,14 @@ def test_a_changed_limit_is_tried_on_all_cycles(recorded: Recorded, tmp_path: Pa
             assert why in problem["detail"]
         assert 404 == (await cell.ask("GET", "/regressions/20260101-120000-0000"))[0]
 
-    beside(recorded, tmp_path, test)
-
 
 @pytest.mark.slow
-def test_a_regression_is_cancelled_and_others_have_their_turn(
+async def test_a_regression_is_cancelled_and_others_have_their_turn(
     recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A few recordings at a time: a change of one cycle is answered between; cancelled, nothing is kept."""
     monkeypatch.setattr(regressions, "CHUNK_S", 0.0)
-
-    async def test(cell: RecordingCell) -> None:
+    async with cell_of(recorded, tmp_path).running() as cell:
         strict = {"job": "flange", "limits": {"max_sigma_mm": 0.0001}}
         _, begun = await cell.ask("POST", "/regressions", {"change": strict})
         status, told = await cell.ask("POST", "/cycles/2/what-if", {"limits": {"max_sigma_mm": 0.0001}})
@@ -197,14 +189,11 @@ def test_a_regression_is_cancelled_and_others_have_their_turn(
         if ended["state"] == "cancelled":  # else it was quicker
             assert 404 == (await cell.ask("GET", f"/regressions/{begun['regression']}"))[0]
 
-    beside(recorded, tmp_path, test)
-
 
 @pytest.mark.slow
-def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_path: Path) -> None:
+async def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_path: Path) -> None:
     """From a recorded pair, for the one that runs: refused untried; tried, the very same files pass."""
-
-    async def test(cell: RecordingCell) -> None:
+    async with cell_of(recorded, tmp_path).running() as cell:
         status, draft = await cell.ask("POST", "/teachings", {"cycle": 1, "job": "flange"})
         assert 201 == status, draft
         place = f"/teachings/{draft['id']}"
@@ -218,16 +207,13 @@ def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_pa
         assert (200, result["id"]) == (status, release["tested"]["regression"])
         assert result["counts"]["good_to_bad"] == release["tested"]["good_to_bad"]
 
-    beside(recorded, tmp_path, test)
-
 
 @pytest.mark.slow
-def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path: Path) -> None:
+async def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path: Path) -> None:
     """Renamed, renumbered, copied and retired at once; the recorded cycles stay those of the job. What an
     editor has changed in it meanwhile would become active with its name: that is measured, or signed for.
     """
-
-    async def test(cell: RecordingCell) -> None:
+    async with cell_of(recorded, tmp_path).running() as cell:
         flange = cell.config.parent / "jobs" / "flange"
         for method, place, body, wanted in (
             ("PUT", "flange", {"number": 7}, 200),
@@ -251,8 +237,6 @@ def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path: Path
         assert 200 == status
         _, listed = await cell.ask("GET", "/releases")
         assert "tighter from now on" == listed["releases"][0]["tested"]["signed"]
-
-    beside(recorded, tmp_path, test)
 
 
 @pytest.mark.slow

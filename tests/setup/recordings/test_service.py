@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import shutil
@@ -281,7 +280,7 @@ def test_without_a_change_the_verdict_is_that_of_then(recorded: Recorded) -> Non
         changed_job(job, Change(features={"c9": False}))
 
 
-def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, tmp_path: Path) -> None:
+async def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, tmp_path: Path) -> None:
     """The document says what is missing; the list, and what lies outside of the folder, are as ever."""
     folder = tmp_path / "recordings"
     shutil.copytree(recorded.folder, folder)
@@ -291,25 +290,21 @@ def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, t
         '[cell]\nname = "cell1"\nrig = "rig.json"\njobs = "jobs"\n'
         '[cameras]\nsource = "virtual-inprocess"\n[recorder]\nfolder = "recordings"\n'
     )
-
-    async def asked() -> None:
-        worker = Worker(FUNCTIONS)
-        cycles = Cycles(StillCell(config).in_use(worker))
-        document = await cycles.document(GOOD)
-        assert ("setup", None, True) == (document.trouble, document.now, document.has_pictures)
-        assert (await cycles.picture(GOOD, "left"))[:2] == b"\xff\xd8"
-        with pytest.raises(KeyError):
-            await cycles.document(77)
-        await cycles.close()
-        await worker.close()
-
-    asyncio.run(asked())
+    worker = Worker(FUNCTIONS)
+    cycles = Cycles(StillCell(config).in_use(worker))
+    document = await cycles.document(GOOD)
+    assert ("setup", None, True) == (document.trouble, document.now, document.has_pictures)
+    assert (await cycles.picture(GOOD, "left"))[:2] == b"\xff\xd8"
+    with pytest.raises(KeyError):
+        await cycles.document(77)
+    await cycles.close()
+    await worker.close()
     with pytest.raises(FileFormatError, match="not there"):
         setup_of(folder / "cycles" / "a.zip", {"fingerprint": ".."})
 
 
 @pytest.mark.slow
-def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, tmp_path: Path) -> None:
+async def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, tmp_path: Path) -> None:
     """List, document, both pictures as JPEG, and the change in the worker process; a picture of too many
     pixels is not unpacked; who asks wrongly is told what.
     """
@@ -329,7 +324,7 @@ def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, t
     cell = BoardCell(tmp_path / "cell")
     cell.config.write_text(cell.config.read_text() + '[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n')
 
-    async def test(cell: BoardCell) -> None:
+    async with cell.running():
         _, listed = await cell.ask("GET", "/cycles?status=LOW_QUALITY&most=5")
         assert [VAGUE] == [one["number"] for one in listed["cycles"]]
         assert listed["recorder"]
@@ -366,8 +361,6 @@ def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, t
         for wrong in ({"limits": {"colour": 1}}, {"light": 1e9}, {"limits": {"depth_mm": [3, 2]}}):
             assert 400 == (await cell.ask("POST", what_if, wrong))[0], wrong
         assert 422 == (await cell.ask("POST", what_if, {"features": {"c0": False}}))[0]
-
-    cell.run(test)
 
 
 def test_seven_hundred_cycles_are_read_once(

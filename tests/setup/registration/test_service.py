@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.cells import small_rig
-from helpers.stagecell import Newcomer, run
+from helpers.stagecell import Newcomer, staged
 
 from edged.domain.arrays import FloatArray
 from edged.domain.events import Command, CommandKind
@@ -79,25 +81,21 @@ class Registrar:
         return dict(await self.do("POST", "/samples", {**self.newcomer.token, "text": text}, 201))
 
 
-def on_stage(folder: Path, test: Callable[[Newcomer], Awaitable[None]]) -> None:
-    """Beside a stage that shows its board to a calibrated cell without a robot's frame."""
-    from dataclasses import replace
-
+@asynccontextmanager
+async def on_stage(folder: Path) -> AsyncIterator[Newcomer]:
+    """A stage that shows its board to a calibrated cell without a robot's frame."""
     bare = replace(small_rig(), robot_from_rig=None)
     save_rig(folder / "rig.json", bare, {"board": BOARD})
 
-    async def staged(newcomer: Newcomer) -> None:
+    async with staged(folder, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         await newcomer.ask("POST", "stage/robot/walk", {})
-        await test(newcomer)
-
-    run(folder, staged, gige=False)
+        yield newcomer
 
 
-def test_a_persons_draft_gets_its_samples_from_the_page_alone(tmp_path: Path) -> None:
+async def test_a_persons_draft_gets_its_samples_from_the_page_alone(tmp_path: Path) -> None:
     """What a PLC or a robot's program asks for while a person has the cell is refused, with a pose, too."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with on_stage(tmp_path) as newcomer:
         person = Registrar(newcomer, {"mount": "fixed", "kind": "poses", "brand": "kuka", "board": BOARD})
         await person.begin()
         for kind in CommandKind:
@@ -107,15 +105,12 @@ def test_a_persons_draft_gets_its_samples_from_the_page_alone(tmp_path: Path) ->
                 )
         assert [] == (await person.judged())["samples"]
 
-    on_stage(tmp_path, test)
 
-
-def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path) -> None:
+async def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path) -> None:
     """Six touches with 10 µm of noise: within 25 µm of the truth all over the volume; one that was mistyped
     is named, and no longer once it is put right; the same digits as the command line. A board of another
     length than its mm say is not touched at all."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with on_stage(tmp_path) as newcomer:
         about = {"mount": "fixed", "kind": "touch", "brand": "kuka"}
         longer = Registrar(newcomer, {**about, "board": "chessboard:11x8:4.1"})
         await longer.begin()
@@ -168,13 +163,10 @@ def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path
         assert worst_um(rig.robot_from_rig, small_rig().robot_from_rig) < 25
         check_same_digits(tmp_path, before, document, rig.robot_from_rig)
 
-    on_stage(tmp_path, test)
 
-
-def test_a_discarded_draft_is_gone_and_another_is_begun(tmp_path: Path) -> None:
+async def test_a_discarded_draft_is_gone_and_another_is_begun(tmp_path: Path) -> None:
     """While it is being judged; by whoever saw it last; what is begun next has nothing of it."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with on_stage(tmp_path) as newcomer:
         about = {"mount": "fixed", "kind": "touch", "brand": "kuka", "board": BOARD}
         person = Registrar(newcomer, about)
         await person.begin()
@@ -193,8 +185,6 @@ def test_a_discarded_draft_is_gone_and_another_is_begun(tmp_path: Path) -> None:
         await person.touch()
         assert 1 == len((await person.judged())["samples"])
 
-    on_stage(tmp_path, test)
-
 
 def check_same_digits(folder: Path, rig: bytes, document: dict[str, Any], found: FloatArray) -> None:
     """`edged register touch` of the same points."""
@@ -211,11 +201,10 @@ def check_same_digits(folder: Path, rig: bytes, document: dict[str, Any], found:
     assert found.tolist() == json.loads(out.read_text())["robot_from_rig"]
 
 
-def test_poses_tell_whose_they_are_which_one_is_wrong_and_which_turn_they_lack(tmp_path: Path) -> None:
+async def test_poses_tell_whose_they_are_which_one_is_wrong_and_which_turn_they_lack(tmp_path: Path) -> None:
     """Poses of a Universal Robots arm that are said to be KUKA's are told from those, unasked; read rightly,
     a mistyped one is named and does not count, and the rig is where it is; a carried rig likewise."""
-
-    async def test(newcomer: Newcomer) -> None:
+    async with on_stage(tmp_path) as newcomer:
         person = Registrar(newcomer, {"mount": "fixed", "kind": "poses", "brand": "kuka"}, "ur")
         await person.begin()
         assert (BOARD, ["X", "Y", "Z", "A", "B", "C"]) == (
@@ -270,5 +259,3 @@ def test_poses_tell_whose_they_are_which_one_is_wrong_and_which_turn_they_lack(t
         rig = load_rig(tmp_path / "rig.json")
         assert rig.robot_from_rig is None and rig.flange_from_rig is not None
         assert worst_um(rig.flange_from_rig, FLANGE_FROM_RIG) < 60
-
-    on_stage(tmp_path, test)

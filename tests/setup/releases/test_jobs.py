@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,18 +43,16 @@ def cell_with_jobs(folder: Path) -> PartCell:
     return cell
 
 
-def run(cell: PartCell, test: Any) -> None:
-    """A test's coroutine beside a running cell, once that is ready."""
-
-    async def ready(cell: PartCell) -> None:
+@asynccontextmanager
+async def ready(cell: PartCell) -> AsyncIterator[None]:
+    """The cell runs, and is ready."""
+    async with cell.running():
         await cell.until("/cell", lambda now: now["state"] == "READY")
-        await test()
-
-    cell.run(ready)
+        yield
 
 
 @pytest.mark.slow
-def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> None:
+async def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> None:
     """Each a release, with all that people have written; what cannot be is refused, and nothing changes."""
     cell = cell_with_jobs(tmp_path)
 
@@ -64,7 +64,7 @@ def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> N
         status, problem = await cell.ask("PUT", f"/jobs/{folder}", body)
         return status, problem["code"]
 
-    async def test() -> None:
+    async with ready(cell):
         before = read_cell(cell.config).fingerprint
         assert [("flange", 1, False, False), ("lid", 4, True, False)] == await told()
         assert (422, "teach_number_taken") == await refused("lid", {"number": 1})
@@ -107,11 +107,11 @@ def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> N
         assert (422, "input_named") == await refused("lid", {"retired": True})
         assert (422, "input_named") == await refused("lid", {"new_name": "cover"})
 
-    run(cell, test)
-
 
 @pytest.mark.slow
-def test_a_job_is_used_as_a_plc_would_change_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_job_is_used_as_a_plc_would_change_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """From the next cycle on; how often it was of use is told; not while a PLC has the right to write."""
     cell = cell_with_jobs(tmp_path)
 
@@ -119,7 +119,7 @@ def test_a_job_is_used_as_a_plc_would_change_it(tmp_path: Path, monkeypatch: pyt
         _, listed = await cell.ask("GET", "/jobs")
         return [(one["folder"], one["active"], one["cycles"]) for one in listed["jobs"]]
 
-    async def test() -> None:
+    async with ready(cell):
         assert [("flange", True, 0), ("lid", False, 0)] == await active()
         assert 202 == (await cell.ask("POST", "/jobs/lid/use", {}))[0]
         await cell.until("/jobs", lambda listed: listed["jobs"][1]["active"])
@@ -137,18 +137,16 @@ def test_a_job_is_used_as_a_plc_would_change_it(tmp_path: Path, monkeypatch: pyt
         status, problem = await cell.ask("POST", "/jobs/flange/use", {})
         assert (409, "command_refused") == (status, problem["code"])
 
-    run(cell, test)
-
 
 @pytest.mark.slow
-def test_where_the_part_of_a_job_lies_is_kept_as_the_golden_one(
+async def test_where_the_part_of_a_job_lies_is_kept_as_the_golden_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The answer says whether it was; not in SETUP, under AUTO_LOCK or while a PLC has the right to write."""
     cell = cell_with_jobs(tmp_path)
     place = golden_file(cell.config.with_name("rig.json"), 1)
 
-    async def test() -> None:
+    async with ready(cell):
         assert (204, None) == await cell.ask("POST", "/jobs/flange/golden", {})
         assert "flange" == load_golden(place).job
         before = place.read_bytes()
@@ -175,5 +173,3 @@ def test_where_the_part_of_a_job_lies_is_kept_as_the_golden_one(
         status, problem = await cell.ask("POST", "/jobs/flange/golden", {})
         assert (409, "command_refused") == (status, problem["code"])
         assert before == place.read_bytes()
-
-    run(cell, test)

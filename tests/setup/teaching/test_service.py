@@ -45,10 +45,9 @@ def left_of(draft: dict[str, Any], key: str) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.slow
-def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
+async def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
     """Around the flange and nothing else, with true sizes, and a sigma that fits their errors."""
-
-    async def test(cell: PartCell) -> None:
+    async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
         draft = await cell.begun(**token)
         assert None is draft["trouble"], draft["trouble"]
@@ -74,14 +73,11 @@ def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
             shown = cv2.imdecode(np.frombuffer(await answer.read(), np.uint8), cv2.IMREAD_GRAYSCALE)
         assert np.abs(shown.astype(float) - flange().right).mean() < 3
 
-    PartCell(tmp_path).run(test)
-
 
 @pytest.mark.slow
-def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
+async def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
     """A region, features left out, another reference, a grip, sizes: undone and done again."""
-
-    async def test(cell: PartCell) -> None:
+    async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
         first = await cell.begun(**token, name="flange")
         x, y, width, height = dataclasses.astuple(flange().region)
@@ -120,14 +116,13 @@ def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
             (one["id"], one["name"], one["number"]) for one in listed["teachings"]
         ]
 
-    PartCell(tmp_path).run(test)
-
 
 @pytest.mark.slow
-def test_a_further_pair_says_what_the_breaks_are_and_one_without_the_part_is_named(tmp_path: Path) -> None:
+async def test_a_further_pair_says_what_the_breaks_are_and_one_without_the_part_is_named(
+    tmp_path: Path,
+) -> None:
     """The flange is sharp; what shows nothing is told by its number, removed, and taken back by undo."""
-
-    async def test(cell: PartCell) -> None:
+    async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
         first = await cell.begun(**token)
         assert ([], None, None) == (first["further"], first["break_mm"], first["break_end"])
@@ -151,15 +146,13 @@ def test_a_further_pair_says_what_the_breaks_are_and_one_without_the_part_is_nam
         assert 404 == gone[0]
         assert 400 == (await refused(cell, "POST", f"/teachings/{draft['id']}/further", {}))[0]
 
-    PartCell(tmp_path).run(test)
-
 
 @pytest.mark.slow
-def test_two_people_and_a_kill(tmp_path: Path) -> None:
+async def test_two_people_and_a_kill(tmp_path: Path) -> None:
     """Who comes late is told what is new; a tap finds the part, nothing is found on the table; after a kill
     of the worker and a restart of the daemon the draft is as it was."""
-
-    async def test(cell: PartCell) -> None:
+    kept: list[dict[str, Any]] = []
+    async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
         headers = {"Origin": f"http://127.0.0.1:{cell.port}"}
         async with cell.session.ws_connect("/api/v1/ws", headers=headers) as socket:
@@ -206,25 +199,18 @@ def test_two_people_and_a_kill(tmp_path: Path) -> None:
         assert tapped["region"] == draft["region"]
         assert (204, None) == await cell.ask("DELETE", f"/teachings/{(await cell.begun(**token))['id']}", {})
         kept.append(draft)
-
-    kept: list[dict[str, Any]] = []
-    cell = PartCell(tmp_path).run(test)
     state = next((cell.state / "teachings").iterdir()) / "state.json"
     assert kept[0]["revision"] == json.loads(state.read_text())["revision"]
-
-    async def second(cell: PartCell) -> None:
+    async with cell.running():
         assert kept[0] == await cell.learnt(kept[0]["id"])
-
-    cell.run(second)
 
 
 @pytest.mark.slow
-def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) -> None:
+async def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) -> None:
     """The first makes the cell complete, byte for byte what the command teaches; edited from the pair that it
     keeps it is the next release; going back restores the fingerprint."""
     kept: dict[str, Any] = {}
-
-    async def test(cell: PartCell) -> None:
+    async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
         draft = await cell.begun(**token)
         assert (409, "setup_refused") == await refused(
@@ -262,8 +248,6 @@ def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) 
         status, back = await cell.ask("POST", "/releases/1/activate", {**token, "reason": "better"})
         assert (200, first["fingerprint"]) == (status, back["fingerprint"])
         assert kept["text"] == (folder / "job.toml").read_bytes()
-
-    cell = PartCell(tmp_path).run(test)
     assert 0 == check(cell.config, as_json=True)
     taught = tmp_path / "jobs" / "part1" / "taught"
     region = "polygon:" + ";".join(f"{x},{y}" for x, y in kept["region"])

@@ -81,12 +81,11 @@ def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]
 
 
 @pytest.mark.slow
-def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the part lies, in the robot's frame; when it is laid elsewhere, that is seen, and the trail is
     longer; a draft is tried as a job is. What cannot be tried is said."""
     cell = TaughtCell(tmp_path)
-
-    async def test(cell: TaughtCell) -> None:
+    async with cell.running():
         token = await cell.take()
         for what, code in (
             ({"job": "gear"}, (422, "input_no_job")),
@@ -148,11 +147,9 @@ def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.Monkey
             _, still_on = await cell.ask("GET", "/trials", None)
             assert (True, draft) == (still_on["on"], still_on["teaching"])
 
-    cell.run(test)
-
 
 @pytest.mark.slow
-def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
+async def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
     """The same picture each time scatters by nothing; a part that is moved or taken away is no verdict."""
     cell = TaughtCell(tmp_path)
 
@@ -165,7 +162,7 @@ def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
     async def last() -> dict[str, Any]:
         return dict((await cell.ask("GET", "/trials/still", None))[1]["last"])
 
-    async def test(cell: TaughtCell) -> None:
+    async with cell.running():
         token = await cell.take()
         assert (200, {"last": None}) == await cell.ask("GET", "/trials/still", None)
         assert "done" == (await cell.done(await still(token, 6)))["state"]
@@ -184,8 +181,6 @@ def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
         cell.world.shown = (np.full_like(flange().left, 30),) * 2
         await cell.done(await still(token, 6))
         assert ("vanished", None) == ((found := await last())["verdict"], found["scatter_um"])
-
-    cell.run(test)
 
 
 async def coded(cell: PartCell, method: str, body: Any) -> tuple[int, str]:

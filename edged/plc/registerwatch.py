@@ -1,0 +1,60 @@
+"""How another server of the cell follows its registers: on the event loop, shown once for each turn of it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from edged.plc.registersource import RegisterSource
+
+
+class RegisterWatch:
+    """The registers that are served now, watched; each change of them is shown soon.
+
+    served : the registers; None while they are exchanged. show : called on the event loop. source : the
+    registers as of the last look. loop : None before the start. is_closed : nothing is shown any more.
+    """
+
+    def __init__(self, served: Callable[[], RegisterSource | None], show: Callable[[], None]) -> None:
+        self._served, self._show = served, show
+        self._is_due = False
+        self.source: RegisterSource | None = None
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self.is_closed = False
+
+    def start(self) -> None:
+        """Follow them from now on."""
+        self.loop = asyncio.get_running_loop()
+
+    def look(self) -> bool:
+        """Whether a reload has exchanged the registers since the last look, and ended their clients."""
+        source = self._served()
+        if source is self.source:
+            return False
+        self.source = source
+        if source is not None:
+            source.watch(self.show_soon)
+        return True
+
+    def show_soon(self) -> None:
+        """Show in the next turn of the loop, when every publisher knows of the event."""
+        if self.loop is not None and not self._is_due and not self.is_closed:
+            self._is_due = True
+            self.loop.call_soon(self._show_now)
+
+    def _show_now(self) -> None:
+        self._is_due = False
+        if not self.is_closed:
+            self._show()
+
+    def from_thread(self, work: Callable[[], None]) -> None:
+        """Do this on the event loop, if it still runs; may be called on any thread."""
+        loop = self.loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(work)
+
+    def close(self) -> None:
+        """Follow them no longer."""
+        self.is_closed = True
+        if self.source is not None:
+            self.source.unwatch(self.show_soon)

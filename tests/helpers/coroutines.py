@@ -1,0 +1,26 @@
+"""A pytest plugin: a test that is a coroutine is run on an event loop of its own, and bounded."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+
+import pytest
+
+from helpers.waiting import WHOLE_S
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run it with its fixtures."""
+    test = pyfuncitem.obj
+    if not inspect.iscoroutinefunction(test):
+        return None
+    asked = {name: pyfuncitem.funcargs[name] for name in inspect.signature(test).parameters}
+
+    async def bounded() -> None:
+        async with asyncio.timeout(WHOLE_S):
+            await test(**asked)
+
+    asyncio.run(bounded())
+    return True
