@@ -1,0 +1,45 @@
+"""Reference marks: whether they correct a result, and what they show."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+
+class MarksState(enum.IntEnum):
+    """Whether the reference marks hold the cell true."""
+
+    NONE = 0
+    """This cell has no reference marks."""
+    CORRECTED = 1
+    """The marks agree: results are where the cameras are now."""
+    COASTING = 2
+    """Too few marks are seen: the last correction counts, and sigma grows with time."""
+    KNOCKED = 3
+    """A camera, the rig or the plate of the marks was moved: no results until the marks agree again."""
+    CONTRADICTED = 4
+    """Marks contradict each other or are not this cell's: those excluded, or no results."""
+    OTHER_CALIBRATION = 5
+    """The marks were taught with another calibration of the rig: results are not corrected."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarksReport:
+    """What the marks of one exposure say.
+
+    valid : whether results may be given. seen : marks that were used, of `taught`. excluded : codes of those
+    that disagree. fit : squared misfit over what is expected, about 1; NaN where nothing was compared.
+    left_mm, right_mm : how far each camera is from where it was taught. why : text for people; "" if all is
+    well.
+    """
+
+    state: MarksState = MarksState.NONE
+    valid: bool = True
+    seen: int = 0
+    taught: int = 0
+    excluded: tuple[int, ...] = ()
+    fit: float = math.nan
+    left_mm: float = math.nan
+    right_mm: float = math.nan
+    why: str = ""
