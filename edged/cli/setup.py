@@ -72,18 +72,26 @@ def grab(
 
 @app.command()
 def board(
-    spec: Annotated[str, typer.Argument(help="for example chessboard:11x8:15 (inner corners, square in mm)")],
     output: Annotated[Path, typer.Option("--output", "-o", help="PDF file to write")],
+    spec: Annotated[
+        str | None, typer.Argument(help="for example chessboard:11x8:15 (inner corners, square in mm)")
+    ] = None,
+    marks: Annotated[
+        str | None,
+        typer.Option(
+            help="reference marks instead: WIDTHxHEIGHT:COUNT:DIAMETER_MM[:FIRST_CODE], as 120x90:8:4:0"
+        ),
+    ] = None,
     paper: Annotated[
         str | None, typer.Option(help="A5 to A1 or letter; the smallest of A5 to A1 that fits if not given")
     ] = None,
 ) -> None:
-    """Draw a calibration board to print, with rulers that tell whether the printer kept the scale."""
+    """Draw a calibration board, or reference marks, to print, with rulers that tell whether scale was kept."""
     from rich.console import Console
 
     from edged.commands.board import board as command
 
-    raise typer.Exit(command(spec, paper, output, Console(stderr=True)))
+    raise typer.Exit(command(spec, paper, output, Console(stderr=True), marks=marks))
 
 
 @app.command()

@@ -60,7 +60,13 @@ class MarkedDay:
         every = np.stack([self.dots(start) for _ in range(MARKS.min_exposures)])
         sigma = np.full(every.shape[:3], NOISE_PX)
         self.taught: TaughtMarks = taught_of(
-            self.weather.rig, self.placed, every, sigma, np.ones((2, self.frame.count, 3)), (0.7, 0.7), 1
+            self.weather.rig,
+            self.placed,
+            every,
+            sigma,
+            np.broadcast_to((1 / 16, 0.0, 1 / 16), (2, self.frame.count, 3)),
+            (0.7, 0.7),
+            1,
         )
         self.filter = MarksFilter(self.taught, self.settings)
         self.track: MarksTrack = self.filter.begin()
