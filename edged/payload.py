@@ -113,7 +113,7 @@ def outcome_to_json(
 def _budget(budget: Budget | None) -> Json | None:
     if budget is None:
         return None
-    names = ("edges", "calibration", "registration", "doubt")
+    names = ("edges", "calibration", "registration", "doubt", "marks")[: len(budget.terms)]
     return {
         **{name: _numbers(term[:3]) for name, term in zip(names, budget.terms, strict=True)},
         "rotation": {name: _numbers(term[3:]) for name, term in zip(names, budget.terms, strict=True)},

@@ -86,7 +86,7 @@ def board(
         str | None, typer.Option(help="A5 to A1 or letter; the smallest of A5 to A1 that fits if not given")
     ] = None,
 ) -> None:
-    """Draw a calibration board, or reference marks, to print, with rulers that tell whether scale was kept."""
+    """Draw a calibration board, or reference marks, to print, with rulers that tell how true they are."""
     from rich.console import Console
 
     from edged.commands.board import board as command

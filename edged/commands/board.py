@@ -1,4 +1,4 @@
-"""`edged board`: a calibration board or reference marks to print, with rulers that tell the printer's scale."""
+"""`edged board`: a calibration board or reference marks to print, with rulers that tell how true they are."""
 
 from __future__ import annotations
 

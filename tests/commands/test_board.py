@@ -95,7 +95,7 @@ def test_printed_marks_are_found_where_they_were_asked_for(tmp_path: Path) -> No
     assert tuple(frame.codes) == found.codes
     seen = found.centres_px * 25.4 / DPI
     apart = seen - seen[0] - (frame.places[:, :2] - frame.places[0, :2])
-    assert np.abs(apart).max() < 0.4
+    assert np.abs(apart).max() < 0.6
 
 
 @pytest.mark.parametrize(("spec", "marks"), [(None, None), ("chessboard:11x8:15", "120x90:8:4")])
