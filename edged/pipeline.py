@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
+from edged.domain.marks import MarksReport, MarksTrack
 from edged.domain.measurement import Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.correction import RigCorrection
@@ -32,12 +34,20 @@ NEAR_SHARE = 0.7
 noise takes seconds."""
 
 
+class RigByMarks(Protocol):
+    """Reference marks, which say how a rig stands in an exposure."""
+
+    def then(self, track: MarksTrack, pair: FramePair) -> tuple[PreparedRig, MarksReport]:
+        """The rig in a pair that came after a track, and what the marks say in it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedRig:
     """A rig with its rectification, and the buffers that its searches share.
 
     calibrated, correction : of a rig as its reference marks show it now, the rig as it was calibrated, and
-    where the cameras are against it; None where nothing is corrected.
+    where the cameras are against it; None where nothing is corrected. marks : its reference marks, for who
+    measures an exposure again.
     """
 
     rig: StereoRig
@@ -45,6 +55,7 @@ class PreparedRig:
     workspaces: WorkspacePool = field(default_factory=WorkspacePool)
     calibrated: StereoRig | None = None
     correction: RigCorrection | None = None
+    marks: RigByMarks | None = None
 
 
 def prepare(rig: StereoRig) -> PreparedRig:

@@ -6,6 +6,8 @@ import enum
 import math
 from dataclasses import dataclass
 
+from edged.domain.arrays import FloatArray
+
 
 class MarksState(enum.IntEnum):
     """Whether the reference marks hold the cell true."""
@@ -43,3 +45,25 @@ class MarksReport:
     left_mm: float = math.nan
     right_mm: float = math.nan
     why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarksTrack:
+    """All that is carried from exposure to exposure; with a pair of pictures it decides the next.
+
+    displacement (14,) of the cameras, see `edged.vision.geometry.correction`; covariance (14, 14) of it;
+    cross (14, 4 N) : covariance with the dots' taught places. maps (14,) : displacement that the rectified
+    pictures are made for. exposed_ns : of the exposure before, UTC, 0 at the beginning. knocked : a knock was
+    found, and results wait for `wait` exposures that agree (without healing for ever). searched, blank :
+    exposures until the next search of the whole picture, and how many found nothing.
+    """
+
+    displacement: FloatArray
+    covariance: FloatArray
+    cross: FloatArray
+    maps: FloatArray
+    exposed_ns: int = 0
+    knocked: bool = False
+    wait: int = 0
+    searched: int = 0
+    blank: int = 0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray
-from edged.domain.marks import MarksReport
+from edged.domain.marks import MarksReport, MarksTrack
 from edged.sim.cell import demo_rig
 from edged.sim.render.lens import project
 from edged.sim.weather import Knock, Schedule, TrueCameras, Weather
@@ -19,7 +19,7 @@ from edged.vision.marks.frame import CODE_AWAY, MarkFrame, parse_frame
 from edged.vision.marks.measuring import PlacedMarks
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import TaughtMarks, taught_of
-from edged.vision.marks.tracking import DotsInPair, MarksFilter, MarksSettings, MarksTrack
+from edged.vision.marks.tracking import DotsInPair, MarksFilter, MarksSettings, correction_of
 
 FRAME = "60x52:8:2:40"
 MIDDLE = np.array([7.0, 0.0, 207.9])
@@ -99,7 +99,7 @@ class MarkedDay:
         place = MIDDLE + self.rng.uniform(-1, 1, 3) * (30.0, 22.5, 15.0) - (0.0, 0.0, 10.0)
         points = place + rim_mm() @ rotation_matrix(self.rng.normal(0, 0.05, 3)).T
         left, right = (project(*cameras.camera(side), points) for side in SIDES)
-        rig, correction = self.weather.rig, self.track.correction
+        rig, correction = self.weather.rig, correction_of(self.track)
         found = apply(correction.world_from_left(rig), triangulate_raw(correction.applied(rig), left, right))
         plain = triangulate_raw(rig, left, right)
         slopes = shift_by_displacement(rig, correction, points).mean(axis=0)

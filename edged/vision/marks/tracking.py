@@ -16,12 +16,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray, Image, Side
-from edged.domain.marks import MarksReport, MarksState
+from edged.domain.marks import MarksReport, MarksState, MarksTrack
 from edged.vision.boards.board import IntArray
 from edged.vision.geometry.correction import (
     DISPLACEMENT,
@@ -55,33 +55,6 @@ class MarksSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MarksTrack:
-    """All that is carried from exposure to exposure; with a pair of pictures it decides the next.
-
-    displacement (14,), covariance (14, 14); cross (14, 4 N) : covariance with the dots' taught places.
-    exposed_ns : of the exposure before, 0 at the beginning. knocked : a knock was found, and results wait for
-    `wait` exposures that agree (without healing for ever). searched, blank : exposures until the next search
-    of the whole picture, and how many found nothing. maps (14,) : displacement that the rectified pictures
-    are made for.
-    """
-
-    displacement: FloatArray
-    covariance: FloatArray
-    cross: FloatArray
-    exposed_ns: int = 0
-    knocked: bool = False
-    wait: int = 0
-    searched: int = 0
-    blank: int = 0
-    maps: FloatArray = field(default_factory=lambda: np.zeros(DISPLACEMENT))
-
-    @property
-    def correction(self) -> RigCorrection:
-        """The cameras as they are."""
-        return RigCorrection(self.displacement, self.covariance)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class DotsInPair:
     """What both pictures show: pixels (2, N, 2), sigma_px (2, N), NaN where a dot was not seen.
 
@@ -112,7 +85,8 @@ class MarksFilter:
     def begin(self) -> MarksTrack:
         """Before the first exposure: all that weather can have done since the teaching, and nothing else."""
         prior = np.diag(self._weather * self.settings.range_k**2)
-        return MarksTrack(np.zeros(DISPLACEMENT), prior, np.zeros((DISPLACEMENT, len(self.considered))))
+        nothing = np.zeros(DISPLACEMENT)
+        return MarksTrack(nothing, prior, np.zeros((DISPLACEMENT, len(self.considered))), nothing)
 
     # --- one exposure --------------------------------------------------------------------------------------
 
@@ -121,7 +95,7 @@ class MarksFilter:
     ) -> tuple[MarksTrack, MarksReport]:
         """What a pair of linear raw images (H, W) uint8 says; `exposed_ns` UTC."""
         track = self.predicted(track, exposed_ns)
-        dots, track = self._look(track, left, right)
+        dots, track = self.look(track, left, right)
         track, report = self.updated(track, dots)
         moved_px = np.abs(self.expected_px(track.displacement) - self.expected_px(track.maps)).max()
         if moved_px > MARKS.maps_px:
@@ -331,7 +305,7 @@ class MarksFilter:
 
     # --- pictures ------------------------------------------------------------------------------------------
 
-    def _look(self, track: MarksTrack, left: Image, right: Image) -> tuple[DotsInPair, MarksTrack]:
+    def look(self, track: MarksTrack, left: Image, right: Image) -> tuple[DotsInPair, MarksTrack]:
         """Measure all dots; where half of them are not where they should be, search the whole pictures."""
         images, taught = (left, right), self.taught
         expected = self.expected_px(track.displacement)
@@ -468,6 +442,11 @@ class _Observed:
             rows = np.flatnonzero(of_mark == mark)
             gains.append(weighted[rows] @ np.linalg.solve(inverse[np.ix_(rows, rows)], weighted[rows]))
         return int(np.argmax(gains))
+
+
+def correction_of(track: MarksTrack) -> RigCorrection:
+    """The cameras as they are."""
+    return RigCorrection(track.displacement, track.covariance)
 
 
 def _both(seen: list[SeenDots]) -> DotsInPair:

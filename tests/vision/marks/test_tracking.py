@@ -22,7 +22,7 @@ from edged.vision.geometry.rigid import apply, rotation_matrix
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.marks.frame import parse_frame
 from edged.vision.marks.params import MARKS
-from edged.vision.marks.tracking import DotsInPair
+from edged.vision.marks.tracking import DotsInPair, correction_of
 
 HOUR_S = 3600.0
 
@@ -314,7 +314,7 @@ def test_the_settings_say_what_is_believed_of_the_plate() -> None:
         for at_s in range(5):
             day.expose(float(at_s))
         points = np.array([[37.0, 26.0, 207.9]])
-        slopes = shift_by_displacement(day.weather.rig, day.track.correction, points)[0]
+        slopes = shift_by_displacement(day.weather.rig, correction_of(day.track), points)[0]
         sigmas.append(np.sqrt(np.diag(slopes @ day.track.covariance @ slopes.T)[0]))
     assert sigmas[1] > 1.2 * sigmas[0]
     assert MARKS.consistent == 3
