@@ -65,7 +65,7 @@ class CellContext:
     in_setup : the loop serves SETUP and measures nothing.
     number, missed : of the newest cycle; triggers missed since the start.
     track, marks : where the reference marks say that the cameras are, and what they said last; None without.
-    told_marks : what they said when that changed last.
+    announced_marks : what they said when that changed last.
     """
 
     def __init__(self, head: Head, setup: Setup, *, was_taken: bool = False) -> None:
@@ -87,7 +87,7 @@ class CellContext:
         self.missed = 0
         self.vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
         self.track: MarksTrack | None = None
-        self.marks = self.told_marks = MarksReport()
+        self.marks = self.announced_marks = MarksReport()
         self._begin_marks(None)
 
     @property
@@ -117,7 +117,7 @@ class CellContext:
             self.track, self.marks = None, MarksReport(self.setup.others)
         elif before is None or before.digest != marks.digest:
             self.track, self.marks = marks.begin(), MarksReport(MarksState.COASTING, why=NO_EXPOSURE)
-        self.told_marks = self.marks
+        self.announced_marks = self.marks
 
     async def follow(self, pair: FramePair) -> MarksTrack | None:
         """See the marks of an exposure; returns the track before it, None where nothing is corrected."""
@@ -125,9 +125,9 @@ class CellContext:
         if marks is None or before is None:
             return None
         self.track, report = await self.on_vision_thread(marks.see, before, pair)
-        self.marks, last = report, self.told_marks
+        self.marks, last = report, self.announced_marks
         if (last.state, last.valid, last.excluded) != (report.state, report.valid, report.excluded):
-            self.told_marks = report
+            self.announced_marks = report
             well = report.state is MarksState.CORRECTED
             log.log(
                 logging.INFO if well else logging.WARNING,
@@ -203,7 +203,7 @@ class CellContext:
             calibrated=drift.verdict,
             setup=self.setup_source if in_setup else SetupSource.NONE,
             setup_by=self.lease.name if in_setup else "",
-            marks=self.told_marks,
+            marks=self.announced_marks,
         )
         out.tell_state(state, drift, self.setup.calibration_id)
 

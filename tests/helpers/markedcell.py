@@ -1,4 +1,4 @@
-"""A small virtual cell with reference marks, its weather, and what was taught in it: files as a person has them."""
+"""A virtual cell with reference marks and weather, and its files as a person has them."""
 
 from __future__ import annotations
 

@@ -31,6 +31,7 @@ from edged.domain.events import (
     Registered,
     Snapshot,
 )
+from edged.domain.marks import MarksReport
 from edged.domain.registration import Registration
 from edged.errors import BeingSetUp, CommandRefused
 from edged.logs import LogLimit
@@ -115,6 +116,7 @@ class CellRegisters:
         self._counts: dict[str, int] = {}
         self.ladder = Ladder()
         self._place_basis()
+        self._place(reg.REFERENCE_MARKS, reg.marks_values(MarksReport()))
         self.clients = 0
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
         self._change: asyncio.Future[None] | None = None
