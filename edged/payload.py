@@ -20,6 +20,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellState, SetupSource
 from edged.domain.events import Command, Registered, Snapshot
 from edged.domain.golden import GoldenState, Offset
+from edged.domain.marks import MarksReport, MarksState
 from edged.domain.measurement import (
     Circle3D,
     Corner3D,
@@ -113,7 +114,7 @@ def outcome_to_json(
 def _budget(budget: Budget | None) -> Json | None:
     if budget is None:
         return None
-    names = ("edges", "calibration", "registration", "doubt")
+    names = ("edges", "calibration", "registration", "doubt", "marks")[: len(budget.terms)]
     return {
         **{name: _numbers(term[:3]) for name, term in zip(names, budget.terms, strict=True)},
         "rotation": {name: _numbers(term[3:]) for name, term in zip(names, budget.terms, strict=True)},
@@ -132,6 +133,8 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         asked["exposed_count"] = snapshot.exposed_count
     if snapshot.golden is not GoldenState.NONE:
         asked["golden"] = {"state": snapshot.golden.name, "exposed_ns": snapshot.golden_ns or None}
+    if snapshot.marks.state is not MarksState.NONE:
+        asked["marks"] = marks_to_json(snapshot.marks)
     return {
         "status": str(snapshot.status),
         "cycle": snapshot.cycle,
@@ -175,6 +178,22 @@ def state_to_json(state: CellState) -> Json:
         "setup": None
         if state.setup is SetupSource.NONE
         else {"source": state.setup.name, "by": state.setup_by},
+        **({} if state.marks.state is MarksState.NONE else {"marks": state.marks.state.name}),
+    }
+
+
+def marks_to_json(report: MarksReport) -> Json:
+    """What the reference marks say."""
+    return {
+        "state": report.state.name,
+        "valid": report.valid,
+        "seen": report.seen,
+        "taught": report.taught,
+        "excluded": list(report.excluded),
+        "fit": known(report.fit),
+        "left_mm": known(report.left_mm),
+        "right_mm": known(report.right_mm),
+        "text": report.why,
     }
 
 

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
+from edged.domain.marks import MarksReport, MarksTrack
 from edged.domain.measurement import Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
 from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.correction import RigCorrection
 from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
@@ -19,6 +22,7 @@ from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.pointcloud import PointCloud, point_cloud
 from edged.vision.part.prediction import match_in_raw
 from edged.vision.part.tilt import views_of
+from edged.vision.part.trued import trued
 from edged.vision.shape.params import SearchParams, ShapeMatch
 from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
@@ -30,18 +34,45 @@ NEAR_SHARE = 0.7
 noise takes seconds."""
 
 
+class RigByMarks(Protocol):
+    """Reference marks, which say how a rig stands in an exposure."""
+
+    def then(self, track: MarksTrack, pair: FramePair) -> tuple[PreparedRig, MarksReport]:
+        """The rig in a pair that came after a track, and what the marks say in it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedRig:
-    """A rig with its rectification, and the buffers that its searches share."""
+    """A rig with its rectification, and the buffers that its searches share.
+
+    calibrated, correction : of a rig as its reference marks show it now, the rig as it was calibrated, and
+    where the cameras are against it; None where nothing is corrected. marks : its reference marks, for who
+    measures an exposure again.
+    """
 
     rig: StereoRig
     rectification: Rectification
     workspaces: WorkspacePool = field(default_factory=WorkspacePool)
+    calibrated: StereoRig | None = None
+    correction: RigCorrection | None = None
+    marks: RigByMarks | None = None
 
 
 def prepare(rig: StereoRig) -> PreparedRig:
     """Raises `CalibrationError` for a rig that cannot be rectified."""
     return PreparedRig(rig, make_rectification(rig))
+
+
+def corrected(prepared: PreparedRig, correction: RigCorrection) -> PreparedRig:
+    """The rig with its cameras where they are now. prepared : the rig as calibrated."""
+    now = correction.applied(prepared.rig)
+    return replace(
+        prepared,
+        rig=now,
+        rectification=prepared.rectification.near(now),
+        calibrated=prepared.rig,
+        correction=correction,
+    )
 
 
 def _no_lap(stage: str) -> None:
@@ -54,7 +85,7 @@ def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], Non
     lap : called with the name of each stage as it ends, for timing.
     Raises `ImageError` when the images do not fit the rig.
     """
-    return judge(inspect(pair, job, rig, lap))
+    return decide(inspect(pair, job, rig, lap), job, rig)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +141,7 @@ def _inspect_solid(images: StereoImages, job: Job, lap: Callable[[str], None]) -
 
 def _found(rectified: Image, job: Job, params: SearchParams, rig: PreparedRig) -> list[ShapeMatch]:
     """Matches of the job's part in a rectified left image, in all views that the job allows."""
-    views, valid = views_of(job, rig.rectification), rig.rectification.valid_left
+    views, valid = views_of(job, rig.rectification.pictured), rig.rectification.valid_left
     with rig.workspaces.lend() as work:
         return find_shapes(rectified, job.shape, params, valid, work, views)
 
@@ -122,6 +153,17 @@ def nearest_miss(pair: FramePair, job: Job, rig: PreparedRig) -> NearMiss | None
     if not found:
         return None
     return NearMiss(match_in_raw(rig.rectification, found[0]), job.search.min_score)
+
+
+def decide(inspection: PairInspection, job: Job, rig: PreparedRig) -> Outcome:
+    """Outcome of an inspection by a rig, in the frame of the rig as calibrated."""
+    calibrated, correction = rig.calibrated, rig.correction
+    if calibrated is None or correction is None:
+        return judge(inspection)
+    measured = tuple(
+        replace(part, target=trued(job, part.target, calibrated, correction)) for part in inspection.measured
+    )
+    return judge(replace(inspection, measured=measured))
 
 
 def judge(inspection: PairInspection) -> Outcome:

@@ -12,6 +12,7 @@ from edged.cell.drift import DriftLimits
 from edged.cell.loaded import LoadedJob, Setup
 from edged.domain.events import Snapshot
 from edged.domain.frames import FramePair
+from edged.domain.marks import MarksState
 from edged.domain.measurement import Outcome
 from edged.errors import UserError
 from edged.files.golden import golden_file, save_golden
@@ -26,11 +27,14 @@ from edged.setup.cellfiles import (
     read_any_cell,
     read_cell,
 )
+from edged.setup.marks import rig_marks
 from edged.vision.kernels.jit import load_called
 from edged.vision.part.job import Job
 
 PACKAGES = tuple(f"edged.vision.{package}" for package in ("shape", "edges", "curves", "part"))
 """Packages whose kernels a cycle calls."""
+OF_MARKS = ("edged.vision.marks", "edged.vision.boards")
+"""Packages whose kernels a cycle with reference marks calls besides."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +95,10 @@ def _loaded(cell: CellFiles) -> LoadedCell:
         drift=DriftLimits(**config.drift.model_dump()),
         bounds=config.limits.bounds(),
         idle_s=config.cycle.idle_s,
+        marks=None
+        if cell.marks is None
+        else rig_marks(rig, cell.marks, config.marks, {job.number: job for job in cell.jobs}),
+        others=MarksState.OTHER_CALIBRATION if cell.other_marks else MarksState.NONE,
     )
     return LoadedCell(cell, rig, setup)
 
@@ -155,8 +163,13 @@ def warm_up(loaded: LoadedCell) -> None:
     if loaded.rig is None:
         return
     load_called(*PACKAGES)
+    marks = loaded.setup.marks
+    if marks is not None:
+        load_called(*OF_MARKS)
     camera = loaded.rig.rig.left, loaded.rig.rig.right
     blank = [np.zeros((model.height, model.width), np.uint8) for model in camera]
     pair = FramePair.of_images(*blank)
     for job in loaded.setup.jobs.values():
         job.locate(pair, lambda _stage: None)
+    if marks is not None:
+        marks.see(marks.begin(), pair)

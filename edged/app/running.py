@@ -18,6 +18,7 @@ from edged.app.cameras import CellHead, camera_facts, camera_figures
 from edged.app.cell import LoadedCell
 from edged.cell.cycle import Cycle
 from edged.cell.lease.session import SetupSession
+from edged.domain.marks import MarksState
 from edged.domain.overview import Overview, RigFigures
 from edged.payload import Json, said
 from edged.plc.registers import Number, Register
@@ -171,6 +172,20 @@ class Running:
             **camera_figures(self.head),
             "servers_failing": ("servers that are configured and could not start", len(self.problems)),
         }
+        marks = self.cycle.marks
+        if marks.state is not MarksState.NONE:
+            result |= {
+                "marks_state": (
+                    "reference marks: " + ", ".join(f"{state.value} {state.name}" for state in MarksState),
+                    marks.state,
+                ),
+                "marks_valid": ("1 while the reference marks let results be given", marks.valid),
+                "marks_seen": ("reference marks used in the last exposure", marks.seen),
+                "marks_excluded": ("reference marks that disagree with the others", len(marks.excluded)),
+                "marks_fit": ("squared misfit of the marks over what is expected", marks.fit),
+                "marks_left_moved_metres": ("how far the left camera moved", marks.left_mm / 1000),
+                "marks_right_moved_metres": ("how far the right camera moved", marks.right_mm / 1000),
+            }
         recorder = self.servers.get("recorder")
         if (modbus := self.modbus()) is not None:
             result["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import math
 from collections import deque
 from collections.abc import Callable
@@ -14,14 +15,18 @@ from edged.cell.announcements import Announcements, log
 from edged.cell.drift import DriftMonitor
 from edged.cell.lease.cameras import SetupCameras
 from edged.cell.lease.lease import SetupLease
-from edged.cell.loaded import NO_JOB, Setup
+from edged.cell.loaded import NO_JOB, MarksFollower, Setup
 from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import PLC_SOURCE, Basis, Command, CommandFailed, Idle
 from edged.domain.frames import FramePair
+from edged.domain.marks import MarksReport, MarksState, MarksTrack
 from edged.errors import CaptureError, CommandRefused
+from edged.logs import fields
 from edged.ports import Head
 
 T = TypeVar("T")
+
+NO_EXPOSURE = "no exposure yet"
 
 IDLE_S = 1.0
 """Longest wait for something to do: then the cameras are checked, or a sign of life is given."""
@@ -59,6 +64,8 @@ class CellContext:
     registrant : source of the client that registers the rig by commands; "" when none does.
     in_setup : the loop serves SETUP and measures nothing.
     number, missed : of the newest cycle; triggers missed since the start.
+    track, marks : where the reference marks say that the cameras are, and what they said last; None without.
+    announced_marks : what they said when that changed last.
     """
 
     def __init__(self, head: Head, setup: Setup, *, was_taken: bool = False) -> None:
@@ -79,6 +86,9 @@ class CellContext:
         self.number = 0
         self.missed = 0
         self.vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
+        self.track: MarksTrack | None = None
+        self.marks = self.announced_marks = MarksReport()
+        self._begin_marks(None)
 
     @property
     def setup_source(self) -> SetupSource:
@@ -93,11 +103,41 @@ class CellContext:
         Returns whether calibration or files differ from those used before.
         """
         before, self.setup = self.setup, setup
+        self._begin_marks(before.marks)
         if (setup.calibration_id, setup.drift) != (before.calibration_id, before.drift):
             self.drift = DriftMonitor(setup.drift)
         number = self.active.number if self.active.number in setup.jobs else setup.active_job
         self.active = setup.jobs.get(number, NO_JOB)
         return (setup.calibration_id, setup.fingerprint) != (before.calibration_id, before.fingerprint)
+
+    def _begin_marks(self, before: MarksFollower | None) -> None:
+        """Take the setup's marks: those that were followed before go on where they are."""
+        marks = self.setup.marks
+        if marks is None:
+            self.track, self.marks = None, MarksReport(self.setup.others)
+        elif before is None or before.digest != marks.digest:
+            self.track, self.marks = marks.begin(), MarksReport(MarksState.COASTING, why=NO_EXPOSURE)
+        self.announced_marks = self.marks
+
+    async def follow(self, pair: FramePair) -> MarksTrack | None:
+        """See the marks of an exposure; returns the track before it, None where nothing is corrected."""
+        marks, before = self.setup.marks, self.track
+        if marks is None or before is None:
+            return None
+        self.track, report = await self.on_vision_thread(marks.see, before, pair)
+        self.marks, last = report, self.announced_marks
+        if (last.state, last.valid, last.excluded) != (report.state, report.valid, report.excluded):
+            self.announced_marks = report
+            well = report.state is MarksState.CORRECTED
+            log.log(
+                logging.INFO if well else logging.WARNING,
+                "reference marks: %s%s%s",
+                report.state.name,
+                "" if report.valid else ", no results",
+                f": {report.why}" if report.why else "",
+                extra=fields(marks=report.state.name),
+            )
+        return before
 
     def begin_setup(self) -> None:
         """Enter SETUP, and fail the commands that wait."""
@@ -163,6 +203,7 @@ class CellContext:
             calibrated=drift.verdict,
             setup=self.setup_source if in_setup else SetupSource.NONE,
             setup_by=self.lease.name if in_setup else "",
+            marks=self.announced_marks,
         )
         out.tell_state(state, drift, self.setup.calibration_id)
 

@@ -36,6 +36,7 @@ from edged.domain.events import (
 )
 from edged.domain.frames import FramePair
 from edged.domain.golden import GoldenState
+from edged.domain.marks import MarksReport
 from edged.domain.measurement import Status
 from edged.errors import (
     BeingSetUp,
@@ -146,6 +147,11 @@ class Cycle:
     def drift(self) -> DriftState:
         """The verdict on the calibration, and the means it is based on."""
         return self._cell.drift.state()
+
+    @property
+    def marks(self) -> MarksReport:
+        """What the reference marks said last."""
+        return self._cell.marks
 
     @property
     def in_setup(self) -> bool:
@@ -265,13 +271,16 @@ class Cycle:
     async def _expose_for_nobody(self) -> None:
         """One exposure that keeps the sensors as warm as they are at work; a fault of it is the cameras'.
 
-        The pair goes no further: whatever is to be watched while a cell waits is in it.
+        The pair goes no further, but for the reference marks in it: that is when no part covers them.
         """
         cell = self._cell
         self._exposed_s = time.monotonic()
         try:
             with contextlib.suppress(ExposuresDiffer):  # whoever brings the next part may move
-                await cell.head.capture()
+                was_valid = cell.marks.valid
+                await cell.follow(await cell.head.capture())
+                if was_valid and not cell.marks.valid:
+                    cell.tell_exchange()  # what is on display was measured by cameras that were moved since
         except CaptureError as error:
             self._rests_until_s = time.monotonic() + IDLE_S
             cell.tell_fault(error)
@@ -318,6 +327,7 @@ class Cycle:
         cell.missed += pair.missed
         cell.announce(ExposureDone(cell.number, command, pair))
         if command is not None and command.kind is CommandKind.GRAB:
+            await run.followed(pair)
             return run.grabbed(pair)
         return await run.located(pair)
 

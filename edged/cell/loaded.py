@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from edged.cell.drift import DriftLimits
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import SetupSource
 from edged.domain.events import Command, CommandKind
 from edged.domain.frames import FramePair
+from edged.domain.marks import MarksReport, MarksState, MarksTrack
 from edged.domain.measurement import Outcome
 from edged.domain.picking import Bounds, Picking
 from edged.robot.covariance import moved_frame
@@ -37,6 +39,23 @@ class LoadedJob:
     golden: GoldenPart | None = None
 
 
+class MarksFollower(Protocol):
+    """Reference marks of a rig, which say where its cameras are in each exposure."""
+
+    @property
+    def digest(self) -> str:
+        """Digest of the marks: with the same one a track goes on."""
+
+    def begin(self) -> MarksTrack:
+        """The track before the first exposure."""
+
+    def see(self, track: MarksTrack, pair: FramePair) -> tuple[MarksTrack, MarksReport]:
+        """What the marks of a pair say; called on the thread where jobs are measured."""
+
+    def locate(self, number: int, pair: FramePair, track: MarksTrack, lap: Callable[[str], None]) -> Outcome:
+        """Locate a job's part by the rig as it is after an exposure."""
+
+
 def _no_job(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
     raise RuntimeError("measured by a cell that has no job")
 
@@ -55,7 +74,8 @@ class Setup:
     listens : others trigger the cameras, and each of their exposures is measured.
     flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
     registration_covariance : (6, 6) of robot_from_rig, or of flange_from_rig.
-    bounds : where the robot may go, whatever the job.
+    bounds : where the robot may go, whatever the job. marks : None: nothing is corrected; others : why, where
+    there are reference marks all the same.
     """
 
     jobs: Mapping[int, LoadedJob]
@@ -72,6 +92,8 @@ class Setup:
     lacks: SetupSource = SetupSource.NONE
     bounds: Bounds = field(default_factory=Bounds)
     idle_s: float | None = None
+    marks: MarksFollower | None = None
+    others: MarksState = MarksState.NONE
 
     def problem(self, command: Command) -> str:
         """Why a command cannot be carried out; "" when it can."""

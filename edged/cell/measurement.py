@@ -13,6 +13,7 @@ from edged.cell.loaded import LoadedJob
 from edged.domain.cell import CalibrationHealth
 from edged.domain.events import Command, CommandKind, Snapshot
 from edged.domain.frames import FramePair
+from edged.domain.marks import MarksTrack
 from edged.domain.measurement import Outcome, Status
 from edged.domain.stopwatch import Stopwatch
 from edged.errors import CaptureError
@@ -49,19 +50,22 @@ class CycleRun:
 
         Raises what the pipeline raises: a bug.
         """
+        before = await self.followed(pair)
         if self.command is not None and self.command.tries_all:
             job, outcome = await self._best(pair)
         else:
             job, outcome = self._job, await self._located(self._job, pair)
         outcome = self._picked(job, self._watched(job, outcome))
+        if not self.cell.marks.valid:
+            outcome = refused(outcome)
         golden = job.golden
         if golden is None or (self.command is not None and self.command.kind is CommandKind.GOLDEN):
-            return self._exposed(job, pair, outcome)
+            return self._exposed(job, pair, outcome, before)
         frame, registration = self.cell.setup.frame(self.command)
         outcome = await self.cell.on_vision_thread(
             golden.applied, outcome, frame.robot_from_rig, registration
         )
-        exposed = self._exposed(job, pair, outcome)
+        exposed = self._exposed(job, pair, outcome, before)
         return replace(exposed, golden=golden.state, golden_ns=golden.exposed_ns)
 
     @property
@@ -71,7 +75,17 @@ class CycleRun:
         return self.cell.setup.jobs[named] if named else self.cell.active
 
     async def _located(self, job: LoadedJob, pair: FramePair) -> Outcome:
-        return await self.cell.on_vision_thread(job.locate, pair, self.lap)
+        marks, track = self.cell.setup.marks, self.cell.track
+        if marks is None or track is None:
+            return await self.cell.on_vision_thread(job.locate, pair, self.lap)
+        return await self.cell.on_vision_thread(marks.locate, job.number, pair, track, self.lap)
+
+    async def followed(self, pair: FramePair) -> MarksTrack | None:
+        """The track of the reference marks before this exposure, which has been added to it."""
+        before = await self.cell.follow(pair)
+        if before is not None:
+            self.lap("marks")
+        return before
 
     async def _best(self, pair: FramePair) -> tuple[LoadedJob, Outcome]:
         """Try every job on one exposure, the active one first, then by number, until time is up.
@@ -105,7 +119,9 @@ class CycleRun:
             self.cell.drift.add(target, job.witness)
         return refused(outcome) if self.cell.drift.state().verdict is CalibrationHealth.INVALID else outcome
 
-    def _exposed(self, job: LoadedJob, pair: FramePair, outcome: Outcome) -> Snapshot:
+    def _exposed(
+        self, job: LoadedJob, pair: FramePair, outcome: Outcome, before: MarksTrack | None = None
+    ) -> Snapshot:
         return replace(
             self._blank(job, outcome.status),
             exposed_ns=pair.exposed_ns,
@@ -114,6 +130,7 @@ class CycleRun:
             targets=outcome.targets,
             dismissed=outcome.dismissed,
             nearest=outcome.nearest,
+            marks_before=before,
         )
 
     def _blank(self, job: LoadedJob, status: Status) -> Snapshot:
@@ -136,4 +153,5 @@ class CycleRun:
             registration_covariance=registration,
             drift=self.cell.drift.state(),
             basis=self.cell.announcements.basis.number,
+            marks=self.cell.marks,
         )

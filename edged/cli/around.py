@@ -81,12 +81,21 @@ def sim(
     drift_ppm: Annotated[
         float, typer.Option("--drift", min=-100_000, max=100_000, help="ppm: the right camera's clock")
     ] = 0.0,
+    marks: Annotated[
+        str, typer.Option(help="reference marks around the part, as `edged board --marks`: 60x52:8:2")
+    ] = "",
+    weather_k: Annotated[
+        float, typer.Option("--weather", min=0, max=100, help="K: a day's swing, which moves cameras")
+    ] = 0.0,
+    day_s: Annotated[float, typer.Option("--day", min=1, help="seconds that such a day takes")] = 86400.0,
 ) -> None:
     """Simulate GigE Vision cameras over UDP, with faults at will, to test any client of such cameras.
 
     A virtual cell on 127.0.0.2 and 127.0.0.3:  edged sim
 
     Pictures of a folder, 1 % of the packets lost:  edged sim --images DIR --fault packet_loss=0.01
+
+    Reference marks, and a day of +-10 K in ten minutes:  edged sim --marks 60x52:8:2 --weather 10 --day 600
 
     One camera with a test pattern:  edged sim --pattern 640x480 --left 192.168.7.10 --right none
 
@@ -109,6 +118,9 @@ def sim(
                 tuple(quirk or ()),
                 pulse_hz,
                 drift_ppm,
+                marks,
+                weather_k,
+                day_s,
             ),
             Console(),
         )

@@ -72,18 +72,26 @@ def grab(
 
 @app.command()
 def board(
-    spec: Annotated[str, typer.Argument(help="for example chessboard:11x8:15 (inner corners, square in mm)")],
     output: Annotated[Path, typer.Option("--output", "-o", help="PDF file to write")],
+    spec: Annotated[
+        str | None, typer.Argument(help="for example chessboard:11x8:15 (inner corners, square in mm)")
+    ] = None,
+    marks: Annotated[
+        str | None,
+        typer.Option(
+            help="reference marks instead: WIDTHxHEIGHT:COUNT:DIAMETER_MM[:FIRST_CODE], as 120x90:8:4:0"
+        ),
+    ] = None,
     paper: Annotated[
         str | None, typer.Option(help="A5 to A1 or letter; the smallest of A5 to A1 that fits if not given")
     ] = None,
 ) -> None:
-    """Draw a calibration board to print, with rulers that tell whether the printer kept the scale."""
+    """Draw a calibration board, or reference marks, to print, with rulers that tell how true they are."""
     from rich.console import Console
 
     from edged.commands.board import board as command
 
-    raise typer.Exit(command(spec, paper, output, Console(stderr=True)))
+    raise typer.Exit(command(spec, paper, output, Console(stderr=True), marks=marks))
 
 
 @app.command()
@@ -309,6 +317,52 @@ def golden(
     from edged.commands.golden import golden as command
 
     raise typer.Exit(command(rig, job, left, right, Console()))
+
+
+Material = Literal["steel", "aluminium", "invar", "ceramic", "glass"]
+MaterialOption = Annotated[Material, typer.Option(help="what the marks are on, as [marks] material")]
+
+marks = typer.Typer(help="Reference marks, which keep a cell true.", no_args_is_help=True)
+app.add_typer(marks, name="marks")
+
+
+@marks.command("teach")
+def marks_teach(
+    directory: Annotated[Path, typer.Argument(help="folder with 50 pairs NAME_left.png, NAME_right.png")],
+    rig: RigOption,
+    material: MaterialOption = "steel",
+) -> None:
+    """Keep where the marks are seen while the calibration is fresh: 50 pairs of a still cell, `edged grab`.
+
+    Written as marks.json beside the rig; a running cell knows them after a reload. 0: kept.
+    """
+    from rich.console import Console
+
+    from edged.commands.marks import teach as command
+
+    raise typer.Exit(command(directory, rig, material, Console()))
+
+
+@marks.command("status")
+def marks_status(
+    rig: RigOption,
+    left: Annotated[Path, typer.Argument(help="left image")],
+    right: Annotated[Path, typer.Argument(help="right image")],
+    material: MaterialOption = "steel",
+    range_k: Annotated[float, typer.Option(min=0.001, max=100, help="as [marks] range_k")] = 10.0,
+    as_json: Annotated[bool, typer.Option("--json", help="one JSON object")] = False,
+) -> None:
+    """What the marks of one pair say: how far each dot is from where it was, and where the cameras are.
+
+    0: results may be given; 1: not, and why.
+    """
+    from rich.console import Console
+
+    from edged.commands.marks import status as command
+    from edged.vision.marks.tracking import MarksSettings
+
+    settings = MarksSettings(material, range_k)
+    raise typer.Exit(command(rig, left, right, settings, Console(), as_json=as_json))
 
 
 grasp = typer.Typer(help="How a tool takes a part.", no_args_is_help=True)

@@ -1,4 +1,4 @@
-"""`edged board`: a calibration board to print, with rulers that tell whether the printer kept the scale."""
+"""`edged board`: a calibration board or reference marks to print, with rulers that tell how true they are."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from edged.files.outputs import check_outputs
 from edged.files.pdf import Shapes, Text, one_page
 from edged.vision.boards.artwork import Artwork, artwork
 from edged.vision.boards.board import NominalBoard, parse_board
+from edged.vision.marks.frame import MarkFrame, frame_artwork, parse_frame
 
 PAPERS = {
     "A5": (148.0, 210.0),
@@ -31,13 +32,17 @@ RULER_MM, STEP_MM = 200.0, 10.0
 """Length of a ruler at the most, and between its marks."""
 
 
-def board(spec: str, paper: str | None, output: Path, console: Console) -> int:
-    """Write the page. Raises `UserError` for a board that fits on no paper."""
+def board(
+    spec: str | None, paper: str | None, output: Path, console: Console, *, marks: str | None = None
+) -> int:
+    """Write the page of a board, or of reference marks. Raises `UserError` for what fits on no paper."""
     if output.suffix.lower() != ".pdf":
         raise UserError(f"{output}: expected a name that ends in .pdf")
     check_outputs({"--output": output})
-    wanted = parse_board(spec)
-    drawn = artwork(wanted)
+    if (spec is None) == (marks is None):
+        raise UserError("expected either a board, such as chessboard:11x8:15, or --marks")
+    wanted = parse_frame(marks) if marks is not None else parse_board(spec or "")
+    drawn = frame_artwork(wanted) if isinstance(wanted, MarkFrame) else artwork(wanted)
     name, size = _paper(drawn, paper, wanted)
     write_file(output, one_page(size, *_page(drawn, size, wanted), f"edged {wanted}"))
     console.print(
@@ -48,7 +53,9 @@ def board(spec: str, paper: str | None, output: Path, console: Console) -> int:
     return 0
 
 
-def _paper(drawn: Artwork, paper: str | None, wanted: NominalBoard) -> tuple[str, tuple[float, float]]:
+def _paper(
+    drawn: Artwork, paper: str | None, wanted: NominalBoard | MarkFrame
+) -> tuple[str, tuple[float, float]]:
     """Name and size (w, h) of the smallest paper on which the board fits, upright or on its side."""
     known = {name.lower(): name for name in PAPERS}
     if paper is not None and paper.lower() not in known:
@@ -68,9 +75,9 @@ def _paper(drawn: Artwork, paper: str | None, wanted: NominalBoard) -> tuple[str
         )
         for w, h in ((short, long), (long, short))
     )
-    advice = (
-        f"; a pitch of {math.floor(100 * spare * wanted.pitch_mm) / 100:g} mm would fit" if spare > 0 else ""
-    )
+    advice = ""
+    if spare > 0 and not isinstance(wanted, MarkFrame):
+        advice = f"; a pitch of {math.floor(100 * spare * wanted.pitch_mm) / 100:g} mm would fit"
     raise UserError(
         f"{wanted}: needs {needed[0]:.0f} x {needed[1]:.0f} mm with its rulers, {names[-1]} has "
         f"{short:g} x {long:g} mm{advice}"
@@ -86,7 +93,9 @@ def _needed(drawn: Artwork) -> tuple[float, float]:
     return width + 2 * MARGIN_MM + 2 * BESIDE_MM, height + 2 * MARGIN_MM + BESIDE_MM + BELOW_MM
 
 
-def _page(drawn: Artwork, size: tuple[float, float], wanted: NominalBoard) -> tuple[list[Shapes], list[Text]]:
+def _page(
+    drawn: Artwork, size: tuple[float, float], wanted: NominalBoard | MarkFrame
+) -> tuple[list[Shapes], list[Text]]:
     """Board, rulers and text; the board in the middle of what the text leaves."""
     width, height = _ink(drawn)
     left = (size[0] - width) / 2
@@ -111,7 +120,9 @@ def _page(drawn: Artwork, size: tuple[float, float], wanted: NominalBoard) -> tu
             MARGIN_MM,
             below + 5.5,
             3.0,
-            f"edged --board {wanted}   Print at 100 %, glue it on something flat.",
+            f"edged board --marks {wanted}   Print at 100 %, glue it on steel or glass; cut the middle out."
+            if isinstance(wanted, MarkFrame)
+            else f"edged --board {wanted}   Print at 100 %, glue it on something flat.",
         ),
         Text(
             MARGIN_MM,

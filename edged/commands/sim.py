@@ -23,14 +23,16 @@ from edged.errors import UserError
 from edged.files.images import load_image
 from edged.files.pairs import find_pairs
 from edged.files.rig import load_rig
-from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.sim.cell import VirtualCell, demo_part, demo_rig, inside
 from edged.sim.console import SimConsole, number, set_fault
 from edged.sim.exposure import ExposureRequest
 from edged.sim.gige.camera import GigeCamera, moving_ramp
 from edged.sim.gige.clock import DeviceClock
 from edged.sim.gige.faults import Faults, Quirk
 from edged.sim.reel import PairReel
+from edged.sim.weather import DAY_S, Schedule, Weather
 from edged.sim.world import SERIALS, cross_wire
+from edged.vision.marks.frame import parse_frame
 
 ADDRESSES = ("127.0.0.2", "127.0.0.3")
 NO_CAMERA = "none"
@@ -50,6 +52,9 @@ class SimOptions:
     quirks: tuple[str, ...] = ()
     pulse_hz: float = 0.0
     drift_ppm: float = 0.0
+    marks: str = ""
+    weather_k: float = 0.0
+    day_s: float = DAY_S
 
 
 def sim(options: SimOptions, console: Console) -> int:
@@ -152,7 +157,16 @@ def _pictures(options: SimOptions) -> tuple[tuple[int, int], dict[str, Exposure]
         return (width_px, height_px), {side: reel.exposure(side) for side in SIDES}
     rig = demo_rig() if options.config is None else load_rig(load(options.config).cell.rig)
     try:
-        cell = VirtualCell(rig, demo_part())
+        frame = parse_frame(options.marks) if options.marks else None
+        weather = Weather(rig, Schedule.days(options.weather_k, 400.0)) if options.weather_k > 0 else None
+        cell = VirtualCell(
+            rig,
+            demo_part(),
+            motion=None if frame is None else inside(frame),
+            marks=frame,
+            weather=weather,
+            pace=DAY_S / options.day_s,
+        )
     except ValueError as error:
         raise UserError(f"the demo's part cannot be shown to this rig ({error}); use --images") from error
     size = rig.left.width, rig.left.height

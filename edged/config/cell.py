@@ -69,6 +69,22 @@ class DriftSection(Section):
         return self
 
 
+class MarksSection(Section):
+    """Reference marks around the pick area (`edged marks teach`). Without any taught nothing of it counts."""
+
+    on_knock: Literal["heal", "refuse"] = Field(
+        "heal",
+        description='after a knock of a camera, the rig or the plate: "heal": results come again when the '
+        'marks agree on where the cameras are; "refuse": not before the marks are taught anew',
+    )
+    material: Literal["steel", "aluminium", "invar", "ceramic", "glass"] = Field(
+        "steel", description="what the marks are on: how much it grows with the temperature is in sigma"
+    )
+    range_k: float = Field(
+        10.0, gt=0, le=100, description="how far, in kelvin, temperatures differ from those of the teaching"
+    )
+
+
 Corner = Annotated[list[Annotated[float, Field(ge=-100_000, le=100_000)]], Field(min_length=3, max_length=3)]
 
 

@@ -12,6 +12,7 @@ from edged.config.cell import (
     CycleSection,
     DriftSection,
     LimitsSection,
+    MarksSection,
     RecorderSection,
     RegistrationSection,
 )
@@ -31,6 +32,7 @@ class Config(Section):
     plc: PlcSection | None = None
     zenoh: ZenohSection = ZenohSection()
     drift: DriftSection = DriftSection()
+    marks: MarksSection = MarksSection()
     limits: LimitsSection = LimitsSection()
     registration: RegistrationSection | None = None
     recorder: RecorderSection | None = None

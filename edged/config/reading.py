@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from edged.config.cell import LimitsSection
+from edged.config.cell import LimitsSection, MarksSection
 from edged.config.chosencameras import chosen_file, chosen_of, read_chosen
 from edged.config.chosenconnections import connections_file, connections_of, read_connections
 from edged.config.configuration import Config
@@ -143,6 +143,11 @@ def limits_of(content: bytes) -> LimitsSection:
     """
     data = toml_of(content)
     return LimitsSection.model_validate(data.get("limits", {}))
+
+
+def marks_of_config(content: bytes) -> MarksSection:
+    """`[marks]` of a configuration that was in use. Raises `ValueError` as `limits_of`."""
+    return MarksSection.model_validate(toml_of(content).get("marks", {}))
 
 
 def not_utf8(error: UnicodeDecodeError) -> str:

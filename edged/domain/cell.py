@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from edged.domain.marks import MarksReport
 
 
 class CalibrationHealth(enum.IntEnum):
@@ -57,7 +59,8 @@ class SetupSource(enum.IntEnum):
 class CellState:
     """The daemon's own state, published on change.
 
-    setup : why it is in SETUP. setup_by : holder of the cell; "" when no lease is held.
+    marks : what the reference marks said when that changed last. setup : why it is in SETUP. setup_by :
+    holder of the cell; "" when no lease is held.
     """
 
     state: CellPhase
@@ -71,6 +74,7 @@ class CellState:
     calibrated: CalibrationHealth = CalibrationHealth.HOLDS
     setup: SetupSource = SetupSource.NONE
     setup_by: str = ""
+    marks: MarksReport = field(default_factory=MarksReport)
 
     @property
     def why(self) -> str:

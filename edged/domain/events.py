@@ -12,6 +12,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellState, DriftState
 from edged.domain.frames import FramePair
 from edged.domain.golden import GoldenState
+from edged.domain.marks import MarksReport, MarksTrack
 from edged.domain.measurement import Nearest, NotMeasured, Status, Target
 from edged.domain.registration import Obstacle, Registration
 
@@ -131,6 +132,8 @@ class Snapshot:
     robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
     of it, or None where it is not known.  drift : of the calibration, this cycle included.
     golden : whether the job has a golden part; golden_ns : UTC ns of the golden part's exposure, 0 without.
+    marks : what the reference marks say; marks_before : where they said the cameras were before the exposure,
+    for a replay, None where nothing is corrected.
     """
 
     cycle: int
@@ -157,9 +160,11 @@ class Snapshot:
     basis: int = 0
     golden: GoldenState = GoldenState.NONE
     golden_ns: int = 0
+    marks: MarksReport = field(default_factory=MarksReport)
+    marks_before: MarksTrack | None = None
 
     def __post_init__(self) -> None:
-        for part in (self.targets, self.robot_from_rig, self.registration_covariance):
+        for part in (self.targets, self.robot_from_rig, self.registration_covariance, self.marks_before):
             _seal(part)
 
 

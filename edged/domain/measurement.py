@@ -192,8 +192,9 @@ class Target:
     offset : how it lies against the golden part; None where the job has none.
     doubt_mm : part of the distance's sigma, in every covariance, from evidence against the rig: rows that
     do not meet, sizes that are all wrong by one factor.
-    by_edges, by_doubt (6, 6) : parts of the covariance from the edges and from the doubt; the rest is the
-    calibration's. by_edges None: not known.
+    by_edges, by_doubt, by_marks (6, 6) : parts of the covariance from the edges, from the doubt, and from the
+    correction by reference marks (None: not corrected); the rest is the calibration's. by_edges None: not
+    known.
     """
 
     job: str
@@ -211,6 +212,7 @@ class Target:
     doubt_mm: float = 0.0
     by_edges: FloatArray | None = None
     by_doubt: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    by_marks: FloatArray | None = None
     grasp: GraspPose | None = None
     rig_from_model: FloatArray | None = None
     reported: ReportedPose | None = None

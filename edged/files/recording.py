@@ -18,18 +18,20 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
 from edged import __version__
 from edged.domain.arrays import SIDES, Image, Side
 from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair
+from edged.domain.marks import MarksTrack
 from edged.domain.numerals import json_of
 from edged.errors import FileFormatError, ImageError
 from edged.files.atomic import (
@@ -42,6 +44,7 @@ from edged.files.atomic import (
     write_atomically,
 )
 from edged.files.images import decode_image
+from edged.files.jsonfields import JsonFields
 from edged.files.zipmembers import open_zip, read_member
 from edged.owners import file_to_read
 from edged.payload import Json, snapshot_to_json
@@ -68,6 +71,10 @@ PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 """Lossless at any level; higher ones take three times as long for a tenth less."""
 
 
+MOST_COLUMNS = 256
+"""Coordinates of marks in both pictures, see `edged.files.marks.MAX_TAUGHT`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Entry:
     """A recording by its name: what a ring has to know without opening it."""
@@ -84,12 +91,14 @@ class Recording:
     """The contents of one file.
 
     snapshot : as published (`payload.snapshot_to_json`).  versions : of what computed it.
-    pair : None where there was no exposure (a fault of the cameras).
+    pair : None where there was no exposure (a fault of the cameras). marks_before : where the reference marks
+    said that the cameras were before it; None without marks.
     """
 
     snapshot: Json
     versions: Mapping[str, str]
     pair: FramePair | None
+    marks_before: MarksTrack | None = None
 
 
 def versions() -> dict[str, str]:
@@ -123,6 +132,8 @@ def encode(snapshot: Snapshot, pair: FramePair | None) -> bytes:
             for side, frame in frames.items()
         },
     }
+    if snapshot.marks_before is not None:
+        document["marks_before"] = _track_to_json(snapshot.marks_before)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:  # PNG is compressed already
         for side, frame in frames.items():
@@ -145,7 +156,45 @@ def decode(data: bytes, place: str) -> Recording:
     pair = None
     if frames:
         pair = FramePair(*(_frame(side, frames, members, place) for side in SIDES))
-    return Recording(snapshot, {str(k): str(v) for k, v in made_by.items()}, pair)
+    before = None
+    if "marks_before" in document:
+        before = _track(_table(document, "marks_before", place), place)
+    return Recording(snapshot, {str(k): str(v) for k, v in made_by.items()}, pair, before)
+
+
+def _track_to_json(track: MarksTrack) -> Json:
+    """What a track is, to the last bit."""
+    return {
+        field.name: value.tolist() if isinstance(value, np.ndarray) else value
+        for field in fields(track)
+        for value in [getattr(track, field.name)]
+    }
+
+
+def _track(document: dict[str, Any], place: str) -> MarksTrack:
+    """The track again. Raises `FileFormatError`."""
+    reader = JsonFields(Path(place), document, "marks_before.")
+    cross = document.get("cross")
+    columns = len(cross[0]) if isinstance(cross, list) and cross and isinstance(cross[0], list) else 0
+    if columns > MOST_COLUMNS or columns % 4:
+        raise reader.error("cross", f"{columns} columns: expected 4 for each mark, at most {MOST_COLUMNS}")
+    counts = {}
+    for name, most in (("exposed_ns", 2**63 - 1), ("wait", 1000), ("searched", 1000), ("blank", 1000)):
+        value = document.get(name)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
+            raise reader.error(name, f"expected a whole number from 0 to {most}, got {value!r}")
+        counts[name] = value
+    knocked = document.get("knocked")
+    if not isinstance(knocked, bool):
+        raise reader.error("knocked", f"expected true or false, got {knocked!r}")
+    return MarksTrack(
+        reader.array("displacement", (14,)),
+        reader.covariance("covariance", 14),
+        reader.array("cross", (14, columns)),
+        reader.array("maps", (14,)),
+        knocked=knocked,
+        **counts,
+    )
 
 
 def _snapshot_of(document: Any, place: str) -> Json:

@@ -15,7 +15,18 @@ from pydantic import BaseModel
 from edged.cbor import CborBounds
 from edged.codec.codec import FORMAT, Codec
 from edged.config.chosencameras import ChosenCamera
-from edged.domain import cell, events, exposure, frames, golden, measurement, overview, picking, registration
+from edged.domain import (
+    cell,
+    events,
+    exposure,
+    frames,
+    golden,
+    marks,
+    measurement,
+    overview,
+    picking,
+    registration,
+)
 from edged.link import summary
 from edged.plc.ladder import Exchange, Rung
 
@@ -43,6 +54,9 @@ TYPES: tuple[type, ...] = (
     frames.TimeBase,
     golden.GoldenState,
     golden.Offset,
+    marks.MarksReport,
+    marks.MarksState,
+    marks.MarksTrack,
     measurement.Circle3D,
     measurement.Corner3D,
     measurement.Edge3D,

@@ -20,6 +20,7 @@ class Budget:
 
     edges : noise, blur and shape of what was measured. calibration : of the rig's own parameters.
     registration : of the rig in the robot's frame. doubt : of what contradicts the rig (`Target.doubt_mm`).
+    marks : of the correction by reference marks; None where there is none.
     Their exact sum, rounded once (`math.fsum`), is the published variance, bit by bit.
     """
 
@@ -27,11 +28,13 @@ class Budget:
     calibration: FloatArray
     registration: FloatArray
     doubt: FloatArray
+    marks: FloatArray | None = None
 
     @property
-    def terms(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Edges, calibration, registration, doubt."""
-        return self.edges, self.calibration, self.registration, self.doubt
+    def terms(self) -> tuple[FloatArray, ...]:
+        """Edges, calibration, registration, doubt; with reference marks a fifth."""
+        terms = self.edges, self.calibration, self.registration, self.doubt
+        return terms if self.marks is None else (*terms, self.marks)
 
 
 def budget_of(
@@ -42,14 +45,19 @@ def budget_of(
         return None
     own = whole = target.covariance
     by_edges, by_doubt = target.by_edges, target.by_doubt
+    by_marks = np.zeros((6, 6)) if target.by_marks is None else target.by_marks
     if robot_from_rig is not None:
         own = robot_covariance(target, robot_from_rig, None)
         whole = robot_covariance(target, robot_from_rig, registration)
-        by_edges, by_doubt = (rotate_covariance(part, robot_from_rig) for part in (by_edges, by_doubt))
-    edges, doubt, total = np.diag(by_edges), np.diag(by_doubt), np.diag(whole)
-    terms = np.stack(
-        [edges, np.diag(own) - edges - doubt, total - np.diag(own), doubt]
-    )  # differences are as exact as their sums: what is below 0 is rounding
+        by_edges, by_doubt, by_marks = (
+            rotate_covariance(part, robot_from_rig) for part in (by_edges, by_doubt, by_marks)
+        )
+    edges, doubt, total, marks = np.diag(by_edges), np.diag(by_doubt), np.diag(whole), np.diag(by_marks)
+    rest = np.diag(own) - edges - doubt
+    found = [edges, rest, total - np.diag(own), doubt]
+    if target.by_marks is not None:
+        found = [edges, rest - marks, total - np.diag(own), doubt, marks]
+    terms = np.stack(found)  # differences are as exact as their sums: what is below 0 is rounding
     if not (np.isfinite(terms).all() and np.isfinite(total).all()):
         return None
     terms = np.maximum(terms, 0.0)

@@ -34,9 +34,7 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix, skew, transform
 from edged.vision.geometry.uncertainty import shift_by_parameters
 from edged.vision.part.job import Job
-
-AROUND = np.array([(math.cos(t), math.sin(t)) for t in np.arange(8) * math.pi / 4])
-"""(8, 2) around a circle: enough that it matters little where the first one lies."""
+from edged.vision.part.points import points_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,26 +209,15 @@ def motion_by_parameters(rig: StereoRig, golden: Golden) -> FloatArray:
 def _own(target: Target) -> tuple[FloatArray, FloatArray]:
     """Covariance of what another exposure does not share, and points for what it shares.
 
-    The doubt is drawn from this exposure's own rows and sizes. Where the part of the edges is not known, all
-    of the covariance counts as the exposure's own: that is too much, never too little.
+    The doubt is drawn from this exposure's own rows and sizes, and reference marks were seen anew. Where the
+    part of the edges is not known, all of the covariance counts as the exposure's own: too much, never too
+    little.
     """
-    points_mm = _points_mm(target)
+    points_mm = points_of(target)
     if target.by_edges is None or len(points_mm) < 3:
         return target.covariance, np.zeros((0, 3))
-    return target.by_edges + target.by_doubt, points_mm
-
-
-def _points_mm(target: Target) -> FloatArray:
-    """(N, 3) of the part, rig frame, wide enough apart to fix its pose."""
-    points: list[FloatArray] = []
-    for circle in target.circles:
-        across = np.linalg.svd(circle.normal[None])[2][1:]
-        points += [*(circle.centre_mm + circle.radius_mm * AROUND @ across)]
-    for edge in target.edges:
-        points += [edge.start_mm, edge.end_mm]
-    for slot in target.slots:
-        points += [slot.centre_mm + sign * 0.5 * slot.length_mm * slot.direction for sign in (1, -1)]
-    return np.array(points).reshape(-1, 3)
+    own = target.by_edges + target.by_doubt
+    return own if target.by_marks is None else own + target.by_marks, points_mm
 
 
 def _motion_by_parameters(rig: StereoRig, points_mm: FloatArray) -> FloatArray:

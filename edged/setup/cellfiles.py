@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from edged.config import chosencameras
+from edged.config.cell import MarksSection
 from edged.config.configuration import Config
 from edged.config.reading import config_and_choice, read
 from edged.config.tomltext import toml_of
@@ -23,6 +24,7 @@ from edged.domain.numerals import json_of
 from edged.errors import ConfigError, FileFormatError, UserError, printable
 from edged.files.golden import golden_file, load_golden
 from edged.files.jobs import job_folders, job_of, read_job
+from edged.files.marks import MARKS_NAME, marks_file, marks_of, read_marks
 from edged.files.private import can_close, closing, is_exposed, read_shared_key
 from edged.files.rig import read_rig, rig_of
 from edged.files.secrettext import without_secrets
@@ -30,6 +32,7 @@ from edged.link.summary import FilesInUse
 from edged.robot.golden import GoldenPart, golden_part
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
+from edged.vision.marks.taught import TaughtMarks
 from edged.vision.part.job import Job
 
 USUAL_BASELINE_MM = (10.0, 800.0)
@@ -46,6 +49,8 @@ class CellFiles:
     fingerprint : changes with anything that a result stands on.
     contents : of each file that a result stands on, by its name in a recording; without secrets.
     golden : golden parts, by the number of the job; beside all that, as no pose stands on them.
+    marks : reference marks as taught; None where there are none, and in the process of the page.
+    other_marks : there are some, taught with another calibration.
     """
 
     config: Config
@@ -55,6 +60,8 @@ class CellFiles:
     fingerprint: str
     contents: Mapping[str, bytes]
     golden: Mapping[int, GoldenPart] = field(default_factory=dict)
+    marks: TaughtMarks | None = None
+    other_marks: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +101,9 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
     problems = [] if elsewhere else [*config.missing_files(), *_unguarded(config), *_unshared(config)]
     others, files = len(problems), dict[str, bytes]()
     rig, rectification = _load_rig(config.cell.rig, files, problems)
-    lacks_rig, of_rig = _is_missing(config.cell.rig), len(problems)
+    lacks_rig = _is_missing(config.cell.rig)
+    marks, other_marks = _load_marks(marks_file(config.cell.rig), rig, files, problems)
+    of_rig = len(problems)
     jobs = _load_jobs(config.cell.jobs, config.cell.job, files, problems)
     lacks_jobs = _is_missing(config.cell.jobs) or _is_empty(config.cell.jobs)
     lacks = (lacks_rig, SetupSource.NO_CALIBRATION), (lacks_jobs, SetupSource.NO_JOB)
@@ -110,7 +119,7 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
     if rig is None or rectification is None or problems:
         raise ConfigError(str(path), problems)
     golden = golden_parts(config.cell.rig, rig, jobs)
-    return CellFiles(config, rig, rectification, tuple(jobs), identity, contents, golden)
+    return CellFiles(config, rig, rectification, tuple(jobs), identity, contents, golden, marks, other_marks)
 
 
 def files_in_use(cell: CellFiles | UnfinishedCell) -> FilesInUse:
@@ -211,6 +220,11 @@ def doubts(cell: CellFiles) -> list[str]:
             "the board was stated wrongly, and each length is wrong by as much"
         )
     lines = [f"{cell.config.cell.rig.name}: {printable(line)}" for line in said]
+    if cell.other_marks:
+        lines.append(
+            f"{MARKS_NAME}: taught with another calibration: results are not corrected until the marks are "
+            "taught again (edged marks teach)"
+        )
     for number, part in sorted(cell.golden.items()):
         if part.why:
             place = f"golden/{number}.json: {part.state.name}"
@@ -290,6 +304,28 @@ def _load_rig(
         return None, None
 
 
+def _load_marks(
+    path: Path, rig: StereoRig | None, files: dict[str, bytes], problems: list[str]
+) -> tuple[TaughtMarks | None, bool]:
+    """The reference marks beside a rig, and whether they are of another calibration of it."""
+    if rig is None or _is_missing(path):
+        return None, False
+    try:
+        data = read_marks(path)
+        taught = marks_of(data, path, rig)
+    except FileFormatError as error:
+        problems.append(f"marks: {error}: teach them anew (edged marks teach), or remove the file")
+        return None, False
+    if taught is not None and rig.flange_from_rig is not None:
+        problems.append(
+            f"marks: {path}: the robot carries the cameras, and marks hold those that stand still"
+        )
+        return None, False
+    if taught is not None:
+        files[MARKS_NAME] = data
+    return taught, taught is None
+
+
 def _load_jobs(folder: Path, active: str | None, files: dict[str, bytes], problems: list[str]) -> list[Job]:
     if not folder.is_dir():
         problems.append(f"cell.jobs: {folder}: no such folder")
@@ -343,7 +379,10 @@ def fingerprint(config: Config, files: Mapping[str, bytes]) -> str:
     Of a path only its name counts: a cell that was restored elsewhere is the same cell. So it is with another
     password, and what is published tells nothing of it.
     """
-    settings = json.dumps(config.model_dump(), default=_identity, sort_keys=True)
+    stated = config.model_dump()
+    if config.marks == MarksSection():
+        del stated["marks"]  # nothing was stated: the cell is what it was before there were such keys
+    settings = json.dumps(stated, default=_identity, sort_keys=True)
     digest = hashlib.sha256(settings.encode())
     for name in sorted(files):
         digest.update(name.encode() + b"\0" + hashlib.sha256(files[name]).digest())

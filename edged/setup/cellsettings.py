@@ -66,6 +66,7 @@ NOT_HERE: Mapping[str, str] = {
     "zenoh.shared_key": "strangers",
     "limits": "bounds",
     "registration": "bounds",
+    "marks": "bounds",
 }
 """What only who writes the configuration may change, and the page's reason for it (`settings-not-...`)."""
 

@@ -20,6 +20,7 @@ import numpy as np
 from edged.domain.arrays import SIDES, FloatArray, Image, Side
 from edged.errors import ImageError
 from edged.sim.exposure import ExposureRequest
+from edged.sim.marksplate import marks_plate
 from edged.sim.render.scene import (
     Disc,
     Hole,
@@ -36,7 +37,9 @@ from edged.sim.render.scene import (
     extent_mm,
 )
 from edged.sim.showing import Pose, ShownNow, Thing, fingers, waving_hand
+from edged.sim.weather import TrueCameras, Weather
 from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.marks.frame import MarkFrame
 
 PAIR_WINDOW_NS = 50_000_000
 """Longer than two software triggers in a row on a busy PC, shorter than any cycle."""
@@ -46,6 +49,9 @@ HISTORY = 1024
 
 BORDER_PX = 12.0
 """A part stays this far inside both images: room for the edge operator."""
+
+ABOVE_TABLE_MM = 1.0
+"""Thickness of a plate of reference marks."""
 
 ATTEMPTS = 300
 """Random poses that are tried before a part counts as too large for the common view."""
@@ -96,14 +102,17 @@ class Truth:
 class _Moment:
     truth: Truth
     scene: Scene
+    cameras: TrueCameras | None = None
     seen: dict[str, tuple[int, int]] = field(default_factory=dict)  # camera: frame id, exposed_ns
 
 
 class VirtualCell:
     """Scenes, their pictures and their truth; every one follows from the seed and its number.
 
-    board : what `show` may hold before the cameras. Thread-safe: cameras expose from threads of their own,
-    and what is shown may change at any time; both pictures of a pair show one moment.
+    board : what `show` may hold before the cameras. weather : moves the cameras, from the first exposure on,
+    `pace` times as fast as time; the rig is what it is then, and poses stay in its frame. marks : lie on the
+    table around the middle, those of the codes `covered` without their dots. Thread-safe: cameras expose from
+    threads of their own, and what is shown may change at any time; both pictures of a pair show one moment.
     Raises ValueError where the part fits nowhere into the view of both cameras.
     """
 
@@ -118,8 +127,14 @@ class VirtualCell:
         table: Surface | None = None,
         light: SceneLight | None = None,
         sensor: Sensor | None = None,
+        weather: Weather | None = None,
+        marks: MarkFrame | None = None,
+        pace: float = 1.0,
     ) -> None:
         self.rig, self.part, self.board = rig, part, board
+        self.weather, self.marks, self.covered = weather, marks, frozenset[int]()
+        self._pace, self._begun_ns = pace, 0
+        self._moved: dict[str, RenderedView] = {}
         self._seed = seed
         self._motion = motion or PartMotion()
         self._table = table or Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2)
@@ -142,11 +157,25 @@ class VirtualCell:
                     f"the sensor has {view.camera.width}x{view.camera.height}"
                 )
             moment = self._moment(camera, request)
+            if moment.cameras is not None:
+                view = self._in_weather(camera, moment.cameras, view.sensor)
             rng = np.random.default_rng((self._seed, 1 + SIDES.index(camera), moment.truth.number))
             image = view.render(moment.scene, rng, request.exposure_us, request.gain_db)
             return np.ascontiguousarray(image[: request.height, : request.width])
 
         return expose
+
+    def _in_weather(self, camera: str, cameras: TrueCameras, sensor: Sensor) -> RenderedView:
+        """A camera where it is; the view of its exposure before while nothing moves it."""
+        model, pose = cameras.camera("left" if camera == "left" else "right")
+        view = self._moved.get(camera)
+        if (
+            view is None
+            or (model, sensor) != (view.camera, view.sensor)
+            or (pose != view.camera_from_rig).any()
+        ):
+            view = self._moved[camera] = RenderedView(model, pose, sensor)
+        return view
 
     # --- what is shown, from the next exposure on ----------------------------------------------
 
@@ -252,12 +281,23 @@ class VirtualCell:
 
     def _next(self, exposed_ns: int) -> _Moment:
         """The scene of the next number, at this time."""
+        self._begun_ns = self._begun_ns or exposed_ns
+        cameras = (
+            None
+            if self.weather is None
+            else self.weather.at(self._pace * 1e-9 * (exposed_ns - self._begun_ns))
+        )
         showing = self._showing
         pose = showing.pose_at(exposed_ns)
         if pose is None:
             pose = self.pose(self._born)
         truth = self._truth(self._born, exposed_ns, pose, showing.thing)
         placed: list[PlacedPart] = []
+        if self.marks is not None:
+            scale = 1.0 if cameras is None else cameras.plate_scale
+            placed.append(
+                PlacedPart(marks_plate(self.marks, scale, tuple(self.covered)), self.rig_from_marks)
+            )
         if showing.thing is Thing.PART:
             placed.append(PlacedPart(self.part, pose))
         elif showing.thing is Thing.BOARD and self.board is not None:
@@ -266,7 +306,14 @@ class VirtualCell:
                 placed.append(fingers(self.board, pose))
         if showing.waving is not None:
             placed.append(waving_hand(self._views[showing.waving], exposed_ns))
-        return _Moment(truth, Scene(self._floor(), tuple(placed), self._light))
+        return _Moment(truth, Scene(self._floor(), tuple(placed), self._light), cameras)
+
+    @property
+    def rig_from_marks(self) -> FloatArray:
+        """(4, 4) the frame of the reference marks, just above the table."""
+        pose = self._floor().rig_from_table.copy()
+        pose[2, 3] -= ABOVE_TABLE_MM
+        return pose
 
     def pose(self, number: int) -> FloatArray:
         """(4, 4) rig_from_part of the scene of this number; in view of both cameras."""
@@ -446,6 +493,17 @@ def demo_rig() -> StereoRig:
         "demo",
         robot_from_rig,
     )
+
+
+DEMO_MARKS = MarkFrame(60.0, 52.0, 8, 2.0)
+"""Around the pick area of the demo, as wide as both its cameras see."""
+
+
+def inside(marks: MarkFrame) -> PartMotion:
+    """Where the demo's part may lie without covering marks; their middle is where both cameras see most."""
+    reach_mm = extent_mm(demo_part().outline) + marks.diameter_mm
+    free = [max(0.0, 0.5 * size_mm - reach_mm) for size_mm in (marks.width_mm, marks.height_mm)]
+    return PartMotion(centre_mm=(7.0, 0.0, 205.0), shift_mm=(free[0], free[1]))
 
 
 def demo_part() -> Part:

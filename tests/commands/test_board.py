@@ -15,6 +15,8 @@ from edged.domain.arrays import Image
 from edged.errors import CalibrationError, UserError
 from edged.vision.boards.board import Detection, parse_board
 from edged.vision.boards.detection import detect_board
+from edged.vision.marks.frame import parse_frame
+from edged.vision.marks.measuring import search_marks
 
 DPI = 150
 SPECS = ["chessboard:11x8:15", "dots:7x7:20", "charuco:12x9:15:11:5X5_250", "circles:4x11:15:8"]
@@ -81,3 +83,29 @@ def test_the_pitch_that_is_offered_fits(tmp_path: Path) -> None:
         board("chessboard:11x8:30", "A4", tmp_path / "b.pdf", Console(quiet=True))
     pitch = str(caught.value).partition("a pitch of ")[2].split()[0]
     assert 0 == board(f"chessboard:11x8:{pitch}", "A4", tmp_path / "b.pdf", Console(quiet=True))
+
+
+@pytest.mark.slow
+def test_printed_marks_are_found_where_they_were_asked_for(tmp_path: Path) -> None:
+    """Each code, and each distance of two dots to a thousandth."""
+    board(None, None, tmp_path / "m.pdf", Console(quiet=True), marks="120x90:8:6:40")
+    page = pypdfium2.PdfDocument(tmp_path / "m.pdf")[0]
+    image = np.ascontiguousarray(np.squeeze(page.render(scale=DPI / 72, grayscale=True).to_numpy()))
+    found, frame = search_marks(image), parse_frame("120x90:8:6:40")
+    assert tuple(frame.codes) == found.codes
+    seen = found.centres_px * 25.4 / DPI
+    apart = seen - seen[0] - (frame.places[:, :2] - frame.places[0, :2])
+    assert np.abs(apart).max() < 0.6
+
+
+@pytest.mark.parametrize(("spec", "marks"), [(None, None), ("chessboard:11x8:15", "120x90:8:4")])
+def test_a_board_or_marks_are_drawn_not_both(tmp_path: Path, spec: str | None, marks: str | None) -> None:
+    """And not neither."""
+    with pytest.raises(UserError, match="either a board"):
+        board(spec, None, tmp_path / "b.pdf", Console(quiet=True), marks=marks)
+
+
+def test_marks_that_fit_on_no_paper_are_refused(tmp_path: Path) -> None:
+    """With the largest paper there is."""
+    with pytest.raises(UserError, match="A1 has"):
+        board(None, None, tmp_path / "b.pdf", Console(quiet=True), marks="2000x90:8:4")

@@ -19,6 +19,7 @@ from helpers.webcell import HASH
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Event, ExposureDone
 from edged.domain.frames import Frame, FramePair
+from edged.domain.marks import MarksReport, MarksState
 from edged.domain.measurement import Match, Nearest, NearMiss
 from edged.identity.passwords import hash_password
 from edged.link.pictures import PictureRing, SharedPictures
@@ -52,7 +53,8 @@ def test_a_result_is_the_same_in_every_digit() -> None:
 
 def test_a_state_is_the_same() -> None:
     """With its enumerations, not with their numbers."""
-    state = CellState(CellPhase.READY, True, True, "flange", 1, 0)
+    marks = MarksReport(MarksState.CONTRADICTED, False, 7, 8, (41,), 30.5, 0.012, 0.25, "one was moved")
+    state = CellState(CellPhase.READY, True, True, "flange", 1, 0, marks=marks)
     assert state == carried(state)
     assert CellPhase.READY is carried(state).state
 

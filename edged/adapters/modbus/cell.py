@@ -31,6 +31,7 @@ from edged.domain.events import (
     Registered,
     Snapshot,
 )
+from edged.domain.marks import MarksReport
 from edged.domain.registration import Registration
 from edged.errors import BeingSetUp, CommandRefused
 from edged.logs import LogLimit
@@ -117,6 +118,7 @@ class CellRegisters:
         """Where each Modbus client is connected from, by its number."""
         self.ladder = Ladder(self.addresses)
         self._place_basis()
+        self._place(reg.REFERENCE_MARKS, reg.marks_values(MarksReport()))
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
         self._change: asyncio.Future[None] | None = None
 
@@ -399,6 +401,8 @@ class CellRegisters:
                     self._cell is None or self._cell.state is not CellPhase.BUSY
                 ):
                     self._step(ev.CycleBegun(), now_s)
+                if self._cell is None or self._cell.marks != event.marks:  # else a snapshot's are newer
+                    self._place(reg.REFERENCE_MARKS, reg.marks_values(event.marks))
                 self._cell = event
                 if event.state is CellPhase.SETUP:
                     self._step(ev.Suspended(event.setup is SetupSource.ROBOT), now_s)
@@ -439,6 +443,7 @@ class CellRegisters:
         self._is_simulated = bool(result.flags & reg.Flag.SIMULATED)
         self._counts = reg.counted(self._counts, snapshot)
         self._place(reg.COUNTERS, dict(self._counts))
+        self._place(reg.REFERENCE_MARKS, reg.marks_values(snapshot.marks))
         verdict = VERDICTS.get(result.code, ResultVerdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from edged.domain.cell import SetupSource
 from edged.domain.events import CommandKind
 from edged.domain.golden import GoldenState
+from edged.domain.marks import MarksState
 from edged.domain.measurement import Reject
 from edged.domain.registration import Method
 from edged.plc.registers.schema import (
@@ -342,13 +343,29 @@ UR_OFFSET = make_block(
     high_first=True,
 )
 
+REFERENCE_MARKS = make_block(
+    "reference marks",
+    1380,
+    f"""
+    M_STATE           u16 - {list_codes(MarksState)}
+    M_VALID           u16 - 1: results may be given; 0: not, by what the marks say
+    M_SEEN            u16 - marks that were used
+    M_TAUGHT          u16 - marks that were taught
+    M_EXCLUDED        u16 - marks that disagree with the others
+    M_FIRST_EXCLUDED  u16 - code of the first of them; 65535: none
+    M_FIT             u16 0.01 squared misfit over what is expected, about 1; 65535: nothing was compared
+    M_LEFT            u16 0.1_µm from where it was taught to where the left camera is; 65535: not known
+    M_RIGHT           u16 0.1_µm the right one
+    """,
+)
+
 JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
 BLOCKS = (
     *(CONSTANTS, COMMAND, STATUS),
     *(RESULT, UR, UR_GRASP, FLOAT, BITS, GRASP, REGISTRATION),
-    *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET),
+    *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET, REFERENCE_MARKS),
 )
 ROWS = (TABLE, JOBS)
 """Blocks that repeat, row by row."""

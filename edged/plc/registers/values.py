@@ -13,6 +13,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.events import Basis, CommandKind, Snapshot
 from edged.domain.golden import Offset
+from edged.domain.marks import MarksReport
 from edged.domain.measurement import Status, Target
 from edged.domain.registration import Registration
 from edged.plc.registers.layout import AXES
@@ -468,6 +469,21 @@ def registration_values(registration: Registration, sequence: int, epoch: int) -
         "H_LIMIT": _limited_um(registration.limit_mm),
         "H_START_EPOCH": epoch,
         **_sigmas("H_", registration.sigma),
+    }
+
+
+def marks_values(report: MarksReport) -> dict[str, Number]:
+    """Values of the block of the reference marks."""
+    return {
+        "M_STATE": report.state,
+        "M_VALID": int(report.valid),
+        "M_SEEN": _clamp(report.seen, UINT16_MAX),
+        "M_TAUGHT": _clamp(report.taught, UINT16_MAX),
+        "M_EXCLUDED": _clamp(len(report.excluded), UINT16_MAX),
+        "M_FIRST_EXCLUDED": report.excluded[0] if report.excluded else UINT16_MAX,
+        "M_FIT": _saturated(report.fit, 0.01),
+        "M_LEFT": _saturated(report.left_mm, 1e-4),
+        "M_RIGHT": _saturated(report.right_mm, 1e-4),
     }
 
 

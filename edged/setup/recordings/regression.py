@@ -20,7 +20,7 @@ from edged.files.recording import Recording
 from edged.payload import Json, snapshot_to_json
 from edged.pictures.lettering import Canvas
 from edged.pictures.overlay import draw_pair
-from edged.pipeline import PairInspection, PreparedRig, inspect, judge
+from edged.pipeline import PairInspection, PreparedRig, decide, inspect
 from edged.robot.covariance import moved_frame
 from edged.robot.picking import RobotFrame, allowed, picked
 from edged.vision.part.job import Job
@@ -43,7 +43,7 @@ def inspected(taken: Recording, rig: PreparedRig, job: Job) -> PairInspection | 
     command = taken.snapshot.get("command")
     if taken.pair is None or (isinstance(command, dict) and command.get("kind") == "GRAB"):
         return None
-    return inspect(taken.pair, job, rig)
+    return inspect(taken.pair, job, _then(taken, rig)[0])
 
 
 def decided(taken: Recording, inspection: PairInspection | None, rig: PreparedRig, job: Job) -> Json:
@@ -58,7 +58,10 @@ def shown(
     taken: Recording, inspection: PairInspection, rig: PreparedRig, job: Job, *, drifts: bool = True
 ) -> Json:
     """What an inspection decides and what it saw besides. drifts : refuse where the rig drifted."""
-    outcome = judge(inspection)
+    rig, valid = _then(taken, rig)
+    outcome = decide(inspection, job, rig)
+    if not valid:
+        outcome = refused(outcome)
     drift = taken.snapshot.get("drift")
     if drifts and isinstance(drift, dict) and drift.get("verdict") == CalibrationHealth.INVALID.name:
         outcome = refused(outcome)  # that comes from the cycles before, not from this pair
@@ -77,6 +80,14 @@ def drawn(taken: Recording, inspection: PairInspection, rig: PreparedRig, job: J
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
     images = taken.pair.left.image, taken.pair.right.image
     return draw_pair(*images, rig.rig, job, measured, inspection.dismissed, status, nearest=nearest)
+
+
+def _then(taken: Recording, rig: PreparedRig) -> tuple[PreparedRig, bool]:
+    """The rig as its reference marks showed it then, and whether they let results be given."""
+    if rig.marks is None or taken.marks_before is None or taken.pair is None:
+        return rig, True
+    now, report = rig.marks.then(taken.marks_before, taken.pair)
+    return now, report.valid
 
 
 def _robot_from_flange(taken: Recording) -> FloatArray | None:

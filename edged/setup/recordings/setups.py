@@ -10,17 +10,20 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
-from edged.config.reading import limits_of
+from edged.config.cell import MarksSection
+from edged.config.reading import limits_of, marks_of_config
 from edged.config.tomltext import toml_of
 from edged.domain.picking import Bounds
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 from edged.files.jobs import SHAPE, TEXT, job_folders, job_of, read_job
+from edged.files.marks import MARKS_NAME, marks_file, marks_of, read_marks
 from edged.files.recording import setup_folder
 from edged.files.rig import read_rig, rig_of
 from edged.payload import Json
 from edged.pipeline import PreparedRig, prepare
 from edged.robot.picking import narrowed, within
+from edged.setup.marks import rig_marks
 from edged.vision.part.job import Job
 
 KEPT = 4
@@ -89,7 +92,9 @@ def measured_by(contents: Contents, place: Path) -> MeasuredBy:
         files = _files(contents, folder)
         job = job_of(files, place / "jobs" / folder)
         jobs[job.number], digests[job.number] = job, _measuring(files, folder).digest
-    return MeasuredBy(rig, jobs, _bounds(contents, place), _digest(contents[RIG]), digests)
+    return MeasuredBy(
+        _with_marks(rig, contents, place), jobs, _bounds(contents, place), _rig_digest(contents), digests
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +207,34 @@ def digest_of(contents: Contents) -> str:
     """What tells setups apart by all that results stand on."""
     jobs = sorted(job.digest for job in facts_of_jobs(contents))
     bounds = _bounds(contents, Path("the cell"))
-    return _digest(contents.get(RIG, b""), repr(bounds).encode(), *(job.encode() for job in jobs))
+    marks = [] if MARKS_NAME not in contents else [_rig_digest(contents).encode()]
+    of_jobs = (job.encode() for job in jobs)
+    return _digest(contents.get(RIG, b""), repr(bounds).encode(), *of_jobs, *marks)
+
+
+def _with_marks(prepared: PreparedRig, contents: Contents, place: Path) -> PreparedRig:
+    """The rig with its reference marks, if its setup has some."""
+    if MARKS_NAME not in contents:
+        return prepared
+    taught = marks_of(contents[MARKS_NAME], place / MARKS_NAME, prepared.rig)
+    if taught is None:
+        return prepared
+    return replace(prepared, marks=rig_marks(prepared, taught, _stated(contents, place)))
+
+
+def _stated(contents: Contents, place: Path) -> MarksSection:
+    try:
+        return marks_of_config(contents.get(CONFIG, b""))
+    except ValueError as error:
+        raise FileFormatError(f"{place / CONFIG}: {error}") from error
+
+
+def _rig_digest(contents: Contents) -> str:
+    """Digest of the rig, and of the marks that hold it true."""
+    if MARKS_NAME not in contents:
+        return _digest(contents[RIG])
+    stated = repr(_stated(contents, Path("the cell"))).encode()
+    return _digest(contents[RIG], contents[MARKS_NAME], stated)
 
 
 def rig_and_job(file: Path, snapshot: Json) -> tuple[PreparedRig, Job]:
@@ -233,6 +265,8 @@ def _contents_of(folder: Path) -> dict[str, bytes]:
     contents = {RIG: read_rig(folder / RIG)}
     if (folder / CONFIG).is_file():
         contents[CONFIG] = read_bytes(folder / CONFIG, "a configuration")
+    if marks_file(folder / RIG).is_file():
+        contents[MARKS_NAME] = read_marks(marks_file(folder / RIG))
     for job in job_folders(folder / "jobs") if (folder / "jobs").is_dir() else []:
         contents |= {f"jobs/{job.name}/{name}": data for name, data in read_job(job).items()}
     return contents

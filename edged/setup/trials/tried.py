@@ -204,7 +204,7 @@ def terms_of(rig: StereoRig, target: Target) -> Terms | None:
     budget = budget_of(target, rig.robot_from_rig, rig.registration_covariance)
     if budget is None:
         return None
-    edges, calibration, registration, doubt = (sigma_of(np.sqrt(term[:3])) for term in budget.terms)
+    edges, calibration, registration, doubt = (sigma_of(np.sqrt(term[:3])) for term in budget.terms[:4])
     return Terms(edges=edges, calibration=calibration, registration=registration, doubt=doubt)
 
 

@@ -111,7 +111,7 @@ def _measure(
     middle is from the image of the circle's centre.
     """
     for _ in range(DETECTION.size_rounds):
-        expected = np.array([_ellipse_of(outline) for outline in to_pixels(_circles(board, ids))])
+        expected = np.array([ellipse_of(outline) for outline in to_pixels(_circles(board, ids))])
         fits = _fit(image, board, expected)
         ok = fits[:, 5] > 0
         if not ok.any():
@@ -171,7 +171,7 @@ def _map_plane(homography: FloatArray, plane: FloatArray) -> FloatArray:
     return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
 
-def _ellipse_of(outline: FloatArray) -> FloatArray:
+def ellipse_of(outline: FloatArray) -> FloatArray:
     """(x, y, b11, b12, b22) of the ellipse through points (K, 2); NaN if there is none.
 
     Least squares on the conic a x² + b xy + c y² + d x + e y = 1, about the points' own middle.

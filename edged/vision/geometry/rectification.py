@@ -10,7 +10,7 @@ common principal column would push that place out of both images.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import cv2
@@ -36,6 +36,7 @@ class Rectification:
     maps_left, maps_right : raw x and y (h, w) float32 of each rectified pixel; computed when first asked for:
     they are as large as eight images, and a cell needs those of its left camera only.
     valid_left, valid_right (h, w) uint8 : 255 where the raw image has a value, else 0.
+    borrowed : whose maps are used; None: its own.
 
     A point with rectified columns x_l, x_r on one row has the parallax
     (x_l - cx_l) - (x_r - cx_r) = focal_px baseline_mm / Z_rectified.
@@ -49,6 +50,28 @@ class Rectification:
     baseline_mm: float
     rectified_from_left: FloatArray
     rectified_from_right: FloatArray
+    borrowed: Rectification | None = None
+
+    def near(self, rig: StereoRig) -> Rectification:
+        """The rectification of a rig that differs little, with the pictures of this one.
+
+        Points are exact; pictures are off by as much as the rigs differ, and take no time.
+        Raises `CalibrationError`.
+        """
+        left_axes = _rectified_axes(rig)
+        return replace(
+            self,
+            rig=rig,
+            baseline_mm=rig.baseline_mm,
+            rectified_from_left=left_axes,
+            rectified_from_right=left_axes @ rig.right_from_left[:3, :3].T,
+            borrowed=self.pictured,
+        )
+
+    @property
+    def pictured(self) -> Rectification:
+        """The rectification that pictures are made by: this one, or that which lends its maps."""
+        return self if self.borrowed is None else self.borrowed
 
     @property
     def maps_left(self) -> Maps:
@@ -72,10 +95,14 @@ class Rectification:
 
     @cached_property
     def _left(self) -> tuple[Maps, Image]:
+        if self.borrowed is not None:
+            return self.borrowed.maps_left, self.borrowed.valid_left
         return _maps(self.rig.left, self.rectified_from_left, self.focal_px, self.centre_left_px, self.size)
 
     @cached_property
     def _right(self) -> tuple[Maps, Image]:
+        if self.borrowed is not None:
+            return self.borrowed.maps_right, self.borrowed.valid_right
         return _maps(
             self.rig.right, self.rectified_from_right, self.focal_px, self.centre_right_px, self.size
         )

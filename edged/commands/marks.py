@@ -1,0 +1,146 @@
+"""`edged marks`: reference marks are taught while the calibration is fresh, and looked at later."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.errors import CalibrationError, UserError
+from edged.files.images import load_image
+from edged.files.marks import marks_file, marks_of, read_marks, save_marks
+from edged.files.outputs import check_folder
+from edged.files.pairs import find_pairs
+from edged.files.rig import load_rig
+from edged.owners import as_owner
+from edged.payload import marks_to_json
+from edged.vision.geometry.correction import shift_by_displacement
+from edged.vision.geometry.rectification import linear_image
+from edged.vision.marks.params import MARKS
+from edged.vision.marks.taught import TaughtMarks, teach_marks
+from edged.vision.marks.tracking import DotsInPair, MarksFilter, MarksSettings, correction_of
+
+
+def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
+    """Teach the marks that all pairs of a folder show, beside the rig. 0: kept. Raises `UserError`."""
+    loaded = load_rig(rig)
+    if loaded.flange_from_rig is not None:
+        raise UserError(f"--rig {rig}: the robot carries the cameras: marks hold those that stand still")
+    check_folder(rig.resolve().parent)
+    pairs = find_pairs(directory)
+    if len(pairs) < MARKS.min_exposures:
+        raise UserError(
+            f"{directory}: {len(pairs)} pairs, at least {MARKS.min_exposures} are needed (edged grab)"
+        )
+
+    def pictures() -> Iterator[tuple[Image, Image]]:
+        for pair in pairs:
+            images = load_image(pair.left), load_image(pair.right)
+            for image, side in zip(images, SIDES, strict=True):
+                camera = loaded.camera(side)
+                if image.shape != (camera.height, camera.width):
+                    raise UserError(
+                        f"{pair.left.name}: {side}: {image.shape[1]}x{image.shape[0]}, the rig was "
+                        f"calibrated for {camera.width}x{camera.height}"
+                    )
+            yield images
+
+    newest_ns = max(pair.left.stat().st_mtime_ns for pair in pairs)  # pictures say nothing of their own time
+    try:
+        taught = teach_marks(pictures(), loaded, newest_ns)
+    except CalibrationError as error:
+        raise UserError(f"{directory}: {error}") from error
+    with as_owner(rig.resolve().parent) as folder:
+        save_marks(marks_file(folder / rig.name), taught)
+    sigma = sigma_um(taught, MarksSettings(material))
+    console.print(
+        f"{marks_file(rig)}: {len(taught.codes)} marks taught of {len(pairs)} exposures, codes "
+        f"{', '.join(map(str, taught.codes))}; noise of a dot {_noise_px(taught):.3f} px",
+        markup=False,
+        soft_wrap=True,
+    )
+    console.print(
+        f"what one exposure of them leaves in a part among them on {material}: one sigma X {sigma[0]:.1f}, Y "
+        f"{sigma[1]:.1f}, Z {sigma[2]:.1f} um; a running cell knows them after a reload",
+        markup=False,
+        soft_wrap=True,
+    )
+    return 0
+
+
+def sigma_um(taught: TaughtMarks, settings: MarksSettings) -> FloatArray:
+    """(3,) sigma of X, Y, Z that the correction by one exposure leaves in the marks' middle, µm."""
+    marks = MarksFilter(taught, settings)
+    noise = taught.sigma_px * np.sqrt(taught.exposures) / taught.noise
+    track, _ = marks.updated(marks.begin(), DotsInPair(taught.pixels, noise))
+    correction = correction_of(track)
+    slopes = shift_by_displacement(taught.rig, correction, taught.world_from_marks[None, :3, 3])[0]
+    return np.asarray(1e3 * np.sqrt(np.diag(slopes @ correction.covariance @ slopes.T)))
+
+
+def _noise_px(taught: TaughtMarks) -> float:
+    return float(np.median(taught.sigma_px) * np.sqrt(taught.exposures))
+
+
+def status(
+    rig: Path, left: Path, right: Path, settings: MarksSettings, console: Console, *, as_json: bool
+) -> int:
+    """What the marks of a pair say, as the first exposure after a start would. 0: corrected; 1: not."""
+    loaded, place = load_rig(rig), marks_file(rig)
+    taught = marks_of(read_marks(place), place, loaded)
+    if taught is None:
+        raise UserError(f"{place}: taught with another calibration than {rig}: teach them again")
+    images = []
+    for path, side in zip((left, right), SIDES, strict=True):
+        image, camera = load_image(path), loaded.camera(side)
+        if image.shape != (camera.height, camera.width):
+            raise UserError(
+                f"{path}: {image.shape[1]}x{image.shape[0]}, the rig was calibrated for "
+                f"{camera.width}x{camera.height}"
+            )
+        images.append(linear_image(image, camera.gamma))
+    marks = MarksFilter(taught, settings)
+    dots, _ = marks.look(marks.begin(), images[0], images[1])
+    track, report = marks.step(marks.begin(), images[0], images[1], left.stat().st_mtime_ns)
+    if as_json:
+        moved = dots.pixels - taught.pixels
+        print(
+            json.dumps(
+                {
+                    "marks": marks_to_json(report),
+                    "displacement": track.displacement.tolist(),
+                    "moved_px": {
+                        str(code): {
+                            side: None if np.isnan(way).any() else way.tolist()
+                            for side, way in zip(SIDES, moved[:, index], strict=True)
+                        }
+                        for index, code in enumerate(taught.codes)
+                    },
+                }
+            )
+        )
+    else:
+        _print(taught, dots, console)
+        console.print(
+            f"{report.state.name}{'' if report.valid else ', no results'}"
+            f"{f': {report.why}' if report.why else ''}; cameras moved since they were taught: left "
+            f"{1e3 * report.left_mm:.1f} um, right {1e3 * report.right_mm:.1f} um",
+            markup=False,
+            soft_wrap=True,
+        )
+    return 0 if report.valid else 1
+
+
+def _print(taught: TaughtMarks, dots: DotsInPair, console: Console) -> None:
+    """A row for each mark: how far its dot is from where it was."""
+    table = Table("mark", "left x", "y", "right x", "y", title="px since the teaching")
+    moved = dots.pixels - taught.pixels
+    for index, code in enumerate(taught.codes):
+        cells = ["not seen" if np.isnan(way) else f"{way:+.3f}" for way in moved[:, index].ravel().tolist()]
+        table.add_row(str(code), *cells)
+    console.print(table)

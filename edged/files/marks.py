@@ -1,0 +1,150 @@
+"""`marks.json`: reference marks as they were taught, beside the rig that they were taught with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from edged.domain.numerals import json_of
+from edged.errors import FileFormatError
+from edged.files.atomic import read_bytes, write_file
+from edged.files.jsonfields import JsonFields
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.marks.frame import CODES
+from edged.vision.marks.measuring import PlacedMarks
+from edged.vision.marks.params import MARKS
+from edged.vision.marks.taught import TaughtMarks, places_in_own_frame
+
+MARKS_FORMAT = "edged-marks"
+MARKS_VERSION = 1
+MARKS_NAME = "marks.json"
+MAX_MARKS_BYTES = 1024 * 1024
+MAX_TAUGHT = 64
+"""Marks of one cell: 64 make a covariance of 37,000 numbers."""
+
+
+def marks_file(rig: Path) -> Path:
+    """Where the marks of a rig are kept. rig : its file."""
+    return rig.parent / MARKS_NAME
+
+
+def save_marks(path: Path, taught: TaughtMarks) -> None:
+    """Write them; former ones are replaced in one step. Raises `FileFormatError` where the disc refuses."""
+    placed = taught.placed
+    document = {
+        "format": MARKS_FORMAT,
+        "version": MARKS_VERSION,
+        "units": "mm, px (integer = pixel centre); world: the frame of the rig as calibrated; arrays of two "
+        "cameras: left, right",
+        "calibration_id": taught.rig.calibration_id,
+        "exposed_ns": taught.exposed_ns,
+        "exposures": taught.exposures,
+        "codes": list(taught.codes),
+        "places_mm": placed.places_mm.tolist(),
+        "along_mm": placed.along_mm.tolist(),
+        "normal": placed.normal.tolist(),
+        "radius_mm": placed.radius_mm.tolist(),
+        "pixels": taught.pixels.tolist(),
+        "sigma_px": taught.sigma_px.tolist(),
+        "shapes": taught.shapes.tolist(),
+        "blur_px": list(taught.blur_px),
+        "noise": taught.noise,
+        "world_from_marks": taught.world_from_marks.tolist(),
+        "places_in_own_frame_mm": places_in_own_frame(taught).tolist(),
+        "covariance": taught.covariance.tolist(),
+    }
+    write_file(path, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+
+
+def read_marks(path: Path) -> bytes:
+    """The bytes of a file of marks. Raises `FileFormatError`."""
+    return read_bytes(path, "reference marks", MAX_MARKS_BYTES)
+
+
+def marks_of(data: bytes, path: Path, rig: StereoRig) -> TaughtMarks | None:
+    """The marks in a file that was read; None where they were taught with another calibration.
+
+    path : where, for messages. Every flaw is a `FileFormatError` that names file, field and expectation.
+    """
+    if len(data) > MAX_MARKS_BYTES:
+        raise FileFormatError(f"{path}: {len(data)} bytes: expected marks, at most {MAX_MARKS_BYTES}")
+    try:
+        document = json_of(data)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{path}: not JSON: {error}") from error
+    if not isinstance(document, dict) or document.get("format") != MARKS_FORMAT:
+        raise FileFormatError(f'{path}: no reference marks (expected "format": "{MARKS_FORMAT}")')
+    if document.get("version") != MARKS_VERSION:
+        raise FileFormatError(
+            f"{path}: version {document.get('version')!r}, this edged reads {MARKS_VERSION}"
+        )
+    reader = JsonFields(path, document)
+    identity = document.get("calibration_id")
+    if not isinstance(identity, str) or not identity:
+        raise reader.error("calibration_id", f"expected a name, got {identity!r}")
+    taught = _taught(reader, rig)
+    if identity != rig.calibration_id:
+        return None
+    apart_px = float(np.abs(taught.residual_px).max())
+    if not apart_px <= MARKS.rays_px:
+        raise reader.error("places_mm", f"{apart_px:.1f} px from where this rig sees them")
+    return taught
+
+
+def _taught(reader: JsonFields, rig: StereoRig) -> TaughtMarks:
+    codes = _codes(reader)
+    count = len(codes)
+    placed = PlacedMarks(
+        codes,
+        reader.array("places_mm", (count, 3)),
+        reader.array("along_mm", (count, 3)),
+        reader.array("normal", (3,)),
+        reader.array("radius_mm", (count,)),
+    )
+    if (placed.places_mm[:, 2] <= 0).any():
+        raise reader.error("places_mm", "expected places before the camera, z above 0")
+    if not np.isclose(np.linalg.norm(placed.normal), 1.0, atol=1e-6):
+        raise reader.error("normal", "expected a direction of length 1")
+    if (np.linalg.norm(placed.along_mm, axis=1) <= 0).any():
+        raise reader.error("along_mm", "expected the way from each dot to its code")
+    sigma_px, shapes = reader.array("sigma_px", (2, count)), reader.array("shapes", (2, count, 3))
+    blur_px = reader.array("blur_px", (2,))
+    for name, numbers in (("radius_mm", placed.radius_mm), ("sigma_px", sigma_px), ("blur_px", blur_px)):
+        if (numbers <= 0).any():
+            raise reader.error(name, "expected numbers above 0")
+    if (shapes[..., 0] * shapes[..., 2] <= shapes[..., 1] ** 2).any() or (shapes[..., 0] <= 0).any():
+        raise reader.error("shapes", "expected ellipses")
+    noise = reader.number("noise")
+    if noise < 1:
+        raise reader.error("noise", f"expected at least 1, got {noise:g}")
+    return TaughtMarks(
+        rig,
+        placed,
+        reader.array("pixels", (2, count, 2)),
+        sigma_px,
+        shapes,
+        (float(blur_px[0]), float(blur_px[1])),
+        noise,
+        reader.covariance("covariance", 3 * count),
+        _whole(reader, "exposures", 10**6),
+        _whole(reader, "exposed_ns", 2**63 - 1),
+    )
+
+
+def _codes(reader: JsonFields) -> tuple[int, ...]:
+    found = reader.document.get("codes")
+    whole = isinstance(found, list) and all(type(code) is int and 0 <= code < CODES for code in found)
+    if not isinstance(found, list) or not whole or found != sorted(set(found)):
+        raise reader.error("codes", f"expected whole numbers from 0 to {CODES - 1}, each once, ascending")
+    if not MARKS.min_agreeing <= len(found) <= MAX_TAUGHT:
+        raise reader.error("codes", f"{len(found)} marks: expected {MARKS.min_agreeing} to {MAX_TAUGHT}")
+    return tuple(found)
+
+
+def _whole(reader: JsonFields, name: str, most: int) -> int:
+    value = reader.document.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
+        raise reader.error(name, f"expected a whole number from 0 to {most}, got {value!r}")
+    return value

@@ -1,0 +1,92 @@
+"""Reference marks of a cell at work: from a pair of pictures to the rig that it is measured by."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+
+import numpy as np
+
+from edged.config.cell import MarksSection
+from edged.domain.arrays import FloatArray
+from edged.domain.frames import FramePair
+from edged.domain.marks import MarksReport, MarksTrack
+from edged.domain.measurement import Outcome
+from edged.errors import FileFormatError
+from edged.pipeline import PreparedRig, corrected, locate
+from edged.vision.geometry.correction import RigCorrection
+from edged.vision.geometry.rectification import Rectification, linear_image, make_rectification
+from edged.vision.marks.taught import TaughtMarks
+from edged.vision.marks.tracking import MarksFilter, MarksSettings, correction_of
+from edged.vision.part.job import Job
+
+
+class RigMarks:
+    """The reference marks of a rig.
+
+    prepared : the rig as calibrated. jobs : by number. digest : of the marks and what is stated of them; a
+    track goes on with other marks of the same digest.
+    """
+
+    def __init__(
+        self, prepared: PreparedRig, marks: MarksFilter, jobs: Mapping[int, Job], digest: str
+    ) -> None:
+        self._prepared, self._filter, self._jobs = prepared, marks, jobs
+        self.digest = digest
+
+    def begin(self) -> MarksTrack:
+        """Before the first exposure."""
+        return self._filter.begin()
+
+    def see(self, track: MarksTrack, pair: FramePair) -> tuple[MarksTrack, MarksReport]:
+        """What the marks of a pair say after a track."""
+        rig = self._prepared.rig
+        images = (
+            linear_image(pair.left.image, rig.left.gamma),
+            linear_image(pair.right.image, rig.right.gamma),
+        )
+        return self._filter.step(track, *images, pair.exposed_ns)
+
+    def rig(self, track: MarksTrack) -> PreparedRig:
+        """The rig as it is after an exposure."""
+        base = self._prepared
+        if track.maps.any():
+            rectification = _turned(self._prepared.rectification, track.maps.tobytes())
+            base = PreparedRig(base.rig, rectification, base.workspaces)
+        return corrected(base, correction_of(track))
+
+    def then(self, track: MarksTrack, pair: FramePair) -> tuple[PreparedRig, MarksReport]:
+        """The rig in a pair that came after a track, and what the marks say in it.
+
+        Raises `FileFormatError` for a track of other marks.
+        """
+        if track.cross.shape[1] != len(self._filter.considered):
+            raise FileFormatError(
+                "the track is of other reference marks than the setup that it was recorded with"
+            )
+        after, report = self.see(track, pair)
+        return self.rig(after), report
+
+    def locate(self, number: int, pair: FramePair, track: MarksTrack, lap: Callable[[str], None]) -> Outcome:
+        """Locate a job's part by the rig as it is."""
+        return locate(pair, self._jobs[number], self.rig(track), lap)
+
+
+def rig_marks(
+    prepared: PreparedRig, taught: TaughtMarks, stated: MarksSection, jobs: Mapping[int, Job] | None = None
+) -> RigMarks:
+    """The marks of a rig as a cell's files have them."""
+    settings = MarksSettings(stated.material, stated.range_k, stated.on_knock == "heal")
+    numbers = (taught.pixels, taught.sigma_px, taught.placed.places_mm, taught.residual_px)
+    whole = hashlib.sha256(repr((settings, taught.codes, taught.rig.calibration_id)).encode())
+    for array in numbers:
+        whole.update(np.ascontiguousarray(array).tobytes())
+    return RigMarks(prepared, MarksFilter(taught, settings), jobs or {}, whole.hexdigest())
+
+
+@lru_cache(maxsize=2)  # cameras are knocked now and then; its maps are as large as eight pictures
+def _turned(rectification: Rectification, displacement: bytes) -> Rectification:
+    """The rectification for cameras that were moved."""
+    vector: FloatArray = np.frombuffer(displacement)
+    return make_rectification(RigCorrection(vector, np.empty((0, 0))).applied(rectification.rig))

@@ -1,0 +1,288 @@
+"""Teaching reference marks: where they are seen, and where they are, while the calibration is fresh.
+
+What the marks show later is compared with what they showed then, picture with picture. So a correction is of
+what has changed since, and none of it is the calibration's own error: a cell in which nothing has changed
+measures what it measured without marks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.errors import CalibrationError
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.correction import DISPLACEMENT, seen_with_slopes
+from edged.vision.geometry.rectification import linear_image
+from edged.vision.geometry.rigid import apply, invert, skew, transform, unit
+from edged.vision.geometry.triangulation import raw_covariance, triangulate_raw
+from edged.vision.geometry.uncertainty import shift_by_parameters
+from edged.vision.marks.frame import CODE_AWAY
+from edged.vision.marks.measuring import (
+    FoundMarks,
+    MarksLook,
+    PlacedMarks,
+    fitted,
+    look_of,
+    measure_marks,
+    search_marks,
+)
+from edged.vision.marks.params import MARKS
+
+
+@dataclass(frozen=True, eq=False)  # no slots: cached properties live in the instance's dictionary
+class TaughtMarks:
+    """Reference marks as they were taught.
+
+    placed : in the frame of the rig as calibrated ("world").  pixels (2, N, 2) : where left and right camera
+    saw the dots, mean of `exposures`; sigma_px (2, N) of a coordinate of these means.  shapes (2, N, 3) :
+    their ellipses, as `fit_dots` has them; blur_px : of the edges, left and right.  noise : of one exposure
+    against what its fit says, at least 1.  covariance (3 N, 3 N) : of the places in the marks' own frame, in
+    mm².  exposed_ns : of the last exposure, UTC.
+    """
+
+    rig: StereoRig
+    placed: PlacedMarks
+    pixels: FloatArray
+    sigma_px: FloatArray
+    shapes: FloatArray
+    blur_px: tuple[float, float]
+    noise: float
+    covariance: FloatArray
+    exposures: int
+    exposed_ns: int
+
+    @property
+    def codes(self) -> tuple[int, ...]:
+        """Codes of the marks, ascending."""
+        return self.placed.codes
+
+    @cached_property
+    def looks(self) -> tuple[MarksLook, MarksLook]:
+        """How both cameras see them."""
+        left, right = (
+            look_of(self.rig.camera(side), _pose(self.rig, side), self.placed, shapes, blur_px)
+            for side, shapes, blur_px in zip(SIDES, self.shapes, self.blur_px, strict=True)
+        )
+        return left, right
+
+    @cached_property
+    def residual_px(self) -> FloatArray:
+        """(2, N, 2) : where they were seen against where the calibrated rig sees their places."""
+        nothing = np.zeros(DISPLACEMENT)
+        seen = [seen_with_slopes(self.rig, nothing, side, self.placed.places_mm)[0] for side in SIDES]
+        return np.asarray(self.pixels - np.stack(seen))
+
+    @cached_property
+    def world_from_marks(self) -> FloatArray:
+        """(4, 4) : the marks' own frame; see `own_frame`."""
+        return own_frame(self.placed.places_mm, self.placed.normal)
+
+    def by_growth(self) -> FloatArray:
+        """(2, N, 2) px : how the dots move per unit of the plate's growth about the marks' middle."""
+        arms = self.placed.places_mm - self.world_from_marks[:3, 3]
+        nothing = np.zeros(DISPLACEMENT)
+        slopes = [seen_with_slopes(self.rig, nothing, side, self.placed.places_mm)[2] for side in SIDES]
+        return np.stack([np.einsum("nij,nj->ni", slope, arms) for slope in slopes])
+
+
+def own_frame(places_mm: FloatArray, normal: FloatArray) -> FloatArray:
+    """(4, 4) world_from_marks: origin in their middle, z along the normal, x the world's in their plane."""
+    x = unit(np.array([1.0, 0.0, 0.0]) - normal[0] * normal)
+    return transform(np.column_stack([x, np.cross(normal, x), normal]), places_mm.mean(axis=0))
+
+
+def _pose(rig: StereoRig, side: str) -> FloatArray:
+    return np.eye(4) if side == "left" else rig.right_from_left
+
+
+# --- teaching ---------------------------------------------------------------------------------------------
+
+
+def teach_marks(
+    pairs: Iterable[tuple[Image, Image]], rig: StereoRig, exposed_ns: int, *, least: int = MARKS.min_exposures
+) -> TaughtMarks:
+    """Teach the marks that all of at least `least` exposures of a still cell show.
+
+    pairs : raw left and right images (H, W) uint8.
+    Raises `CalibrationError` that says what is wrong with the marks or the pictures.
+    """
+    placed: PlacedMarks | None = None
+    looks: tuple[MarksLook, ...] = ()
+    near, shapes, blur_px = np.empty((2, 0, 2)), np.empty((2, 0, 3)), (0.0, 0.0)
+    every: list[FloatArray] = []
+    sigmas: list[FloatArray] = []
+    for pair in pairs:
+        images = [
+            linear_image(image, rig.camera(side).gamma) for image, side in zip(pair, SIDES, strict=True)
+        ]
+        if placed is None:
+            placed, near, shapes, blur_px = first_look(images, rig)
+            looks = tuple(
+                look_of(rig.camera(side), _pose(rig, side), placed, shape, blur)
+                for side, shape, blur in zip(SIDES, shapes, blur_px, strict=True)
+            )
+        seen = [measure_marks(image, look, at) for image, look, at in zip(images, looks, near, strict=True)]
+        every.append(np.stack([dots.pixels for dots in seen]))
+        sigmas.append(np.stack([dots.sigma_px for dots in seen]))
+    if placed is None or len(every) < least:
+        raise CalibrationError(f"{len(every)} exposures, at least {least} are needed")
+    return taught_of(rig, placed, np.stack(every), np.stack(sigmas), shapes, blur_px, exposed_ns)
+
+
+def taught_of(
+    rig: StereoRig,
+    placed: PlacedMarks,
+    pixels: FloatArray,
+    sigma_px: FloatArray,
+    shapes: FloatArray,
+    blur_px: tuple[float, float],
+    exposed_ns: int,
+) -> TaughtMarks:
+    """What measured dots teach: pixels (E, 2, N, 2), sigma_px (E, 2, N); NaN where a dot was not seen.
+
+    placed : the marks, roughly; shapes, blur_px : as in `TaughtMarks`. Raises `CalibrationError`.
+    """
+    codes = placed.codes
+    shown = np.isfinite(pixels).all(axis=(1, 3)).sum(axis=0)
+    kept = np.flatnonzero(shown >= MARKS.min_share * len(pixels))
+    if len(kept) < MARKS.min_agreeing:
+        raise CalibrationError(
+            f"{len(kept)} marks are in both pictures of {100 * MARKS.min_share:.0f} % of the exposures, at "
+            f"least {MARKS.min_agreeing} are needed: {_counts(codes, shown, len(pixels))}"
+        )
+    pixels, sigma_px = pixels[:, :, kept], sigma_px[:, :, kept]
+    count = np.isfinite(sigma_px).sum(axis=0)
+    mean = np.nanmean(pixels, axis=0)
+    halves = np.array_split(pixels, 2)
+    moved = float(np.abs(np.nanmean(halves[1], axis=0) - np.nanmean(halves[0], axis=0)).max())
+    if moved > MARKS.still_px:
+        raise CalibrationError(
+            f"the marks moved by {moved:.2f} px while they were taught, at most {MARKS.still_px:g} px are "
+            "allowed: wait until cameras and lamps are warm and nothing shakes"
+        )
+    least = np.hypot(sigma_px, MARKS.noise_px)
+    scatter = (pixels - mean) / least[..., None]
+    noise = math.sqrt(max(1.0, float(np.nansum(scatter**2) / (2.0 * max(np.sum(count - 1), 1)))))
+    of_mean = noise * np.sqrt(np.nansum(least**2, axis=0)) / count
+    places = triangulate_raw(rig, *mean)
+    if not np.isfinite(places).all():
+        raise CalibrationError("the marks are not before both cameras: was this rig calibrated as it stands?")
+    chosen = tuple(codes[index] for index in kept)
+    normal = _normal(places)
+    placed = PlacedMarks(chosen, places, placed.along_mm[kept], normal, placed.radius_mm[kept])
+    covariance = _own_covariance(rig, places, of_mean)
+    return TaughtMarks(
+        rig, placed, mean, of_mean, shapes[:, kept], blur_px, noise, covariance, len(pixels), exposed_ns
+    )
+
+
+def _counts(codes: tuple[int, ...], shown: FloatArray, exposures: int) -> str:
+    """In words, how often each was seen."""
+    return ", ".join(f"{code} in {seen} of {exposures}" for code, seen in zip(codes, shown, strict=True))
+
+
+def first_look(
+    images: list[Image], rig: StereoRig
+) -> tuple[PlacedMarks, FloatArray, FloatArray, tuple[float, float]]:
+    """The marks in both pictures, roughly; of their dots centres (2, N, 2), shapes (2, N, 3) and blur."""
+    found = [search_marks(image) for image in images]
+    codes = tuple(sorted(set(found[0].codes) & set(found[1].codes)))
+    if len(codes) < MARKS.min_agreeing:
+        raise CalibrationError(_why_so_few(images, found, codes))
+    dots, codes_px, shapes, blurs = [], [], [], []
+    for image, marks in zip(images, found, strict=True):
+        chosen = [marks.codes.index(code) for code in codes]
+        centres, away = marks.centres_px[chosen], marks.away_px[chosen]
+        radius = 0.5 * np.linalg.norm(away, axis=1) / CODE_AWAY
+        circles = np.column_stack([centres, 1 / radius, 0 * radius, 1 / radius, 0 * radius])
+        fits = fitted(image, circles)
+        fine = fits[:, 5] > 0
+        dots.append(np.where(fine[:, None], fits[:, :2], np.nan))
+        codes_px.append(centres + away)
+        blurs.append(float(np.median(fits[fine, 3])) if fine.any() else 0.0)
+        shapes.append(fits[:, 6:])
+    kept = np.isfinite(np.stack(dots)).all(axis=(0, 2))
+    if kept.sum() < MARKS.min_agreeing:
+        raise CalibrationError(
+            f"{kept.sum()} dots can be measured beside {len(codes)} codes, at least {MARKS.min_agreeing} are "
+            "needed: a dot is missing, covered, blurred or of another size than its code"
+        )
+    centres, beside = triangulate_raw(rig, *dots), triangulate_raw(rig, *codes_px)
+    kept &= np.isfinite(centres).all(axis=1) & np.isfinite(beside).all(axis=1)
+    seen = [rig.camera(side).project(apply(_pose(rig, side), centres)) for side in SIDES]
+    apart_px = float(np.nanmax(np.abs(np.stack(seen) - np.stack(dots))[:, kept], initial=0.0))
+    if kept.sum() < MARKS.min_agreeing or not apart_px <= MARKS.rays_px:
+        raise CalibrationError(
+            f"the rays of both cameras miss each other at the marks by up to {apart_px:.1f} px: are left and "
+            "right exchanged, or was a camera moved since the calibration?"
+        )
+    normal = _normal(centres[kept])
+    along = beside[kept] - centres[kept]
+    along -= np.outer(along @ normal, normal)
+    b11, b12, b22 = shapes[0][kept].T
+    radius_px = 1.0 / np.sqrt(b11 * b22 - b12**2)
+    # a circle of radius r looks like an ellipse of area pi (r f / z)² (ray . normal) / (ray . axis)
+    rays = centres[kept]
+    aslant = np.sqrt(rays[:, 2] / np.abs(rays @ normal))
+    radius_mm = radius_px * rays[:, 2] / math.sqrt(rig.left.fx * rig.left.fy) * aslant
+    whole = tuple(code for code, is_kept in zip(codes, kept, strict=True) if is_kept)
+    placed = PlacedMarks(whole, centres[kept], along, normal, radius_mm)
+    return placed, np.stack(dots)[:, kept], np.stack(shapes)[:, kept], (blurs[0], blurs[1])
+
+
+def _why_so_few(images: list[Image], found: list[FoundMarks], codes: tuple[int, ...]) -> str:
+    """In words, why marks cannot be taught."""
+    said = f"{len(codes)} reference marks are in both pictures, at least {MARKS.min_agreeing} are needed"
+    twice = sorted({code for marks in found for code in marks.twice})
+    if twice:
+        return f"{said}: codes {', '.join(map(str, twice))} are there twice; only one plate may be in view"
+    mirrored = [len(search_marks(np.ascontiguousarray(image[:, ::-1])).codes) for image in images]
+    if min(mirrored) >= MARKS.min_agreeing:
+        return f"{said}: they are mirrored: printed from the back, or a camera mirrors its picture"
+    alone = Counter(len(marks.codes) for marks in found)
+    if sum(alone) > 2 * len(codes):
+        return f"{said}: left has {len(found[0].codes)}, right {len(found[1].codes)}"
+    return said
+
+
+def _normal(places_mm: FloatArray) -> FloatArray:
+    """(3,) of the plane nearest to points, away from the cameras."""
+    normal = np.linalg.svd(places_mm - places_mm.mean(axis=0))[2][2]
+    return np.asarray(normal if normal[2] > 0 else -normal)
+
+
+def _own_covariance(rig: StereoRig, places_mm: FloatArray, sigma_px: FloatArray) -> FloatArray:
+    """(3 N, 3 N) of places in the marks' own frame: what moves all of them as one is not in it."""
+    count = len(places_mm)
+    apart = np.zeros((count, 3, count, 3))
+    each = raw_covariance(rig, places_mm, np.sqrt(np.mean(sigma_px**2, axis=0)))
+    for index in range(count):
+        apart[index, :, index] = each[index]
+    covariance = apart.reshape(3 * count, 3 * count)
+    if rig.covariance is not None:
+        by_lenses = shift_by_parameters(rig, places_mm).reshape(3 * count, -1)
+        covariance += by_lenses @ rig.covariance @ by_lenses.T
+    arms = places_mm - places_mm.mean(axis=0)
+    motions = np.concatenate([np.broadcast_to(np.eye(3), (count, 3, 3)), -skew(arms)], axis=2)
+    motions = motions.reshape(3 * count, 6)
+    own = np.eye(3 * count) - motions @ np.linalg.solve(motions.T @ motions, motions.T)
+    covariance = own @ covariance @ own.T
+    turned = np.kron(np.eye(count), own_frame(places_mm, _normal(places_mm))[:3, :3].T)
+    return np.asarray(turned @ covariance @ turned.T)
+
+
+def marks_from_world(taught: TaughtMarks) -> FloatArray:
+    """(4, 4)."""
+    return invert(taught.world_from_marks)
+
+
+def places_in_own_frame(taught: TaughtMarks) -> FloatArray:
+    """(N, 3) of the dots, in the marks' own frame."""
+    return apply(marks_from_world(taught), taught.placed.places_mm)

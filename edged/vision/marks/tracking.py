@@ -1,0 +1,492 @@
+"""Where the cameras are, exposure by exposure: a small filter over what the reference marks show.
+
+The state is the displacement of both cameras since the marks were taught (14, see `geometry.correction`). It
+walks at random, as fast as weather drives it; each exposure updates it with the dots that are seen. What is
+wrong with all exposures alike does not average out, and the filter knows: the taught places of the dots in
+the pictures (2, N, 2), and the plate's growth, are never updated, but their correlation with the state is
+carried along (S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in Control
+Systems 3, 1966: the consider filter).
+
+Before an update all dots together must agree with what is expected (chi² at 1e-6). If they do not, either
+some marks are wrong, and most of the others agree, or the cameras were moved, and at least six marks agree on
+where to; else nothing is believed. Pure and without a clock: the same state and pictures give the same bits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edged.domain.arrays import SIDES, FloatArray, Image, Side
+from edged.domain.marks import MarksReport, MarksState, MarksTrack
+from edged.vision.boards.board import IntArray
+from edged.vision.geometry.correction import (
+    DISPLACEMENT,
+    OF_CAMERA,
+    RigCorrection,
+    of_side,
+    seen_with_slopes,
+)
+from edged.vision.geometry.rigid import rotation_matrix, skew
+from edged.vision.marks.measuring import SeenDots, measure_marks, rough_dots, search_marks
+from edged.vision.marks.params import EXPANSION_PER_K, MARKS
+from edged.vision.marks.taught import TaughtMarks
+
+_FOCAL = [OF_CAMERA * index + 6 for index in range(2)]
+"""Elements of a displacement."""
+_STEPS = 5
+"""Gauss-Newton steps for a knock of some mm: it converges quadratically, three reach 1e-9 px."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarksSettings:
+    """What a cell says of its marks.
+
+    material : of the plate. range_k : how far temperatures differ from those of the teaching.
+    heals : whether results are given again after a knock; else only after another teaching.
+    """
+
+    material: str = "steel"
+    range_k: float = 10.0
+    heals: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DotsInPair:
+    """What both pictures show: pixels (2, N, 2), sigma_px (2, N), NaN where a dot was not seen.
+
+    strange : codes in the pictures that were not taught; known only after a search. twice : of those taught
+    that are there more than once.
+    """
+
+    pixels: FloatArray
+    sigma_px: FloatArray
+    strange: tuple[int, ...] = ()
+    twice: tuple[int, ...] = ()
+
+
+class MarksFilter:
+    """The filter of one teaching; holds nothing that changes."""
+
+    def __init__(self, taught: TaughtMarks, settings: MarksSettings | None = None) -> None:
+        self.taught, self.settings = taught, settings or MarksSettings()
+        # the bias of a dot then, and another one now that it lies elsewhere in its pixels
+        places = np.repeat(taught.sigma_px.reshape(-1) ** 2, 2) + 2.0 * MARKS.bias_px**2
+        self.considered = np.diag(places)
+        grown = taught.by_growth().reshape(-1)
+        # the whole range is a sigma: at the warmest hour of a day that is what the plate is off by
+        growth = EXPANSION_PER_K[self.settings.material] * self.settings.range_k
+        self.considered += growth**2 * np.outer(grown, grown)
+        self._weather = _by_camera(MARKS.shift_mm_per_k, MARKS.turn_rad_per_k, MARKS.focal_per_k) ** 2
+
+    def begin(self) -> MarksTrack:
+        """Before the first exposure: all that weather can have done since the teaching, and nothing else."""
+        prior = np.diag(self._weather * self.settings.range_k**2)
+        nothing = np.zeros(DISPLACEMENT)
+        return MarksTrack(nothing, prior, np.zeros((DISPLACEMENT, len(self.considered))), nothing)
+
+    # --- one exposure --------------------------------------------------------------------------------------
+
+    def step(
+        self, track: MarksTrack, left: Image, right: Image, exposed_ns: int
+    ) -> tuple[MarksTrack, MarksReport]:
+        """What a pair of linear raw images (H, W) uint8 says; `exposed_ns` UTC."""
+        track = self.predicted(track, exposed_ns)
+        dots, track = self.look(track, left, right)
+        track, report = self.updated(track, dots)
+        moved_px = np.abs(self.expected_px(track.displacement) - self.expected_px(track.maps)).max()
+        if moved_px > MARKS.maps_px:
+            track = replace(track, maps=track.displacement)
+        return track, report
+
+    def predicted(self, track: MarksTrack, exposed_ns: int) -> MarksTrack:
+        """As time passes. A clock that goes back adds nothing, one that jumps on a day at most."""
+        if not track.exposed_ns:
+            return replace(track, exposed_ns=exposed_ns)
+        hours = min(max((exposed_ns - track.exposed_ns) / 3.6e12, 0.0), MARKS.longest_h)
+        swing = self._weather * self.settings.range_k**2
+        walked = swing * MARKS.daily**2 * hours
+        # the marks hardly see focal lengths: walking for months they would be lost, but weather returns
+        share = math.exp(-0.5 * MARKS.daily**2 * hours)
+        kept = np.ones(DISPLACEMENT)
+        kept[_FOCAL] = share
+        walked[_FOCAL] = (1.0 - share**2) * swing[_FOCAL]
+        return replace(
+            track,
+            exposed_ns=exposed_ns,
+            displacement=kept * track.displacement,
+            covariance=kept[:, None] * track.covariance * kept + np.diag(walked),
+            cross=kept[:, None] * track.cross,
+        )
+
+    def updated(self, track: MarksTrack, dots: DotsInPair) -> tuple[MarksTrack, MarksReport]:
+        """What dots say; the track as `predicted` gave it."""
+        seen = np.isfinite(dots.pixels).all(axis=2)
+        marks = np.flatnonzero(seen.any(axis=0))
+        if not len(marks):
+            return self._coasting(track, dots, np.nan, marks)
+        every = _Observed.of(self, track, dots, marks)
+        if every.misfit <= _most(every.count):
+            return self._agreed(track, dots, every, marks, ())
+        few, kept = self._without_wrong(track, dots, marks)
+        for hit in (SIDES[:1], SIDES[1:], SIDES):
+            moved, agreeing = self._moved(track, dots, marks, hit)
+            if moved is not None and len(agreeing) > len(kept) + 1:
+                return self._knocked(track, dots, moved, marks, agreeing, hit)
+        excluded = self._codes(np.setdiff1d(marks, kept))
+        if few is not None and len(kept) >= MARKS.min_of_camera and 2 * len(kept) > len(marks):
+            return self._agreed(track, dots, few, kept, excluded)
+        why = "the marks contradict each other: was one moved, covered in part, or the plate exchanged?"
+        if len(marks) < MARKS.min_agreeing:
+            why = f"{len(marks)} marks are elsewhere than expected, too few to tell where the cameras are"
+        report = self._report(track, MarksState.CONTRADICTED, marks, every.misfit / every.count, why)
+        codes = self._codes(marks)
+        return replace(track, wait=self._waiting(track)), replace(report, valid=False, excluded=codes)
+
+    # --- outcomes ------------------------------------------------------------------------------------------
+
+    def _agreed(
+        self,
+        track: MarksTrack,
+        dots: DotsInPair,
+        observed: _Observed,
+        marks: IntArray,
+        excluded: tuple[int, ...],
+    ) -> tuple[MarksTrack, MarksReport]:
+        updated = observed.applied(track)
+        enough = bool(
+            (np.isfinite(dots.pixels[:, marks]).all(axis=2).sum(axis=1) >= MARKS.min_of_camera).all()
+        )
+        fit = observed.misfit / observed.count
+        if updated.knocked:
+            wait = updated.wait
+            if enough and not excluded:
+                wait = max(0, wait - 1)
+            healed = self.settings.heals and not wait
+            updated = replace(updated, wait=wait, knocked=not healed)
+            if not healed:
+                why = "knocked: results come again when the marks have agreed for a few exposures"
+                if not self.settings.heals:
+                    why = "knocked: on_knock is refuse: teach the marks anew when all is well"
+                report = self._report(updated, MarksState.KNOCKED, marks, fit, why)
+                return updated, replace(report, valid=False, excluded=excluded)
+        if excluded:
+            why = f"marks {', '.join(map(str, excluded))} disagree with the others and are left out"
+            report = self._report(updated, MarksState.CONTRADICTED, marks, fit, why)
+            return updated, replace(report, excluded=excluded)
+        if not enough:
+            return self._coasting(updated, dots, fit, marks)
+        return updated, self._report(updated, MarksState.CORRECTED, marks, fit, "")
+
+    def _coasting(
+        self, track: MarksTrack, dots: DotsInPair, fit: float, marks: IntArray
+    ) -> tuple[MarksTrack, MarksReport]:
+        """Too few marks are seen. Codes of another plate are no weather."""
+        if dots.strange and not len(marks):
+            shown = ", ".join(map(str, dots.strange[:8]))
+            why = f"another plate: codes {shown} were not taught here"
+            return track, replace(self._report(track, MarksState.CONTRADICTED, marks, fit, why), valid=False)
+        state, why = MarksState.COASTING, f"{len(marks)} of {len(self.taught.codes)} marks are seen"
+        report = self._report(track, MarksState.KNOCKED if track.knocked else state, marks, fit, why)
+        return track, replace(report, valid=not track.knocked)
+
+    def _knocked(
+        self,
+        track: MarksTrack,
+        dots: DotsInPair,
+        moved: MarksTrack,
+        marks: IntArray,
+        agreeing: IntArray,
+        hit: Sequence[Side],
+    ) -> tuple[MarksTrack, MarksReport]:
+        excluded = self._codes(np.setdiff1d(marks, agreeing))
+        observed = _Observed.of(self, moved, dots, agreeing)
+        fit = observed.misfit / observed.count
+        whole = self._as_a_whole(track, dots, agreeing) if len(hit) > 1 else None
+        why = _refused(self.taught, moved, whole)
+        if why:
+            report = self._report(track, MarksState.CONTRADICTED, marks, fit, why)
+            return replace(track, wait=self._waiting(track)), replace(
+                report, valid=False, excluded=self._codes(marks)
+            )
+        found = replace(moved, knocked=True, wait=MARKS.consistent)
+        why = f"the {hit[0]} camera was moved" if len(hit) == 1 else "both cameras were moved"
+        if whole is not None:
+            why = "the rig as a whole, or the plate of the marks, was moved"
+        report = self._report(found, MarksState.KNOCKED, agreeing, fit, why)
+        return found, replace(report, valid=False, excluded=excluded)
+
+    def _as_a_whole(self, track: MarksTrack, dots: DotsInPair, marks: IntArray) -> tuple[float, float] | None:
+        """Growth of the plate, and its sigma, if all is as before but for the plate; None if it is not.
+
+        The plate may lie elsewhere (as it seems when the rig was moved), and be of another size.
+        """
+        taught = self.taught
+        observed = _Observed.of(self, track, dots, marks)
+        middle = taught.world_from_marks[:3, 3]
+        arms, shift, turned = taught.placed.places_mm - middle, np.zeros(3), np.eye(3)
+        growth, weights = 0.0, np.linalg.inv(observed.factor @ observed.factor.T)
+        for _ in range(_STEPS):
+            moved = (1.0 + growth) * arms @ turned.T
+            difference, rows = [], []
+            for index, side in enumerate(SIDES):
+                pixels, _, by_place = seen_with_slopes(
+                    taught.rig, track.displacement, side, middle + shift + moved
+                )
+                difference.append(dots.pixels[index] - pixels - taught.residual_px[index])
+                by_motion = np.concatenate([by_place @ -skew(moved), by_place], axis=2)
+                rows.append(np.concatenate([by_motion, by_place @ moved[:, :, None]], axis=2))
+            slopes = np.stack(rows).reshape(-1, 7)[observed.rows]
+            left_over = np.stack(difference).reshape(-1)[observed.rows]
+            inverse = np.linalg.inv(slopes.T @ weights @ slopes)
+            step = inverse @ (slopes.T @ weights @ left_over)
+            turned, shift = rotation_matrix(step[:3]) @ turned, shift + step[3:6]
+            growth += float(step[6])
+        left_over = left_over - slopes @ step
+        if float(left_over @ weights @ left_over) > _most(observed.count):
+            return None
+        return growth, math.sqrt(inverse[6, 6])
+
+    def _waiting(self, track: MarksTrack) -> int:
+        return MARKS.consistent if track.knocked else track.wait
+
+    def _report(
+        self, track: MarksTrack, state: MarksState, marks: IntArray, fit: float, why: str
+    ) -> MarksReport:
+        left_mm, right_mm = (float(np.linalg.norm(track.displacement[of_side(side)][3:6])) for side in SIDES)
+        return MarksReport(
+            state, True, len(marks), len(self.taught.codes), (), float(fit), left_mm, right_mm, why
+        )
+
+    def _codes(self, marks: IntArray) -> tuple[int, ...]:
+        return tuple(self.taught.codes[index] for index in marks)
+
+    # --- hypotheses ----------------------------------------------------------------------------------------
+
+    def _without_wrong(
+        self, track: MarksTrack, dots: DotsInPair, marks: IntArray
+    ) -> tuple[_Observed | None, IntArray]:
+        """Leave out, one by one, the mark without which the others agree best; None where none agree."""
+        kept = marks
+        while len(kept) > MARKS.min_of_camera:
+            kept = np.delete(kept, _Observed.of(self, track, dots, kept).worst(kept))
+            observed = _Observed.of(self, track, dots, kept)
+            if observed.misfit <= _most(observed.count):
+                return observed, kept
+        return None, kept[:0]
+
+    def _moved(
+        self, track: MarksTrack, dots: DotsInPair, marks: IntArray, hit: Sequence[Side]
+    ) -> tuple[MarksTrack | None, IntArray]:
+        """Where the marks alone say that cameras are that were hit: lenses as before, poses forgotten.
+
+        Returns at least `min_agreeing` marks that agree on it; None and none where there are not so many.
+        """
+        known = np.ones(DISPLACEMENT)
+        for side in hit:
+            known[of_side(side)][:6] = 0.0
+        wide = known[:, None] * track.covariance * known
+        wide += np.diag((1.0 - known) * _by_camera(MARKS.knock_mm, MARKS.knock_rad, 0.0) ** 2)
+        cross = known[:, None] * track.cross
+        prior = replace(track, covariance=wide, cross=cross)
+        kept = marks
+        while len(kept) >= MARKS.min_agreeing:
+            at = prior
+            for _ in range(_STEPS):
+                observed = _Observed.of(self, prior, dots, kept, at.displacement)
+                at = observed.applied(prior)
+            if observed.misfit <= _most(observed.count):
+                return at, kept
+            kept = np.delete(kept, observed.worst(kept))
+        return None, kept[:0]
+
+    # --- pictures ------------------------------------------------------------------------------------------
+
+    def look(self, track: MarksTrack, left: Image, right: Image) -> tuple[DotsInPair, MarksTrack]:
+        """Measure all dots; where half of them are not where they should be, search the whole pictures."""
+        images, taught = (left, right), self.taught
+        expected = self.expected_px(track.displacement)
+        seen = [
+            measure_marks(image, look, at)
+            for image, look, at in zip(images, taught.looks, expected, strict=True)
+        ]
+        found = min(int(np.isfinite(dots.sigma_px).sum()) for dots in seen)
+        if 2 * found >= len(taught.codes):
+            return _both(seen), replace(track, searched=0, blank=0)
+        if track.searched > 0:
+            return _both(seen), replace(track, searched=track.searched - 1)
+        dots = self._searched(images, seen)
+        again = min(int(np.isfinite(pixels).all(axis=1).sum()) for pixels in dots.pixels)
+        if again > found:
+            return dots, replace(track, searched=0, blank=0)
+        blank = min(2 * track.blank + 1, MARKS.farthest_search)
+        return dots, replace(track, searched=blank, blank=blank)
+
+    def _searched(self, images: tuple[Image, Image], seen: list[SeenDots]) -> DotsInPair:
+        """Dots found anywhere, in place of those not seen."""
+        codes, both = self.taught.codes, []
+        strange, twice = set[int](), set[int]()
+        for image, look, dots in zip(images, self.taught.looks, seen, strict=True):
+            found = search_marks(image)
+            strange |= set(found.codes) - set(codes)
+            twice |= set(found.twice) & set(codes)
+            near = np.full((len(codes), 2), np.nan)
+            for code, centre in zip(found.codes, found.centres_px, strict=True):
+                if code in codes:
+                    near[codes.index(code)] = centre
+            near[np.isfinite(dots.sigma_px)] = np.nan
+            more = measure_marks(image, look, rough_dots(image, look, near))
+            is_new = np.isfinite(more.sigma_px)
+            both.append(
+                SeenDots(
+                    np.where(is_new[:, None], more.pixels, dots.pixels),
+                    np.where(is_new, more.sigma_px, dots.sigma_px),
+                )
+            )
+        return replace(_both(both), strange=tuple(sorted(strange)), twice=tuple(sorted(twice)))
+
+    def expected_px(self, displacement: FloatArray) -> FloatArray:
+        """(2, N, 2) where the dots should be seen."""
+        places = self.taught.placed.places_mm
+        seen = [seen_with_slopes(self.taught.rig, displacement, side, places)[0] for side in SIDES]
+        return np.asarray(np.stack(seen) + self.taught.residual_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Observed:
+    """Chosen dots against a track: innovation (M,) and its covariance, and what they are worth.
+
+    H (M, 14) : slopes.  rows (M,) : of the considered places.  factor (M, M) : Cholesky of the covariance.
+    """
+
+    innovation: FloatArray
+    factor: FloatArray
+    gain: FloatArray
+    slopes: FloatArray
+    rows: IntArray
+    considered: FloatArray
+    noise: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        tracker: MarksFilter,
+        track: MarksTrack,
+        dots: DotsInPair,
+        marks: IntArray,
+        at: FloatArray | None = None,
+    ) -> _Observed:
+        """Dots of some marks, linearised at a displacement: the track's own, or `at`."""
+        taught, considered = tracker.taught, tracker.considered
+        here = track.displacement if at is None else at
+        count = len(taught.codes)
+        parts = []
+        for index, side in enumerate(SIDES):
+            pixels, slopes, _ = seen_with_slopes(taught.rig, here, side, taught.placed.places_mm)
+            full = np.zeros((count, 2, DISPLACEMENT))
+            full[:, :, of_side(side)] = slopes
+            parts.append((dots.pixels[index] - pixels - taught.residual_px[index], full))
+        difference = np.stack([part[0] for part in parts])
+        slopes_of = np.stack([part[1] for part in parts])
+        chosen = np.zeros((2, count, 2), bool)
+        chosen[:, marks] = np.isfinite(dots.pixels[:, marks])
+        rows = np.flatnonzero(chosen)
+        H = slopes_of.reshape(-1, DISPLACEMENT)[rows]
+        innovation = difference.reshape(-1)[rows] - H @ (track.displacement - here)
+        sigma = taught.noise * np.hypot(dots.sigma_px, MARKS.noise_px)
+        noise = np.repeat(sigma.reshape(-1) ** 2, 2)[rows]
+        HC = H @ track.cross[:, rows]
+        S = H @ track.covariance @ H.T + HC + HC.T + considered[np.ix_(rows, rows)] + np.diag(noise)
+        factor = np.asarray(np.linalg.cholesky(S))
+        gain = track.covariance @ H.T + track.cross[:, rows]
+        return cls(innovation, factor, gain, H, rows, considered, noise)
+
+    @property
+    def count(self) -> int:
+        """Coordinates."""
+        return len(self.innovation)
+
+    @property
+    def misfit(self) -> float:
+        """chi² of the innovation."""
+        whitened = np.linalg.solve(self.factor, self.innovation)
+        return float(whitened @ whitened)
+
+    def applied(self, track: MarksTrack) -> MarksTrack:
+        """The track with what these dots say; the considered places stay as they are."""
+        whitened = np.linalg.solve(self.factor, self.gain.T).T  # K S^(1/2)
+        K = np.linalg.solve(self.factor.T, whitened.T).T
+        covariance = track.covariance - whitened @ whitened.T
+        cross = track.cross - K @ (self.slopes @ track.cross + self.considered[self.rows])
+        return replace(
+            track,
+            displacement=track.displacement + K @ self.innovation,
+            covariance=0.5 * (covariance + covariance.T),
+            cross=cross,
+        )
+
+    def worst(self, marks: IntArray) -> int:
+        """Which of these marks, by its place among them, the others agree best without.
+
+        Leaving out rows B takes w_B' (S^-1)_BB^-1 w_B from the misfit, with w = S^-1 innovation.
+        """
+        count = self.considered.shape[0] // 4
+        inverse = np.linalg.inv(self.factor @ self.factor.T)
+        weighted = inverse @ self.innovation
+        of_mark = self.rows // 2 % count
+        gains = []
+        for mark in marks:
+            rows = np.flatnonzero(of_mark == mark)
+            gains.append(weighted[rows] @ np.linalg.solve(inverse[np.ix_(rows, rows)], weighted[rows]))
+        return int(np.argmax(gains))
+
+
+def correction_of(track: MarksTrack) -> RigCorrection:
+    """The cameras as they are."""
+    return RigCorrection(track.displacement, track.covariance)
+
+
+def _both(seen: list[SeenDots]) -> DotsInPair:
+    return DotsInPair(np.stack([dots.pixels for dots in seen]), np.stack([dots.sigma_px for dots in seen]))
+
+
+def _by_camera(mm: float, rad: float, focal: float) -> FloatArray:
+    """(14,) for both cameras alike."""
+    return np.tile([rad, rad, rad, mm, mm, mm, focal], 2)
+
+
+def _most(count: int) -> float:
+    """chi² of `count` that chance exceeds once in a million (E. B. Wilson, M. M. Hilferty, PNAS 17, 1931)."""
+    share = 2.0 / (9.0 * count)
+    return float(count * (1.0 - share + MARKS.chance * math.sqrt(share)) ** 3)
+
+
+def _refused(taught: TaughtMarks, moved: MarksTrack, whole: tuple[float, float] | None) -> str:
+    """Why a knock cannot be believed; "" if it can.
+
+    whole : growth of the plate and its sigma, if that explains it.
+
+    A camera that moves along the baseline looks like a plate that grew and moved away by just as much; so
+    only what one camera alone does not explain is taken for another plate.
+    """
+    far_mm, far_rad = _relative(taught, moved.displacement)
+    if far_mm > MARKS.largest_mm or far_rad > MARKS.largest_rad:
+        return (
+            f"the cameras were moved against each other by {far_mm:.1f} mm and {1e3 * far_rad:.1f} mrad, "
+            "or this is another plate: calibrate or teach anew"
+        )
+    if whole is not None and abs(whole[0]) > MARKS.other_size * whole[1]:
+        return f"the plate is {100 * whole[0]:+.2f} % larger than the one that was taught: teach anew"
+    return ""
+
+
+def _relative(taught: TaughtMarks, displacement: FloatArray) -> tuple[float, float]:
+    """By how much (mm, rad) the cameras were moved against each other."""
+    rig = taught.rig
+    now = RigCorrection(displacement, np.empty((0, 0))).applied(rig).right_from_left
+    turn = now[:3, :3] @ rig.right_from_left[:3, :3].T
+    angle = math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(turn)) - 1.0))))
+    return abs(float(np.linalg.norm(now[:3, 3])) - rig.baseline_mm), angle

@@ -1,0 +1,225 @@
+"""Reference marks in a running cell: corrections, knocks, records, replay; and a cell without any."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.markedcell import marked_cell, pair_at, prepared, teach
+from helpers.schema_check import load_schema, violations
+from helpers.scriptedhead import Ear, Head, locate_command, running
+from helpers.waiting import until
+from rich.console import Console
+
+from edged import payload
+from edged.adapters.modbus import ModbusSettings
+from edged.adapters.modbus.cell import CellRegisters
+from edged.app.cell import LoadedCell, load_cell
+from edged.cell.cycle import Cycle
+from edged.commands.replay import replay
+from edged.domain.events import Basis, Snapshot
+from edged.domain.frames import FramePair
+from edged.domain.marks import MarksState
+from edged.domain.measurement import Reject, Status
+from edged.files import recording
+from edged.files.marks import marks_file
+from edged.payload import snapshot_to_json
+from edged.pipeline import locate, prepare
+from edged.plc import registers as reg
+from edged.sim.cell import VirtualCell
+from edged.sim.weather import Knock, Schedule
+
+COLD = Schedule(((0.0, 0.0), (1e-9, -8.0)))
+"""Eight kelvin colder at once: the cameras follow within the hour."""
+
+
+class Reel(Head):
+    """A head that gives pairs in turn."""
+
+    def __init__(self, pairs: Sequence[FramePair]) -> None:
+        super().__init__()
+        self.pairs = list(pairs)
+
+    async def capture(self) -> FramePair:
+        self.captures += 1
+        return self.pairs.pop(0)
+
+
+def measured(loaded: LoadedCell, pairs: Sequence[FramePair], then=None) -> list[Snapshot]:
+    """One LOCATE for each pair. then : of the cycle, between the pairs."""
+    ear = Ear()
+
+    async def main() -> None:
+        cycle = Cycle(Reel(pairs), replace(loaded.setup, period_s=None))
+        async with running(cycle, ear):
+            for number in range(1, len(pairs) + 1):
+                command = locate_command(number)
+                cycle.submit(command)
+                await until(lambda command=command: ear.answers(command))
+                if then is not None:
+                    wanted = then(cycle)  # fingerprint
+                    await until(lambda wanted=wanted: wanted in bases(ear))
+
+    asyncio.run(main())
+    return ear.snapshots()
+
+
+def bases(ear: Ear) -> set[str]:
+    """Fingerprints of all that was measured by."""
+    return {event.fingerprint for event in ear.events if isinstance(event, Basis)}
+
+
+@cache
+def drifted() -> tuple[VirtualCell, tuple[FramePair, ...]]:
+    """Pairs of a cell that has been cold for hours."""
+    cell = marked_cell(schedule=COLD)
+    pair_at(cell, 0)
+    return cell, tuple(pair_at(cell, second) for second in range(20_000, 20_004))
+
+
+def truth(cell: VirtualCell, snapshot: Snapshot) -> np.ndarray:
+    """(3,) of the part's reference point, in the frame of the rig as calibrated."""
+    found = cell.truth(snapshot.exposed_ns)
+    assert found is not None
+    return found.rig_from_part[:3, 3]
+
+
+@pytest.mark.slow
+def test_without_marks_every_digit_is_what_the_pipeline_says(tmp_path: Path) -> None:
+    """And nothing in what is published speaks of marks, the fingerprint least of all."""
+    files = prepared(tmp_path)
+    before = load_cell(files.config)
+    _, pairs = drifted()
+    (snapshot,) = measured(before, pairs[:1])
+    assert isinstance(before.cell.rig.calibration_id, str)
+    outcome = locate(pairs[0], before.cell.jobs[0], prepare(before.cell.rig))
+    assert np.array_equal(outcome.targets[0].covariance, snapshot.targets[0].covariance)
+    assert np.array_equal(outcome.targets[0].rig_from_part, snapshot.targets[0].rig_from_part)
+    document = snapshot_to_json(snapshot)
+    assert "marks" not in document
+    assert "marks" not in document["timing_ms"]
+    assert (None, MarksState.NONE) == (snapshot.marks_before, snapshot.marks.state)
+    teach(files)
+    assert load_cell(files.config).setup.fingerprint != before.setup.fingerprint
+    marks_file(files.rig).unlink()
+    assert load_cell(files.config).setup.fingerprint == before.setup.fingerprint
+
+
+@pytest.mark.slow
+def test_a_cold_cell_measures_as_on_the_day_of_its_teaching(tmp_path: Path) -> None:
+    """Within its sigma, micrometres; the same pictures without marks are off by tens."""
+    files = prepared(tmp_path)
+    plain = load_cell(files.config)
+    teach(files)
+    cell, pairs = drifted()
+    without = measured(plain, pairs)
+    corrected = measured(load_cell(files.config), pairs)
+    for first, second in zip(without, corrected, strict=True):
+        assert (Status.OK, MarksState.CORRECTED, 8) == (second.status, second.marks.state, second.marks.seen)
+        (target,) = second.targets
+        error = target.position_mm - truth(cell, second)
+        assert np.abs(error).max() < 0.012
+        assert (np.abs(error) < 4 * target.sigma_mm).all()
+        if first.status is Status.OK:
+            assert np.abs(first.targets[0].position_mm - truth(cell, first)).max() > 2 * np.abs(error).max()
+        message = payload.message("target", "cell", 1, snapshot_to_json(second), 1)
+        assert "CORRECTED" == message["marks"]["state"]
+        schema = load_schema()
+        assert [] == violations(json.loads(json.dumps(message)), schema["$defs"]["target_message"], schema)
+        assert second.timing_ms["marks"] > 0
+
+
+@pytest.mark.slow
+def test_a_knocked_cell_gives_no_result_until_its_marks_agree_and_replays_to_the_bit(tmp_path: Path) -> None:
+    """Recorded as it came, each exposure says again what it said; an edited record is noticed."""
+    files = prepared(tmp_path / "cell")
+    teach(files)
+    loaded = load_cell(files.config)
+    cell = marked_cell(Knock(3.0, "left", (0.15, -0.1, 0.0), (0.0, 5e-4, 0.0)))
+    pairs = [pair_at(cell, second) for second in range(8)]
+    snapshots = measured(loaded, pairs)
+    states = [(snapshot.marks.state.name, snapshot.status) for snapshot in snapshots]
+    assert [("CORRECTED", Status.OK)] * 3 == states[:3]
+    assert [("KNOCKED", Status.LOW_QUALITY)] * 3 == states[3:6]
+    assert [("CORRECTED", Status.OK)] * 2 == states[6:]
+    assert all(Reject.CALIBRATION in snapshot.targets[0].reject for snapshot in snapshots[3:6])
+    for snapshot in snapshots[6:]:
+        error = snapshot.targets[0].position_mm - truth(cell, snapshot)
+        assert (np.abs(error) < 4 * snapshot.targets[0].sigma_mm).all()
+    folder = tmp_path / "recordings"
+    recording.save_setup(folder, loaded.setup.fingerprint, loaded.cell.contents)
+    for index, (snapshot, pair) in enumerate(zip(snapshots, pairs, strict=True)):
+        recording.save(folder, index, datetime(2026, 1, 1, tzinfo=UTC), snapshot, pair)
+    console = Console(quiet=True)
+    assert 0 == replay(folder, False, console)
+    file = recording.entries(folder)[4].path
+    taken = recording.load(file)
+    assert taken.marks_before is not None
+    assert np.array_equal(taken.marks_before.covariance, snapshots[4].marks_before.covariance)
+    moved = replace(snapshots[4], marks_before=snapshots[1].marks_before)
+    recording.save(folder, 9, datetime(2026, 1, 1, tzinfo=UTC), moved, pairs[4])
+    assert 1 == replay(folder, False, console)
+
+
+@pytest.mark.slow
+def test_a_reload_goes_on_with_the_same_marks_and_begins_anew_with_others(tmp_path: Path) -> None:
+    """What they know is not lost by a change of a job."""
+    files = prepared(tmp_path)
+    teach(files)
+    loaded, again = load_cell(files.config), load_cell(files.config)
+    files.config.write_text(files.config.read_text() + "\n[marks]\nrange_k = 5\n")
+    other = load_cell(files.config)
+    _, pairs = drifted()
+    setups = [again, other, other]
+
+    def then(cycle: Cycle) -> str:
+        setup = setups.pop(0).setup
+        cycle.exchange(replace(setup, period_s=None))
+        return setup.fingerprint
+
+    snapshots = measured(loaded, pairs[:3], then)
+    known = [float(np.trace(snapshot.marks_before.covariance)) for snapshot in snapshots]
+    assert known[1] < 0.5 * known[0]
+    assert known[2] > 0.2 * known[0]
+
+
+@pytest.mark.slow
+def test_the_registers_say_what_the_marks_say(tmp_path: Path) -> None:
+    """State, marks and how far the cameras moved; a knock is a state of its own."""
+    files = prepared(tmp_path)
+    teach(files)
+    cell = marked_cell(Knock(1.0, "right", (0.2, 0.0, 0.0)))
+    snapshots = measured(load_cell(files.config), [pair_at(cell, second) for second in range(2)])
+    shown = reg.marks_values(snapshots[0].marks)
+    assert (1, 1, 8, 8, 0, 65535) == tuple(
+        int(shown[name])
+        for name in ("M_STATE", "M_VALID", "M_SEEN", "M_TAUGHT", "M_EXCLUDED", "M_FIRST_EXCLUDED")
+    )
+    knocked = reg.marks_values(snapshots[1].marks)
+    assert (3, 0) == (knocked["M_STATE"], knocked["M_VALID"])
+    assert 1000 < knocked["M_RIGHT"] < 4000
+    modbus = CellRegisters(ModbusSettings(), None, time.monotonic)
+    assert [0, 1] == list(modbus.read(reg.REFERENCE_MARKS.address, 2))
+    modbus.take(snapshots[1])
+    assert [3, 0] == list(modbus.read(reg.REFERENCE_MARKS.address, 2))
+
+
+@pytest.mark.slow
+def test_marks_of_another_calibration_correct_nothing_and_say_so(tmp_path: Path) -> None:
+    """A damaged file, and marks of a rig that the robot carries, are mistakes."""
+    files = prepared(tmp_path)
+    teach(files)
+    document = json.loads(marks_file(files.rig).read_bytes())
+    marks_file(files.rig).write_text(json.dumps({**document, "calibration_id": "older"}))
+    loaded = load_cell(files.config)
+    (snapshot,) = measured(loaded, drifted()[1][:1])
+    assert (MarksState.OTHER_CALIBRATION, None) == (snapshot.marks.state, snapshot.marks_before)
+    assert snapshot.marks.valid

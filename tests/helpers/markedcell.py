@@ -1,0 +1,79 @@
+"""A virtual cell with reference marks and weather, and its files as a person has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from edged.commands.demo import DemoOptions, prepare_cell
+from edged.domain.arrays import SIDES, Image
+from edged.domain.frames import Frame, FramePair
+from edged.files.marks import marks_file, save_marks
+from edged.sim.cell import DEMO_MARKS, VirtualCell, demo_part, demo_rig, inside
+from edged.sim.exposure import ExposureRequest
+from edged.sim.weather import Knock, Schedule, Weather
+from edged.vision.marks.taught import TaughtMarks, teach_marks
+
+STILL = Schedule(((0.0, 0.0),))
+S = 10**9
+
+
+def marked_cell(*knocks: Knock, schedule: Schedule = STILL, seed: int = 3) -> VirtualCell:
+    """The demo's cell with marks. Times of knocks count from its first exposure."""
+    rig = demo_rig()
+    weather = Weather(rig, schedule, knocks, seed)
+    return VirtualCell(
+        rig, demo_part(), seed=seed, marks=DEMO_MARKS, weather=weather, motion=inside(DEMO_MARKS)
+    )
+
+
+def pair_at(cell: VirtualCell, second: int) -> FramePair:
+    """Both frames of an exposure, at a time after 1970."""
+    frames = []
+    for index, side in enumerate(SIDES):
+        at_ns = S * (1 + second) + 1000 * index
+        request = ExposureRequest(second, at_ns, at_ns, 2000.0, 0.0, 1280, 960)
+        frames.append(Frame(side, second, cell.exposure(side)(request), at_ns, at_ns))
+    return FramePair(*frames)
+
+
+@dataclass(frozen=True, slots=True)
+class MarkedFiles:
+    """A cell's folder. config : its cell.toml."""
+
+    config: Path
+    rig: Path
+
+
+def prepared(folder: Path, more: str = "") -> MarkedFiles:
+    """Rig, job and configuration of the demo's cell, without marks yet. more : of the configuration."""
+    cell = VirtualCell(demo_rig(), demo_part(), seed=3)
+    prepare_cell(folder, cell, DemoOptions(), gige=False)
+    config = folder / "cell.toml"
+    config.write_text(config.read_text() + more)
+    return MarkedFiles(config, folder / "rig.json")
+
+
+def teach(files: MarkedFiles, exposures: int = 8) -> TaughtMarks:
+    """Teach the marks of a still cell beside the rig."""
+    from edged.files.rig import load_rig
+
+    cell = marked_cell()
+    pairs: list[tuple[Image, Image]] = []
+    for second in range(exposures):
+        pair = pair_at(cell, second)
+        pairs.append((pair.left.image, pair.right.image))
+    taught = teach_marks(pairs, load_rig(files.rig), 5, least=exposures)
+    save_marks(marks_file(files.rig), taught)
+    return taught
+
+
+def write_pairs(folder: Path, pairs: list[FramePair]) -> None:
+    """Pictures as `edged grab` names them."""
+    folder.mkdir(exist_ok=True)
+    for number, pair in enumerate(pairs):
+        for side in SIDES:
+            cv2.imwrite(str(folder / f"view_{number:03d}_{side}.png"), np.asarray(pair.side(side).image))

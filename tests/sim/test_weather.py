@@ -1,0 +1,72 @@
+"""Weather of a virtual cell: temperatures, what they do to cameras, knocks; all exact."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from edged.sim.cell import demo_rig
+from edged.sim.weather import DAY_S, Knock, Schedule, Sensitivity, Weather
+from edged.vision.geometry.rigid import invert, rotation_vector
+
+STILL = Schedule(((0.0, 0.0),))
+
+
+def test_a_thing_follows_as_the_differential_equation_says() -> None:
+    """Against small steps of dT/dt = (around - T) / lag, over a day and after it."""
+    schedule, lag_s, own_k = Schedule.days(10.0), 3_600.0, 0.0
+    for second in range(int(1.2 * DAY_S)):
+        if second % 7_200 == 0:
+            assert schedule.of_thing_k(float(second), lag_s) == pytest.approx(own_k, abs=2e-3)
+        own_k += (schedule.around_k(second + 0.5) - own_k) / lag_s
+
+
+def test_a_step_is_followed_by_an_exponential() -> None:
+    """63 % after one time constant."""
+    step = Schedule(((0.0, 0.0), (1e-9, 10.0), (1e6, 10.0)))
+    assert step.of_thing_k(100.0, 100.0) == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), abs=1e-6)
+
+
+def test_without_weather_the_rig_stays_to_the_last_bit() -> None:
+    """At any time."""
+    now = Weather(demo_rig(), STILL).at(5e4)
+    assert np.array_equal(now.right_from_world, demo_rig().right_from_left)
+    assert np.array_equal(now.left_from_world, np.eye(4))
+    assert (now.left, now.right, now.plate_scale) == (demo_rig().left, demo_rig().right, 1.0)
+
+
+def test_a_kelvin_in_the_bar_moves_depth_by_what_the_design_says() -> None:
+    """4.6 µm in Z at 200 mm, when nothing else moves."""
+    only_bar = Sensitivity(stand_mm_per_k=0, turn_rad_per_k=0, seat_mm_per_k=0, focal_per_k=0)
+    warm = Schedule(((0.0, 0.0), (1.0, 1.0), (1e7, 1.0)))
+    now = Weather(demo_rig(), warm, does=only_bar).at(1e6).rig
+    ratio = now.baseline_mm / demo_rig().baseline_mm
+    assert pytest.approx(4.6, abs=0.1) == 200e3 * (ratio - 1)
+
+
+def test_a_knock_of_the_rig_moves_both_cameras_and_not_their_relation() -> None:
+    """By what was stated, from its moment on."""
+    knock = Knock(10.0, "rig", (0.2, 0.0, 0.0), (0.0, 1e-3, 0.0))
+    weather = Weather(demo_rig(), STILL, (knock,))
+    before, after = weather.at(9.9), weather.at(10.0)
+    assert np.array_equal(before.left_from_world, np.eye(4))
+    assert after.rig.right_from_left == pytest.approx(demo_rig().right_from_left, abs=1e-12)
+    assert invert(after.left_from_world) == pytest.approx(knock.moved, abs=1e-12)
+
+
+def test_a_knock_of_a_camera_moves_it_alone() -> None:
+    """In its own axes, about its own centre."""
+    now = Weather(demo_rig(), STILL, (Knock(0.0, "right", (0.0, 0.2, 0.0), (0.0, 0.0, 1e-3)),)).at(0.0)
+    assert np.array_equal(now.left_from_world, np.eye(4))
+    moved = demo_rig().right_from_left @ invert(now.right_from_world)
+    assert moved[:3, 3] == pytest.approx([0.0, 0.2, 0.0], abs=1e-12)
+    assert rotation_vector(moved[:3, :3]) == pytest.approx([0.0, 0.0, 1e-3], abs=1e-12)
+
+
+def test_the_same_seed_is_the_same_weather() -> None:
+    """And another seed moves things elsewhere."""
+    first, again, other = (Weather(demo_rig(), Schedule.days(10.0), seed=k).at(2e4) for k in (1, 1, 2))
+    assert np.array_equal(first.right_from_world, again.right_from_world)
+    assert not np.allclose(first.right_from_world, other.right_from_world, atol=1e-6)

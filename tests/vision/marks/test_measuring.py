@@ -1,0 +1,149 @@
+"""Dots in drawn pictures: their places, what hides them, and codes that are not theirs."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from naive.marks import fit_rims_naive
+
+from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.errors import CalibrationError
+from edged.sim.cell import demo_rig, stereo_views
+from edged.sim.marksplate import marks_plate
+from edged.sim.render.scene import Disc, Part, PlacedPart, Scene, Surface, Table
+from edged.vision.geometry.rigid import apply, rotation_matrix, transform
+from edged.vision.marks.frame import parse_frame
+from edged.vision.marks.measuring import measure_marks, search_marks
+from edged.vision.marks.rims import fit_rims
+from edged.vision.marks.taught import TaughtMarks, places_in_own_frame, teach_marks
+
+FRAME = parse_frame("60x52:8:2:40")
+MIDDLE = np.array([7.0, 0.0, 207.9])
+OWN = np.column_stack([FRAME.places[:, :2], np.zeros(FRAME.count)])
+AT = transform(np.eye(3), MIDDLE)
+VIEWS = stereo_views(demo_rig())
+
+
+def pair(at: FloatArray, noise: int, *more: PlacedPart, first: int = 40) -> tuple[Image, Image]:
+    """Both pictures of a plate at a pose."""
+    table = Table(
+        Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2), transform(np.eye(3), MIDDLE + 1)
+    )
+    plate = marks_plate(parse_frame(f"60x52:8:2:{first}"))
+    scene = Scene(table, (PlacedPart(plate, at), *more))
+    left, right = (
+        VIEWS[side].render(scene, np.random.default_rng((noise, index))) for index, side in enumerate(SIDES)
+    )
+    return left, right
+
+
+@cache
+def taught() -> TaughtMarks:
+    """Marks that were taught with ten exposures."""
+    return teach_marks((pair(AT, noise) for noise in range(10)), demo_rig(), 7, least=10)
+
+
+@pytest.mark.slow
+def test_taught_places_are_the_true_ones() -> None:
+    """To a micrometre, and in their own frame as they were drawn; the covariance has their size."""
+    found = taught()
+    assert tuple(FRAME.codes) == found.codes
+    assert found.placed.places_mm == pytest.approx(apply(AT, OWN), abs=1e-3)
+    assert places_in_own_frame(found) == pytest.approx(OWN, abs=1e-3)
+    sigma = np.sqrt(np.diag(found.covariance)).reshape(-1, 3)
+    assert (sigma < 1e-3).all()
+    assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_dots_are_measured_to_a_fiftieth_of_a_pixel(seed: int) -> None:
+    """Wherever they lie in their pixels, from half a pixel off: a tenth of 0.02 px."""
+    rng = np.random.default_rng(seed)
+    at = transform(rotation_matrix(rng.normal(0, 5e-4, 3)), MIDDLE + rng.uniform(-0.1, 0.1, 3))
+    for image, look, side in zip(pair(at, 99 + seed), taught().looks, SIDES, strict=True):
+        true = VIEWS[side].project(apply(at, OWN))
+        seen = measure_marks(image, look, true + rng.uniform(-0.5, 0.5, true.shape))
+        assert np.isfinite(seen.sigma_px).all()
+        assert np.sqrt(np.mean((seen.pixels - true) ** 2)) < 0.004
+        assert np.abs(seen.pixels - true).max() < 0.02
+
+
+@pytest.mark.slow
+def test_a_covered_dot_and_a_foreign_code_are_not_seen() -> None:
+    """Swarf over part of a rim, over a code, and the plate of another cell at the same place."""
+    left_of = apply(AT, OWN)
+    swarf = Part("swarf", Disc(0.0, 0.0, 0.6), Surface(albedo=0.7))
+    code = left_of[3] + 3.5 * np.array([*FRAME.places[3, 2:], 0.0])
+    covered = pair(
+        AT,
+        5,
+        PlacedPart(swarf, transform(np.eye(3), left_of[1] + (1.0, 0.0, -0.2))),
+        PlacedPart(swarf, transform(np.eye(3), np.add(code, (0.2, 0.2, -0.2)))),
+    )
+    seen = measure_marks(covered[0], taught().looks[0], taught().pixels[0])
+    assert [1, 3] == np.flatnonzero(np.isnan(seen.sigma_px)).tolist()
+    foreign = pair(AT, 5, first=100)
+    assert np.isnan(measure_marks(foreign[0], taught().looks[0], taught().pixels[0]).sigma_px).all()
+
+
+@pytest.mark.slow
+def test_pictures_without_marks_cannot_be_taught() -> None:
+    """Each says why: none, mirrored, two plates, moving."""
+    rig = demo_rig()
+    empty = np.full((960, 1280), 100, np.uint8)
+    with pytest.raises(CalibrationError, match="0 reference marks are in both pictures"):
+        teach_marks([(empty, empty)], rig, 1, least=1)
+    left, right = pair(AT, 1)
+    mirrored = (np.ascontiguousarray(left[:, ::-1]), np.ascontiguousarray(right[:, ::-1]))
+    with pytest.raises(CalibrationError, match="mirrored"):
+        teach_marks([mirrored], rig, 1, least=1)
+    both = np.array(left)
+    both[:480] = left[480:]
+    with pytest.raises(CalibrationError, match="twice"):
+        teach_marks([(both, right)], rig, 1, least=1)
+    with pytest.raises(CalibrationError, match="3 exposures, at least 10"):
+        teach_marks([(left, right)] * 3, rig, 1, least=10)
+    with pytest.raises(CalibrationError, match="exchanged"):
+        teach_marks([(right, left)], rig, 1, least=1)
+    moved = pair(transform(np.eye(3), np.add(MIDDLE, (0.02, 0, 0))), 2)
+    with pytest.raises(CalibrationError, match="moved by"):
+        teach_marks([(left, right)] * 5 + [moved] * 5, rig, 1, least=10)
+
+
+def test_the_kernel_and_its_plain_twin_agree() -> None:
+    """On a drawn ellipse, to rounding; where the border cuts it or there is none, neither finds one."""
+    y, x = np.mgrid[0:80, 0:90]
+    b11, b12, b22 = 1 / 14.0, 0.004, 1 / 12.0
+    away = x - 41.3, y - 38.8
+    radius = np.hypot(b11 * away[0] + b12 * away[1], b12 * away[0] + b22 * away[1])
+    noise = np.random.default_rng(1).normal(0, 1, x.shape)
+    image = np.clip(110 + 70 * np.tanh((radius - 1) * 14) + noise, 0, 255).astype(np.uint8)
+    start = np.array(
+        [
+            [41.0, 39.2, b11, b12, b22, 0.7, 3.6],
+            [8.0, 39.2, b11, b12, b22, 0.7, 3.6],
+            [41.0, 60.0, b11, b12, b22, 0.7, 3.6],
+            [41.0, 39.2, 0.01, 0.02, 0.01, 0.7, 3.6],
+        ]
+    )
+    quick = np.empty((4, 5))
+    fit_rims(image, start, quick)
+    assert [1, 0, 0, 0] == quick[:, 4].tolist()
+    assert quick[0, :2] == pytest.approx([41.3, 38.8], abs=0.02)
+    slow = fit_rims_naive(image, start)
+    assert slow[:, 4].tolist() == quick[:, 4].tolist()
+    assert quick[0] == pytest.approx(slow[0], rel=1e-6)
+
+
+def test_a_picture_of_nothing_has_no_marks() -> None:
+    """Noise, black, white, and a picture smaller than a code."""
+    rng = np.random.default_rng(3)
+    for image in (
+        rng.integers(0, 255, (480, 640), np.uint8),
+        np.zeros((480, 640), np.uint8),
+        np.full((5, 5), 255, np.uint8),
+    ):
+        assert () == search_marks(image).codes

@@ -1,0 +1,308 @@
+#!/usr/bin/env python3
+"""Does a cell with reference marks stay true?
+
+    tools/bench weather [--seeds N] [--only day | knocks | hidden | limits | rendered | price] [--draws N]
+
+A virtual cell with weather (`edged/sim/weather.py`): its truth is exact. Dots are computed where the true
+cameras see them, with noise and an error that depends on where in its pixel each one lies; no picture is
+drawn, but for `rendered`. What is judged is a part of 28 mm, anywhere in 60 x 45 x 30 mm around the marks.
+
+day       24 h of +-10 K: error of a part with and without marks, rms and largest, and chi² per hour.
+knocks    0.2 mm and 1 mrad, of one camera and of the rig, once in each draw, at random hours of a day:
+          exposures until results come again, results beyond 4 sigma, and the same while marks are hidden.
+hidden    6 of 8 marks covered for an hour, at the steepest hour: sigma before and after, error in sigmas.
+limits    one mark moved, half of the plate bent, another plate, a larger one, all covered.
+rendered  noise and error of dots in drawn pictures.
+price     ms of the filter and of the measurement, and the share of sigma that marks cost without a drift.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from benching import bench_parser, finish
+from helpers.markedday import FRAME, MIDDLE, NOISE_PX, SWING_K, chi2, new_day
+
+from edged.domain.arrays import SIDES, FloatArray
+from edged.sim.cell import demo_rig, stereo_views
+from edged.sim.marksplate import marks_plate
+from edged.sim.render.scene import PlacedPart, Scene, Surface, Table
+from edged.sim.weather import DAY_S, Knock
+from edged.vision.geometry.rigid import apply, rotation_matrix, transform
+from edged.vision.marks.frame import parse_frame
+from edged.vision.marks.measuring import measure_marks
+from edged.vision.marks.params import MARKS
+from edged.vision.marks.taught import teach_marks
+from edged.vision.marks.tracking import DotsInPair
+
+HOUR_S = 3600.0
+
+
+# --- 24 hours ---------------------------------------------------------------------------------------------
+
+
+def days(seeds: int, period_s: float = 20.0) -> dict[str, float]:
+    """Print errors with and without marks, and how honest sigma is in each hour."""
+    with_marks, without, hours = [], [], np.zeros((seeds, 24))
+    states: dict[str, int] = {}
+    for seed in range(seeds):
+        day, squares = new_day(seed), [[] for _ in range(24)]
+        for at_s in np.arange(period_s, DAY_S, period_s):
+            cameras, report = day.expose(float(at_s))
+            states[report.state.name] = states.get(report.state.name, 0) + 1
+            error, plain, stated = day.part(cameras)
+            with_marks.append(error)
+            without.append(plain)
+            squares[int(at_s // HOUR_S)].append(chi2(error, stated))
+        hours[seed] = [np.mean(some) for some in squares]
+    with_marks, without = 1e3 * np.array(with_marks), 1e3 * np.array(without)
+
+    def line(name: str, errors: FloatArray) -> None:
+        rms = np.sqrt(np.mean(errors**2, axis=0))
+        print(
+            f"| {name} | {rms[0]:.2f} | {rms[1]:.2f} | {rms[2]:.2f} | {np.sqrt(np.mean(errors**2)):.2f} "
+            f"| {np.abs(errors).max():.1f} |"
+        )
+
+    print(f"\n24 h of +-{SWING_K:g} K, an exposure each {period_s:g} s, {seeds} seeds; µm\n")
+    print("| | X rms | Y rms | Z rms | all rms | largest |")
+    print("|---|---|---|---|---|---|")
+    line("with marks", with_marks)
+    line("without", without)
+    pooled = hours.mean(axis=0)
+    print("\nchi² per degree of freedom, hour by hour, mean of the seeds:")
+    print(" ".join(f"{value:.2f}" for value in pooled))
+    print(
+        f"least {pooled.min():.2f}, most {pooled.max():.2f}, "
+        f"of a seed alone {hours.min():.2f} to {hours.max():.2f}"
+    )
+    print("states:", ", ".join(f"{name} {count}" for name, count in sorted(states.items())))
+    return {
+        "rms_um": float(np.sqrt(np.mean(with_marks**2))),
+        "without_um": float(np.sqrt(np.mean(without**2))),
+    }
+
+
+# --- knocks -----------------------------------------------------------------------------------------------
+
+
+def knocks(draws: int) -> dict[str, object]:
+    """Print how soon results come again after a knock, and how wrong any of them is."""
+    healed, refused, valid, worst = [], 0, 0, []
+    hidden_valid = 0
+    for draw in range(draws):
+        rng = np.random.default_rng((draw, 52))
+        at_s = float(rng.uniform(0, DAY_S))
+        hit = ("left", "right", "rig")[draw % 3]
+        shift, turn = (0.2 * _direction(rng), 0 * _direction(rng))
+        if draw % 2:
+            shift, turn = 0 * shift, 1e-3 * _direction(rng)
+        knock = Knock(at_s, hit, tuple(shift.tolist()), tuple(turn.tolist()))
+        day = new_day(draw, knock)
+        hidden = list(rng.permutation(8)[:4]) if draw % 10 == 9 else []
+        for before in range(6, 0, -1):
+            day.expose(at_s - before)
+        again = None
+        for number in range(8):
+            cameras, report = day.expose(at_s + number, hidden)
+            if not report.valid:
+                continue
+            again = number if again is None else again
+            error, _, stated = day.part(cameras)
+            worst.append(float((np.abs(error) / np.sqrt(np.diag(stated))).max()))
+            valid += 1
+        if hidden:
+            hidden_valid += again is not None
+        elif again is None:
+            refused += 1
+        else:
+            healed.append(again)
+    counts = np.bincount(healed, minlength=8)
+    beyond = int(np.sum(np.array(worst) > 4.0))
+    print(f"\n{draws} knocks of 0.2 mm or 1 mrad, of the left camera, the right one and the rig in turn\n")
+    print(
+        "| exposures without results | 0 | 1 | 2 | 3 | 4 | 5 | more | never |\n"
+        "|---|---|---|---|---|---|---|---|---|"
+    )
+    print(f"| draws | {' | '.join(map(str, counts[:6]))} | {counts[6:].sum()} | {refused} |")
+    print(f"with 4 of 8 marks hidden at the knock: results in {hidden_valid} of {draws // 10} draws")
+    print(
+        f"{valid} results after knocks, {beyond} with a coordinate beyond 4 sigma, farthest {max(worst):.2f}"
+    )
+    return {"counts": counts.tolist(), "never": refused, "beyond": beyond, "valid": valid}
+
+
+def _direction(rng: np.random.Generator) -> FloatArray:
+    vector = rng.standard_normal(3)
+    return vector / np.linalg.norm(vector)
+
+
+# --- hidden marks -----------------------------------------------------------------------------------------
+
+
+def hidden_hour(seeds: int, hidden: int = 6) -> dict[str, object]:
+    """Print sigma and error while marks are covered for an hour of the steepest warming."""
+    seeds *= 10
+    rows: dict[int, list[FloatArray]] = {}
+    states: dict[str, int] = {}
+    for seed in range(seeds):
+        day = new_day(seed)
+        rng = np.random.default_rng((seed, 53))
+        covered = list(rng.permutation(8)[:hidden])
+        for at_s in np.arange(-600.0, 0.0, 20.0):
+            day.expose(1.0 * HOUR_S + at_s)
+        for at_s in np.arange(0.0, HOUR_S + 1.0, 20.0):
+            cameras, report = day.expose(HOUR_S + float(at_s), covered)
+            states[report.state.name] = states.get(report.state.name, 0) + 1
+            if at_s % 900 == 0:
+                for _ in range(4):
+                    error, _, stated = day.part(cameras)
+                    rows.setdefault(int(at_s // 60), []).append(
+                        np.array([*(1e3 * np.sqrt(np.diag(stated))), *(error / np.sqrt(np.diag(stated)))])
+                    )
+    print(f"\n{hidden} of 8 marks covered for an hour, {seeds} seeds\n")
+    print(
+        "| minutes | sigma X | Y | Z, µm | error/sigma X rms | Y | Z | largest |\n"
+        "|---|---|---|---|---|---|---|---|"
+    )
+    for minute, some in rows.items():
+        table = np.array(some)
+        sigma, ratio = table[:, :3].mean(axis=0), np.sqrt(np.mean(table[:, 3:] ** 2, axis=0))
+        cells = [f"{value:.2f}" for value in (*sigma, *ratio, np.abs(table[:, 3:]).max())]
+        print(f"| {minute} | {' | '.join(cells)} |")
+    print("states:", ", ".join(f"{name} {count}" for name, count in sorted(states.items())))
+    return {"states": states}
+
+
+# --- hostile plates ---------------------------------------------------------------------------------------
+
+
+def limits() -> dict[str, object]:
+    """Print what becomes of plates that are not as they were taught."""
+
+    def shifted(marks: Sequence[int], mm: Sequence[float]) -> FloatArray:
+        moved = np.zeros((8, 3))
+        moved[list(marks)] = mm
+        return moved
+
+    places = np.column_stack([parse_frame(FRAME).places[:, :2], np.zeros(8)])
+    turned = places @ rotation_matrix(np.array([0, 0, 0.01])).T - places
+    cases: dict[str, tuple[Sequence[int], FloatArray | None]] = {
+        "all as taught": ((), None),
+        "one mark moved by 0.1 mm": ((), shifted([2], (0.1, 0, 0))),
+        "two marks moved by 0.1 mm": ((), shifted([2, 5], (0.1, 0, 0))),
+        "half of the plate bent by 0.2 mm": ((), shifted([2, 3, 4, 5], (0, 0, 0.2))),
+        "the plate turned by 10 mrad": ((), turned),
+        "another plate, larger by 0.1 %": ((), 1e-3 * places),
+        "another plate, larger by 1 %": ((), 1e-2 * places),
+        "another plate, larger by 10 %": ((), 1e-1 * places),
+        "mirrored": ((), places * (-2, 0, 0)),
+        "5 of 8 covered": ((0, 1, 2, 3, 4), None),
+        "all covered": (tuple(range(8)), None),
+    }
+    print(
+        "\n| plate | states of 8 exposures | results | excluded | error, µm | sigma, µm |\n"
+        "|---|---|---|---|---|---|"
+    )
+    said: dict[str, object] = {}
+    for name, (hidden, moved) in cases.items():
+        day = new_day(0)
+        for at_s in range(20):
+            day.expose(float(at_s))
+        reports, errors, sigmas = [], [], []
+        for at_s in range(20, 28):
+            cameras, report = day.expose(float(at_s), hidden, moved)
+            reports.append(report)
+            if report.valid:
+                error, _, stated = day.part(cameras)
+                errors.append(np.abs(error).max())
+                sigmas.append(np.sqrt(np.diag(stated).max()))
+        states = " ".join(report.state.name[:6] for report in reports)
+        valid = sum(report.valid for report in reports)
+        excluded = sorted({code for report in reports for code in report.excluded})
+        largest = f"{1e3 * max(errors):.1f} | {1e3 * max(sigmas):.1f}" if errors else "- | -"
+        print(f"| {name} | {states} | {valid} of 8 | {excluded or '-'} | {largest} |")
+        said[name] = {"valid": valid, "states": states}
+    return said
+
+
+# --- pictures ---------------------------------------------------------------------------------------------
+
+
+def rendered(places: int = 12) -> dict[str, float]:
+    """Print noise and error of dots in drawn pictures, the plate elsewhere in each by parts of a pixel."""
+    rig, frame = demo_rig(), parse_frame(FRAME)
+    views, rng = stereo_views(rig), np.random.default_rng(54)
+    floor = transform(np.eye(3), np.add(MIDDLE, (0, 0, 1.1)))
+    table = Table(Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2), floor)
+    own = np.column_stack([frame.places[:, :2], np.zeros(frame.count)])
+
+    def pair(rig_from_frame: FloatArray, noise: int | None) -> list:
+        scene = Scene(table, (PlacedPart(marks_plate(frame), rig_from_frame),))
+        return [
+            views[side].render(scene, None if noise is None else np.random.default_rng((noise, index)))
+            for index, side in enumerate(SIDES)
+        ]
+
+    at = transform(np.eye(3), MIDDLE)
+    taught = teach_marks((pair(at, k) for k in range(MARKS.min_exposures)), rig, 1)
+    errors, clean = [], []
+    for number in range(places):
+        turn = rotation_matrix(rng.normal(0, 5e-4, 3))
+        moved = transform(turn, MIDDLE + rng.uniform(-0.1, 0.1, 3))
+        truth = [views[side].project(apply(moved, own)) for side in SIDES]
+        for noise, into in ((number, errors), (None, clean)):
+            for image, look, true in zip(pair(moved, noise), taught.looks, truth, strict=True):
+                into.append(measure_marks(image, look, true + rng.normal(0, 0.3, true.shape)).pixels - true)
+    errors, clean = np.array(errors), np.array(clean)
+    seen = np.isfinite(errors).all(axis=-1).mean()
+    print(f"\nDots of 2 mm in drawn pictures, {places} places: {100 * seen:.1f} % measured")
+    print(f"error rms {np.sqrt(np.nanmean(errors**2)):.4f} px, largest {np.nanmax(np.abs(errors)):.4f}")
+    print(f"without sensor noise rms {np.sqrt(np.nanmean(clean**2)):.4f} px")
+    return {"rms_px": float(np.sqrt(np.nanmean(errors**2))), "clean_px": float(np.sqrt(np.nanmean(clean**2)))}
+
+
+# --- price ------------------------------------------------------------------------------------------------
+
+
+def price() -> dict[str, float]:
+    """Print what marks cost: time, and sigma where nothing drifts."""
+    day = new_day(0)
+    for at_s in range(30):
+        day.expose(float(at_s))
+    pixels = day.dots(day.weather.at(30.0))
+    dots = DotsInPair(pixels, np.full(pixels.shape[:2], NOISE_PX))
+    times = []
+    for k in range(300):
+        begun = time.perf_counter()
+        day.filter.updated(day.filter.predicted(day.track, round(31e9) + k), dots)
+        times.append(1e3 * (time.perf_counter() - begun))
+    filter_ms = float(np.median(times))
+    print(f"\nfilter {filter_ms:.2f} ms of an exposure of 8 marks (median)")
+    return {"filter_ms": filter_ms}
+
+
+def main() -> None:
+    """Run what was asked for."""
+    parser = bench_parser(__doc__)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--draws", type=int, default=2000)
+    parser.add_argument("--only", choices=("day", "knocks", "hidden", "limits", "rendered", "price"))
+    options = parser.parse_args()
+    works: dict[str, Callable[[], object]] = {
+        "day": lambda: days(options.seeds),
+        "knocks": lambda: knocks(options.draws),
+        "hidden": lambda: hidden_hour(options.seeds),
+        "limits": limits,
+        "rendered": rendered,
+        "price": price,
+    }
+    figures = {name: work() for name, work in works.items() if options.only in (None, name)}
+    finish(options, figures)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
