@@ -46,7 +46,7 @@ def test_what_runs_alone_is_there_and_says_why() -> None:
     """Each entry of the list names a test that exists, and the time that it promises."""
     for pattern, reason in alone.REASONS.items():
         file, _, name = pattern.partition("::")
-        names = re.findall(r"^def (test_\w+)", (TESTS.parent / file).read_text(), re.MULTILINE)
+        names = re.findall(r"^(?:async )?def (test_\w+)", (TESTS.parent / file).read_text(), re.MULTILINE)
         assert any(fnmatchcase(each, name) for each in names), pattern
         assert re.search(r"\d s\b", reason), reason
 
