@@ -104,9 +104,13 @@ class Cell:
             return await asking
         return 0, None
 
-    async def status(self) -> Any:
-        """What the page shows."""
-        return (await self.newcomer.browser.ask("GET", "/status.json"))[1]
+    async def shows_cycle(self, at_least: int) -> int:
+        """Which one the page shows, once it shows one that new; at first it may show none."""
+        while True:
+            _, status = await self.newcomer.browser.ask("GET", "/status.json")
+            if status["result"] is not None and status["result"]["cycle"] >= at_least:
+                return int(status["result"]["cycle"])
+            await asyncio.sleep(0.1)
 
     async def task_of(self, place: str, document: Any) -> Any:
         """A task that has ended."""
@@ -272,10 +276,9 @@ async def test_a_cell_that_measures_measures_on(cell: Cell, victim: str) -> None
     await cell.give_back()
     await cell.newcomer.until("cell", lambda told: told["state"] == "READY")
     cell.measuring.append([time.monotonic(), 0.0])
-    cycle = (await cell.status())["result"]["cycle"]
+    cycle = await cell.shows_cycle(0)
     await cell.kill(victim)
-    while (await cell.status())["result"]["cycle"] < cycle + 3:  # noqa: ASYNC110  (nothing else tells)
-        await asyncio.sleep(0.1)
+    await cell.shows_cycle(cycle + 3)
     cell.measuring[-1][1] = time.monotonic()
 
 
