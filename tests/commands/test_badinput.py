@@ -486,8 +486,8 @@ CASES: dict[str, Bad] = {
     ),
     "register format": Bad(
         "registers --format xml",
-        "edged: --format xml: expected md, csv, json, st, plcopen, scl, s7db, l5x, urscript, python, "
-        "rapid, drl, as, spel, twincat, karel, krl, krl6, val3, melfa, motoplus",
+        "edged: --format xml: expected md, json, st, scl, s7db, l5x, plcopen, twincat, urscript, krl, "
+        "krl6, karel, rapid, motoplus, val3, as, drl, melfa, spel, python, csv",
     ),
     "locate: convention": Bad(
         f"{LOCATE} --convention kuka",

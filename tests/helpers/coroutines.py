@@ -1,4 +1,7 @@
-"""A pytest plugin: a test that is a coroutine is run on an event loop of its own, and bounded."""
+"""A pytest plugin: a test that is a coroutine is run on an event loop of its own, and bounded.
+
+A fixture that several tests share, and that lives on a loop, has it as its `runner`: they run there, too.
+"""
 
 from __future__ import annotations
 
@@ -22,5 +25,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
         async with asyncio.timeout(WHOLE_S):
             await test(**asked)
 
-    asyncio.run(bounded())
+    found = (getattr(fixture, "runner", None) for fixture in asked.values())
+    shared = next((runner for runner in found if isinstance(runner, asyncio.Runner)), None)
+    (asyncio.run if shared is None else shared.run)(bounded())
     return True

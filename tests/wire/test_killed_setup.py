@@ -11,7 +11,7 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from helpers.browsersession import PASSWORD
 from helpers.cells import small_rig
 from helpers.plcwitness import Witness
 from helpers.stagecell import Newcomer, staged
-from helpers.waiting import WHOLE_S, until
+from helpers.waiting import until
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig, save_rig
@@ -63,15 +63,6 @@ class Cell:
     setups: list[list[float]] = field(default_factory=list)
     measuring: list[list[float]] = field(default_factory=list)
     kept: dict[str, str] = field(default_factory=dict)
-
-    def run(self, test: Callable[[], Awaitable[None]]) -> None:
-        """A test's coroutine, bounded."""
-
-        async def bounded() -> None:
-            async with asyncio.timeout(WHOLE_S):
-                await test()
-
-        self.runner.run(bounded())
 
     async def ask(self, method: str, path: str, document: Any = None, expected: int = 200) -> Any:
         """Of the page that there is."""
@@ -113,9 +104,13 @@ class Cell:
             return await asking
         return 0, None
 
-    async def status(self) -> Any:
-        """What the page shows."""
-        return (await self.newcomer.browser.ask("GET", "/status.json"))[1]
+    async def shows_cycle(self, at_least: int) -> int:
+        """Which one the page shows, once it shows one that new; at first it may show none."""
+        while True:
+            _, status = await self.newcomer.browser.ask("GET", "/status.json")
+            if status["result"] is not None and status["result"]["cycle"] >= at_least:
+                return int(status["result"]["cycle"])
+            await asyncio.sleep(0.1)
 
     async def task_of(self, place: str, document: Any) -> Any:
         """A task that has ended."""
@@ -190,130 +185,101 @@ async def teaching(cell: Cell) -> str:
 
 
 @pytest.mark.parametrize("victim", ["page", "link"])
-def test_a_view_is_taken_or_is_not(cell: Cell, victim: str) -> None:
+async def test_a_view_is_taken_or_is_not(cell: Cell, victim: str) -> None:
     """Never half: each that the next page lists has both its pictures."""
-
-    async def test() -> None:
-        await cell.take()
-        draft = f"calibrations/{(await cell.ask('POST', 'calibrations', {'boards': [BOARD]}, 201))['id']}"
-        await taken(cell, *await view(cell, draft, 0))
-        status, _ = await cell.asked_while_killed(victim, *await view(cell, draft, 1))
-        views = (await cell.ask("GET", draft))["views"]
-        assert len(views) in ((2,) if status == 201 else (1, 2))
-        for each in views:
-            for place in each["thumbnails"].values():
-                assert 200 == (await cell.newcomer.browser.ask("GET", place))[0]
-        assert "SETUP" == (await cell.ask("GET", "cell"))["state"]
-
-    cell.run(test)
+    await cell.take()
+    draft = f"calibrations/{(await cell.ask('POST', 'calibrations', {'boards': [BOARD]}, 201))['id']}"
+    await taken(cell, *await view(cell, draft, 0))
+    status, _ = await cell.asked_while_killed(victim, *await view(cell, draft, 1))
+    views = (await cell.ask("GET", draft))["views"]
+    assert len(views) in ((2,) if status == 201 else (1, 2))
+    for each in views:
+        for place in each["thumbnails"].values():
+            assert 200 == (await cell.newcomer.browser.ask("GET", place))[0]
+    assert "SETUP" == (await cell.ask("GET", "cell"))["state"]
 
 
 @pytest.mark.parametrize("victim", ["worker", "page"])
-def test_a_calibration_that_was_not_solved_is_not(cell: Cell, victim: str) -> None:
+async def test_a_calibration_that_was_not_solved_is_not(cell: Cell, victim: str) -> None:
     """The draft has its views and no result, and says so; the person asks again."""
-
-    async def test() -> None:
-        await cell.take()
-        draft = await calibration(cell)
-        before = await cell.ask("GET", draft)
-        task = (await cell.ask("POST", f"{draft}/solve", {}, 202))["task"]
-        await cell.newcomer.until(f"tasks/{task}", lambda told: told["text"] != "waits for its turn")
-        await cell.kill(victim)
-        if victim == "worker":
-            ended = await cell.newcomer.until(f"tasks/{task}", lambda told: told["state"] != "running")
-            assert "SIGKILL" in ended["problem"]["detail"]
-        told = await cell.newcomer.until(draft, lambda draft: draft["task"] is None)
-        was, now = ([(view["name"], view["used"]) for view in one["views"]] for one in (before, told))
-        assert (None, was) == (told["solved"], now)
-
-    cell.run(test)
+    await cell.take()
+    draft = await calibration(cell)
+    before = await cell.ask("GET", draft)
+    task = (await cell.ask("POST", f"{draft}/solve", {}, 202))["task"]
+    await cell.newcomer.until(f"tasks/{task}", lambda told: told["text"] != "waits for its turn")
+    await cell.kill(victim)
+    if victim == "worker":
+        ended = await cell.newcomer.until(f"tasks/{task}", lambda told: told["state"] != "running")
+        assert "SIGKILL" in ended["problem"]["detail"]
+    told = await cell.newcomer.until(draft, lambda draft: draft["task"] is None)
+    was, now = ([(view["name"], view["used"]) for view in one["views"]] for one in (before, told))
+    assert (None, was) == (told["solved"], now)
 
 
 @pytest.mark.parametrize("victim", ["page", "link"])
-def test_a_rig_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
+async def test_a_rig_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
     """The page that comes says of the rig what the cell has on disc, and runs by."""
-
-    async def test() -> None:
-        draft = await calibration(cell)
-        await cell.take()
-        if (await cell.ask("GET", draft))["solved"] is None:
-            assert "done" == (await cell.task_of(f"{draft}/solve", {}))["state"]
-        note = {**cell.newcomer.token, "note": "killed"}
-        status, answer = await cell.asked_while_killed(victim, "POST", f"/api/v1/{draft}/activate", note)
-        told = await cell.newcomer.until("cell", lambda told: told["rig"]["id"] == cell.rig_on_disc())
-        assert status != 200 or answer["rig"] == told["rig"]["id"]
-        await active_release_is_the_cells(cell)
-
-    cell.run(test)
+    draft = await calibration(cell)
+    await cell.take()
+    if (await cell.ask("GET", draft))["solved"] is None:
+        assert "done" == (await cell.task_of(f"{draft}/solve", {}))["state"]
+    note = {**cell.newcomer.token, "note": "killed"}
+    status, answer = await cell.asked_while_killed(victim, "POST", f"/api/v1/{draft}/activate", note)
+    told = await cell.newcomer.until("cell", lambda told: told["rig"]["id"] == cell.rig_on_disc())
+    assert status != 200 or answer["rig"] == told["rig"]["id"]
+    await active_release_is_the_cells(cell)
 
 
 @pytest.mark.parametrize("victim", ["worker", "page"])
-def test_a_part_that_is_being_looked_at_is_looked_at_again(cell: Cell, victim: str) -> None:
+async def test_a_part_that_is_being_looked_at_is_looked_at_again(cell: Cell, victim: str) -> None:
     """A draft whose proposal was lost says why, or has it; none waits for ever."""
-
-    async def test() -> None:
-        await cell.take()
-        await cell.ask("PUT", "stage", {"showing": "part"})
-        draft = f"teachings/{(await cell.ask('POST', 'teachings', cell.newcomer.token, 201))['id']}"
-        await cell.kill(victim)
-        told = await cell.newcomer.until(draft, lambda told: told["proposing"] is None)
-        assert told["features"] or told["trouble"]
-
-    cell.run(test)
+    await cell.take()
+    await cell.ask("PUT", "stage", {"showing": "part"})
+    draft = f"teachings/{(await cell.ask('POST', 'teachings', cell.newcomer.token, 201))['id']}"
+    await cell.kill(victim)
+    told = await cell.newcomer.until(draft, lambda told: told["proposing"] is None)
+    assert told["features"] or told["trouble"]
 
 
 @pytest.mark.parametrize("victim", ["worker", "page"])
-def test_a_trial_goes_on_or_is_off(cell: Cell, victim: str) -> None:
+async def test_a_trial_goes_on_or_is_off(cell: Cell, victim: str) -> None:
     """A worker is replaced; a page that comes tries nothing that nobody has asked it for."""
-
-    async def test() -> None:
-        await cell.take()
-        draft = (await teaching(cell)).removeprefix("teachings/")
-        await cell.ask("PUT", "trials", {**cell.newcomer.token, "teaching": draft, "on": True})
-        await cell.kill(victim)
-        assert (victim == "worker") == (await cell.ask("GET", "trials"))["on"]
-        await cell.take()
-        await cell.ask("PUT", "trials", {**cell.newcomer.token, "on": False})
-
-    cell.run(test)
+    await cell.take()
+    draft = (await teaching(cell)).removeprefix("teachings/")
+    await cell.ask("PUT", "trials", {**cell.newcomer.token, "teaching": draft, "on": True})
+    await cell.kill(victim)
+    assert (victim == "worker") == (await cell.ask("GET", "trials"))["on"]
+    await cell.take()
+    await cell.ask("PUT", "trials", {**cell.newcomer.token, "on": False})
 
 
 @pytest.mark.parametrize("victim", ["page", "link"])
-def test_a_job_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
+async def test_a_job_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
     """The page that comes lists the jobs that the cell has, and its active release has them."""
-
-    async def test() -> None:
+    await cell.take()
+    draft = await teaching(cell)
+    note = {**cell.newcomer.token, "note": "killed"}
+    status, _ = await cell.asked_while_killed(victim, "POST", f"/api/v1/{draft}/activate", note)
+    jobs = sorted(file.name for file in cell.folder.glob("jobs/*"))
+    assert status != 200 or jobs
+    await active_release_is_the_cells(cell)
+    if not jobs:
         await cell.take()
-        draft = await teaching(cell)
-        note = {**cell.newcomer.token, "note": "killed"}
-        status, _ = await cell.asked_while_killed(victim, "POST", f"/api/v1/{draft}/activate", note)
-        jobs = sorted(file.name for file in cell.folder.glob("jobs/*"))
-        assert status != 200 or jobs
-        await active_release_is_the_cells(cell)
-        if not jobs:
-            await cell.take()
-            await cell.ask("POST", f"{draft}/activate", {**cell.newcomer.token, "note": "again"})
-
-    cell.run(test)
+        await cell.ask("POST", f"{draft}/activate", {**cell.newcomer.token, "note": "again"})
 
 
 @pytest.mark.parametrize("victim", ["page", "link"])
-def test_a_cell_that_measures_measures_on(cell: Cell, victim: str) -> None:
+async def test_a_cell_that_measures_measures_on(cell: Cell, victim: str) -> None:
     """Every cycle has its result; the page that comes shows the newest."""
-
-    async def test() -> None:
-        await cell.take()
-        await cell.ask("PUT", "stage", {"showing": "part"})
-        await cell.give_back()
-        await cell.newcomer.until("cell", lambda told: told["state"] == "READY")
-        cell.measuring.append([time.monotonic(), 0.0])
-        cycle = (await cell.status())["result"]["cycle"]
-        await cell.kill(victim)
-        while (await cell.status())["result"]["cycle"] < cycle + 3:  # noqa: ASYNC110  (nothing else tells)
-            await asyncio.sleep(0.1)
-        cell.measuring[-1][1] = time.monotonic()
-
-    cell.run(test)
+    await cell.take()
+    await cell.ask("PUT", "stage", {"showing": "part"})
+    await cell.give_back()
+    await cell.newcomer.until("cell", lambda told: told["state"] == "READY")
+    cell.measuring.append([time.monotonic(), 0.0])
+    cycle = await cell.shows_cycle(0)
+    await cell.kill(victim)
+    await cell.shows_cycle(cycle + 3)
+    cell.measuring[-1][1] = time.monotonic()
 
 
 async def active_release_is_the_cells(cell: Cell) -> None:

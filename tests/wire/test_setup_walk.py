@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import AsyncExitStack
+from collections.abc import AsyncIterator, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
 
 import pytest
@@ -27,7 +27,6 @@ from helpers.setuppage import (
     thaw,
 )
 from helpers.stagecell import PASSWORD, Newcomer, staged
-from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
@@ -105,18 +104,14 @@ class Walk:
             await take_over(page)
         await page.until(there(step))
 
-    def run(self, test: Callable[[], Awaitable[None]], refused: str = "no code") -> None:
-        """A test's coroutine, bounded; nothing may fail unseen. refused : a status that is part of it."""
-
-        async def bounded() -> None:
-            async with asyncio.timeout(WHOLE_S):
-                await test()
-                complaints = self.page.complaints + self.other.complaints
-                self.page.complaints.clear()
-                self.other.complaints.clear()
-                assert [] == [one for one in complaints if refused not in one]
-
-        self.runner.run(bounded())
+    @asynccontextmanager
+    async def watched(self, refused: str = "no code") -> AsyncIterator[None]:
+        """Nothing may fail unseen. refused : a status that is part of it."""
+        yield
+        complaints = self.page.complaints + self.other.complaints
+        self.page.complaints.clear()
+        self.other.complaints.clear()
+        assert [] == [one for one in complaints if refused not in one]
 
 
 async def worked(newcomer: Newcomer) -> None:
@@ -178,10 +173,9 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Walk]:
 
 
 @pytest.mark.parametrize(("before", "step"), [*zip(STEPS[-1:] + STEPS[:-1], STEPS, strict=True)])
-def test_reload_back_and_forward_lead_to_what_was_there(walk: Walk, before: str, step: str) -> None:
+async def test_reload_back_and_forward_lead_to_what_was_there(walk: Walk, before: str, step: str) -> None:
     """At every step: the same step, with what was done there; never an empty page."""
-
-    async def test() -> None:
+    async with walk.watched():
         page = walk.page
         await walk.hold(page, before)
         await go(page, step)
@@ -193,14 +187,11 @@ def test_reload_back_and_forward_lead_to_what_was_there(walk: Walk, before: str,
         await page.value("history.forward()")
         await page.until(there(step))
 
-    walk.run(test)
-
 
 @pytest.mark.parametrize("step", STEPS)
-def test_a_second_screen_shows_the_same_and_takes_over(walk: Walk, step: str) -> None:
+async def test_a_second_screen_shows_the_same_and_takes_over(walk: Walk, step: str) -> None:
     """It says who has the cell; the first one is told at once that it has it no longer."""
-
-    async def test() -> None:
+    async with walk.watched("409 (Conflict)"):
         page, other = walk.page, walk.other
         await walk.hold(page, step)
         await go(other, step)
@@ -212,14 +203,11 @@ def test_a_second_screen_shows_the_same_and_takes_over(walk: Walk, step: str) ->
         await page.until(HERE.format(step=step))
         await press(page, "Understood")
 
-    walk.run(test, "409 (Conflict)")
-
 
 @pytest.mark.parametrize("step", STEPS[::3])
-def test_who_slept_comes_back_to_what_is_so_now(walk: Walk, step: str) -> None:
+async def test_who_slept_comes_back_to_what_is_so_now(walk: Walk, step: str) -> None:
     """Ten minutes without a network: live without a reload, and told that the cell has gone to another."""
-
-    async def test() -> None:
+    async with walk.watched("409 (Conflict)"):
         page, other = walk.page, walk.other
         await walk.hold(page, step)
         await page.value("cutOff()")
@@ -230,14 +218,11 @@ def test_who_slept_comes_back_to_what_is_so_now(walk: Walk, step: str) -> None:
         await page.until(LOST)
         await press(page, "Understood")
 
-    walk.run(test, "409 (Conflict)")
-
 
 @pytest.mark.parametrize("step", STEPS)
-def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> None:
+async def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> None:
     """All of a page fits and can be hit; Tab comes to all of it, and shows where; all comes from the cell."""
-
-    async def test() -> None:
+    async with walk.watched():
         page = walk.page
         await walk.hold(page, step)
         await page.value(
@@ -276,14 +261,11 @@ def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> None:
         await page.ask("Emulation.setTouchEmulationEnabled", enabled=False)
         await page.resize(1280, 900)
 
-    walk.run(test)
 
-
-def test_what_was_refused_stays_in_its_field(walk: Walk) -> None:
+async def test_what_was_refused_stays_in_its_field(walk: Walk) -> None:
     """Somebody else was faster: a sentence says so, the newer state shows, what was typed can be sent."""
     number = 'document.querySelector("[name=number]").value'
-
-    async def test() -> None:
+    async with walk.watched("412 (Precondition Failed)"):
         page, ask = walk.page, walk.newcomer.ask
         await walk.hold(page, "teach")
         draft = await page.value('localStorage.getItem("edged.teaching")')
@@ -301,13 +283,10 @@ def test_what_was_refused_stays_in_its_field(walk: Walk) -> None:
         await page.until('!document.querySelector(".trouble")')
         assert 17 == (await ask("GET", f"teachings/{draft}"))["number"]
 
-    walk.run(test, "412 (Precondition Failed)")
 
-
-def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
+async def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
     """What another tab has taken or given back, this one has, too."""
-
-    async def test() -> None:
+    async with walk.watched("409 (Conflict)"):
         page = walk.page
         await walk.hold(page, "welcome")
         await page.value(
@@ -325,14 +304,11 @@ def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
         await page.until(f'{LEASE}.includes("You have the cell on another screen")')
         await page.ask("Page.reload")
 
-    walk.run(test, "409 (Conflict)")
-
 
 @pytest.mark.parametrize("role", OTHERS)
-def test_who_may_not_is_refused_nothing(walk: Walk, role: str) -> None:
+async def test_who_may_not_is_refused_nothing(walk: Walk, role: str) -> None:
     """Whoever only looks, or only operates, comes through all pages without one error."""
-
-    async def test() -> None:
+    async with walk.watched():
         page, name = walk.other, f"a {role}"
         await page.ask("Network.clearBrowserCookies")
         await log_in(page, walk.newcomer.origin, name, PASSWORD, "/setup", (1280, 900))
@@ -345,13 +321,10 @@ def test_who_may_not_is_refused_nothing(walk: Walk, role: str) -> None:
         )
         assert [] == [one for one in offered if one.strip() in ("Take the cell", "Take over")]
 
-    walk.run(test)
 
-
-def test_whoever_logs_in_again_is_where_they_were(walk: Walk) -> None:
+async def test_whoever_logs_in_again_is_where_they_were(walk: Walk) -> None:
     """Also after a wrong password, which is said."""
-
-    async def test() -> None:
+    async with walk.watched(""):
         page = walk.other
         await go(page, "robot")
         await page.ask("Network.clearBrowserCookies")
@@ -364,5 +337,3 @@ def test_whoever_logs_in_again_is_where_they_were(walk: Walk) -> None:
             if password == "wrong":
                 await page.until(said("Wrong name or password."))
         await page.until(there("robot"))
-
-    walk.run(test, "")
