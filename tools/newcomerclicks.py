@@ -171,12 +171,17 @@ async def follow(page: Browser, step: str) -> None:
     await page.until(f"""document.querySelector('main[data-page="{step}"] h1')""")
 
 
-async def release(page: Browser, password: str) -> None:
-    """Answer the question of a release with yes, and with the note that stands there, or one word.
+async def release(page: Browser, text: str, password: str) -> None:
+    """Press a button, and answer its question with yes and with the note that stands there, or one word.
 
-    password : asked for once more where the last time is long ago, as on a busy machine.
+    Once more where nothing came of it: the button was closed again for a moment. password : asked for once
+    more where the last time is long ago, as on a busy machine.
     """
-    await page.until(DIALOG)
+    while not await page.value(f"Boolean({DIALOG})"):
+        await press(page, text)
+        begun_s = time.monotonic()
+        while not await page.value(f"Boolean({DIALOG})") and time.monotonic() - begun_s < LEAST_S:
+            await page.value("new Promise((done) => setTimeout(done, 50))")
     if not await page.value('document.querySelector("dialog[open] [name=note]").value'):
         await page.type("dialog[open] [name=note]", "first")
     await page.click("dialog[open] .primary")
@@ -225,8 +230,7 @@ async def calibrate(page: Browser, clicks: Clicks, goal_um: float, password: str
     views = int(await page.value(VIEWS))
     await press(page, "Solve")
     await long(page, 'document.querySelector("#solve").parentElement.querySelector("dl")')
-    await press(page, "Use this calibration")
-    await release(page, password)
+    await release(page, "Use this calibration", password)
     await long(page, said("In use, as release"))
     return views
 
@@ -267,8 +271,7 @@ async def teach(page: Browser, password: str) -> None:
     await press(page, "Tap")
     await page.click("[data-side=left] .feature[data-key=c0]")
     await long(page, '!document.querySelector("progress") && document.querySelector(".feature.taken")')
-    await press(page, "Use this job")
-    await release(page, password)
+    await release(page, "Use this job", password)
     await long(page, said("is in use, as release"))
 
 
@@ -307,8 +310,7 @@ async def register(page: Browser, password: str) -> None:
     await press(page, "Stage: what the virtual robot shows")
     await press(page, "How far was it off?")
     await long(page, said("Off by "))
-    await press(page, "Use this registration")
-    await release(page, password)
+    await release(page, "Use this registration", password)
     await long(page, said("In use, as release"))
 
 

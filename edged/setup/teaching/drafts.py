@@ -76,8 +76,9 @@ class TeachingDraft(DraftFile[TeachState]):
         return name
 
     def propose(self, shapes: list[JsonValue]) -> None:
-        """The region that is proposed before anybody says another."""
-        self.write(self.state.changed(start=self.state.start.with_({"shapes": shapes})))
+        """The region that is proposed before anybody says another; nobody has changed anything by it."""
+        start = self.state.start.with_({"shapes": shapes})
+        self.write(self.state.model_copy(update={"start": start}))
 
     def operate(self, what: str, sets: Mapping[str, JsonValue]) -> None:
         """One step. Raises `TeachError` for what cannot be."""

@@ -63,6 +63,14 @@ def test_a_draft_is_on_disc_after_each_step(tmp_path: Path) -> None:
         again.undo()
 
 
+def test_what_the_cell_proposes_is_nobody_elses_change(tmp_path: Path) -> None:
+    """Who taps meanwhile, on a slow machine, is not told that somebody was quicker."""
+    draft = begin(tmp_path)
+    draft.propose([BOX])
+    assert (0, (Rectangle(**BOX),)) == (draft.state.revision, draft.state.content.shapes)
+    assert draft.state == TeachingDrafts(tmp_path).load(draft.state.id).state
+
+
 def test_power_cuts_leave_a_whole_draft(tmp_path: Path) -> None:
     """At any call it is one of the states that it had, with both pictures; or there is none yet."""
     root = tmp_path / "real"
@@ -84,7 +92,7 @@ def test_power_cuts_leave_a_whole_draft(tmp_path: Path) -> None:
             draft = drafts.load(name)
             assert draft.state in seen
             assert all(np.array_equal(*images) for images in zip(PAIR, pair_of(draft), strict=True))
-            found.add(draft.state.revision)
+            found.add(seen.index(draft.state))
     assert {0, 1, 2} == found
 
 

@@ -106,14 +106,15 @@ export default function Settings() {
   const [known, setKnown] = useState(null);
   const [wanted, setWanted] = useState(/** @type {any} */ ({})); // by name: what is other than configured
   const [fresh, setFresh] = useState(0); // counts when fields forget what is typed in them
-  const sending = useRef({ revision: -1, isOn: false, next: null });
+  const sending = useRef({ revision: -1, isOn: false, next: null, count: 0 });
   const learn = (found) => {
     sending.current.revision = found.draft?.revision ?? 0;
     setKnown(found);
   };
   const find = async () => {
+    const { count } = sending.current;
     const found = await ask("GET", "settings");
-    if (sending.current.next) return; // what was entered meanwhile is newer
+    if (sending.current.count !== count) return; // what was entered meanwhile is newer
     learn(found);
     const chosen = found.settings.filter((one) => one.chosen);
     setWanted(Object.fromEntries(chosen.map((one) => [one.name, one.wanted])));
@@ -132,6 +133,7 @@ export default function Settings() {
   const send = async (next) => {
     const state = sending.current;
     state.next = next;
+    state.count += 1;
     if (state.isOn) return;
     state.isOn = true;
     while (state.next) {

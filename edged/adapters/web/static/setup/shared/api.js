@@ -70,7 +70,10 @@ export async function ask(method, path, body) {
   const [, name] = answer.headers.get("Content-Disposition")?.split('"') ?? [];
   if (name) return new File([await answer.blob()], name);
   const isJson = /json/.test(answer.headers.get("Content-Type") ?? "");
-  const document = isJson ? await answer.json() : {};
+  const cutOff = () => {
+    throw new Problem({ code: "unreachable" }); // or the page is being left
+  };
+  const document = isJson ? await answer.json().catch(cutOff) : {};
   if (answer.ok) return document;
   if (answer.status === 401) logIn();
   if (document.code === "confirm" && (await confirmed())) return ask(method, path, body);
