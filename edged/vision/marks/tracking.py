@@ -127,7 +127,7 @@ class MarksFilter:
         seen = np.isfinite(dots.pixels).all(axis=2)
         marks = np.flatnonzero(seen.any(axis=0))
         if not len(marks):
-            return self._coasting(track, dots, np.nan, marks)
+            return self._coasting(track, dots, None, marks)
         every = _Observed.of(self, track, dots, marks)
         if every.misfit <= _most(every.count):
             return self._agreed(track, dots, every, marks, ())
@@ -182,7 +182,7 @@ class MarksFilter:
         return updated, self._report(updated, MarksState.CORRECTED, marks, fit, "")
 
     def _coasting(
-        self, track: MarksTrack, dots: DotsInPair, fit: float, marks: IntArray
+        self, track: MarksTrack, dots: DotsInPair, fit: float | None, marks: IntArray
     ) -> tuple[MarksTrack, MarksReport]:
         """Too few marks are seen. Codes of another plate are no weather."""
         if dots.strange and not len(marks):
@@ -254,12 +254,10 @@ class MarksFilter:
         return MARKS.consistent if track.knocked else track.wait
 
     def _report(
-        self, track: MarksTrack, state: MarksState, marks: IntArray, fit: float, why: str
+        self, track: MarksTrack, state: MarksState, marks: IntArray, fit: float | None, why: str
     ) -> MarksReport:
         left_mm, right_mm = (float(np.linalg.norm(track.displacement[of_side(side)][3:6])) for side in SIDES)
-        return MarksReport(
-            state, True, len(marks), len(self.taught.codes), (), float(fit), left_mm, right_mm, why
-        )
+        return MarksReport(state, True, len(marks), len(self.taught.codes), (), fit, left_mm, right_mm, why)
 
     def _codes(self, marks: IntArray) -> tuple[int, ...]:
         return tuple(self.taught.codes[index] for index in marks)
