@@ -190,9 +190,9 @@ def marks_to_json(report: MarksReport) -> Json:
         "seen": report.seen,
         "taught": report.taught,
         "excluded": list(report.excluded),
-        "fit": known(report.fit),
-        "left_mm": known(report.left_mm),
-        "right_mm": known(report.right_mm),
+        "fit": None if report.fit is None else known(report.fit),
+        "left_mm": None if report.left_mm is None else known(report.left_mm),
+        "right_mm": None if report.right_mm is None else known(report.right_mm),
         "text": report.why,
     }
 

@@ -182,9 +182,12 @@ class Running:
                 "marks_valid": ("1 while the reference marks let results be given", marks.valid),
                 "marks_seen": ("reference marks used in the last exposure", marks.seen),
                 "marks_excluded": ("reference marks that disagree with the others", len(marks.excluded)),
-                "marks_fit": ("squared misfit of the marks over what is expected", marks.fit),
-                "marks_left_moved_metres": ("how far the left camera moved", marks.left_mm / 1000),
-                "marks_right_moved_metres": ("how far the right camera moved", marks.right_mm / 1000),
+                "marks_fit": ("squared misfit of the marks over what is expected", _or_nan(marks.fit)),
+                "marks_left_moved_metres": ("how far the left camera moved", _or_nan(marks.left_mm) / 1000),
+                "marks_right_moved_metres": (
+                    "how far the right camera moved",
+                    _or_nan(marks.right_mm) / 1000,
+                ),
             }
         recorder = self.servers.get("recorder")
         if (modbus := self.modbus()) is not None:
@@ -243,6 +246,10 @@ class Running:
         variances = np.einsum("nii->ni", calibration_covariance(loaded.rig.rig, points_mm))
         x, y, z = 1e3 * np.sqrt(variances.mean(axis=0))
         return float(x), float(y), float(z)
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _figure(value: float, digits: str, unit: str) -> Json | str:

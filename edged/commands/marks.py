@@ -129,7 +129,7 @@ def status(
         console.print(
             f"{report.state.name}{'' if report.valid else ', no results'}"
             f"{f': {report.why}' if report.why else ''}; cameras moved since they were taught: left "
-            f"{1e3 * report.left_mm:.1f} um, right {1e3 * report.right_mm:.1f} um",
+            f"{1e3 * (report.left_mm or 0.0):.1f} um, right {1e3 * (report.right_mm or 0.0):.1f} um",
             markup=False,
             soft_wrap=True,
         )

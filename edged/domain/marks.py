@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import math
 from dataclasses import dataclass
 
 from edged.domain.arrays import FloatArray
@@ -31,8 +30,9 @@ class MarksReport:
     """What the marks of one exposure say.
 
     valid : whether results may be given. seen : marks that were used, of `taught`. excluded : codes of those
-    that disagree. fit : squared misfit over what is expected, about 1; NaN where nothing was compared.
-    left_mm, right_mm : how far each camera is from where it was taught. why : text for people; "" if all is
+    that disagree. fit : squared misfit over what is expected, about 1; None where nothing was compared.
+    left_mm, right_mm : how far each camera is from where it was taught; None before the first
+    exposure. why : text for people; "" if all is
     well.
     """
 
@@ -41,9 +41,9 @@ class MarksReport:
     seen: int = 0
     taught: int = 0
     excluded: tuple[int, ...] = ()
-    fit: float = math.nan
-    left_mm: float = math.nan
-    right_mm: float = math.nan
+    fit: float | None = None
+    left_mm: float | None = None
+    right_mm: float | None = None
     why: str = ""
 
 

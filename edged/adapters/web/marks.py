@@ -18,7 +18,8 @@ OUTLINE_POINTS = 72
 """Points of a closed outline: 5° of a circle."""
 AXIS_MM = 5.0
 """Length of the axes of a part of which no outline is known."""
-TERMS = ("edges", "calibration", "registration", "doubt")
+TERMS = ("edges", "calibration", "registration", "doubt", "marks")
+"""In the order of `Budget.terms`, whose last one is only there with reference marks."""
 
 
 def outlines(target: Target, rectification: Rectification, side: Side) -> Json:
@@ -56,7 +57,7 @@ def budget(
     known = budget_of(target, robot_from_rig, registration)
     if known is None:
         return None
-    terms = {name: np.sqrt(term) for name, term in zip(TERMS, known.terms, strict=True)}
+    terms = {name: np.sqrt(term) for name, term in zip(TERMS, known.terms, strict=False)}
     whole = np.sqrt(np.sum(known.terms, axis=0))
     return {
         "frame": frame_name(robot_from_rig),

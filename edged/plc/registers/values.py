@@ -267,8 +267,10 @@ def _clamp(number: int, top: int) -> int:
     return min(max(number, 0), top)
 
 
-def _saturated(value: float, unit: float) -> int:
+def _saturated(value: float | None, unit: float) -> int:
     """A magnitude in units; 65535 when unknown or too large."""
+    if value is None:
+        return UINT16_MAX
     return round(min(value / unit, UINT16_MAX)) if math.isfinite(value) and value >= 0 else UINT16_MAX
 
 

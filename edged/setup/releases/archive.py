@@ -41,6 +41,7 @@ from edged.domain.numerals import json_of
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import read_bytes, replace_folder
 from edged.files.golden import golden_file
+from edged.files.marks import marks_file
 from edged.files.replacing import replace_files
 from edged.files.rig import read_rig
 from edged.owners import as_owner, by_name, unlinked
@@ -230,6 +231,8 @@ def _collect(path: Path, config: Config, parts: Parts) -> tuple[dict[str, bytes]
     left_out = {place: str(file) for place, file in config.machine_files().items()}
     if (golden := golden_file(config.cell.rig, 0).parent).is_dir():
         left_out["golden"] = str(golden)  # it belongs to the path that the robot was taught
+    if (marks := marks_file(config.cell.rig)).is_file():
+        left_out["marks"] = str(marks)  # they belong to the plate as it stands there
     if config.cameras.folder is not None:
         left_out["cameras.folder"] = str(config.cameras.folder)
     return files, left_out

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -97,8 +98,7 @@ class MarksFilter:
         track = self.predicted(track, exposed_ns)
         dots, track = self.look(track, left, right)
         track, report = self.updated(track, dots)
-        moved_px = np.abs(self.expected_px(track.displacement) - self.expected_px(track.maps)).max()
-        if moved_px > MARKS.maps_px:
+        if _moved_px(self.taught, track.displacement - track.maps) > MARKS.maps_px:
             track = replace(track, maps=track.displacement)
         return track, report
 
@@ -127,7 +127,7 @@ class MarksFilter:
         seen = np.isfinite(dots.pixels).all(axis=2)
         marks = np.flatnonzero(seen.any(axis=0))
         if not len(marks):
-            return self._coasting(track, dots, np.nan, marks)
+            return self._coasting(track, dots, None, marks)
         every = _Observed.of(self, track, dots, marks)
         if every.misfit <= _most(every.count):
             return self._agreed(track, dots, every, marks, ())
@@ -182,7 +182,7 @@ class MarksFilter:
         return updated, self._report(updated, MarksState.CORRECTED, marks, fit, "")
 
     def _coasting(
-        self, track: MarksTrack, dots: DotsInPair, fit: float, marks: IntArray
+        self, track: MarksTrack, dots: DotsInPair, fit: float | None, marks: IntArray
     ) -> tuple[MarksTrack, MarksReport]:
         """Too few marks are seen. Codes of another plate are no weather."""
         if dots.strange and not len(marks):
@@ -254,12 +254,10 @@ class MarksFilter:
         return MARKS.consistent if track.knocked else track.wait
 
     def _report(
-        self, track: MarksTrack, state: MarksState, marks: IntArray, fit: float, why: str
+        self, track: MarksTrack, state: MarksState, marks: IntArray, fit: float | None, why: str
     ) -> MarksReport:
         left_mm, right_mm = (float(np.linalg.norm(track.displacement[of_side(side)][3:6])) for side in SIDES)
-        return MarksReport(
-            state, True, len(marks), len(self.taught.codes), (), float(fit), left_mm, right_mm, why
-        )
+        return MarksReport(state, True, len(marks), len(self.taught.codes), (), fit, left_mm, right_mm, why)
 
     def _codes(self, marks: IntArray) -> tuple[int, ...]:
         return tuple(self.taught.codes[index] for index in marks)
@@ -350,9 +348,7 @@ class MarksFilter:
 
     def expected_px(self, displacement: FloatArray) -> FloatArray:
         """(2, N, 2) where the dots should be seen."""
-        places = self.taught.placed.places_mm
-        seen = [seen_with_slopes(self.taught.rig, displacement, side, places)[0] for side in SIDES]
-        return np.asarray(np.stack(seen) + self.taught.residual_px)
+        return _seen(self.taught, displacement.tobytes())[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -383,18 +379,12 @@ class _Observed:
         taught, considered = tracker.taught, tracker.considered
         here = track.displacement if at is None else at
         count = len(taught.codes)
-        parts = []
-        for index, side in enumerate(SIDES):
-            pixels, slopes, _ = seen_with_slopes(taught.rig, here, side, taught.placed.places_mm)
-            full = np.zeros((count, 2, DISPLACEMENT))
-            full[:, :, of_side(side)] = slopes
-            parts.append((dots.pixels[index] - pixels - taught.residual_px[index], full))
-        difference = np.stack([part[0] for part in parts])
-        slopes_of = np.stack([part[1] for part in parts])
+        expected, slopes = _seen(taught, here.tobytes())
+        difference = dots.pixels - expected
         chosen = np.zeros((2, count, 2), bool)
         chosen[:, marks] = np.isfinite(dots.pixels[:, marks])
         rows = np.flatnonzero(chosen)
-        H = slopes_of.reshape(-1, DISPLACEMENT)[rows]
+        H = slopes.reshape(-1, DISPLACEMENT)[rows]
         innovation = difference.reshape(-1)[rows] - H @ (track.displacement - here)
         sigma = taught.noise * np.hypot(dots.sigma_px, MARKS.noise_px)
         noise = np.repeat(sigma.reshape(-1) ** 2, 2)[rows]
@@ -442,6 +432,33 @@ class _Observed:
             rows = np.flatnonzero(of_mark == mark)
             gains.append(weighted[rows] @ np.linalg.solve(inverse[np.ix_(rows, rows)], weighted[rows]))
         return int(np.argmax(gains))
+
+
+@lru_cache(maxsize=8)  # an exposure asks for the same place when it measures and when it compares
+def _seen(taught: TaughtMarks, displacement: bytes) -> tuple[FloatArray, FloatArray]:
+    """Where the dots should be seen (2, N, 2), and how that moves with the displacement (2, N, 2, 14)."""
+    at: FloatArray = np.frombuffer(displacement)
+    pixels = np.array(taught.residual_px)
+    slopes = np.zeros((*pixels.shape, DISPLACEMENT))
+    for index, side in enumerate(SIDES):
+        seen, own, _ = seen_with_slopes(taught.rig, at, side, taught.placed.places_mm)
+        pixels[index] += seen
+        slopes[index, :, :, of_side(side)] = own
+    for array in (pixels, slopes):
+        array.flags.writeable = False
+    return pixels, slopes
+
+
+def _moved_px(taught: TaughtMarks, displacement: FloatArray) -> float:
+    """How far a small displacement moves what is in the pictures, at most."""
+    depth_mm = float(taught.placed.places_mm[:, 2].min())
+    most = 0.0
+    for side in SIDES:
+        turn, shift = np.linalg.norm(displacement[of_side(side)][:6].reshape(2, 3), axis=1)
+        camera, grown = taught.rig.camera(side), abs(float(displacement[of_side(side)][6]))
+        moved = camera.fx * float(turn + shift / depth_mm) + 0.5 * grown * camera.width
+        most = max(most, moved)
+    return most
 
 
 def correction_of(track: MarksTrack) -> RigCorrection:

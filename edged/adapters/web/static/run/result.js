@@ -73,6 +73,7 @@ const TERMS = {
   calibration: ["#c9821c", "/setup#/calibrate"],
   registration: ["#7d62c7", "/setup#/robot"],
   doubt: ["#d0453a", "#contradiction"],
+  marks: ["#3f8f6b", "/setup#/light"],
 };
 const FREE_DEG = 60;
 
@@ -100,6 +101,11 @@ export function showBudget({ budget, result, state }) {
   place.replaceChildren(...parts, turned);
 }
 
+// Reference marks are a term only where there are some.
+function known(terms) {
+  return Object.entries(TERMS).filter(([name]) => terms[name]);
+}
+
 // The length of a bar is the sigma; each term takes its share of the variance.
 function bars({ sigma, terms, limit_mm: limit }) {
   const most = Math.max(...sigma.mm);
@@ -108,8 +114,8 @@ function bars({ sigma, terms, limit_mm: limit }) {
   const list = element("div", { class: "bars" });
   for (const [i, axis] of AXES.entries()) {
     const total = number(1000 * sigma.mm[i], 1);
-    const each = Object.keys(TERMS).map(
-      (name) => `${t(`run-term-${name}`)} ${number(1000 * terms[name].mm[i], 1)}`,
+    const each = known(terms).map(
+      ([name]) => `${t(`run-term-${name}`)} ${number(1000 * terms[name].mm[i], 1)}`,
     );
     const isOver = limit && sigma.mm[i] > limit;
     const label = t(isOver ? "run-bar-over" : "run-bar", { axis, sigma: total, terms: each.join(", ") });
@@ -120,7 +126,7 @@ function bars({ sigma, terms, limit_mm: limit }) {
       "aria-label": label,
     });
     let x = 0;
-    for (const [name, [colour]] of Object.entries(TERMS)) {
+    for (const [name, [colour]] of known(terms)) {
       const width = sigma.mm[i] > 0 ? (100 * terms[name].mm[i] ** 2) / sigma.mm[i] / whole : 0;
       view.append(drawing("rect", { x, y: 1, width, height: 8, fill: colour }));
       x += width;
@@ -144,7 +150,7 @@ function shares({ terms, free }, unit, axes, name, factor) {
     element("thead", {}, row("th", [data(`1 σ, ${name}`), ...axes])),
   );
   const body = element("tbody");
-  for (const [key, [colour, link]] of Object.entries(TERMS)) {
+  for (const [key, [colour, link]] of known(terms)) {
     const values = terms[key][unit];
     const line = row("td", [
       "",

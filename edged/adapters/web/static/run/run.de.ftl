@@ -90,6 +90,7 @@ run-stage-capture = aufnehmen
 run-stage-rectify = rektifizieren
 run-stage-find = finden
 run-stage-measure = messen
+run-stage-marks = Referenzmarken
 
 ## Woher das Sigma kommt
 run-budget = Woher das Sigma kommt
@@ -105,11 +106,13 @@ run-term-edges = Kanten
 run-term-calibration = Kalibrierung
 run-term-registration = Einmessen
 run-term-doubt = Zweifel
+run-term-marks = Referenzmarken
 run-smaller = kleiner durch
 run-remedy-edges = Licht und Schärfe
 run-remedy-calibration = mehr Ansichten der Tafel
 run-remedy-registration = mehr Antastungen oder Posen
 run-remedy-doubt = was der Kalibrierung widerspricht
+run-remedy-marks = Licht auf den Marken, und mehr davon
 
 ## Verlauf
 run-trends = Verlauf

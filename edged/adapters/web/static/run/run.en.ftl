@@ -90,6 +90,7 @@ run-stage-capture = capture
 run-stage-rectify = rectify
 run-stage-find = find
 run-stage-measure = measure
+run-stage-marks = reference marks
 
 ## Where the sigma comes from
 run-budget = Where the sigma comes from
@@ -105,11 +106,13 @@ run-term-edges = edges
 run-term-calibration = calibration
 run-term-registration = registration
 run-term-doubt = doubt
+run-term-marks = reference marks
 run-smaller = smaller with
 run-remedy-edges = light and focus
 run-remedy-calibration = more views of the board
 run-remedy-registration = more touches, or poses
 run-remedy-doubt = what contradicts the rig
+run-remedy-marks = light on the marks, and more of them
 
 ## Trends
 run-trends = Trends

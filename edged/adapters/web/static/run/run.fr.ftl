@@ -90,6 +90,7 @@ run-stage-capture = prise de vue
 run-stage-rectify = rectification
 run-stage-find = recherche
 run-stage-measure = mesure
+run-stage-marks = repères de référence
 
 ## Where the sigma comes from
 run-budget = D’où vient le sigma
@@ -105,11 +106,13 @@ run-term-edges = bords
 run-term-calibration = calibrage
 run-term-registration = recalage
 run-term-doubt = doute
+run-term-marks = repères de référence
 run-smaller = plus petit avec
 run-remedy-edges = éclairage et netteté
 run-remedy-calibration = plus de vues de la mire
 run-remedy-registration = plus de touchers, ou de poses
 run-remedy-doubt = ce qui contredit le calibrage
+run-remedy-marks = éclairage des repères, et davantage de repères
 
 ## Trends
 run-trends = Tendances

@@ -90,6 +90,7 @@ run-stage-capture = 撮像
 run-stage-rectify = 平行化
 run-stage-find = 探索
 run-stage-measure = 測定
+run-stage-marks = 基準マーク
 
 ## Where the sigma comes from
 run-budget = σ の内訳
@@ -105,11 +106,13 @@ run-term-edges = エッジ
 run-term-calibration = キャリブレーション
 run-term-registration = 座標合わせ
 run-term-doubt = 疑い
+run-term-marks = 基準マーク
 run-smaller = 小さくするには
 run-remedy-edges = 照明とピント
 run-remedy-calibration = ボードのビューを増やす
 run-remedy-registration = タッチか姿勢を増やす
 run-remedy-doubt = キャリブレーションと矛盾するもの
+run-remedy-marks = マークの照明と、より多くのマーク
 
 ## Trends
 run-trends = 推移

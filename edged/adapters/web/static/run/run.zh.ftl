@@ -90,6 +90,7 @@ run-stage-capture = 采集
 run-stage-rectify = 校正
 run-stage-find = 搜索
 run-stage-measure = 测量
+run-stage-marks = 参考标记
 
 ## Where the sigma comes from
 run-budget = σ 的来源
@@ -105,11 +106,13 @@ run-term-edges = 边缘
 run-term-calibration = 标定
 run-term-registration = 机器人标定
 run-term-doubt = 存疑
+run-term-marks = 参考标记
 run-smaller = 可减小的方法
 run-remedy-edges = 光照和对焦
 run-remedy-calibration = 更多标定板视图
 run-remedy-registration = 更多触碰点或位姿
 run-remedy-doubt = 与标定矛盾的内容
+run-remedy-marks = 标记的光照，以及更多标记
 
 ## Trends
 run-trends = 趋势
