@@ -56,6 +56,8 @@ INPUTS = {
     *((name, "rig") for name in ("golden", "grasp touch", "locate", "verify")),
     *((name, "job") for name in ("golden", "grasp touch", "locate", "verify")),
     *((name, side) for name in ("golden", "grasp touch", "locate", "verify") for side in ("left", "right")),
+    *(("marks teach", name) for name in ("rig", "directory")),
+    *(("marks status", name) for name in ("rig", "left", "right")),
     ("backup", "sign"),
     ("restore", "verify"),
     *((f"register {name}", "rig") for name in ("hand-eye", "self-test", "touch")),
