@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
+from helpers.markedcell import marked_cell, pair_at
 
-from edged.sim.cell import demo_rig
+from edged.domain.arrays import SIDES
+from edged.sim.cell import DEMO_MARKS, demo_rig
 from edged.sim.weather import DAY_S, Knock, Schedule, Sensitivity, Weather
-from edged.vision.geometry.rigid import invert, rotation_vector
+from edged.vision.geometry.rigid import apply, invert, rotation_vector
+from edged.vision.marks.measuring import search_marks
 
 STILL = Schedule(((0.0, 0.0),))
 
@@ -70,3 +74,31 @@ def test_the_same_seed_is_the_same_weather() -> None:
     first, again, other = (Weather(demo_rig(), Schedule.days(10.0), seed=k).at(2e4) for k in (1, 1, 2))
     assert np.array_equal(first.right_from_world, again.right_from_world)
     assert not np.allclose(first.right_from_world, other.right_from_world, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_cell_in_the_weather_shows_what_its_cameras_see() -> None:
+    """Marks lie where the true cameras of that time project them; a covered one is gone."""
+    cell = marked_cell(Knock(5.0, "right", (1.0, 0.0, 0.0)))
+    own = np.column_stack([DEMO_MARKS.places[:, :2], np.zeros(DEMO_MARKS.count)])
+    assert cell.weather is not None
+    for second in (0, 9):
+        cameras, pair = cell.weather.at(float(second)), pair_at(cell, second)
+        for side in SIDES:
+            camera, pose = cameras.camera(side)
+            found = search_marks(pair.side(side).image)
+            assert tuple(DEMO_MARKS.codes) == found.codes
+            seen = camera.project(apply(pose @ cell.rig_from_marks, own))
+            assert found.centres_px == pytest.approx(seen, abs=4.0)
+    cell.covered = frozenset({3})
+    dots = rough_spots(pair_at(cell, 12).left.image)
+    assert dots == rough_spots(pair_at(cell, 9).left.image) - 1
+
+
+def rough_spots(image: np.ndarray) -> int:
+    """Dark round blobs in the white of the plate."""
+    count, _, stats, _ = cv2.connectedComponentsWithStats((image < 60).astype(np.uint8))
+    areas = stats[1:count, cv2.CC_STAT_AREA]
+    wide, high = stats[1:count, cv2.CC_STAT_WIDTH], stats[1:count, cv2.CC_STAT_HEIGHT]
+    round_ones = (np.abs(areas / (0.785 * wide * high) - 1) < 0.08) & (areas > 500) & (areas < 1500)
+    return int(round_ones.sum())
