@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +14,10 @@ from edged.files.atomic import read_bytes, write_file
 from edged.files.jsonfields import JsonFields
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.marks.frame import CODES
-from edged.vision.marks.measuring import PlacedMarks
 from edged.vision.marks.params import MARKS
-from edged.vision.marks.taught import TaughtMarks, places_in_own_frame
+
+if TYPE_CHECKING:  # a cell without marks is checked without what measures them, and its compiler
+    from edged.vision.marks.taught import TaughtMarks
 
 MARKS_FORMAT = "edged-marks"
 MARKS_VERSION = 1
@@ -32,6 +34,8 @@ def marks_file(rig: Path) -> Path:
 
 def save_marks(path: Path, taught: TaughtMarks) -> None:
     """Write them; former ones are replaced in one step. Raises `FileFormatError` where the disc refuses."""
+    from edged.vision.marks.taught import places_in_own_frame
+
     placed = taught.placed
     document = {
         "format": MARKS_FORMAT,
@@ -94,6 +98,9 @@ def marks_of(data: bytes, path: Path, rig: StereoRig) -> TaughtMarks | None:
 
 
 def _taught(reader: JsonFields, rig: StereoRig) -> TaughtMarks:
+    from edged.vision.marks.measuring import PlacedMarks
+    from edged.vision.marks.taught import TaughtMarks
+
     codes = _codes(reader)
     count = len(codes)
     placed = PlacedMarks(

@@ -12,6 +12,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edged.config import chosencameras
 from edged.config.cell import MarksSection
@@ -32,8 +33,10 @@ from edged.link.summary import FilesInUse
 from edged.robot.golden import GoldenPart, golden_part
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.marks.taught import TaughtMarks
 from edged.vision.part.job import Job
+
+if TYPE_CHECKING:  # as in `files.marks`
+    from edged.vision.marks.taught import TaughtMarks
 
 USUAL_BASELINE_MM = (10.0, 800.0)
 """Between two cameras on one mount: outside of it a board was mostly stated ten times too large or small. The

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 import yaml
-from cameras.test_daemon import Cell, until
+from cameras.test_daemon import Cell
 from helpers.ports import free_port
+from helpers.waiting import wait_until
 from prometheus_client.parser import text_string_to_metric_families
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
@@ -44,7 +45,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, set[s
 
     try:
         cell.start()
-        yield until(lambda: found if "edged_sigma_meters" in (found := samples()) else None, "a good result")
+        yield wait_until(lambda: found if "edged_sigma_meters" in (found := samples()) else None)
     finally:
         cell.stop()
 

@@ -57,7 +57,7 @@ def curve_model(job: Job, break_mm: float = 0.0, is_lower: bool = False) -> Edge
     """The edges of a job's taught curves, each the rim of a face that looks at the cameras.
 
     break_mm : width of their edge breaks.  is_lower : the taught curves are the ends of the breaks in the
-    walls, not those in the faces.
+    walls, not those in the faces.  Curves have the numbers of the job's: its circles come first.
     """
     rims = list(_rims(job))
     lower = [is_lower or _is_lower(rim, rims, break_mm) for rim in rims]
@@ -76,7 +76,7 @@ def curve_model(job: Job, break_mm: float = 0.0, is_lower: bool = False) -> Edge
     low, high = np.minimum(start, end).min(axis=0), np.maximum(start, end).max(axis=0)
     return EdgeModel(
         np.zeros((count, 2), np.int64), start, end, np.stack([up, outwards], axis=1),
-        np.repeat(np.arange(len(rims)), pieces), np.ones(count, bool), np.ones(count, bool), by_break,
+        np.repeat(kept, pieces), np.ones(count, bool), np.ones(count, bool), by_break,
         np.full(count, break_mm), np.zeros((0, 3)), np.zeros((0, 3), np.int64), 0.5 * (low + high),
         float(np.linalg.norm(high - low)), CURVES.taught_px,
         *((BREAKS.unknown_sigma_mm,) * 2 if job.break_mm is None else (BREAKS.taught_sigma_mm, 0.0)),

@@ -79,7 +79,7 @@ class EdgePoints(NamedTuple):
 
 
 EDGES = 3
-"""Of a curve: itself where it is unbroken, and both ends of its break."""
+"""Edges by curve: itself where it is unbroken, and both ends of its break."""
 
 
 def chains_of(curve: I64) -> I64:

@@ -58,11 +58,15 @@ class PoseEvidence:
             whole * (share * np.log(hit / chance) + (1 - share) * np.log((1 - hit) / (1 - chance)))
         )
 
-    def present(self) -> float:
-        """Share of the model's curves that the pictures rather show than not, both edges of each together."""
-        numbers = chains_of(self.curve)
-        sums = [float(self.log_ratio(numbers == number).sum()) for number in np.unique(numbers)]
-        return float(np.mean(np.array(sums) > 0)) if sums else 0.0
+    def shown(self) -> tuple[npt.NDArray[np.int64], B64]:
+        """(K,) which of the model's curves are in the pictures' range, and which of these they rather show.
+
+        Both edges of each together.
+        """
+        of_sample = chains_of(self.curve)
+        numbers = np.unique(of_sample)
+        sums = [float(self.log_ratio(of_sample == number).sum()) for number in numbers]
+        return numbers, np.array(sums, np.float64) > 0.0
 
 
 def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseEvidence:

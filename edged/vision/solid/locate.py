@@ -75,8 +75,7 @@ def locate_solid(
             found = _of_likeliest_form(images, job, found, place, pyramids)
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # not by the edges of another part
-        present = found.seen.present() if job.body is None else 1.0
-        if min(found.certain, alone) < DECISION.certain or present < DECISION.present:
+        if min(found.certain, alone) < DECISION.certain or not _is_whole(job, found.seen):
             missed.append(match)
             continue
         taken.append(found)
@@ -236,6 +235,15 @@ def _certain(seen: PoseEvidence, chosen: npt.NDArray[np.bool_] | None = None) ->
     """Sigmas by which the camera that says less shows the part, of all its samples or of chosen ones (M,)."""
     some = np.ones(len(seen.hit), bool) if chosen is None else chosen
     return min(sigmas_of(seen.log_ratio(some & (seen.camera == k))) for k in (0, 1))
+
+
+def _is_whole(job: Job, seen: PoseEvidence) -> bool:
+    """Whether enough of a part is there that is known by its curves alone."""
+    if job.body is not None:
+        return True
+    numbers, shown = seen.shown()
+    circles = shown[numbers < len(job.circles)]
+    return bool(shown.mean() >= DECISION.present and (not len(circles) or circles.mean() >= DECISION.circles))
 
 
 def _not_of(

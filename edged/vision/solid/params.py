@@ -280,6 +280,8 @@ class DecisionParams:
     present: float = 2 / 3
     """Of the curves of a part that is known by them alone: one of which a third is covered is still measured,
     one that lacks more is another part with the same outline."""
+    circles: float = 0.5
+    """Share of its circles besides (`SolidParams.min_found`): another part of this outline has other holes."""
     lying_rad: float = math.radians(8.0)  # tilt of parts of a job that allows for none
     tilt_margin_rad: float = math.radians(5.0)  # added to the allowed tilt: views are 13 degrees apart
     rival_steps: int = 4  # of the fine lock, for a turn that leaves the part like itself

@@ -62,16 +62,16 @@ def misfit(grey: F64, square: float, terms: F64, many: int, first: int, normal: 
     """
     count, size = len(grey), many + 1
     for i in range(size):
-        one = terms[i, first : first + count]
+        own = terms[i, first : first + count]
         total = 0.0
         for s in range(count):
-            total += one[s] * grey[s]
+            total += own[s] * grey[s]
         height[i] = total
         for j in range(i + 1):
             other = terms[j, first : first + count]
             total = DAMPING if i == j else 0.0
             for s in range(count):
-                total += one[s] * other[s]
+                total += own[s] * other[s]
             normal[i, j] = total
     right = height[:size].copy()
     factorise(normal, size)

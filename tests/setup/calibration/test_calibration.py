@@ -78,7 +78,10 @@ def test_arrays_and_files_give_the_same_rig_to_the_last_bit(
 
 @pytest.mark.slow
 def test_each_picture_is_read_twice(images: Images) -> None:
-    """Once to find the board, once to measure its marks and edges; small copies stay for the report."""
+    """Once to find the board, once to measure its marks and edges; small copies stay for the report.
+
+    The first one once more: a board that was counted wrongly is told by it.
+    """
     reads: Counter[str] = Counter()
 
     def counted(label: str, image: Image) -> Image:
@@ -93,7 +96,8 @@ def test_each_picture_is_read_twice(images: Images) -> None:
     views.add([pair(name, *both) for name, both in images.items()])
     solved = solve(views, "division")
 
-    assert {f"{name}_{side}": 2 for name in images for side in ("left", "right")} == dict(reads)
+    expected = {f"{name}_{side}": 2 for name in images for side in ("left", "right")}
+    assert expected | {f"{next(iter(images))}_left": 3} == dict(reads)
     assert list(images) == list(solved.thumbnails)
     assert {(180, 240)} == {small.shape for both in solved.thumbnails.values() for small in both}
 
