@@ -172,8 +172,7 @@ class ProfileParams:
     """
 
     drawn_px: float = 0.7  # between samples that neighbours are found by: none is missed
-    every: int = 4  # of these that is read: about the correlation length of a pixel and a lens
-    fitted: int = 3  # of these that is fitted: each is averaged with its neighbours, which it then stands for
+    every: int = 4  # of these that is measured: about the correlation length of a pixel and a lens
     step_px: float = 0.5  # of a profile
     half_px: float = 5.0  # of its length
     widest_px: float = 2.0  # of the search: the lock is good to one
@@ -191,13 +190,13 @@ class ProfileParams:
     """Another light draws all edges to their darker side by up to a sixth of a pixel (`LIGHT_PX`): half."""
     first_sigmas_px: tuple[float, ...] = (1.0, 0.5)  # of each round of profiles
     min_sigma_px: float = 0.05  # of the robust scale
-    correlated: float = 4 / 3  # fitted profiles that err alike: 12 px of texture
+    correlated: float = 4.0  # profiles that err alike: 12 px of texture
     prior_blocks: float = 4.0  # of these, by which a stretch's scatter is taken to be that of all
     rounds: int = 10  # of reweighting
     still_mm: float = 1e-6  # at the rim of the part: less ends the rounds
-    fewest: int = 14  # fitted profiles: ten that do not err alike
+    fewest: int = 40  # profiles
     max_condition: float = 1e10  # of the normal equations
-    block: int = 10  # fitted profiles of a block of the jackknife, at least
+    block: int = 30  # profiles of a block of the jackknife, at least
     most_blocks: int = 24  # that the longest curves are cut into
 
 
@@ -281,7 +280,7 @@ class DecisionParams:
     """Of the curves of a part that is known by them alone: one of which a third is covered is still measured,
     one that lacks more is another part with the same outline."""
     circles: float = 0.5
-    """Share of its circles besides (`SolidParams.min_found`): another part of this outline has other holes."""
+    """Share of its circles besides (`SolidParams.min_found`): another part of its outline has other holes."""
     lying_rad: float = math.radians(8.0)  # tilt of parts of a job that allows for none
     tilt_margin_rad: float = math.radians(5.0)  # added to the allowed tilt: views are 13 degrees apart
     rival_steps: int = 4  # of the fine lock, for a turn that leaves the part like itself
@@ -328,7 +327,7 @@ class BreaksParams:
     min_weight: float = 4.0  # 1 / px²
     model_px: float = 0.1  # of an edge against its model: grain, burrs, light
     min_sigma_px: float = 0.1  # of the robust scale
-    correlated: float = 4 / 3  # fitted profiles that err alike: 12 px of texture
+    correlated: float = 4.0  # profiles that err alike
     alike_mm: float = 0.1  # spread of the breaks of one part
     form_px: float = 5.0  # from edge to edge: with less a picture shows nothing between both, of 2.5 px each
     unknown_mm: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6)  # tried where no picture has told

@@ -104,15 +104,12 @@ def profiles_of(
             PROFILE.reach_px,
             near,
         )
-        # by their numbers: the same ones again where a little more or less of the part is seen
-        read = np.flatnonzero(dense.row % PROFILE.every == 0)
-        grey, _ = edge_profiles(
-            images.raw[k], dense.pixels[read], dense.normals[read], PROFILE.half_px, PROFILE.step_px
-        )
-        chosen = np.flatnonzero(dense.row[read] % (PROFILE.every * PROFILE.fitted) == 0)
-        seen = VisibleSamples._make(np.ascontiguousarray(field[read[chosen]]) for field in dense)
-        found = [np.zeros(len(chosen)) for _ in range(3)]
-        find_shifts(grey, dense.curve[read], chosen, near[read[chosen]], blur_px, PROFILE.together, *found)
+        some = slice(None, None, PROFILE.every)
+        seen = VisibleSamples._make(np.ascontiguousarray(field[some]) for field in dense)
+        grey, _ = edge_profiles(images.raw[k], seen.pixels, seen.normals, PROFILE.half_px, PROFILE.step_px)
+        near = np.ascontiguousarray(near[some])
+        found = [np.zeros(len(seen.row)) for _ in range(3)]
+        find_shifts(grey, seen.curve, near, blur_px, PROFILE.together, *found)
         return seen, found
 
     left, right = for_both(measured)

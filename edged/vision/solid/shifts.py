@@ -91,16 +91,14 @@ def misfit_at(
     return misfit(grey, square, terms, many, 0, normal, height)
 
 
-@kernel("void(f8[:, ::1], i8[::1], i8[::1], f8[:, ::1], f8, i8, f8[::1], f8[::1], f8[::1])")
+@kernel("void(f8[:, ::1], i8[::1], f8[:, ::1], f8, i8, f8[::1], f8[::1], f8[::1])")
 def find_shifts(
-    profiles: F64, curve: I64, chosen: I64, near: F64, blur: float, together: int,
-    shift: F64, weight: F64, height: F64,
-) -> None:  # fmt: skip
-    """Fill shift (M,), px, weight (M,), 1 / px², and height (M,) of chosen (M,) ones of profiles (N, S).
+    profiles: F64, curve: I64, near: F64, blur: float, together: int, shift: F64, weight: F64, height: F64
+) -> None:
+    """Fill shift (M,), px, weight (M,), 1 / px², and height (M,) from profiles (M, S).
 
-    curve (N,).  near (M, 4) : offsets of neighbouring edges, NaN where there are fewer.  together : profiles
-    on either side along the same curve that are averaged. weight 0: the best shift lies at the end of the
-    search.
+    near (M, 4) : offsets of neighbouring edges, NaN where there are fewer.  together : profiles on either
+    side along the same curve that are averaged. weight 0: the best shift lies at the end of the search.
     """
     count, size = profiles.shape
     grey, edges = np.empty(size), np.empty(NEAR + 1)
@@ -108,12 +106,11 @@ def find_shifts(
     grid = round(WIDEST_PX / STEP_PX)
     terms, wide = np.ones((NEAR + 2, size)), np.ones((NEAR + 2, size + 2 * grid))
     normal, steps = np.empty((NEAR + 2, NEAR + 2)), np.empty(NEAR + 2)
-    for m in range(len(chosen)):
-        own = chosen[m]
-        first, last = own, own
-        while first > 0 and own - first < together and curve[first - 1] == curve[own]:
+    for m in range(count):
+        first, last = m, m
+        while first > 0 and m - first < together and curve[first - 1] == curve[m]:
             first -= 1
-        while last < count - 1 and last - own < together and curve[last + 1] == curve[own]:
+        while last < count - 1 and last - m < together and curve[last + 1] == curve[m]:
             last += 1
         square = 0.0
         for s in range(size):

@@ -130,7 +130,7 @@ def test_two_merged_edges_are_measured_as_one_pair(gap_px: float) -> None:
     profiles, near = np.tile(grey, (5, 1)), np.full((5, 4), np.nan)
     near[:, 0] = gap_px
     found, weight, height = np.zeros(5), np.zeros(5), np.zeros(5)
-    find_shifts(profiles, np.zeros(5, np.int64), np.arange(5), near, blur, 2, found, weight, height)
+    find_shifts(profiles, np.zeros(5, np.int64), near, blur, 2, found, weight, height)
     assert found == pytest.approx(shift, abs=0.02)
     assert (weight > 0).all()
     assert height == pytest.approx(130.0, rel=0.12)  # damped, where both hardly part
