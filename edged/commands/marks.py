@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.errors import CalibrationError, UserError
+from edged.errors import CalibrationError, ImageError, UserError
 from edged.files.images import load_image
 from edged.files.marks import marks_file, marks_of, read_marks, save_marks
 from edged.files.outputs import check_folder
@@ -19,8 +19,9 @@ from edged.files.pairs import find_pairs
 from edged.files.rig import load_rig
 from edged.owners import as_owner
 from edged.payload import marks_to_json
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.correction import shift_by_displacement
-from edged.vision.geometry.rectification import linear_image
+from edged.vision.geometry.rectification import check_size, linear_image
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import TaughtMarks, teach_marks
 from edged.vision.marks.tracking import DotsInPair, MarksFilter, MarksSettings, correction_of
@@ -40,15 +41,7 @@ def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
 
     def pictures() -> Iterator[tuple[Image, Image]]:
         for pair in pairs:
-            images = load_image(pair.left), load_image(pair.right)
-            for image, side in zip(images, SIDES, strict=True):
-                camera = loaded.camera(side)
-                if image.shape != (camera.height, camera.width):
-                    raise UserError(
-                        f"{pair.left.name}: {side}: {image.shape[1]}x{image.shape[0]}, the rig was "
-                        f"calibrated for {camera.width}x{camera.height}"
-                    )
-            yield images
+            yield _load_pair(loaded, pair.left, pair.right)
 
     newest_ns = max(pair.left.stat().st_mtime_ns for pair in pairs)  # pictures say nothing of their own time
     try:
@@ -73,6 +66,17 @@ def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
     return 0
 
 
+def _load_pair(rig: StereoRig, left: Path, right: Path) -> tuple[Image, Image]:
+    """Raises `ImageError` that names the file, for one of another size than the rig's, too."""
+    images = load_image(left), load_image(right)
+    for path, image, side in zip((left, right), images, SIDES, strict=True):
+        try:
+            check_size(rig.camera(side), image, side)
+        except ImageError as error:
+            raise ImageError(f"{path}: {error}") from error
+    return images
+
+
 def sigma_um(taught: TaughtMarks, settings: MarksSettings) -> FloatArray:
     """(3,) sigma of X, Y, Z that the correction by one exposure leaves in the marks' middle, µm."""
     marks = MarksFilter(taught, settings)
@@ -95,18 +99,14 @@ def status(
     taught = marks_of(read_marks(place), place, loaded)
     if taught is None:
         raise UserError(f"{place}: taught with another calibration than {rig}: teach them again")
-    images = []
-    for path, side in zip((left, right), SIDES, strict=True):
-        image, camera = load_image(path), loaded.camera(side)
-        if image.shape != (camera.height, camera.width):
-            raise UserError(
-                f"{path}: {image.shape[1]}x{image.shape[0]}, the rig was calibrated for "
-                f"{camera.width}x{camera.height}"
-            )
-        images.append(linear_image(image, camera.gamma))
+    images = [
+        linear_image(image, loaded.camera(side).gamma)
+        for image, side in zip(_load_pair(loaded, left, right), SIDES, strict=True)
+    ]
     marks = MarksFilter(taught, settings)
-    dots, _ = marks.look(marks.begin(), images[0], images[1])
-    track, report = marks.step(marks.begin(), images[0], images[1], left.stat().st_mtime_ns)
+    before = marks.predicted(marks.begin(), left.stat().st_mtime_ns)
+    dots, before = marks.look(before, images[0], images[1])
+    track, report = marks.updated(before, dots)
     if as_json:
         moved = dots.pixels - taught.pixels
         print(

@@ -66,11 +66,7 @@ class TaughtMarks:
     @cached_property
     def looks(self) -> tuple[MarksLook, MarksLook]:
         """How both cameras see them."""
-        left, right = (
-            look_of(self.rig.camera(side), _pose(self.rig, side), self.placed, shapes, blur_px)
-            for side, shapes, blur_px in zip(SIDES, self.shapes, self.blur_px, strict=True)
-        )
-        return left, right
+        return _looks(self.rig, self.placed, self.shapes, self.blur_px)
 
     @cached_property
     def residual_px(self) -> FloatArray:
@@ -102,6 +98,17 @@ def _pose(rig: StereoRig, side: str) -> FloatArray:
     return np.eye(4) if side == "left" else rig.right_from_left
 
 
+def _looks(
+    rig: StereoRig, placed: PlacedMarks, shapes: FloatArray, blur_px: tuple[float, float]
+) -> tuple[MarksLook, MarksLook]:
+    """How both cameras see marks."""
+    left, right = (
+        look_of(rig.camera(side), _pose(rig, side), placed, shape, blur)
+        for side, shape, blur in zip(SIDES, shapes, blur_px, strict=True)
+    )
+    return left, right
+
+
 # --- teaching ---------------------------------------------------------------------------------------------
 
 
@@ -124,10 +131,7 @@ def teach_marks(
         ]
         if placed is None:
             placed, near, shapes, blur_px = first_look(images, rig)
-            looks = tuple(
-                look_of(rig.camera(side), _pose(rig, side), placed, shape, blur)
-                for side, shape, blur in zip(SIDES, shapes, blur_px, strict=True)
-            )
+            looks = _looks(rig, placed, shapes, blur_px)
         seen = [measure_marks(image, look, at) for image, look, at in zip(images, looks, near, strict=True)]
         every.append(np.stack([dots.pixels for dots in seen]))
         sigmas.append(np.stack([dots.sigma_px for dots in seen]))
@@ -278,11 +282,6 @@ def _own_covariance(rig: StereoRig, places_mm: FloatArray, sigma_px: FloatArray)
     return np.asarray(turned @ covariance @ turned.T)
 
 
-def marks_from_world(taught: TaughtMarks) -> FloatArray:
-    """(4, 4)."""
-    return invert(taught.world_from_marks)
-
-
 def places_in_own_frame(taught: TaughtMarks) -> FloatArray:
     """(N, 3) of the dots, in the marks' own frame."""
-    return apply(marks_from_world(taught), taught.placed.places_mm)
+    return apply(invert(taught.world_from_marks), taught.placed.places_mm)

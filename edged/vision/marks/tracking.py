@@ -355,7 +355,7 @@ class MarksFilter:
 class _Observed:
     """Chosen dots against a track: innovation (M,) and its covariance, and what they are worth.
 
-    H (M, 14) : slopes.  rows (M,) : of the considered places.  factor (M, M) : Cholesky of the covariance.
+    slopes (M, 14).  rows (M,) : of the considered places.  factor (M, M) : Cholesky of the covariance.
     """
 
     innovation: FloatArray
@@ -364,7 +364,6 @@ class _Observed:
     slopes: FloatArray
     rows: IntArray
     considered: FloatArray
-    noise: FloatArray
 
     @classmethod
     def of(
@@ -392,7 +391,7 @@ class _Observed:
         S = H @ track.covariance @ H.T + HC + HC.T + considered[np.ix_(rows, rows)] + np.diag(noise)
         factor = np.asarray(np.linalg.cholesky(S))
         gain = track.covariance @ H.T + track.cross[:, rows]
-        return cls(innovation, factor, gain, H, rows, considered, noise)
+        return cls(innovation, factor, gain, H, rows, considered)
 
     @property
     def count(self) -> int:
