@@ -93,6 +93,7 @@ def head_of(
             free_running=isinstance(triggering.triggers[0], FreeRun),
             by_others=all(isinstance(trigger, LineTrigger) for trigger in triggering.triggers),
             detect_frozen=cameras.source != "replay",
+            image_sizes=calibrated,
         ),
     )
     if cameras.exposure_ratio is None:

@@ -61,6 +61,7 @@ class HeadSettings:
         camera; doubles with each one until a pair has been captured.
     detect_frozen : an image that equals the previous one in every pixel is a fault; False for
         sources without noise that may repeat themselves (a folder with one pair).
+    image_sizes : width, height of left and right images that the rig was calibrated with; None: any.
     """
 
     timeout_s: float = 1.0
@@ -73,6 +74,7 @@ class HeadSettings:
     min_backoff_s: float = 0.5
     max_backoff_s: float = 5.0
     detect_frozen: bool = True
+    image_sizes: tuple[tuple[int, int], tuple[int, int]] | None = None
 
 
 DEFAULTS = HeadSettings()
@@ -339,7 +341,17 @@ class StereoHead:
                 side.coming = None
 
     def _check_pair(self, pair: FramePair) -> None:
-        """Raise `PairingError` unless both frames are new and show one instant."""
+        """Raise `PairingError` unless both frames are new and show one instant.
+
+        And `CameraSetupError` where one is not of the size that was calibrated.
+        """
+        for frame, size in zip((pair.left, pair.right), self._settings.image_sizes or (), strict=False):
+            height, width = frame.image.shape
+            if (width, height) != size:
+                wanted = f"{size[0]}x{size[1]}"
+                raise CameraSetupError(
+                    frame.camera, f"its image is {width}x{height} px, the rig was calibrated with {wanted}"
+                )
         errors = [
             side.look_at(frame, detect_frozen=self._settings.detect_frozen)
             for side, frame in zip(self._sides, (pair.left, pair.right), strict=True)
