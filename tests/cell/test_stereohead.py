@@ -419,25 +419,12 @@ async def test_a_frozen_image_is_never_published_not_even_after_reopening(name: 
 
 @SIDES
 async def test_an_image_of_another_size_than_the_rigs_is_a_fault_of_that_camera(name: str) -> None:
-    """Cut or binned while the cell runs: no measurement sees it, and the camera is opened anew."""
-    sizes = {"left": (16, 12), "right": (16, 12)}
-    first = 0
-
-    def cut(request: ExposureRequest) -> Image:
-        return noise(request)[:, first:]
-
-    async with used(Bench(cut, image_sizes=(sizes["left"], sizes["right"]))) as bench:
-        await bench.head.capture()
-        first = 4
-        with pytest.raises(CameraSetupError, match="its image is 12x12 px, the rig was calibrated with 16x"):
-            await bench.head.capture()
-        await bench.is_closed("left")
-        first = 0
-        await bench.recovers()
-    sizes[name] = (16, 13)
+    """No measurement sees it; the camera is opened anew, in case that helps."""
+    sizes = {"left": (16, 12), "right": (16, 12), name: (16, 13)}
     async with used(Bench(image_sizes=(sizes["left"], sizes["right"]))) as bench:
-        with pytest.raises(CameraSetupError, match=f"camera {name}: its image is 16x12 px"):
+        with pytest.raises(CameraSetupError, match=f"camera {name}: its image is 16x12 px, .* with 16x13"):
             await bench.head.capture()
+        await bench.is_closed(name)
 
 
 async def test_a_dark_image_is_not_called_frozen() -> None:
