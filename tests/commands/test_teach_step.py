@@ -38,9 +38,10 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.uncertainty import levered_covariance
 from edged.vision.part.job import Job, ModelPoint
+from edged.vision.teaching import cadpair
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, welded
-from edged.vision.teaching.cadsettling import settle
+from edged.vision.teaching.cadsettling import Settled, settle
 from edged.vision.teaching.facets import faceted_curves
 from edged.vision.teaching.pair import teach as teach_pair
 from edged.vision.teaching.reteaching import carry_over
@@ -125,6 +126,42 @@ def test_a_moved_hole_is_another_revision() -> None:
     )
     assert said is not None
     assert 0.3 == pytest.approx(float(said[1]), abs=0.03)
+
+
+@pytest.mark.slow
+def test_a_moved_hole_is_named_by_all_edges_too() -> None:
+    """Most edges are where the file has them; the hole shows 0.3 mm beside its place in both pictures."""
+    holes = (HOLES[0], Hole("h1", Disc(3.3, -7, 1.4)), *HOLES[2:])
+    with pytest.raises(TeachError, match="another revision") as caught:
+        with_model(see(square(), holes))
+    said = re.search(
+        r"hole of radius 1\.400 mm at \(3\.000, -7\.000, 0\.000\) lies (\S+) mm aside", str(caught.value)
+    )
+    assert said is not None
+    assert 0.3 == pytest.approx(float(said[1]), abs=0.07)
+
+
+@pytest.mark.slow
+def test_what_the_pair_alone_takes_for_another_revision_is_asked_of_all_edges(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A counterbore with a wall as bright as the face looks narrower to circles; the part does not."""
+
+    def accused(*_: object) -> Settled:
+        raise TeachError("c0 is 0.089 mm smaller", "revision")
+
+    monkeypatch.setattr(cadpair, "settle", accused)
+    job = with_model(taught_pair()).job
+    assert job.part_from_model is not None
+    places = np.array([[14.5, -12.5, 0.0], [-14.5, 12.5, 0.0], [-9.0, -7.0, -2.5], [0.0, 0.0, 0.0]])
+    found = apply(job.rig_from_part @ job.part_from_model, places)
+    assert np.linalg.norm(found - apply(square(), places), axis=1).max() < 0.03
+
+
+def with_model(pair: tuple[Image, Image]) -> Settled:
+    """What a pair and the file teach together."""
+    _, model = read_model(STEP, "-z")
+    return cadpair.teach_with_model(*pair, prepare(small_rig()).rectification, None, model.curves, "D3", "D3")
 
 
 @pytest.mark.slow

@@ -20,8 +20,8 @@ class EdgeModelParams:
     convex: float = -0.2  # cosine between a face and the way into the other one
     steep: float = 0.5  # cosine between two faces: with more the edge is an end of a chamfer of 45 degrees
     deeper: float = 0.25
-    """Of its width, by which the lower edge of a break of open form is taken to lie deeper: half way from a
-    chamfer to a rounding, which looks half to two thirds as wide as it is (docs/explanation/accuracy.md)."""
+    """Share of its width by which a break of open form has its lower edge deeper: half way from a chamfer to
+    a rounding, which looks half to two thirds as wide as it is (docs/explanation/accuracy.md)."""
     tiny_mm: float = 1e-9  # against a division by 0
 
 

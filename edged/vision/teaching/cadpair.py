@@ -28,12 +28,13 @@ from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmatch import levelled
 from edged.vision.teaching.cadmodel import ModelCurves
+from edged.vision.teaching.cadrevision import moved_circle
 from edged.vision.teaching.cadsettling import Settled, laid_on_pair, settle
 from edged.vision.teaching.pair import taught_mask, teach
 from edged.vision.teaching.params import CAD
 from edged.vision.teaching.region import Area
 
-OPEN = ("no_feature", "one_sided", "open_turn", "not_shown", "no_fit", "patterned_table")
+OPEN = ("no_feature", "one_sided", "open_turn", "not_shown", "no_fit", "patterned_table", "revision")
 """Codes of what a pair alone may fail in, and still show the model."""
 
 
@@ -89,7 +90,8 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
         if not (0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x] > 0):
             continue
         best = weighed(pyramids, found, lambda _: turns)
-        if min(best.certain, best.margin) < DECISION.certain:
+        # how certain it is without its breaks, is asked when it has them
+        if best.certain < DECISION.worth_forms or best.margin < DECISION.certain:
             return None
         return np.asarray(best.laid.pose @ level)
     return None
@@ -112,15 +114,24 @@ def _from_model(
     centre = 0.5 * (curves.model.points_mm.min(axis=0) + curves.model.points_mm.max(axis=0))
     depth_mm = float(apply(rig_from_model, centre)[2])
     job, _ = teach_model(curves.model, curves, images.rectification, depth_mm, name, number, params)
-    assert job.part_from_model is not None
+    part_from_model = job.part_from_model
+    assert part_from_model is not None
     pixel_mm = depth_mm / images.rectification.focal_px
     job = replace(
         job,
-        rig_from_part=rig_from_model @ invert(job.part_from_model),
+        rig_from_part=rig_from_model @ invert(part_from_model),
         sigma_mm=0.0,
         calibration_id=images.rig.calibration_id,
         limits=usual_limits(depth_mm, pixel_mm, job.shape, job.circles, job.reference),
     )
     taken, measured = laid_on_pair(job, images, what)
+    if taken.body is not None:
+        laid = model_of(taken.body)
+        moved = moved_circle(images, laid, taken.rig_from_part, part_from_model, curves)
+        if moved:
+            raise TeachError(
+                f"{what}: another revision of the part? {moved} in the pair: expected the model that it was "
+                "made by"
+            )
     found = f"{what}: looked for by all its edges, for the pair alone does not tell how it lies"
     return Settled(taken, (found, *measured))

@@ -199,7 +199,8 @@ def _check_revision(job: Job, model: ModelCurves, found: ModelRegistration, reac
     if worst[1]:
         raise TeachError(
             f"{what}: another revision of the part? {worst[1]} in the pair: expected the model that it was "
-            "made by"
+            "made by",
+            "revision",
         )
 
 

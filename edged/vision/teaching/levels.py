@@ -74,12 +74,12 @@ def find_levels(
     found = _without_breaks(found, face.normal)
     if not found:
         return None
-    normal, heights = _turned_alike(found, face.normal)
+    normal, heights = turned_alike(found, face.normal)
     if float(np.ptp(heights)) < TEACHING.apart_mm:
         return None
     again = [_anew(images, one, normal) for one in found]
     kept = [one for one in again if one is not None]
-    normal, heights = _turned_alike(kept, normal)
+    normal, heights = turned_alike(kept, normal)
     return Levels(tuple(kept), normal, heights)
 
 
@@ -158,23 +158,28 @@ def _same(one: FoundCircle, other: FoundCircle, normal: FloatArray) -> bool:
     )
 
 
-def _turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The common normal (3,) of all faces, and the height of each circle's face along it."""
+def turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The common normal (3,) of all faces, and the height of each circle's face along it.
+
+    normal : of the largest circle. Circles of one face lie level, unless that lifts the largest one's own rim
+    by more than faces are flat to: then they are seen by other ends of their breaks, and its rim tells more.
+    """
     centres = np.array([one.circle.centre_mm for one in found])
     sizes = np.array([one.circle.radius_mm for one in found])
-    heights = centres @ normal
+    first, apart_mm = normal, TEACHING.apart_mm
     for _ in range(TEACHING.rounds):
-        faces = _grouped(centres @ normal)
-        normal = _tilted(centres, sizes, faces, normal)
-        along = centres @ normal
-        heights = np.array([np.average(along[faces == face]) for face in faces])
-    return normal, heights
+        normal = _tilted(centres, sizes, _grouped(centres @ normal, apart_mm), normal)
+    if math.acos(min(float(normal @ first), 1.0)) * float(sizes.max()) > TEACHING.face_tolerance_mm:
+        normal, apart_mm = first, TEACHING.level_mm
+    along = centres @ normal
+    faces = _grouped(along, apart_mm)
+    return normal, np.array([np.average(along[faces == face]) for face in faces])
 
 
-def _grouped(heights_mm: FloatArray) -> npt.NDArray[np.int64]:
-    """(N,) number of the face of each circle."""
+def _grouped(heights_mm: FloatArray, apart_mm: float) -> npt.NDArray[np.int64]:
+    """(N,) number of the face of each circle; faces lie farther apart than so much."""
     order = np.argsort(heights_mm)
-    steps = np.concatenate([[0], np.cumsum(np.diff(heights_mm[order]) > TEACHING.apart_mm)])
+    steps = np.concatenate([[0], np.cumsum(np.diff(heights_mm[order]) > apart_mm)])
     faces = np.empty(len(heights_mm), np.int64)
     faces[order] = steps
     return faces

@@ -60,6 +60,7 @@ class TeachingParams:
     margin_px: int = 5  # around the outline, so that the whole of its edge is learnt
     corner_px: float = 0.8  # tolerance of the polygon that is drawn
     apart_mm: float = 0.3  # faces less far apart are one; edge breaks are smaller, too
+    level_mm: float = 0.05  # between circles that are seen by the same ends of their breaks
     break_mm: float = 1.0
     """Two edges of one curve that differ by less in radius and height are a chamfer: one feature."""
     dominant: float = 1.2
@@ -115,6 +116,11 @@ class CadParams:
     meet_mm: float = 0.1  # between the ends of two edges that meet
     sight_points: int = 48  # of a curve, at which hiding is tested
     near_mm: float = 0.6  # between the curves of a part and of another revision of it
+    circle_samples: int = 12  # of a circle in each camera, by which one is told to have moved
+    moved_px: float = 0.7  # to an edge that is a moved circle's: half of what a step between two places is
+    moved_share: float = 0.3
+    """So many more of a circle's samples show it beside its place than there. Moved by two pixels it keeps
+    half of them, and a wall in the face's own grey hides half of a rim."""
     break_mm: float = 1.0  # the largest edge break
     taught_tilt_rad: float = math.radians(20.0)  # of a part that lies for teaching
     taught_range: float = 1.6  # of its distance, against where both cameras look

@@ -1,0 +1,132 @@
+"""Whether a part is as its model has it: no circle of it shows beside its place rather than there.
+
+Asked where the model was looked for by all its edges, which finds the part of another revision, too: most of
+its edges are the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from edged.domain.arrays import FloatArray
+from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rigid import apply
+from edged.vision.solid.edgemodel import EdgeModel, chains_of
+from edged.vision.solid.lock import MOST, Pyramids, find_edges, scale_at, seen_by
+from edged.vision.solid.params import DECISION, EVIDENCE, LOCK
+from edged.vision.solid.visible import VisibleSamples, samples_at
+from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
+from edged.vision.teaching.params import CAD
+
+
+@dataclass(frozen=True, slots=True)
+class _Displaced:
+    """A circle beside its place."""
+
+    aside_mm: float
+    narrower_mm: float
+
+
+def moved_circle(
+    images: StereoImages, model: EdgeModel, rig_from_part: FloatArray, part_from_model: FloatArray,
+    curves: ModelCurves,
+) -> str:  # fmt: skip
+    """The circle of a model that a pair shows elsewhere in its face, or narrower, in words; "": none.
+
+    model : its edges, with breaks as the pair has them, where it was laid, rig_from_part (4, 4).
+    A break makes a hole wider, not narrower, so a wider one is none that was moved.
+    """
+    px_per_mm = scale_at(images.rig, rig_from_part, model)
+    pyramids = Pyramids(images.rig, images.raw, 1)
+    samples = samples_at(model, px_per_mm, EVIDENCE.spacing_px)
+    both = seen_by(model, pyramids, rig_from_part, 0, EVIDENCE.spacing_px)
+    offsets = [_offsets(pyramids, k, seen, CAD.near_mm * px_per_mm) for k, seen in enumerate(both)]
+    for circle in curves.circles:
+        if circle.span < CAD.min_span:
+            continue
+        centre = apply(part_from_model, circle.centre_mm)
+        chain = _chain_of(model, centre, circle.radius_mm)
+        chosen = [np.flatnonzero(chains_of(seen.curve) == chain) for seen in both]
+        if chain is None or min(len(rows) for rows in chosen) < CAD.circle_samples:
+            continue
+        inwards = 1.0 if circle.hole else -1.0
+        designs = [
+            _design(seen, rows, inwards * (centre - samples.points[seen.row[rows]]))
+            for seen, rows in zip(both, chosen, strict=True)
+        ]
+        found = _displaced(designs, [offsets[k][chosen[k]] for k in (0, 1)], px_per_mm)
+        if found is not None:
+            return _words(circle, found)
+    return ""
+
+
+def _words(circle: ModelCircle, found: _Displaced) -> str:
+    kind = "hole" if circle.hole else "boss"
+    place = ", ".join(f"{value:.3f}" for value in circle.centre_mm)
+    whose = f"the {kind} of radius {circle.radius_mm:.3f} mm at ({place})"
+    if found.aside_mm >= found.narrower_mm:
+        return f"{whose} lies {found.aside_mm:.3f} mm aside"
+    return f"the radius of {whose} is {found.narrower_mm:.3f} mm {'smaller' if circle.hole else 'larger'}"
+
+
+def _offsets(pyramids: Pyramids, camera: int, seen: VisibleSamples, reach_px: float) -> FloatArray:
+    """(M, MOST) edges about each sample, px along its normal; NaN: fewer."""
+    found = np.full((len(seen.row), MOST), np.nan)
+    find_edges(
+        *pyramids.slopes[0][camera], seen.pixels, seen.normals, seen.curve, reach_px, EVIDENCE.together,
+        LOCK.fine_px, found,
+    )  # fmt: skip
+    return found
+
+
+def _chain_of(model: EdgeModel, centre: FloatArray, radius_mm: float) -> int | None:
+    """Number of the curve that most of a level circle's corners are on; None: of none."""
+    arms = model.start - centre
+    off = np.maximum(np.abs(np.linalg.norm(arms[:, :2], axis=1) - radius_mm), np.abs(arms[:, 2]))
+    on = model.chain[model.sharp & (off < CAD.on_curve_mm)]
+    return int(np.bincount(on).argmax()) if len(on) else None
+
+
+def _design(seen: VisibleSamples, rows: npt.NDArray[np.int64], inwards: FloatArray) -> FloatArray:
+    """(M, 3) motion of samples along their normals, px, by a mm along x and y, and of a narrower radius."""
+    level = inwards[:, :2] / np.maximum(np.linalg.norm(inwards[:, :2], axis=1, keepdims=True), CAD.same_mm)
+    along = seen.design[rows, 3:5]
+    return np.column_stack([along, (along * level).sum(axis=1)])
+
+
+def _displaced(
+    designs: Sequence[FloatArray], offsets: Sequence[FloatArray], px_per_mm: float
+) -> _Displaced | None:
+    """Where else both cameras show a circle, that do not show it in its place; None: nowhere."""
+    here = [_share(offset) for offset in offsets]
+    step = 1.0 / px_per_mm
+    count = math.ceil(CAD.near_mm / step)
+    x, y, narrower = (
+        axis.ravel() * step
+        for axis in np.meshgrid(*[np.arange(-count, count + 1)] * 2, np.arange(count + 1), indexing="ij")
+    )
+    within = np.hypot(x, y) <= CAD.near_mm
+    tried = np.stack([x, y, narrower], axis=1)[within]
+    shares = np.min(
+        [
+            [_share(offset - (design @ motion)[:, None]) for motion in tried]
+            for design, offset in zip(designs, offsets, strict=True)
+        ],
+        axis=0,
+    )
+    most = float(shares.max())
+    if most < DECISION.present or most - max(here) < CAD.moved_share:
+        return None
+    aside_x, aside_y, less = tried[shares == most].mean(axis=0)  # between places, all as good
+    return _Displaced(math.hypot(aside_x, aside_y), float(less))
+
+
+def _share(offsets: FloatArray) -> float:
+    """Of samples, with an edge within reach of a place."""
+    with np.errstate(invalid="ignore"):
+        return float((np.abs(offsets) < CAD.moved_px).any(axis=1).mean())
