@@ -135,6 +135,7 @@ live-take = Kein Bild: übernehmen Sie die Zelle, um ihre Kameras zu sehen.
 fact-rig = Kalibrierung
 fact-jobs = Aufträge
 keep-what = Das ist ein Versuch: wenn Sie die Zelle zurückgeben, ist es wie zuvor, außer Sie behalten es.
+keep-calibrate = Diese Kameras sind ein Versuch. Kalibriert wurde mit den bisherigen: kalibrieren Sie neu, dann übernimmt die Zelle beides zusammen.
 keep = Behalten
 kept = Behalten.
 board-title = Welche Tafel?

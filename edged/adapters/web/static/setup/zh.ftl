@@ -135,6 +135,7 @@ live-take = 没有图像：请接管单元以查看相机。
 fact-rig = 标定
 fact-jobs = 作业
 keep-what = 这只是试用：归还单元时恢复原设置，除非您保存。
+keep-calibrate = 这些相机只是试用。标定是用原来的相机做的：请重新标定，两者会一起成为单元的设置。
 keep = 保存
 kept = 已保存。
 board-title = 哪种标定板？
