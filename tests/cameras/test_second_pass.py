@@ -1,4 +1,4 @@
-"""A cell that is VALID gets another camera, board, part and robot by clicks, without a restart, and goes back."""
+"""A VALID cell gets another camera, board, part and robot by clicks, without a restart, and goes back."""
 
 from __future__ import annotations
 
