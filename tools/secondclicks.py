@@ -232,9 +232,7 @@ async def calibrate_again(page: Browser, clicks: Clicks, beside: Bench, goal_um:
     beside.stage.take_board(*OTHER_GRID)
     await press(page, "Hold the board")
     await follow(page, "calibrate")
-    if await page.value(said("Begin another calibration")):
-        await press(page, "Begin another calibration")
-    await long(page, 'document.querySelector("[name=mm]")')
+    await anew(page, "Begin another calibration", "Which board?")
     await page.click("[name=board]:not(:checked)")
     await page.type("[name=mm]", f"{OTHER_GRID[2]:g}")
     await page.type("[name=goal]", f"{goal_um:g}")
@@ -265,6 +263,14 @@ async def calibrate_again(page: Browser, clicks: Clicks, beside: Bench, goal_um:
     return views
 
 
+async def anew(page: Browser, another: str, beginning: str) -> None:
+    """To where a page begins: by its button, unless it has left what is in use by itself."""
+    await page.value(f"new Promise((done) => setTimeout(done, {1e3 * LEAST_S}))")
+    if not await page.value(said(beginning)):
+        await press(page, another)
+    await long(page, said(beginning))
+
+
 async def discard_here(page: Browser) -> None:
     """The draft that is shown, and its question answered."""
     await press(page, "Discard")
@@ -279,8 +285,7 @@ async def teach_another(page: Browser, beside: Bench, password: str) -> None:
     await press(page, "Lay the part")
     await follow(page, "teach")
     for is_kept in (False, True):
-        if await page.value(said("Another part")):
-            await press(page, "Another part")
+        await anew(page, "Another part", "Take the pair")
         await press(page, "Take the pair")
         await long(page, 'document.querySelectorAll("[data-side=left] .feature.taken").length > 2')
         if not is_kept:
@@ -293,8 +298,7 @@ async def another_robot(page: Browser, password: str) -> None:
     """Of another brand, which holds the board in ten poses."""
     await press(page, "Hold the board")
     await follow(page, "robot")
-    if await page.value(said("Begin another one")):
-        await press(page, "Begin another one")
+    await anew(page, "Begin another one", "How do you want to do it?")
     await page.click("[name=way][value=poses]")
     await page.value(
         f"""(() => {{ const brand = document.querySelector("[name=brand]"); brand.value = "{OTHER_BRAND}";
