@@ -300,7 +300,12 @@ function Foot() {
   const [before, step, after] = beside();
   if (!before && !mainAction.value) return null;
   return html`<nav class="foot" aria-label=${t("foot")}>
-    ${before && html`<a class="button" href="#/${before.id}">‹${UNBROKEN}${t(`step-${before.id}`)}</a>`}
+    ${
+      before &&
+      html`<a class="button" href="#/${before.id}">
+        ‹<span class="where">${UNBROKEN}${t(`step-${before.id}`)}</span>
+      </a>`
+    }
     ${
       mainAction.value &&
       html`<button class="primary" onClick=${mainAction.value.act}>${mainAction.value.text}</button>`
@@ -310,7 +315,7 @@ function Foot() {
       html`<a
         class="button ${step.state() === "tick" && !mainAction.value ? "primary" : ""}"
         href="#/${after.id}">
-        ${t(`step-${after.id}`)}${UNBROKEN}›
+        <span class="where">${t(`step-${after.id}`)}${UNBROKEN}</span>›
       </a>`
     }
   </nav>`;
