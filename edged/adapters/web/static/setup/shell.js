@@ -1,6 +1,6 @@
 // The frame of every page: state of the cell, steps, lease and errors.
 import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "../vendor/ui.js";
-import { enter, pageOf } from "./pages.js";
+import { enter, pageOf, wear } from "./pages.js";
 import { ask, attempt, confirming, glance, sentence, trouble, troubled } from "./shared/api.js";
 import { Keys, listKeys } from "./shared/keys.js";
 import { cell, end, hasManual, holds, isConnected, leave, mayTake, me, take, wake } from "./shared/live.js";
@@ -329,6 +329,7 @@ export function Shell() {
   }, []);
   const step = stepAt(here.value) ?? STEPS[0];
   const page = pageOf(step);
+  useLayoutEffect(() => wear(step.id), [step.id, page]);
   useEffect(() => {
     glance(() => enter(step));
     return () => {
