@@ -54,6 +54,7 @@ WRONG_SIZE = (9, 8)
 """Inner corners that the other board has not."""
 OTHER_BRAND = "fanuc"
 POSES = 10
+SETTING = '[name="cameras.max_arrival_skew_ms"]'
 LOST_PACKET = 5
 """Of a picture: neither its leader nor its trailer."""
 RELEASES = """[...document.querySelectorAll("#releases ~ ul .tile")].map((tile) => [
@@ -124,7 +125,7 @@ async def second_pass(
     goal_um : of the calibration. tried : places of the part on the page, before its job is used.
     """
     begun_s = time.monotonic()
-    first = await valid(modbus)
+    first = await valid(modbus) | {"setting": await setting(page)}
     beside.lose(True)
     await take_again(page)
     before = await release_in_use(page)
@@ -142,10 +143,12 @@ async def second_pass(
     clicks.end("try again")
     await another_robot(page, password)
     clicks.end("another robot")
+    await other_settings(page, password)
+    clicks.end("other settings")
     await give_back(page)
     await use_job(page, 2)
     beside.lose(False)
-    second = await valid(modbus)
+    second = await valid(modbus) | {"setting": await setting(page)}
     clicks.end("live again")
     after = await release_in_use(page)
     back = await released(page, beside, before, 0, modbus, password)
@@ -171,7 +174,7 @@ async def released(
     await press(page, "Lay the part")
     await use_job(page, which + 1)
     beside.lose(False)
-    return await valid(modbus)
+    return await valid(modbus) | {"setting": await setting(page)}
 
 
 async def valid(modbus: int) -> dict[str, Any]:
@@ -316,6 +319,26 @@ async def another_robot(page: Browser, password: str) -> None:
     await long(page, said("The check: go to this place"))
     await release(page, "Use this registration", password)
     await long(page, said("In use, as release"))
+
+
+async def setting(page: Browser) -> str:
+    """The one that is changed meanwhile, as the page has it."""
+    await page.click('a[href="#/settings"]')
+    await long(page, f"document.querySelector('{SETTING}')")
+    return str(await page.value(f"document.querySelector('{SETTING}').value"))
+
+
+async def other_settings(page: Browser, password: str) -> None:
+    """For which the cameras are opened anew: their live pictures come again."""
+    before = await setting(page)
+    await page.type(SETTING, before + "5")
+    await release(page, "Use these settings", password)
+    await long(page, said("The cell runs with these settings."))
+    await follow(page, "light")
+    picture = """document.querySelector(".view canvas:not([hidden])")"""
+    await long(page, picture)
+    await page.value(f"globalThis.earlier = {picture}.toDataURL(), 0")
+    await long(page, f"{picture}.toDataURL() !== globalThis.earlier")
 
 
 async def give_back(page: Browser) -> None:

@@ -56,5 +56,6 @@ async def test_all_is_done_a_second_time_with_a_lost_picture_in_every_action(tmp
         first, second, back, again = found["valid"]
         assert (1, 2, 1, 2) == tuple(result["JOB"] for result in found["valid"])
         assert first["CALIBRATION"] == back["CALIBRATION"] != second["CALIBRATION"] == again["CALIBRATION"]
+        assert ("50", "505", "50", "505") == tuple(result["setting"] for result in found["valid"])
         assert found["lost"] > 20
         assert [] == [one for one in page.complaints if not ASKED_BACK.search(one)]

@@ -207,7 +207,7 @@ zoom-all = Alles
 ## Entwürfe
 draft-begun = Zuvor begonnen
 draft-go-on = Weiter damit
-draft-go-on-with = Weiter mit { $name }
+draft-go-on-with = Weiter damit: { $name }
 draft-discard = Verwerfen
 draft-discard-name = { $name } verwerfen
 draft-discard-title = { $name } verwerfen?
