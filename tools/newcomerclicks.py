@@ -199,17 +199,20 @@ async def release(page: Browser, text: str, password: str) -> None:
 
 
 async def confirm(page: Browser, password: str) -> None:
-    """Answer what else a dialog asks: a signature, and who is there."""
+    """Answer what else a dialog asks: who is there, and a signature, in any order."""
     signed = 'document.querySelector("dialog[open] [name=signed]")'
-    await long(page, f"!{DIALOG} || {ASKED} || {signed}")
-    if await page.value(f"Boolean({signed})"):
-        await page.type("dialog[open] [name=signed]", "it is another one")
-        await page.click("dialog[open] .primary")
-        await long(page, f"!{DIALOG} || {ASKED}")
-    if await page.value(f"Boolean({ASKED})"):
-        await page.type("dialog[open] [type=password]", password)
-        await page.click("dialog[open] .wake .primary")
-    await long(page, f"!{DIALOG}")
+    begun_s = time.monotonic()
+    while await page.value(f"Boolean({DIALOG})"):
+        if time.monotonic() - begun_s > LIMIT_S:
+            raise RuntimeError(await page.value(f"{DIALOG}.innerText"))
+        if await page.value(f"Boolean({ASKED})"):
+            await page.type("dialog[open] [type=password]", password)
+            await page.click("dialog[open] .wake .primary")
+            await long(page, f"!{ASKED}")
+        elif await page.value(f"{signed}?.value === ''"):
+            await page.type("dialog[open] [name=signed]", "it is another one")
+            await page.click("dialog[open] .primary")
+        await page.value("new Promise((done) => setTimeout(done, 100))")
 
 
 async def wave(page: Browser) -> None:
