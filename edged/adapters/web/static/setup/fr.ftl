@@ -4,7 +4,7 @@
 skip = Aller au contenu
 nav = Pages
 nav-run = Production
-nav-setup = Réglage
+nav-setup = Mise en service
 nav-jobs = Tâches
 nav-cycles = Cycles
 nav-space = 3D
