@@ -57,6 +57,8 @@ POSES = 10
 SETTING = '[name="cameras.max_arrival_skew_ms"]'
 LOST_PACKET = 5
 """Of a picture: neither its leader nor its trailer."""
+SETTLED = "new Promise((done) => setTimeout(done, 1500))"
+"""Until a page has asked for what is so now."""
 RELEASES = """[...document.querySelectorAll("#releases ~ ul .tile")].map((tile) => [
   Number(/\\d+/.exec(tile.querySelector("h3").innerText)[0]), Boolean(tile.querySelector(".now"))])"""
 
@@ -203,7 +205,7 @@ async def take_again(page: Browser) -> None:
 async def release_in_use(page: Browser) -> int:
     """Its number, as System says it once it has asked."""
     await page.click('a[href="#/system"]')
-    await page.value(f"new Promise((done) => setTimeout(done, {1e3 * LEAST_S}))")
+    await page.value(SETTLED)
     await long(page, f"{RELEASES}.some(([, isUsed]) => isUsed)")
     return int(await page.value(f"{RELEASES}.find(([, isUsed]) => isUsed)[0]"))
 
@@ -268,7 +270,7 @@ async def calibrate_again(page: Browser, clicks: Clicks, beside: Bench, goal_um:
 
 async def anew(page: Browser, another: str, beginning: str) -> None:
     """To where a page begins: by its button, unless it has left what is in use by itself."""
-    await page.value(f"new Promise((done) => setTimeout(done, {1e3 * LEAST_S}))")
+    await page.value(SETTLED)
     if not await page.value(said(beginning)):
         await press(page, another)
     await long(page, said(beginning))
