@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Set up the virtual stage as a newcomer does, over its API: what it takes, and how true the cell is then.
 
-    tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--browser] [--json FILE]
+    tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--browser | --second [--losses]]
+                         [--json FILE]
 
 An empty folder, a hand that trembles and misses. It brings the board to the outline that the cell draws, and
 pictures are taken when it is still; when the goal is reached the calibration is solved and activated. Then a
@@ -9,6 +10,9 @@ job is taught from one pair, and a part is laid at N places: each result beside 
 With --browser all of it is done on the page, in chromium, by clicks and digits alone, and clicks are counted
 (also those of the stage's hands): left and right by a wave, light, the calibration by the drawn outline, a
 check, a job, a trial, the robot by touch, until a PLC reads a VALID result; without Aravis.
+With --second the same page then goes on, on virtual GigE cameras and without a restart: another camera,
+board and part, a robot of another brand by hand-eye, VALID, back to the first release, VALID, and forward
+again; with --losses every second picture of one camera is lost in all of that.
 """
 
 from __future__ import annotations
@@ -28,7 +32,9 @@ from typing import Any, get_args
 import aiohttp
 import numpy as np
 from benching import bench_parser, finish
-from newcomerclicks import set_up
+from helpers.browser import Browser
+from newcomerclicks import Clicks, set_up
+from secondclicks import bench, second_pass
 
 from edged.app.cell import load_any_cell
 from edged.app.daemon import Daemon
@@ -215,20 +221,29 @@ async def measure(newcomer: Newcomer, parts: int) -> tuple[FloatArray, FloatArra
 
 async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """The whole way; figures by their names."""
+    is_clicked = options.browser or options.second
     gige = not options.browser
-    with VirtualWorld(gige=gige, seed=options.seed, staged=True) as world:
+    with (
+        VirtualWorld(gige=gige, seed=options.seed, staged=True) as world,
+        bench(world, loses=options.losses) if options.second else contextlib.nullcontext() as beside,
+    ):
         async with stage(folder, world, gige=gige) as (newcomer, _daemon):
-            if options.browser:
+            if is_clicked:
                 await newcomer.ask("DELETE", "setup", newcomer.token)  # the page takes it
                 port = (await newcomer.ask("GET", "plc"))["port"]
                 user, film = (USER, PASSWORD), getattr(options, "film", None)
-                found = await set_up(newcomer.origin, user, port, options.goal, TRIED, film)
+
+                async def again(page: Browser, clicks: Clicks) -> dict[str, Any]:
+                    return await second_pass(page, clicks, beside, port, PASSWORD, options.goal, TRIED)
+
+                then = again if options.second else None
+                found = await set_up(newcomer.origin, user, port, options.goal, TRIED, film, then)
             else:
                 found = await calibrate(newcomer, options.goal, options.lens)
             error_um = true_error_um(folder / "rig.json", world)
             found["rig_offset_um"] = error_um.mean(axis=0).round(1).tolist()
             found["rig_most_um"] = np.abs(error_um).max(axis=0).round(1).tolist()
-            if not options.browser:
+            if not is_clicked:
                 found |= await teach_job(newcomer, world)
                 await newcomer.ask("DELETE", "setup", newcomer.token)
             errors, sigmas, missed = await measure(newcomer, options.parts)
@@ -248,6 +263,8 @@ def main() -> None:
     parser.add_argument("--lens", choices=get_args(LensWish), default="auto")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--browser", action="store_true", help="on the page, by clicks")
+    parser.add_argument("--second", action="store_true", help="by clicks, and then all of it a second time")
+    parser.add_argument("--losses", action="store_true", help="with --second: pictures are lost")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="edged-newcomer-") as folder:
         found = asyncio.run(newcomer_of(options, Path(folder)))

@@ -10,6 +10,7 @@ import math
 import shutil
 import sys
 import time
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -58,6 +59,9 @@ class Watcher(Protocol):
         """A step is done."""
 
 
+Then = Callable[[Browser, "Clicks"], Awaitable[dict[str, Any]]]
+
+
 class Clicks:
     """Clicks of each step; a field that is typed into counts as one, for it is clicked first."""
 
@@ -94,10 +98,12 @@ async def set_up(
     goal_um: float,
     tried: int,
     film: Watcher | None = None,
+    then: Then | None = None,
 ) -> dict[str, Any]:
     """From an empty folder to a cell that a PLC reads a VALID result from; figures by their names.
 
     user : name and password. modbus : the cell's port. goal_um : of the calibration. tried : places.
+    then : what is clicked after that on the same page, and its figures.
 
     Raises RuntimeError where there is no chromium.
     """
@@ -133,6 +139,7 @@ async def set_up(
         if film is not None:
             film.see(await page.picture())
         clicks.end("go live")
+        more = {} if then is None else await then(page, clicks)
         spent_ms = sorted(await page.value("Object.values(window.spent)"))
         complaints = page.complaints
     whole_s = time.monotonic() - begun_s
@@ -145,6 +152,7 @@ async def set_up(
         "whole_s": round(whole_s, 1),
         "click_ms": {share: _quantile(spent_ms, share, page.clicks) for share in (0.5, 0.95, 1.0)},
         "complaints": complaints,
+        **more,
     }
 
 
@@ -166,7 +174,9 @@ async def log_in(page: Browser, origin: str, name: str, password: str) -> None:
 
 
 async def follow(page: Browser, step: str) -> None:
-    """To a step, by its link."""
+    """To a step, by its link; from a page beside the steps by way of *Set up*."""
+    if not await page.value("Boolean(document.querySelector('.steps'))"):
+        await page.click('a[href="#/welcome"]')
     await page.click(f'.steps a[href="#/{step}"]')
     await page.until(f"""document.querySelector('main[data-page="{step}"] h1')""")
 
@@ -185,11 +195,24 @@ async def release(page: Browser, text: str, password: str) -> None:
     if not await page.value('document.querySelector("dialog[open] [name=note]").value'):
         await page.type("dialog[open] [name=note]", "first")
     await page.click("dialog[open] .primary")
-    await long(page, f"!{DIALOG} || {ASKED}")
-    if await page.value(f"Boolean({ASKED})"):
-        await page.type("dialog[open] [type=password]", password)
-        await page.click("dialog[open] .wake .primary")
-    await long(page, f"!{DIALOG}")
+    await confirm(page, password)
+
+
+async def confirm(page: Browser, password: str) -> None:
+    """Answer what else a dialog asks: who is there, and a signature, in any order."""
+    signed = 'document.querySelector("dialog[open] [name=signed]")'
+    begun_s = time.monotonic()
+    while await page.value(f"Boolean({DIALOG})"):
+        if time.monotonic() - begun_s > LIMIT_S:
+            raise RuntimeError(await page.value(f"{DIALOG}.innerText"))
+        if await page.value(f"Boolean({ASKED})"):
+            await page.type("dialog[open] [type=password]", password)
+            await page.click("dialog[open] .wake .primary")
+            await long(page, f"!{ASKED}")
+        elif await page.value(f"{signed}?.value === ''"):
+            await page.type("dialog[open] [name=signed]", "it is another one")
+            await page.click("dialog[open] .primary")
+        await page.value("new Promise((done) => setTimeout(done, 100))")
 
 
 async def wave(page: Browser) -> None:

@@ -174,7 +174,9 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, default=TOUR)
     options = parser.parse_args()
     film = Film()
-    way = argparse.Namespace(browser=True, seed=options.seed, goal=8.0, parts=1, lens="auto", film=film)
+    way = argparse.Namespace(
+        browser=True, second=False, losses=False, seed=options.seed, goal=8.0, parts=1, lens="auto", film=film
+    )
     with tempfile.TemporaryDirectory(prefix="edged-tour-") as folder:
         found = asyncio.run(bench_newcomer.newcomer_of(way, Path(folder)))
     for quality in QUALITIES:

@@ -146,11 +146,14 @@ class VirtualCell:
         self._lock = threading.Lock()
         self.pose(0)  # a part that cannot be placed must show now, not at the first trigger
 
-    def exposure(self, camera: str) -> Callable[[ExposureRequest], Image]:
-        """The function that a virtual camera, "left" or "right", calls for its images."""
+    def exposure(self, camera: str, other: RenderedView | None = None) -> Callable[[ExposureRequest], Image]:
+        """The function that a virtual camera, "left" or "right", calls for its images.
+
+        other : a camera that may stand in for the one of that side; None: that one.
+        """
 
         def expose(request: ExposureRequest) -> Image:
-            view = self._views[camera]
+            view = other or self._views[camera]
             if request.width > view.camera.width or request.height > view.camera.height:
                 raise ImageError(
                     f"virtual camera {camera}: {request.width}x{request.height} asked for, "
@@ -216,6 +219,10 @@ class VirtualCell:
     def view(self, side: Side) -> RenderedView:
         """A camera as it is."""
         return self._views[side]
+
+    def stand_in(self, side: Side, view: RenderedView) -> None:
+        """Another camera looks from this side now: hands go by what it sees."""
+        self._views[side] = view
 
     # --- the truth -----------------------------------------------------------------------------
 

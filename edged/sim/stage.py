@@ -18,7 +18,7 @@ from edged.sim.showing import Thing, centre_of
 from edged.vision.geometry.rigid import invert, rotation_matrix, transform
 
 BOARD = (11, 8, 4.0)
-"""Inner corners and squares (mm) of the board that fits the demo's view."""
+"""Inner corners and squares (mm) of the board that fits the demo's view, and lies there at first."""
 SHARPEST_PX, TURN_PX = 0.6, 3.0
 """Blur of a lens in focus, and what a quarter turn of its ring adds (in quadrature)."""
 STEPS = 12
@@ -52,6 +52,7 @@ class Stage:
         if cell.board is None:
             raise ValueError("the cell has no board to hold")
         self.cell = cell
+        self.grid = BOARD
         self._plate = cell.board
         self._clock = clock
         self._seed, self._laid = seed, 0
@@ -75,6 +76,12 @@ class Stage:
         """The part somewhere else, where it stays."""
         self._laid += 1
         self.cell.show(Thing.PART, self.cell.pose(LAID + self._laid))
+
+    def take_board(self, columns: int, rows: int, square_mm: float) -> None:
+        """Another chessboard into the hand: inner corners, and its squares."""
+        self.grid = columns, rows, square_mm
+        self.cell.board = self._plate = chessboard_plate(columns, rows, square_mm)
+        self._plate_from_hand = centre_of(self._plate)
 
     def turn_ring(self, side: Side, turn: float) -> None:
         """Focus a lens: -1 to 1 quarter turns, 0 is sharp. Raises ValueError outside."""

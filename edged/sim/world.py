@@ -83,6 +83,11 @@ class VirtualWorld:
         while self._devices:
             self._devices.pop().stop()
 
+    @property
+    def devices(self) -> tuple[GigeCamera, ...]:
+        """The GigE Vision cameras that run."""
+        return tuple(self._devices)
+
     def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
         """Cameras that need neither Aravis nor a network."""
         left, right = (

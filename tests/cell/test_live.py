@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -15,7 +16,8 @@ from edged.cell.cycle import Cycle
 from edged.cell.lease import live as live_pictures
 from edged.cell.lease.live import UNSEEN_S, LivePictures
 from edged.cell.lease.notices import Notices
-from edged.errors import SetupRefused
+from edged.domain.frames import FramePair
+from edged.errors import LinkError, SetupRefused
 
 
 class Scene:
@@ -99,6 +101,23 @@ async def test_a_dead_camera_is_told_once_and_tried_again(monkeypatch: pytest.Mo
         assert [None, "camera_104"] == [one["code"] for one in scene.told]
         scene.head.broken = False
         await until(lambda: scene.numbers)
+
+
+async def test_a_cell_that_stops_ends_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a word in the log: no task fails that nobody waits for."""
+
+    async def stopped(_token: str) -> FramePair:
+        raise LinkError("the cell has stopped")
+
+    async with live(monkeypatch) as scene:
+        await scene.live.want("tab", scene.token)
+        await until(lambda: scene.numbers)
+        failed: list[dict[str, Any]] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _loop, context: failed.append(context))
+        monkeypatch.setattr(scene.cycle.session, "capture", stopped)
+        await until(lambda: not scene.live.is_on)
+        gc.collect()
+        assert [] == failed
 
 
 async def test_who_has_stopped_listening_hears_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,6 +48,10 @@ def families(script: str) -> set[str]:
 
 
 FAMILIES = families(ALL_SCRIPTS)
+NAMED = re.compile(
+    r"""aria-label=\$\{t\("([a-z0-9-]+)"[^<>]*?\)\}(?:[^<>]|=>)*>\s*\$\{t\("([a-z0-9-]+)"\)\}"""
+)
+"""An element with one text on it, and a longer one for who does not see what is around it."""
 
 
 def entries(part: str, language: str) -> list[tuple[str, str]]:
@@ -107,6 +111,21 @@ def test_no_text_stands_twice(language: str) -> None:
     names = [name for part in PARTS for name, _ in entries(part, language)]
 
     assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("language", ["en", *OTHERS])
+def test_a_longer_name_has_the_words_that_are_seen(language: str) -> None:
+    """Who speaks to a screen says what stands on a button (WCAG 2.1, 2.5.3: label in name)."""
+    texts = {name: text for part in PARTS for name, text in entries(part, language)}
+    pairs = {(f"{name}-name", name) for name in texts if f"{name}-name" in texts}
+    pairs |= set(NAMED.findall(ALL_SCRIPTS))
+    assert len(pairs) > 25
+
+    assert [] == [
+        (texts[longer], texts[shown])
+        for longer, shown in sorted(pairs)
+        if texts[shown].strip().lower() not in texts[longer].lower()
+    ]
 
 
 @pytest.mark.parametrize("page", ["run", *PAGES])

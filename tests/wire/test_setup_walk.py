@@ -56,6 +56,8 @@ BESIDE_STAGE = """document.documentElement.scrollHeight > innerHeight
   ? (document.querySelector(".foot")?.getBoundingClientRect().top ?? innerHeight)
     - document.querySelector(".stage").getBoundingClientRect().bottom : 0"""
 """Height of the slit between the stage, where it is pinned, and what is below it; 0 where the page ends."""
+FOOT_PX, FINGER_PX = 'document.querySelector(".foot")?.offsetHeight ?? 0', 48
+"""Back, next and what is to be done stand in one row, however many of them there are."""
 OTHERS = ["viewer", "operator"]
 """Who may not set the cell up."""
 ALONE = {"light"}
@@ -231,6 +233,7 @@ async def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> Non
         for screen in SCREENS:
             await page.resize(*screen)
             assert (0, []) == (await page.value(TOO_WIDE), await page.value(CUT_OFF)), screen
+            assert await page.value(FOOT_PX) < 2 * FINGER_PX, screen
         await page.resize(360, 740)
         await page.value("scrollTo(0, 0)")
         assert await page.value(BESIDE_STAGE) < 1, "something shows below the stage"

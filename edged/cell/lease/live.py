@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
 from edged.domain.frames import FramePair
-from edged.errors import CaptureError, SetupRefused
+from edged.errors import CaptureError, LinkError, SetupRefused
 from edged.ports import Commissioner
 
 PERIOD_S = 0.05
@@ -110,6 +110,8 @@ class LivePictures:
                     self._forget(token)
                     code, detail = "setup_refused", str(error)
                     continue
+                except LinkError:  # the cell has stopped, and this page with it
+                    return
                 except CaptureError as error:
                     self._tell_fault(error)
                     await asyncio.sleep(REST_S)

@@ -21,7 +21,7 @@ from edged.robot.orientations import Brand, pose_of
 from edged.robot.pendant import PENDANTS, mm_per_unit
 from edged.sim.robot import VirtualRobot
 from edged.sim.showing import Thing
-from edged.sim.stage import BOARD, Stage
+from edged.sim.stage import Stage
 
 Turn = Annotated[float, Field(ge=-1, le=1)]
 Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -110,7 +110,7 @@ class StageRoutes:
     @route("GET", "/stage", "What is before the virtual cameras", role=Role.VIEWER)
     async def _now(self, _call: Call[Any]) -> StageNow:
         stage, showing = self._stage, self._stage.cell.showing
-        columns, rows, square_mm = BOARD
+        columns, rows, square_mm = stage.grid
         return StageNow(
             showing=showing.thing.value,
             board=f"chessboard:{columns}x{rows}:{square_mm:g}",

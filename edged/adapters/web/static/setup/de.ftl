@@ -135,6 +135,7 @@ live-take = Kein Bild: übernehmen Sie die Zelle, um ihre Kameras zu sehen.
 fact-rig = Kalibrierung
 fact-jobs = Aufträge
 keep-what = Das ist ein Versuch: wenn Sie die Zelle zurückgeben, ist es wie zuvor, außer Sie behalten es.
+keep-calibrate = Diese Kameras sind ein Versuch. Kalibriert wurde mit den bisherigen: kalibrieren Sie neu, dann übernimmt die Zelle beides zusammen.
 keep = Behalten
 kept = Behalten.
 board-title = Welche Tafel?
@@ -206,7 +207,7 @@ zoom-all = Alles
 ## Entwürfe
 draft-begun = Zuvor begonnen
 draft-go-on = Weiter damit
-draft-go-on-with = Weiter mit { $name }
+draft-go-on-with = Weiter damit: { $name }
 draft-discard = Verwerfen
 draft-discard-name = { $name } verwerfen
 draft-discard-title = { $name } verwerfen?

@@ -135,6 +135,7 @@ live-take = No picture: take the cell to see its cameras.
 fact-rig = Calibration
 fact-jobs = Jobs
 keep-what = This is only tried: the old settings return when you give the cell back, unless you keep it.
+keep-calibrate = These cameras are only tried. The calibration was made with the former ones: calibrate again, and both become the cell's together.
 keep = Keep it
 kept = Kept.
 board-title = Which board?

@@ -4,7 +4,7 @@
 skip = Aller au contenu
 nav = Pages
 nav-run = Production
-nav-setup = Réglage
+nav-setup = Mise en service
 nav-jobs = Tâches
 nav-cycles = Cycles
 nav-space = 3D
@@ -135,6 +135,7 @@ live-take = Pas d’image : prenez la cellule pour voir ses caméras.
 fact-rig = Calibrage
 fact-jobs = Tâches
 keep-what = C’est seulement un essai : les anciens réglages reviennent quand vous rendez la cellule, sauf si vous gardez ceux-ci.
+keep-calibrate = Ces caméras sont seulement à l’essai. Le calibrage a été fait avec les précédentes : recalibrez, et la cellule prendra les deux ensemble.
 keep = Garder
 kept = Gardé.
 board-title = Quelle mire ?

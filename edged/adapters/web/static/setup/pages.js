@@ -6,12 +6,19 @@ import { learn } from "./shared/texts.js";
 const loaded = signal({});
 export const pageOf = ({ id }) => loaded.value[id];
 
-const styles = (href) =>
+const sheets = new Map(); // by id of the page
+const styles = (id, href) =>
   new Promise((onload, onerror) => {
-    document.head.append(
-      Object.assign(document.createElement("link"), { rel: "stylesheet", href, onload, onerror }),
-    );
+    const link = Object.assign(document.createElement("link"), { rel: "stylesheet", href, onload, onerror });
+    sheets.set(id, link);
+    document.head.append(link);
   });
+
+// A page has the looks of all pages and its own, whatever was opened before it.
+/** @param {string} id */
+export function wear(id) {
+  for (const [page, { sheet }] of sheets) if (sheet) sheet.disabled = page !== id;
+}
 
 /** @param {import("./steps.js").Step} step */
 export async function enter({ id, topic }) {
@@ -22,7 +29,7 @@ export async function enter({ id, topic }) {
     [{ default: page }] = await Promise.all([
       import(`/static/${place}.js`),
       learn(place),
-      styles(`/static/${place}.css`),
+      styles(id, `/static/${place}.css`),
     ]);
   } catch {
     throw new Problem({ code: "page" });

@@ -1,6 +1,6 @@
 // The frame of every page: state of the cell, steps, lease and errors.
 import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "../vendor/ui.js";
-import { enter, pageOf } from "./pages.js";
+import { enter, pageOf, wear } from "./pages.js";
 import { ask, attempt, confirming, glance, sentence, trouble, troubled } from "./shared/api.js";
 import { Keys, listKeys } from "./shared/keys.js";
 import { cell, end, hasManual, holds, isConnected, leave, mayTake, me, take, wake } from "./shared/live.js";
@@ -300,7 +300,12 @@ function Foot() {
   const [before, step, after] = beside();
   if (!before && !mainAction.value) return null;
   return html`<nav class="foot" aria-label=${t("foot")}>
-    ${before && html`<a class="button" href="#/${before.id}">‹${UNBROKEN}${t(`step-${before.id}`)}</a>`}
+    ${
+      before &&
+      html`<a class="button" href="#/${before.id}">
+        ‹<span class="where">${UNBROKEN}${t(`step-${before.id}`)}</span>
+      </a>`
+    }
     ${
       mainAction.value &&
       html`<button class="primary" onClick=${mainAction.value.act}>${mainAction.value.text}</button>`
@@ -310,7 +315,7 @@ function Foot() {
       html`<a
         class="button ${step.state() === "tick" && !mainAction.value ? "primary" : ""}"
         href="#/${after.id}">
-        ${t(`step-${after.id}`)}${UNBROKEN}›
+        <span class="where">${t(`step-${after.id}`)}${UNBROKEN}</span>›
       </a>`
     }
   </nav>`;
@@ -324,6 +329,7 @@ export function Shell() {
   }, []);
   const step = stepAt(here.value) ?? STEPS[0];
   const page = pageOf(step);
+  useLayoutEffect(() => wear(step.id), [step.id, page]);
   useEffect(() => {
     glance(() => enter(step));
     return () => {

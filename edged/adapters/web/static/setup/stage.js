@@ -67,10 +67,11 @@ export function Stage() {
   const { showing, waving, rings, board, still } = stage.value;
   const [, size, mm] = board.split(":");
   const [columns, rows] = size.split("x");
+  const edge = number(Number(mm), Number.isInteger(Number(mm)) ? 0 : 1);
   return html`<aside class="stage" aria-label=${t("stage-title")}>
     <details>
       <summary>${t("stage-title")}</summary>
-      <p>${t("stage-what")} ${t("stage-board", { columns, rows, mm: number(Number(mm)) })}</p>
+      <p>${t("stage-what")} ${t("stage-board", { columns, rows, mm: edge })}</p>
       <div class="actions">
         ${["board", "part", "nothing"].map(
           (what) => html`<button

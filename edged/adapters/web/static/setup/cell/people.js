@@ -178,14 +178,15 @@ export function Users() {
   </section>`;
 }
 
-// What was done, in words where there are some; else as the route that it is.
+// What was done, in words; else as the route that it is. The first pattern counts: after the path there may be
+// a name of what was made.
 /** @type {[RegExp, string][]} */
 const DID = [
   [/^log in page/, "log-in"],
   [/^run cell/, "run"],
   [/^end setup/, "ended"],
-  [/^POST setup$/, "take"],
-  [/^DELETE setup$/, "give"],
+  [/^POST setup/, "take"],
+  [/^DELETE setup/, "give"],
   [/^POST cameras\/keep/, "keep"],
   [/^POST cameras\/address/, "address"],
   [/^POST cameras\/packets/, "packets"],
@@ -197,25 +198,25 @@ const DID = [
   [/^POST settings\/activate/, "settings"],
   [/^DELETE settings/, "settings-discarded"],
   [/^POST machine\/mend/, "mend"],
-  [/^POST backup$/, "backup"],
   [/^POST backup\/activate/, "restore"],
-  [/^POST support$/, "support"],
+  [/^POST backup/, "backup"],
+  [/^POST support/, "support"],
   [/^POST users/, "person"],
   [/^PUT users/, "person-changed"],
   [/^DELETE users/, "person-removed"],
   [/^PUT me\/password/, "password"],
   [/^POST .*\/activate/, "activate"],
   [/^POST .*\/solve/, "solve"],
-  [/^POST (calibrations|teachings|registrations)$/, "begin"],
-  [/^DELETE (calibrations|teachings|registrations)\/[^/]+$/, "discard"],
-  [/^POST checks$/, "check"],
-  [/^POST trials\/still$/, "still"],
-  [/^POST regressions$/, "test"],
-  [/^POST jobs\/.*\/golden$/, "golden"],
-  [/^POST jobs\/.*\/use$/, "use"],
+  [/^POST (calibrations|teachings|registrations)/, "begin"],
+  [/^DELETE (calibrations|teachings|registrations)/, "discard"],
+  [/^POST checks/, "check"],
+  [/^POST trials\/still/, "still"],
+  [/^POST regressions/, "test"],
+  [/^POST jobs\/.*\/golden/, "golden"],
+  [/^POST jobs\/.*\/use/, "use"],
   [/^(PUT|POST) jobs\//, "job"],
-  [/^POST me\/wake$/, "wake"],
-  [/^DELETE me\/sessions$/, "leave"],
+  [/^POST me\/wake/, "wake"],
+  [/^DELETE me\/sessions/, "leave"],
 ];
 function Did({ verb, object }) {
   const route = `${verb} ${object}`;

@@ -7,6 +7,8 @@ import { Shape } from "../shared/pieces.js";
 import { number, t } from "../shared/texts.js";
 
 const SIZE = 560; // of the square that the scene fills
+const EDGE = 28; // of which names keep clear
+const LATE = 0.65; // of the width: from there on names stand before what they name
 const TURN = 0.008; // rad per px
 const STEP = { turn: 0.12, zoom: 1.2 };
 const EVERY_MS = 1000;
@@ -223,8 +225,15 @@ function View({ lines }) {
       ${lines
         .filter(({ label }) => label)
         .map(({ label, points }) => {
-          const [x, y] = seen(points.at(-1));
-          return html`<text key=${label} x=${x + 6} y=${y - 6} translate=${false}>${label}</text>`;
+          // at the border where what it names is beyond it, and never across it
+          const [x, y] = seen(points.at(-1)).map((value) => Math.max(EDGE, Math.min(SIZE - EDGE, value)));
+          const isLate = x > LATE * SIZE;
+          return html`<text
+            key=${label} x=${isLate ? x - 6 : x + 6} y=${y - 6} text-anchor=${isLate ? "end" : "start"}
+            translate=${false}
+          >
+            ${label}
+          </text>`;
         })}
     </svg>
     <p class="hint">${t("space-how")}</p>`;

@@ -5,7 +5,18 @@ import { ask, attempt, glance } from "../shared/api.js";
 import { BoardFields, PitchField, SIZE, specOf } from "../shared/board.js";
 import { BRANDS } from "../shared/brands.js";
 import { Begun, Discard } from "../shared/drafts.js";
-import { cell, checked, holds, look, mayTake, newest, sign, token, useFresh } from "../shared/live.js";
+import {
+  cell,
+  checked,
+  hasManual,
+  holds,
+  look,
+  mayTake,
+  newest,
+  sign,
+  token,
+  useFresh,
+} from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
 import { Shape, say, useKept } from "../shared/pieces.js";
 import { dashed, number, t } from "../shared/texts.js";
@@ -122,11 +133,14 @@ function Begin() {
     <p class="hint">
       ${t("robot-program")} ${cell.value.setup?.source === "person" && t("robot-program-later")}
     </p>
-    <div class="actions">
-      <a class="button" href="/manual/how-to/robot-frame/#by-the-robots-own-program">
-        ${t("robot-program-how")}
-      </a>
-    </div>
+    ${
+      hasManual &&
+      html`<div class="actions">
+        <a class="button" href="/manual/how-to/robot-frame/#by-the-robots-own-program">
+          ${t("robot-program-how")}
+        </a>
+      </div>`
+    }
   </section>`;
 }
 

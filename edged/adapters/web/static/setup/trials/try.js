@@ -228,21 +228,27 @@ function StillResult(result) {
 
 // --- choice of the job ---
 
+let offered = null; // the draft that was chosen because it was taught here last
+
 function Choice() {
-  const [drafts, setDrafts] = useState(null);
-  useFresh(() =>
-    glance(async () => setDrafts((await ask("GET", "teachings")).teachings.filter(({ active }) => !active))),
-  );
+  const [taught, setTaught] = useState(null);
+  useFresh(() => glance(async () => setTaught((await ask("GET", "teachings")).teachings)));
+  const drafts = taught?.filter(({ active }) => !active);
   const options = [
     ...(drafts ?? []).map(({ id, name }) => [`teaching:${id}`, name, true]),
     ...cell.value.jobs.map(({ name, number: count }) => [`job:${name}`, `${count} ${name}`, false]),
   ];
   useEffect(() => {
-    if (!drafts || options.some(([key]) => key === chosen.value)) return;
-    // the job taught here last comes first
-    const begun = `teaching:${localStorage.getItem("edged.teaching")}`;
-    chosen.value = (options.find(([key]) => key === begun) ?? options[0] ?? [""])[0];
-  }, [drafts, options.length]);
+    if (!taught || isOn.value) return;
+    const newest = taught.find(({ id }) => id === localStorage.getItem("edged.teaching"));
+    const isKnown = options.some(([key]) => key === chosen.value);
+    if (isKnown && newest?.id === offered) return;
+    offered = newest?.id;
+    // the part taught here last comes first, as a draft or as the job that it became
+    const its = newest && (newest.active ? `job:${newest.name}` : `teaching:${newest.id}`);
+    const found = options.find(([key]) => key === its) ?? (isKnown ? [chosen.value] : options[0]);
+    chosen.value = found?.[0] ?? "";
+  }, [taught, options.length]);
   const choose = async ({ currentTarget }) => {
     const wasOn = isOn.value;
     chosen.value = currentTarget.value;

@@ -1,0 +1,378 @@
+"""The second pass by clicks: a VALID cell gets another camera, board, part and robot, without a restart.
+
+What is replaced is brought by hands beside the page (`Bench`); all else is pressed on it. Calibrating and
+teaching are begun again after a release, after a stop and after a draft was discarded; at the end the cell
+goes back to the release that it began with, and forward again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from helpers.browser import Browser
+from helpers.flatparts import DISC
+from helpers.setuppage import DIALOG, STATE, said
+from newcomerclicks import (
+    BORROWED,
+    LEAST_S,
+    LIMIT_S,
+    REACHED,
+    VIEWS,
+    Clicks,
+    check,
+    confirm,
+    follow,
+    long,
+    press,
+    release,
+    try_out,
+)
+from pymodbus.client import ModbusTcpClient
+
+from edged.plc.registers import RESULT, Flag, decode
+from edged.sim.exposure import ExposureRequest
+from edged.sim.gige.camera import GigeCamera
+from edged.sim.render.scene import Part, RenderedView
+from edged.sim.stage import Stage
+from edged.sim.world import VirtualWorld
+from edged.vision.geometry.rigid import rotation_matrix, transform
+
+SPARE = ("127.0.0.3", "EDGED-VIRTUAL-S")
+SPARE_MM, SPARE_DEG = (4.0, -2.0, 1.0), (0.4, -0.5, 1.0)
+"""Where the other camera stands against the one whose place it takes."""
+LONGER = 1.01
+"""Its focal length against that one's."""
+OTHER_GRID = (10, 7, 4.5)
+"""Inner corners and squares (mm) of the other board."""
+WRONG_SIZE = (9, 8)
+"""Inner corners that the other board has not."""
+OTHER_BRAND = "fanuc"
+POSES = 10
+SETTING = '[name="cameras.max_arrival_skew_ms"]'
+LOST_PACKET = 5
+"""Of a picture: neither its leader nor its trailer."""
+SETTLED = "new Promise((done) => setTimeout(done, 1500))"
+"""Until a page has asked for what is so now."""
+RELEASES = """[...document.querySelectorAll("#releases ~ ul .tile")].map((tile) => [
+  Number(/\\d+/.exec(tile.querySelector("h3").innerText)[0]), Boolean(tile.querySelector(".now"))])"""
+
+
+class Losses:
+    """Every second picture of a camera lacks a packet that cannot be had again, while it is on."""
+
+    def __init__(self, camera: GigeCamera) -> None:
+        self._camera, self._whole = camera, camera.exposure
+        self.is_on, self._is_due, self.count = False, False, 0
+        camera.exposure = self._expose
+
+    def _expose(self, request: ExposureRequest) -> Any:
+        image = self._whole(request)
+        faults, self._is_due = self._camera.faults, self.is_on and not self._is_due
+        faults.no_resend = self._is_due
+        faults.lost_packets = (LOST_PACKET,) if self._is_due else ()
+        self.count += self._is_due
+        return image
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What lies beside the cell, for who brings it. losses : None where no picture is lost."""
+
+    world: VirtualWorld
+    parts: tuple[Part, Part]
+    views: tuple[RenderedView, RenderedView]
+    losses: Losses | None = None
+
+    @property
+    def stage(self) -> Stage:
+        """Of the world. Raises ValueError without one."""
+        if self.world.stage is None:
+            raise ValueError("no stage")
+        return self.world.stage
+
+    def has(self, number: int) -> None:
+        """The first (0) or the other part (1) is there, and hands go by what that right camera sees."""
+        self.world.cell.part = self.parts[number]
+        self.world.cell.stand_in("right", self.views[number])
+
+    def lose(self, is_on: bool) -> None:
+        """Whether pictures are lost from now on."""
+        if self.losses is not None:
+            self.losses.is_on = is_on
+
+
+@contextlib.contextmanager
+def bench(world: VirtualWorld, *, loses: bool) -> Iterator[Bench]:
+    """The other camera on the network beside the two of a world, and what else is to be brought."""
+    cell, first = world.cell, world.cell.view("right")
+    moved = transform(rotation_matrix(np.radians(SPARE_DEG)), np.array(SPARE_MM)) @ first.camera_from_rig
+    lens = replace(first.camera, fx=LONGER * first.camera.fx, fy=LONGER * first.camera.fy)
+    other = RenderedView(lens, moved, first.sensor)
+    with GigeCamera(*SPARE, cell.exposure("right", other), width=lens.width, height=lens.height):
+        losses = Losses(world.devices[0]) if loses else None
+        yield Bench(world, (cell.part, DISC), (first, other), losses)
+
+
+async def second_pass(
+    page: Browser, clicks: Clicks, beside: Bench, modbus: int, password: str, goal_um: float, tried: int
+) -> dict[str, Any]:
+    """From a VALID cell to another one that is VALID, back, and forward again; figures by their names.
+
+    goal_um : of the calibration. tried : places of the part on the page, before its job is used.
+    """
+    begun_s = time.monotonic()
+    first = await valid(modbus) | {"setting": await setting(page)}
+    beside.lose(True)
+    await take_again(page)
+    before = await release_in_use(page)
+    clicks.end("take the cell again")
+    await another_camera(page, beside)
+    clicks.end("another camera")
+    views = await calibrate_again(page, clicks, beside, goal_um, password)
+    clicks.end("another board, calibrate again")
+    await press(page, "Lay the board down")
+    await check(page)
+    clicks.end("check again")
+    await teach_another(page, beside, password)
+    clicks.end("another part")
+    await try_out(page, tried)
+    clicks.end("try again")
+    await another_robot(page, password)
+    clicks.end("another robot")
+    await other_settings(page, password)
+    clicks.end("other settings")
+    await give_back(page)
+    await use_job(page, 2)
+    beside.lose(False)
+    second = await valid(modbus) | {"setting": await setting(page)}
+    clicks.end("live again")
+    after = await release_in_use(page)
+    back = await released(page, beside, before, 0, modbus, password)
+    clicks.end("rolled back")
+    again = await released(page, beside, after, 1, modbus, password)
+    clicks.end("forward again")
+    return {
+        "second_views": views,
+        "second_s": round(time.monotonic() - begun_s, 1),
+        "valid": [first, second, back, again],
+        "releases": [before, after],
+        "lost": 0 if beside.losses is None else beside.losses.count,
+    }
+
+
+async def released(
+    page: Browser, beside: Bench, number: int, which: int, modbus: int, password: str
+) -> dict[str, Any]:
+    """Back to a release, with its camera and part (0: the first, 1: the other); what is VALID then."""
+    beside.lose(True)
+    await go_back(page, number, password)
+    beside.has(which)
+    await press(page, "Lay the part")
+    await use_job(page, which + 1)
+    beside.lose(False)
+    return await valid(modbus) | {"setting": await setting(page)}
+
+
+async def valid(modbus: int) -> dict[str, Any]:
+    """Wait until a PLC reads a VALID result; its job and calibration."""
+    begun_s = time.monotonic()
+    with ModbusTcpClient("127.0.0.1", port=modbus, timeout=5) as plc:
+        while time.monotonic() - begun_s < LIMIT_S:
+            # the cell is in this process: its loop answers meanwhile
+            read = await asyncio.to_thread(plc.read_input_registers, RESULT.address, count=RESULT.words)
+            found = decode(RESULT, read.registers)
+            if int(found["FLAGS"]) & Flag.VALID:
+                return {name: found[name] for name in ("JOB", "CALIBRATION") if name in found}
+            await asyncio.sleep(0.1)
+    raise RuntimeError("no VALID result over Modbus")
+
+
+async def take_again(page: Browser) -> None:
+    """From the running cell, whose question is answered."""
+    await press(page, "Take the cell")
+    await long(page, f"{DIALOG} || document.querySelector('.lease.mine')")
+    if await page.value(f"Boolean({DIALOG})"):
+        await page.click("dialog[open] .primary")
+    await long(page, 'document.querySelector(".lease.mine")')
+
+
+async def release_in_use(page: Browser) -> int:
+    """Its number, as System says it once it has asked."""
+    await page.click('a[href="#/system"]')
+    await page.value(SETTLED)
+    await long(page, f"{RELEASES}.some(([, isUsed]) => isUsed)")
+    return int(await page.value(f"{RELEASES}.find(([, isUsed]) => isUsed)[0]"))
+
+
+async def another_camera(page: Browser, beside: Bench) -> None:
+    """The spare one becomes the right one; both are exchanged and back again, by a wave."""
+    await follow(page, "cameras")
+    await press(page, "Search again")
+    tile = f"""[...document.querySelectorAll(".tile")].find((one) => one.innerText.includes("{SPARE[1]}"))"""
+    await long(page, tile)
+    beside.world.cell.stand_in("right", beside.views[1])
+    await page.click(f'[aria-label="Use as right camera: {SPARE[1]}"]')
+    await long(page, f'{tile}?.innerText.includes("right camera")')
+    await page.click(f'[aria-label="Use as left camera: {SPARE[1]}"]')
+    await long(page, f'{tile}?.innerText.includes("left camera")')
+    await press(page, "I wave now")
+    while not await page.value(said("left and right have been exchanged")):
+        await press(page, "Wave before the left camera")  # whose picture is the right one, by mistake
+        await page.value(f"new Promise((done) => setTimeout(done, {1e3 * LEAST_S}))")
+        if await page.value(said("No hand was seen")):
+            await press(page, "Once more")
+    await long(page, f'{tile}?.innerText.includes("right camera")')
+    await press(page, "Take a test pair")
+    await long(page, said("ms between the two exposures"))
+
+
+async def calibrate_again(page: Browser, clicks: Clicks, beside: Bench, goal_um: float, password: str) -> int:
+    """With another board: begun with the wrong one, discarded, stopped, begun anew, solved, used."""
+    beside.stage.take_board(*OTHER_GRID)
+    await press(page, "Hold the board")
+    await follow(page, "calibrate")
+    await anew(page, "Begin another calibration", "Which board?")
+    await page.click("[name=board]:not(:checked)")
+    await page.type("[name=mm]", f"{OTHER_GRID[2]:g}")
+    await page.type("[name=goal]", f"{goal_um:g}")
+    for name, value in zip(("columns", "rows"), WRONG_SIZE, strict=True):
+        await page.type(f"[name={name}]", str(value))
+    await press(page, "Begin")
+    await long(page, said("The pictures show another board"))
+    await discard_here(page)
+    await long(page, 'document.querySelector("[name=board]:not(:checked)")')
+    await page.click("[name=board]:not(:checked)")
+    await press(page, "Begin, and take views automatically")
+    await long(page, f"{VIEWS} > 0")
+    await press(page, "Stop taking views")
+    await press(page, "Begin another calibration")
+    await long(page, 'document.querySelector("[name=mm]")')
+    await press(page, "Begin, and take views automatically")
+    await press(page, "Follow the dashed place")
+    begun_s = time.monotonic()
+    while not await page.value(REACHED):
+        if time.monotonic() - begun_s > LIMIT_S:
+            raise RuntimeError(await page.value("document.querySelector('main').innerText"))
+        await clicks.wait(100)
+    views = int(await page.value(VIEWS))
+    await press(page, "Solve")
+    await long(page, 'document.querySelector("#solve").parentElement.querySelector("dl")')
+    await release(page, "Use this calibration", password)
+    await long(page, said("In use, as release"))
+    return views
+
+
+async def anew(page: Browser, another: str, beginning: str) -> None:
+    """To where a page begins: by its button, unless it has left what is in use by itself."""
+    await page.value(SETTLED)
+    if not await page.value(said(beginning)):
+        await press(page, another)
+    await long(page, said(beginning))
+
+
+async def discard_here(page: Browser) -> None:
+    """The draft that is shown, and its question answered."""
+    await press(page, "Discard")
+    await page.until(DIALOG)
+    await page.click("dialog[open] .primary")
+    await page.until(f"!{DIALOG}")
+
+
+async def teach_another(page: Browser, beside: Bench, password: str) -> None:
+    """Another part: begun, discarded, begun again, used."""
+    beside.has(1)
+    await press(page, "Lay the part")
+    await follow(page, "teach")
+    for is_kept in (False, True):
+        await anew(page, "Another part", "Take the pair")
+        await press(page, "Take the pair")
+        await long(page, 'document.querySelectorAll("[data-side=left] .feature.taken").length > 2')
+        if not is_kept:
+            await discard_here(page)
+    await release(page, "Use this job", password)
+    await long(page, said("is in use, as release"))
+
+
+async def another_robot(page: Browser, password: str) -> None:
+    """Of another brand, which holds the board in ten poses."""
+    await press(page, "Hold the board")
+    await follow(page, "robot")
+    await anew(page, "Begin another one", "How do you want to do it?")
+    await page.click("[name=way][value=poses]")
+    await page.value(
+        f"""(() => {{ const brand = document.querySelector("[name=brand]"); brand.value = "{OTHER_BRAND}";
+        brand.dispatchEvent(new Event("change", {{ bubbles: true }})); }})()"""
+    )
+    await press(page, "Begin")
+    for count in range(1, POSES + 1):
+        await press(page, "Stage: robot to its next pose")
+        await press(page, "Stage: what the virtual robot shows")
+        await long(page, BORROWED)
+        await press(page, "Take the picture at this pose")
+        await long(page, f"{BORROWED} === '' && {said(f'Points and poses ({count})')}")
+    await long(page, said("All of them agree."))
+    await press(page, "Keep this registration")
+    await long(page, said("The check: go to this place"))
+    await release(page, "Use this registration", password)
+    await long(page, said("In use, as release"))
+
+
+async def setting(page: Browser) -> str:
+    """The one that is changed meanwhile, as the page has it."""
+    await page.click('a[href="#/settings"]')
+    await long(page, f"document.querySelector('{SETTING}')")
+    return str(await page.value(f"document.querySelector('{SETTING}').value"))
+
+
+async def other_settings(page: Browser, password: str) -> None:
+    """For which the cameras are opened anew: their live pictures come again."""
+    before = await setting(page)
+    await page.type(SETTING, before + "5")
+    await release(page, "Use these settings", password)
+    await long(page, said("The cell runs with these settings."))
+    await follow(page, "light")
+    picture = """document.querySelector(".view canvas:not([hidden])")"""
+    await long(page, picture)
+    await page.value(f"globalThis.earlier = {picture}.toDataURL(), 0")
+    await long(page, f"{picture}.toDataURL() !== globalThis.earlier")
+
+
+async def give_back(page: Browser) -> None:
+    """With the part before the cameras."""
+    await press(page, "Lay the part")
+    await follow(page, "plc")
+    await page.click("main .primary.big")
+    await page.until(DIALOG)
+    await page.click("dialog[open] .primary")
+    await long(page, f'["READY", "BUSY"].includes({STATE})')
+
+
+async def use_job(page: Browser, number: int) -> None:
+    """By its tile, unless it is in use."""
+    await page.click('a[href="#/jobs"]')
+    tile = f"""[...document.querySelectorAll(".tile.job")].find((one) =>
+      one.querySelector(".count").innerText === "{number}")"""
+    await long(page, tile)
+    if await page.value(f"{tile}.innerText.includes('in use now')"):
+        return
+    button = f"""[...{tile}.querySelectorAll("button")].find((b) => b.innerText === "Use now")"""
+    await long(page, f"{button}?.disabled === false")
+    await page.click_on(button)
+    await long(page, f"{tile}.innerText.includes('in use now')")
+
+
+async def go_back(page: Browser, number: int, password: str) -> None:
+    """To a release, by the button of its tile."""
+    await page.click('a[href="#/system"]')
+    await page.click(f'[aria-label="Use it again: release {number}"]')
+    await page.until(DIALOG)
+    await page.type("dialog[open] input", "back")
+    await page.click("dialog[open] .primary")
+    await confirm(page, password)
+    await long(page, f"{RELEASES}.some(([count, isUsed]) => isUsed && count === {number})")
