@@ -23,7 +23,7 @@ from edged.plc.lines import answer_fields
 from edged.robot.orientations import Brand
 from edged.robots.formats import render, written
 from edged.robots.robotlines import Failure
-from helpers import drl, inform, karel, kawasaki, krl, melfa, rapid, spel, val3
+from helpers import drl, inform, karel, kawasaki, krl, melfa, pacscript, rapid, spel, val3
 from helpers.robotlanguage import Program
 from helpers.robotlink import Link
 
@@ -487,6 +487,46 @@ class Epson(Shared):
         self.program.call("Edged" + other.get(name, name), *arguments)
 
 
+class Denso(Shared):
+    """A Denso controller."""
+
+    brand = Brand.DENSO
+    is_left_open = False
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = pacscript.Controller(link, is_left_open=self.is_left_open)
+        self.program = pacscript.load(render("pacscript"), self.controller)
+        names = ("part", "grasp", "approach", "offset")
+        self.poses = {name: pacscript.TYPES.variable("Position") for name in names}
+        self.code = 0
+
+    def named(self, name: str) -> Any:
+        if name == "error":
+            return self.code
+        if name.startswith("sigma"):
+            return self.program.call("EdgedSigma", "xyz".index(name[-1]) + 1)
+        if name in self.poses:
+            return self.poses[name].get()
+        return self.program.call("Edged" + name)
+
+    def pose(self, name: str) -> tuple[float, ...]:
+        return tuple(super().pose(name)[:6])
+
+    def run(self, name: str, *arguments: Any) -> None:
+        given = [round(one * 1000) if isinstance(one, float) else one for one in arguments]
+        wanted = {"locate": ("part",), "next": ("part",), "result": ("part",), "offset": ("offset",)}
+        wanted["grasp"] = ("grasp", "approach")
+        given += [self.poses[one] for one in wanted.get(name, ())]
+        self.code = self.program.call("Edged" + name, *given)
+
+
+class DensoAfterAnotherTask(Denso):
+    """One whose line another task has left open."""
+
+    is_left_open = True
+
+
 class Mitsubishi:
     """A Mitsubishi controller: one call measures, fetches the targets and acknowledges."""
 
@@ -649,6 +689,8 @@ SIDES += [
     Kawasaki,
     KawasakiThatHearsNothing,
     Epson,
+    Denso,
+    DensoAfterAnotherTask,
     Mitsubishi,
     MitsubishiThatGoesOn,
     Yaskawa,
