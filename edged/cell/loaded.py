@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+
 from edged.cell.drift import DriftLimits
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import SetupSource
@@ -119,13 +121,14 @@ class Setup:
     def frame(self, command: Command | None) -> tuple[RobotFrame, FloatArray | None]:
         """The frame of a cycle's coordinates, and its covariance (6, 6)."""
         robot_from_rig, registration = self.robot_from_rig, self.registration_covariance
-        if self.flange_from_rig is None:
-            return RobotFrame(robot_from_rig), registration
         robot_from_flange = command.robot_from_flange if command is not None else None
+        if self.flange_from_rig is None:
+            return RobotFrame(robot_from_rig, robot_from_flange=robot_from_flange), registration
         if robot_from_flange is None:
             return RobotFrame(robot_from_rig, robot_from_rig is not None), registration
         moved = None if registration is None else moved_frame(registration, robot_from_flange)
-        return RobotFrame(robot_from_flange @ self.flange_from_rig), moved
+        robot_from_rig = np.asarray(robot_from_flange @ self.flange_from_rig)
+        return RobotFrame(robot_from_rig, robot_from_flange=robot_from_flange), moved
 
     def picking(self, job: LoadedJob, command: Command | None) -> Picking:
         """The job's picking rules within the limits of the cell and the command."""

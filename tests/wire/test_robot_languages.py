@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import select
 import socket
 import threading
@@ -39,10 +40,11 @@ from helpers.waiting import LIMIT_S
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.measurement import Target
+from edged.domain.picking import Bounds, Grasp, Gripper, Picking
 from edged.plc.answers import NackReason
 from edged.plc.lines import LineStatus
 from edged.plc.registers import StatusBit
-from edged.robot.orientations import Brand, transform_of
+from edged.robot.orientations import Brand, about, transform_of
 from edged.robots.robotlines import Failure
 from edged.vision.geometry.rigid import rotation_matrix, transform
 
@@ -331,6 +333,23 @@ def test_a_robot_that_carries_the_cameras_says_where_its_flange_is(make: type[An
             # the registers say where the flange is to 1 µm and 0.001°
             np.testing.assert_allclose(pose[:3, 3], expected[:3, 3], atol=0.05)
             np.testing.assert_allclose(pose[:3, :3], expected[:3, :3], atol=8e-5)
+
+
+@pytest.mark.parametrize("make", [one for one in TALKERS if one is not Yaskawa], ids=lambda one: one.__name__)
+def test_a_symmetric_part_is_taken_as_the_flange_stands(make: type[Any]) -> None:
+    """Cameras that stand still look at it, too, where the limits say what is on it: half a turn stays one."""
+    bounds = Bounds(gripper=Gripper((10.0, 0.0, 150.0), (0.0, 0.0, 0.0)))
+    with running(make, robot_from_rig=np.eye(4), bounds=bounds) as (cell, side):
+        part = cell.targets[0].rig_from_part
+        grasps = (Grasp("any way", np.eye(4), part, 50.0, 50.0, 2),)
+        cell.call(lambda: cell.cycle.exchange(cell.pick(Picking(grasps=grasps)).setup))
+        for half_turns in (0, 1, 0):
+            turned = part @ transform(about(2, math.pi * half_turns), np.zeros(3))
+            side.link.arm.flange = turned @ transform(about(2, 0.4), np.array([0.0, 0.0, -200.0]))
+            assert side.locate(1) is not None, side.error()
+            given = transform_of(side.brand, side.grasp()[0])
+            np.testing.assert_allclose(given[:3, :3], turned[:3, :3], atol=5e-5)
+            side.acknowledge()
 
 
 def test_karel_says_no_flange_where_a_tool_or_a_frame_is_active() -> None:
