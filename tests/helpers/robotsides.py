@@ -174,6 +174,14 @@ class Fanuc:
             (poses[91 + i], poses[71 + i], poses[81 + i]) for i in range(int(self.controller.registers[82]))
         ]
 
+    def beside(self) -> None:
+        """Measure beside the program that moves, which looks at R[88]."""
+        self.controller.registers[88] = 0
+        self.controller.positions.clear()
+        self.controller.arguments = (0, 5000, 81, 91, 3, 0, 0, 0, 88)
+        self.program.call("RUN")
+        self.given = 0
+
     def golden(self) -> bool:
         self.controller.arguments = (-10, 5000, 81, 81, 0)
         self.program.call("RUN")
@@ -234,6 +242,16 @@ class Kuka:
         assert not self.controller.is_initialised
         self.given = 0
         assert is_found == (self.count() > 0)
+        return self.next()
+
+    def expose(self) -> bool:
+        return bool(self.program.call("EDGED_EXPOSE", 0, 5.0))
+
+    def result(self) -> tuple[float, ...] | None:
+        is_found = self.program.call("EDGED_RESULT", 5.0)
+        assert not self.controller.is_initialised
+        assert is_found == (self.count() > 0)
+        self.given = 0
         return self.next()
 
     def count(self) -> int:

@@ -286,6 +286,49 @@ def test_a_robot_may_go_when_its_picture_is_taken(make: type[Any]) -> None:
         assert (False, 6) == (side.expose(), side.error())
 
 
+@pytest.mark.parametrize("make", [Kuka, Kuka6], ids=lambda one: one.__name__)
+def test_krl_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> None:
+    """The link stays open in between; a result that was never asked for is given up by the next command."""
+    with running(make) as (cell, side):
+        for captures in (1, 2):
+            cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+            cell.may_end.clear()
+            assert side.expose(), side.error()
+            assert not bits(cell) & StatusBit.ACK
+            cell.may_end.set()
+            seen = [(one or (0,))[0] for one in (side.result(), side.next())]
+            assert ([10.0, 20.0], 0, captures) == (seen, side.error(), cell.head.captures)
+            assert not bits(cell) & StatusBit.RESULT_VALID
+        assert (None, Failure.NO_LINK) == (side.result(), side.error())
+        assert side.expose()
+        assert side.locate() is not None, side.error()
+        cell.head.broken = True
+        assert (False, 6) == (side.expose(), side.error())
+        assert not side.controller.is_initialised
+        assert (None, Failure.NO_LINK) == (side.result(), side.error())
+
+
+@pytest.mark.parametrize("make", [Fanuc, FanucWithEnds], ids=lambda one: one.__name__)
+def test_karel_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> None:
+    """It is run beside the program that moves: R[88] is 1, and in the end 2, whatever R[81] says then."""
+    with running(make) as (cell, side):
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+        cell.may_end.clear()
+        beside = threading.Thread(target=side.beside)
+        beside.start()
+        try:
+            until(lambda: side.controller.registers.get(88) == 1)
+            assert (Failure.LATE, {}) == (side.error(), side.controller.positions)
+        finally:
+            cell.may_end.set()
+            beside.join(LIMIT_S)
+        assert (2, 0) == (side.controller.registers[88], side.error())
+        assert [10.0, 20.0] == [(side.next() or (0,))[0] for _ in range(2)]
+        cell.head.broken = True
+        side.beside()
+        assert (2, 6) == (side.controller.registers[88], side.error())
+
+
 @talkers
 def test_parts_without_a_grasp_may_be_left_for_the_next(make: type[Any]) -> None:
     """119 says nothing of the others: they are still given, also after an acknowledgement."""
