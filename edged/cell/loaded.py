@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -132,4 +132,5 @@ class Setup:
 
     def picking(self, job: LoadedJob, command: Command | None) -> Picking:
         """The job's picking rules within the limits of the cell and the command."""
-        return within(job.picking, narrowed(self.bounds, command.box if command is not None else 0))
+        picking = within(job.picking, narrowed(self.bounds, command.box if command is not None else 0))
+        return picking if command is None else replace(picking, skipped_mm=command.skipped_mm)

@@ -78,12 +78,14 @@ class Grasp:
 class Picking:
     """Picking rules of a job.
 
-    bounds : all must allow a part. grasps : the first allowed one is given.
+    bounds : all must allow a part. grasps : the first allowed one is given. skipped_mm (x, y, z) : where a
+    part lay that could not be picked, in the frame of the published coordinates; None: nowhere.
     """
 
     order: Order = Order.SCORE
     bounds: tuple[Bounds, ...] = ()
     grasps: tuple[Grasp, ...] = ()
+    skipped_mm: tuple[float, float, float] | None = None
 
     @property
     def gripper(self) -> Gripper | None:

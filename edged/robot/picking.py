@@ -21,6 +21,8 @@ from edged.robot.gripper import Solid, any_meet, body_of, flange_from_tip, solid
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert
 
+SAME_PLACE_MM = 30.0
+"""A part that a gripper missed has been pushed by less."""
 NOWHERE = Box("nowhere", (math.inf,) * 3, (-math.inf,) * 3)
 
 
@@ -65,15 +67,30 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
     Each part has its reported pose: only publishing may follow. Equal parts keep their order, by score.
     """
     key = _KEYS[picking.order]
+    reported = [allowed(target, picking, frame, outcome.targets).as_reported for target in outcome.targets]
+    skipped = _skipped(reported, picking.skipped_mm, frame)
 
-    def place(target: Target) -> tuple[bool, float]:
+    def place(target: Target) -> tuple[bool, bool, float]:
         value = key(target, frame.robot_from_rig)
-        return target.reject != Reject.NONE, value if math.isfinite(value) else math.inf
+        return target.reject != Reject.NONE, target is skipped, value if math.isfinite(value) else math.inf
 
-    reported = (allowed(target, picking, frame, outcome.targets).as_reported for target in outcome.targets)
     targets = sorted(reported, key=place)
     is_bad = outcome.status is Status.OK and bool(targets) and targets[0].reject != Reject.NONE
     return replace(outcome, status=Status.LOW_QUALITY if is_bad else outcome.status, targets=tuple(targets))
+
+
+def _skipped(
+    targets: Sequence[Target], place_mm: tuple[float, float, float] | None, frame: RobotFrame
+) -> Target | None:
+    """The good part nearest to where one could not be picked; None: there is none so near."""
+    if place_mm is None:
+        return None
+    good = [target for target in targets if target.reject == Reject.NONE]
+    apart_mm = [
+        float(np.linalg.norm(_in_frame(target.position_mm, frame) - np.array(place_mm))) for target in good
+    ]
+    near = min(range(len(good)), key=apart_mm.__getitem__, default=None)
+    return None if near is None or not apart_mm[near] <= SAME_PLACE_MM else good[near]
 
 
 def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable[Target] = ()) -> Target:

@@ -153,6 +153,16 @@ def test_the_python_client_reads_jobs_and_tries_all(client_module: ModuleType) -
         assert (2, 2) == tuple(client.read("counters")[name] for name in ("N_CYCLES", "N_GOOD"))
 
 
+def test_the_python_client_skips_what_could_not_be_picked(client_module: ModuleType) -> None:
+    """The part of the result before comes last; a plain locate knows nothing of it."""
+    cell = LiveCell()
+    cell.targets = (make_target(x_mm=10.0), make_target(x_mm=90.0))
+    with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
+        wait_until(lambda: "READY" in client.status()["bits"])
+        found = [client.locate(skip=skip).values["X"] for skip in (False, True, True, False)]
+        assert [10_000, 90_000, 10_000, 10_000] == found
+
+
 def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None:
     """Of two bins the part of the second; a bin that is not there is refused."""
     cell = LiveCell()
