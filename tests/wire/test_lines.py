@@ -107,7 +107,7 @@ def test_a_brand_that_does_not_exist_is_named_as_the_reason() -> None:
 
 
 def test_a_part_that_could_not_be_picked_comes_last_in_the_next_picture() -> None:
-    """SKIP is a LOCATE that knows which part was given last, acknowledged or not, and counts for one picture."""
+    """SKIP is a LOCATE that knows which part was given last, acknowledged or not; for one picture."""
     cell = LiveCell(KUKA)
     with cell, connected(cell) as robot:
         ready(cell)
