@@ -665,6 +665,12 @@ class Yaskawa:
     def next(self) -> tuple[float, ...] | None:
         return self._pose(80) if self._run(2) else None
 
+    def expose(self) -> bool:
+        return self._run(8)
+
+    def result(self) -> tuple[float, ...] | None:
+        return self._pose(80) if self._run(9) else None
+
     def grasp(self) -> list[tuple[float, ...]] | None:
         return [self._pose(81), self._pose(82)] if self._run(3) else None
 

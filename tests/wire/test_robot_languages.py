@@ -266,7 +266,9 @@ def test_parts_may_be_acknowledged_one_by_one(make: type[Any]) -> None:
         assert 2 == cell.head.captures
 
 
-@pytest.mark.parametrize("make", [Abb, Doosan, Staubli, Kawasaki, Epson, Denso], ids=lambda one: one.__name__)
+@pytest.mark.parametrize(
+    "make", [Abb, Doosan, Staubli, Kawasaki, Epson, Denso, Yaskawa], ids=lambda one: one.__name__
+)
 def test_a_robot_may_go_when_its_picture_is_taken(make: type[Any]) -> None:
     """Its program goes on while the cell measures, and fetches the pose afterwards; so again and again."""
     with running(make) as (cell, side):
