@@ -223,6 +223,7 @@ def command_to_json(command: Command) -> Json:
         "sequence": command.sequence,
         "job": command.job,
         "box": command.box,
+        "skipped_mm": None if command.skipped_mm is None else [*command.skipped_mm],
         "robot_from_flange": None
         if command.robot_from_flange is None
         else _numbers(command.robot_from_flange),

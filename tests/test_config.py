@@ -81,7 +81,7 @@ def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -
         (("[cameras]", "[web]\nport = 1502\n[cameras]"), "(file)"),
         *(
             (("[cameras]", f"[[limits.{zone}]]\n{text}\n[cameras]"), f"limits.{zone}.0{place}")
-            for zone in ("box", "keep_out")
+            for zone in ("box", "keep_out", "gripper.box")
             for text, place in (
                 ('name = "a"\nmin_mm = [0, 0, 0]\nmax_mm = [1, 0, 1]', ""),
                 ('name = "a"\nmin_mm = [0, 0, nan]\nmax_mm = [1, 1, 1]', ".min_mm.2"),
@@ -95,6 +95,8 @@ def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -
             )
         ),
         (("[cameras]", "[limits]\nbox = 7\n[cameras]"), "limits.box"),
+        (("[cameras]", "[limits.gripper]\ntip_mm = [0, 0]\n[cameras]"), "limits.gripper.tip_mm"),
+        (("[cameras]", "[limits.gripper]\ntip = [0, 0, 0]\n[cameras]"), "limits.gripper.tip"),
         (("[cameras]", "[limits]\nboxes = []\n[cameras]"), "limits.boxes"),
         (('"192.0.2.2"', '"192.0.2.2"\nleft.features.Gain = [1]'), "cameras.left.features.0.Gain"),
     ],

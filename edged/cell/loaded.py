@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
+
+import numpy as np
 
 from edged.cell.drift import DriftLimits
 from edged.domain.arrays import FloatArray
@@ -119,14 +121,16 @@ class Setup:
     def frame(self, command: Command | None) -> tuple[RobotFrame, FloatArray | None]:
         """The frame of a cycle's coordinates, and its covariance (6, 6)."""
         robot_from_rig, registration = self.robot_from_rig, self.registration_covariance
-        if self.flange_from_rig is None:
-            return RobotFrame(robot_from_rig), registration
         robot_from_flange = command.robot_from_flange if command is not None else None
+        if self.flange_from_rig is None:
+            return RobotFrame(robot_from_rig, robot_from_flange=robot_from_flange), registration
         if robot_from_flange is None:
             return RobotFrame(robot_from_rig, robot_from_rig is not None), registration
         moved = None if registration is None else moved_frame(registration, robot_from_flange)
-        return RobotFrame(robot_from_flange @ self.flange_from_rig), moved
+        robot_from_rig = np.asarray(robot_from_flange @ self.flange_from_rig)
+        return RobotFrame(robot_from_rig, robot_from_flange=robot_from_flange), moved
 
     def picking(self, job: LoadedJob, command: Command | None) -> Picking:
         """The job's picking rules within the limits of the cell and the command."""
-        return within(job.picking, narrowed(self.bounds, command.box if command is not None else 0))
+        picking = within(job.picking, narrowed(self.bounds, command.box if command is not None else 0))
+        return picking if command is None else replace(picking, skipped_mm=command.skipped_mm)

@@ -74,8 +74,10 @@ def locate(
     watch = Stopwatch()
     inspection, frame = inspect(pair, taught, prepared, watch), frame_of(prepared.rig)
     timing_ms = {stage: round(taken_ms, 3) for stage, taken_ms in watch.stages_ms().items()}
+    found = [part.target for part in inspection.measured]
     parts = [
-        replace(part, target=allowed(part.target, taught.picking, frame)) for part in inspection.measured
+        replace(part, target=allowed(part.target, taught.picking, frame, found))
+        for part in inspection.measured
     ]
     inspection = replace(inspection, measured=tuple(parts))
     outcome = picked(judge(inspection), taught.picking, frame)

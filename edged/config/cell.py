@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from edged.config.fields import FilePath, Name, Section
-from edged.domain.picking import Bounds, Box
+from edged.domain.picking import Bounds, Box, Gripper
 from edged.errors import CalibrationError
 from edged.vision.boards.board import NominalBoard, parse_boards
 
@@ -110,15 +111,43 @@ class ZoneSection(Section):
 Zones = Annotated[list[ZoneSection], Field(max_length=64)]
 
 
+class BodySection(ZoneSection):
+    """A box of the gripper's body; of the tip's frame, whose z is the direction in which it comes."""
+
+
+class GripperSection(Section):
+    """The tool on the flange. Left out: its turn is that of the teaching, and its body is not looked at."""
+
+    tip_mm: Corner = Field(
+        [0.0, 0.0, 0.0], description="the tip in the flange's frame, as the robot's tool data"
+    )
+    tip_deg: Corner = Field([0.0, 0.0, 0.0], description="its turn about the flange's fixed x, y, z")
+    box: Annotated[list[BodySection], Field(max_length=16)] = Field(
+        default_factory=list,
+        description="what must meet no other part and no keep-out zone, there and on the straight ways",
+    )
+
+    def gripper(self) -> Gripper:
+        """The value that is measured by."""
+        x, y, z = self.tip_mm
+        a, b, c = (math.radians(angle) for angle in self.tip_deg)
+        return Gripper((x, y, z), (a, b, c), tuple(box.box() for box in self.box))
+
+
 class LimitsSection(Section):
     """Where the robot may go, whatever the job; each job's `[limits]` may say more. Left out: everywhere."""
 
     box: Zones = Field(default_factory=list, description="a part in none of them is not good")
     keep_out: Zones = Field(default_factory=list, description="a part in one of them is not good")
+    gripper: GripperSection | None = None
 
     def bounds(self) -> Bounds:
         """The value that is measured by."""
-        return Bounds(tuple(zone.box() for zone in self.box), tuple(zone.box() for zone in self.keep_out))
+        return Bounds(
+            tuple(zone.box() for zone in self.box),
+            tuple(zone.box() for zone in self.keep_out),
+            None if self.gripper is None else self.gripper.gripper(),
+        )
 
 
 class RegistrationSection(Section):

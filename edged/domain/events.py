@@ -66,6 +66,7 @@ class Command:
     tries_all : try every job and report the best part; job is then 0.
     box : the only box of the cell that counts, from 1; 0: every box.
     shown : the numbers behind robot_from_flange, as the robot wrote them; () if unknown.
+    skipped_mm (x, y, z) : where the part lay that could not be picked, as published; None: none is skipped.
     """
 
     kind: CommandKind
@@ -76,6 +77,7 @@ class Command:
     tries_all: bool = False
     box: int = 0
     shown: tuple[float, ...] = field(default=(), compare=False)
+    skipped_mm: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

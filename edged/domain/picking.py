@@ -33,11 +33,28 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
+class Gripper:
+    """The tool on the flange.
+
+    tip_mm, tip_rad : the tip in the flange's frame, turned about its fixed x, y, z. boxes : of the body, in
+    the frame of the tip, whose z is the direction in which it comes; none: not known.
+    """
+
+    tip_mm: tuple[float, float, float]
+    tip_rad: tuple[float, float, float]
+    boxes: tuple[Box, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Bounds:
-    """Where a robot may go: into one of the boxes (anywhere if there are none), into no keep-out zone."""
+    """Where a robot may go: into one of the boxes (anywhere if there are none), into no keep-out zone.
+
+    gripper : what goes there; None: the tip alone, whose turn is that of the teaching.
+    """
 
     boxes: tuple[Box, ...] = ()
     keep_out: tuple[Box, ...] = ()
+    gripper: Gripper | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,12 +78,19 @@ class Grasp:
 class Picking:
     """Picking rules of a job.
 
-    bounds : all must allow a part. grasps : the first allowed one is given.
+    bounds : all must allow a part. grasps : the first allowed one is given. skipped_mm (x, y, z) : where a
+    part lay that could not be picked, in the frame of the published coordinates; None: nowhere.
     """
 
     order: Order = Order.SCORE
     bounds: tuple[Bounds, ...] = ()
     grasps: tuple[Grasp, ...] = ()
+    skipped_mm: tuple[float, float, float] | None = None
+
+    @property
+    def gripper(self) -> Gripper | None:
+        """The cell's."""
+        return next((each.gripper for each in self.bounds if each.gripper is not None), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -56,7 +56,7 @@ ANSWER = struct.Struct(">" + "".join(kind for _, kind in ANSWER_ROWS))
 QUERIES = {
     name: number
     for number, name in enumerate(
-        ("GRASP", "APPROACH", "ACK", "EXPOSE", "RESULT", "AUTO_LOCK", "OFFSET", "OFFSET_PART"), 100
+        ("GRASP", "APPROACH", "ACK", "EXPOSE", "RESULT", "AUTO_LOCK", "OFFSET", "OFFSET_PART", "SKIP"), 100
     )
 }
 COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, **QUERIES}

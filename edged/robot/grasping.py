@@ -1,7 +1,7 @@
 """Where a tool takes a located part: pure functions of its pose and the taught grasps.
 
-A symmetric part may be taken in several ways; of the allowed ones, the tool gets the one nearest to its
-taught orientation.
+A symmetric part may be taken in several ways; of the allowed ones, the tool gets the one nearest to how it
+stands now, or, where that is not known, to its taught orientation.
 """
 
 from __future__ import annotations
@@ -22,24 +22,37 @@ ALONG_Z = 0.999
 
 
 def best_grasp(
-    target: Target, grasps: Sequence[Grasp], is_allowed: Callable[[GraspPose], bool]
+    target: Target,
+    grasps: Sequence[Grasp],
+    is_allowed: Callable[[GraspPose], bool],
+    rig_from_tip: FloatArray | None = None,
 ) -> GraspPose | None:
-    """The first allowed alternative of the grasps, in the order of the job; None if none is allowed."""
+    """The first allowed alternative of the grasps, in the order of the job; None if none is allowed.
+
+    rig_from_tip (4, 4) : how the tool stands now; None: not known.
+    """
     if not (np.isfinite(target.rig_from_part).all() and np.isfinite(target.covariance).all()):
         return None
-    poses = (pose for number, grasp in enumerate(grasps, 1) for pose in alternatives(target, grasp, number))
+    poses = (
+        pose
+        for number, grasp in enumerate(grasps, 1)
+        for pose in alternatives(target, grasp, number, rig_from_tip)
+    )
     return next(filter(is_allowed, poses), None)
 
 
-def alternatives(target: Target, grasp: Grasp, number: int) -> Iterator[GraspPose]:
-    """Every way to take the part by this grasp, the least turn of the tool first."""
+def alternatives(
+    target: Target, grasp: Grasp, number: int, rig_from_tip: FloatArray | None = None
+) -> Iterator[GraspPose]:
+    """Every way to take the part by this grasp, the least turn of the tool first: from how it stands now."""
+    before = grasp.rig_from_tcp if rig_from_tip is None else rig_from_tip
     is_any = grasp.symmetry == 0 or _looks_the_same(target)
     if is_any:
-        turns_rad = [_least_turn_rad(target.rig_from_part, grasp)]
+        turns_rad = [_least_turn_rad(target.rig_from_part, grasp, before)]
     else:
         turns_rad = [2 * math.pi * k / grasp.symmetry for k in range(grasp.symmetry)]
     poses = [(turn_rad, _rig_from_tcp(target.rig_from_part, grasp, turn_rad)) for turn_rad in turns_rad]
-    poses.sort(key=lambda turned: round(_turned_rad(turned[1], grasp.rig_from_tcp), 9))
+    poses.sort(key=lambda turned: round(_turned_rad(turned[1], before), 9))
     for turn_rad, pose in poses:
         yield GraspPose(
             grasp.name,
@@ -77,15 +90,15 @@ def _rig_from_tcp(rig_from_part: FloatArray, grasp: Grasp, turn_rad: float) -> F
     return np.asarray(rig_from_part @ turned @ grasp.part_from_tcp)
 
 
-def _turned_rad(rig_from_tcp: FloatArray, taught: FloatArray) -> float:
-    return float(np.linalg.norm(rotation_vector(rig_from_tcp[:3, :3] @ taught[:3, :3].T)))
+def _turned_rad(rig_from_tcp: FloatArray, before: FloatArray) -> float:
+    return float(np.linalg.norm(rotation_vector(rig_from_tcp[:3, :3] @ before[:3, :3].T)))
 
 
-def _least_turn_rad(rig_from_part: FloatArray, grasp: Grasp) -> float:
-    """The turn about the part's z that brings the tool nearest to its taught orientation.
+def _least_turn_rad(rig_from_part: FloatArray, grasp: Grasp, before: FloatArray) -> float:
+    """The turn about the part's z that brings the tool nearest to an orientation.
 
-    The angle of a rotation is least where its trace is largest; with M = part_from_tcp taught^T rig_from_part
+    The angle of a rotation is least where its trace is largest; with M = part_from_tcp before^T rig_from_part
     the trace of M Rz(t) is (M00 + M11) cos t + (M01 - M10) sin t + M22.
     """
-    M = grasp.part_from_tcp[:3, :3] @ grasp.rig_from_tcp[:3, :3].T @ rig_from_part[:3, :3]
+    M = grasp.part_from_tcp[:3, :3] @ before[:3, :3].T @ rig_from_part[:3, :3]
     return math.atan2(M[0, 1] - M[1, 0], M[0, 0] + M[1, 1])

@@ -8,17 +8,21 @@ is unknown, and every part of a job or cell with bounds is refused.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Outcome, Reject, Status, Target
-from edged.domain.picking import Bounds, Box, GraspPose, Order, Picking
+from edged.domain.picking import Bounds, Box, GraspPose, Gripper, Order, Picking
 from edged.robot.grasping import best_grasp
+from edged.robot.gripper import Solid, any_meet, body_of, flange_from_tip, solid_of, swept
 from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import invert
 
+SAME_PLACE_MM = 30.0
+"""A part that a gripper missed has been pushed by less."""
 NOWHERE = Box("nowhere", (math.inf,) * 3, (-math.inf,) * 3)
 
 
@@ -26,11 +30,20 @@ NOWHERE = Box("nowhere", (math.inf,) * 3, (-math.inf,) * 3)
 class RobotFrame:
     """Frame of the published coordinates. robot_from_rig (4, 4) : None for the rig's own frame.
 
-    is_known : False for a rig on the flange without the flange's pose.
+    is_known : False for a rig on the flange without the flange's pose. robot_from_flange (4, 4) : where the
+    robot said that its flange was; None: it did not.
     """
 
     robot_from_rig: FloatArray | None = None
     is_known: bool = True
+    robot_from_flange: FloatArray | None = None
+
+    def rig_from_tip(self, gripper: Gripper | None) -> FloatArray | None:
+        """(4, 4) of the tool's tip at the exposure; None: not known."""
+        if gripper is None or self.robot_from_flange is None or self.robot_from_rig is None:
+            return None
+        robot_from_tip = self.robot_from_flange @ flange_from_tip(gripper)
+        return np.asarray(invert(self.robot_from_rig) @ robot_from_tip)
 
 
 def frame_of(rig: StereoRig) -> RobotFrame:
@@ -54,23 +67,52 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
     Each part has its reported pose: only publishing may follow. Equal parts keep their order, by score.
     """
     key = _KEYS[picking.order]
+    reported = [allowed(target, picking, frame, outcome.targets).as_reported for target in outcome.targets]
+    skipped = _skipped(reported, picking.skipped_mm, frame)
 
-    def place(target: Target) -> tuple[bool, float]:
+    def place(target: Target) -> tuple[bool, bool, float]:
         value = key(target, frame.robot_from_rig)
-        return target.reject != Reject.NONE, value if math.isfinite(value) else math.inf
+        return target.reject != Reject.NONE, target is skipped, value if math.isfinite(value) else math.inf
 
-    reported = (allowed(target, picking, frame).as_reported for target in outcome.targets)
     targets = sorted(reported, key=place)
     is_bad = outcome.status is Status.OK and bool(targets) and targets[0].reject != Reject.NONE
     return replace(outcome, status=Status.LOW_QUALITY if is_bad else outcome.status, targets=tuple(targets))
 
 
-def allowed(target: Target, picking: Picking, frame: RobotFrame) -> Target:
-    """The target with its grasp, rejected where the robot must not go."""
+def _skipped(
+    targets: Sequence[Target], place_mm: tuple[float, float, float] | None, frame: RobotFrame
+) -> Target | None:
+    """The good part nearest to where one could not be picked; None: there is none so near."""
+    if place_mm is None:
+        return None
+    good = [target for target in targets if target.reject == Reject.NONE]
+    apart_mm = [
+        float(np.linalg.norm(_in_frame(target.position_mm, frame) - np.array(place_mm))) for target in good
+    ]
+    near = min(range(len(good)), key=apart_mm.__getitem__, default=None)
+    return None if near is None or not apart_mm[near] <= SAME_PLACE_MM else good[near]
+
+
+def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable[Target] = ()) -> Target:
+    """The target with its grasp, rejected where the robot must not go.
+
+    found : all parts of the picture, good and bad, this one among them: the gripper keeps clear of others.
+    """
     reject = target.reject | _refusal(target.as_reported.position_mm, picking.bounds, frame)
     grasp = None
     if picking.grasps and not reject:
-        grasp = best_grasp(target, picking.grasps, lambda pose: _is_free(pose, picking.bounds, frame))
+        gripper = picking.gripper
+        others: list[Solid] = []
+        if gripper is not None and gripper.boxes:
+            bodies = (body_of(other) for other in found if other is not target)
+            others = [body for body in bodies if body is not None]
+
+        def is_free(pose: GraspPose) -> bool:
+            return _is_free(pose, picking.bounds, frame) and (
+                gripper is None or _is_clear(pose, gripper, picking.bounds, frame, others)
+            )
+
+        grasp = best_grasp(target, picking.grasps, is_free, frame.rig_from_tip(gripper))
         reject = Reject.NONE if grasp is not None else Reject.NO_GRASP
     if reject == target.reject and grasp is target.grasp:
         return target
@@ -85,6 +127,18 @@ def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> b
     ends_mm = [_in_frame(end[:3, 3], frame) for end in (grasp.rig_from_approach, grasp.rig_from_retreat)]
     zones = [box for each in bounds for box in each.keep_out]
     return not any(_meets(box, tip_mm, end_mm) for box in zones for end_mm in ends_mm)
+
+
+def _is_clear(
+    grasp: GraspPose, gripper: Gripper, bounds: Sequence[Bounds], frame: RobotFrame, others: Sequence[Solid]
+) -> bool:
+    """Whether the gripper's body meets no other part and no keep-out zone, there and on its straight ways."""
+    along_mm = max(grasp.approach_mm, grasp.retreat_mm)
+    body = [solid.moved(grasp.rig_from_tcp) for solid in swept(gripper, along_mm)]
+    zones = [solid_of(box) for each in bounds for box in each.keep_out]
+    robot = frame.robot_from_rig
+    in_frame = body if robot is None else [solid.moved(robot) for solid in body]
+    return not any_meet(body, others) and not any_meet(in_frame, zones)
 
 
 def _meets(box: Box, start_mm: FloatArray, end_mm: FloatArray) -> bool:

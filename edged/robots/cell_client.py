@@ -169,12 +169,16 @@ class EdgedCell:
         """From now on this box alone of the cell's limits counts, from 1; 0: each of them."""
         self._write(ADDRESS["BOX"], [box])
 
-    def locate(self, job: int = 0, timeout_s: float = 5.0, *, all_jobs: bool = False) -> Result:
+    def locate(
+        self, job: int = 0, timeout_s: float = 5.0, *, all_jobs: bool = False, skip: bool = False
+    ) -> Result:
         """Measure now. Raises `CommandRefused` for a NACK (a dead camera too), `NoAnswer`.
 
         all_jobs : every job is tried; the register JOB of the result is the one whose part agrees best.
+        skip : the part of the result before could not be picked: it comes last.
         """
-        return self._measure("LOCATE", job, timeout_s, OPTIONS["ALL_JOBS"] if all_jobs else 0)
+        options = (OPTIONS["ALL_JOBS"] if all_jobs else 0) | (OPTIONS["SKIP"] if skip else 0)
+        return self._measure("LOCATE", job, timeout_s, options)
 
     def jobs(self) -> dict[int, str]:
         """Names of the jobs by their numbers, the first 16; a long name is cut."""

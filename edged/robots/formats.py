@@ -74,7 +74,7 @@ class ProgramCell:
 
 NAME = re.compile("[a-z]{2,5}")
 """At most as long as "edged", so that every name stays within its language's limit."""
-RENAMED = ("rapid", "krl", "krl6", "drl", "val3", "as", "spel", "scl", "s7db", "urscript")
+RENAMED = ("rapid", "krl", "krl6", "drl", "val3", "as", "spel", "pacscript", "scl", "s7db", "urscript")
 """Formats of which two may be in one controller under different names."""
 
 
@@ -147,6 +147,7 @@ FORMATS = {
         {"EDGED.prg": "melfa", "EDGEDL.prg": "melfa"}, Brand.MITSUBISHI, archive="edged-mitsubishi.zip"
     ),
     "spel": Format({"Edged.prg": "spel"}, Brand.EPSON),
+    "pacscript": Format({"edged.pcs": "pacscript"}, Brand.DENSO),
     "python": Format({"edged_cell.py": ""}),
     "csv": Format({"edged.csv": ""}),
 }

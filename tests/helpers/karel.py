@@ -114,7 +114,7 @@ def load(source: str, controller: Controller) -> Program:
     program.declared(found[1])
     program.builtins = {name: getattr(controller, name.lower()) for name in BUILTINS}
     program.globals |= controller.numbers
-    for name in ("ATR_IA",):
+    for name in ("ATR_IA", "ATR_READAHD"):
         program.globals[name] = TYPES.variable("STRING", name)
     at = 1
     if lines[at] == "CONST":
@@ -203,6 +203,7 @@ class Controller:
         self.position: Callable[[], tuple[float, ...]] = self._where
         self.keeps_ends = keeps_ends
         self.is_open = False
+        self.ahead = 0
         self.status = 0
         self.arguments: tuple[int, ...] = ()
         self.registers: dict[int, float] = {}
@@ -248,9 +249,13 @@ class Controller:
         """Of the last operation."""
         return self.status
 
-    def set_file_atr(self, _file: Any, attribute: Any) -> None:
-        """Interactive."""
-        assert attribute.get() == "ATR_IA" and not self.is_open
+    def set_file_atr(self, _file: Any, attribute: Any, value: Any = None) -> None:
+        """Interactive, or how many times 128 bytes are read ahead."""
+        assert not self.is_open
+        if attribute.get() == "ATR_READAHD":
+            self.ahead = value.get() * 128
+        else:
+            assert attribute.get() == "ATR_IA" and value is None
 
     def msg_connect(self, tag: Any, status: Any) -> None:
         """Connect the client tag."""
@@ -283,7 +288,7 @@ class Controller:
         """What has arrived; of a link that is gone nothing comes any more."""
         assert self.is_open and self.link.is_open
         status.set(0)
-        count.set(len(self.link.peek()))
+        count.set(min(len(self.link.peek()), self.ahead))
 
     def read_file(self, _file: Any, target: Any, count: Any) -> None:
         """So many characters, or up to the end of a line, which is taken and not given."""

@@ -18,7 +18,7 @@ from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.robots.formats import render, written
 from edged.vision.geometry.rigid import transform
-from helpers import drl, karel, kawasaki, krl, rapid, spel, val3
+from helpers import drl, karel, kawasaki, krl, pacscript, rapid, spel, val3
 from helpers import robotsides as sides
 from helpers.robotlink import Link
 from helpers.robotvalues import Record
@@ -218,6 +218,20 @@ def _epson(text: str, link: Link) -> list[FloatArray]:
     return moves
 
 
+def _denso(text: str, link: Link) -> list[FloatArray]:
+    """Approach: so far before the pose, along the tool's Z."""
+    program = pacscript.load(f"{render('pacscript')}\n{text}", pacscript.Controller(link))
+    moves: list[FloatArray] = []
+
+    def approach(pose: Any, distance_mm: Any) -> None:
+        place = transform_of(Brand.DENSO, _numbers(pose.get())[:6])
+        moves.append(np.asarray(place @ _shift(z_mm=-distance_mm.get())))
+
+    program.builtins |= {"TAKEARM": lambda: None, "PRINTDBG": lambda _: None, "APPROACHL": approach}
+    program.call("PickOne")
+    return moves
+
+
 def _mitsubishi(text: str, link: Link) -> list[FloatArray]:
     """The number behind a position is a way along the hand's Z ("Mov")."""
     side = sides.Mitsubishi(link)
@@ -246,6 +260,7 @@ EXAMPLES = (
     Example(Brand.STAUBLI, "VAL 3", _staubli),
     Example(Brand.KAWASAKI, "Kawasaki", _kawasaki),
     Example(Brand.EPSON, "Epson", _epson),
+    Example(Brand.DENSO, "Denso", _denso),
     Example(Brand.MITSUBISHI, "Mitsubishi", _mitsubishi),
     Example(Brand.YASKAWA, "Yaskawa", _yaskawa),
 )

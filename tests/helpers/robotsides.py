@@ -23,7 +23,7 @@ from edged.plc.lines import answer_fields
 from edged.robot.orientations import Brand
 from edged.robots.formats import render, written
 from edged.robots.robotlines import Failure
-from helpers import drl, inform, karel, kawasaki, krl, melfa, rapid, spel, val3
+from helpers import drl, inform, karel, kawasaki, krl, melfa, pacscript, rapid, spel, val3
 from helpers.robotlanguage import Program
 from helpers.robotlink import Link
 
@@ -174,6 +174,14 @@ class Fanuc:
             (poses[91 + i], poses[71 + i], poses[81 + i]) for i in range(int(self.controller.registers[82]))
         ]
 
+    def beside(self) -> None:
+        """Measure beside the program that moves, which looks at R[88]."""
+        self.controller.registers[88] = 0
+        self.controller.positions.clear()
+        self.controller.arguments = (0, 5000, 81, 91, 3, 0, 0, 0, 88)
+        self.program.call("RUN")
+        self.given = 0
+
     def golden(self) -> bool:
         self.controller.arguments = (-10, 5000, 81, 81, 0)
         self.program.call("RUN")
@@ -234,6 +242,16 @@ class Kuka:
         assert not self.controller.is_initialised
         self.given = 0
         assert is_found == (self.count() > 0)
+        return self.next()
+
+    def expose(self) -> bool:
+        return bool(self.program.call("EDGED_EXPOSE", 0, 5.0))
+
+    def result(self) -> tuple[float, ...] | None:
+        is_found = self.program.call("EDGED_RESULT", 5.0)
+        assert not self.controller.is_initialised
+        assert is_found == (self.count() > 0)
+        self.given = 0
         return self.next()
 
     def count(self) -> int:
@@ -487,6 +505,46 @@ class Epson(Shared):
         self.program.call("Edged" + other.get(name, name), *arguments)
 
 
+class Denso(Shared):
+    """A Denso controller."""
+
+    brand = Brand.DENSO
+    is_left_open = False
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.controller = pacscript.Controller(link, is_left_open=self.is_left_open)
+        self.program = pacscript.load(render("pacscript"), self.controller)
+        names = ("part", "grasp", "approach", "offset")
+        self.poses = {name: pacscript.TYPES.variable("Position") for name in names}
+        self.code = 0
+
+    def named(self, name: str) -> Any:
+        if name == "error":
+            return self.code
+        if name.startswith("sigma"):
+            return self.program.call("EdgedSigma", "xyz".index(name[-1]) + 1)
+        if name in self.poses:
+            return self.poses[name].get()
+        return self.program.call("Edged" + name)
+
+    def pose(self, name: str) -> tuple[float, ...]:
+        return tuple(super().pose(name)[:6])
+
+    def run(self, name: str, *arguments: Any) -> None:
+        given = [round(one * 1000) if isinstance(one, float) else one for one in arguments]
+        wanted = {"locate": ("part",), "next": ("part",), "result": ("part",), "offset": ("offset",)}
+        wanted["grasp"] = ("grasp", "approach")
+        given += [self.poses[one] for one in wanted.get(name, ())]
+        self.code = self.program.call("Edged" + name, *given)
+
+
+class DensoAfterAnotherTask(Denso):
+    """One whose line another task has left open."""
+
+    is_left_open = True
+
+
 class Mitsubishi:
     """A Mitsubishi controller: one call measures, fetches the targets and acknowledges."""
 
@@ -607,6 +665,12 @@ class Yaskawa:
     def next(self) -> tuple[float, ...] | None:
         return self._pose(80) if self._run(2) else None
 
+    def expose(self) -> bool:
+        return self._run(8)
+
+    def result(self) -> tuple[float, ...] | None:
+        return self._pose(80) if self._run(9) else None
+
     def grasp(self) -> list[tuple[float, ...]] | None:
         return [self._pose(81), self._pose(82)] if self._run(3) else None
 
@@ -649,6 +713,8 @@ SIDES += [
     Kawasaki,
     KawasakiThatHearsNothing,
     Epson,
+    Denso,
+    DensoAfterAnotherTask,
     Mitsubishi,
     MitsubishiThatGoesOn,
     Yaskawa,

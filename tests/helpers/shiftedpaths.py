@@ -16,7 +16,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.robots.formats import render, written
-from helpers import drl, karel, kawasaki, krl, rapid, spel, val3
+from helpers import drl, karel, kawasaki, krl, pacscript, rapid, spel, val3
 from helpers import robotsides as sides
 from helpers.robotexamples import PAGE, with_val3_example
 from helpers.robotlink import Link
@@ -195,6 +195,27 @@ def _epson(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
     return moves
 
 
+def _denso(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
+    """pTaught was taught in Work 1 while that was all 0."""
+    program = pacscript.load(f"{render('pacscript')}\n{text}", pacscript.Controller(link))
+    moves: list[FloatArray] = []
+    work: list[FloatArray] = []
+
+    def set_work(pose: Any) -> None:
+        work.append(transform_of(Brand.DENSO, _numbers(pose)[:6]))
+
+    program.globals["PTAUGHT"] = pacscript.TYPES.variable("Position")
+    program.builtins |= {
+        "TAKEARM": lambda: None,
+        "WORK1": set_work,
+        "CHANGEWORK": lambda number: program.globals["CURWORK"].set(number.get()),
+        "MOVEL": lambda _: moves.append(work[-1] @ taught),
+    }
+    program.call("PickShifted")
+    assert 0 == program.globals["CURWORK"].get()
+    return moves
+
+
 def _mitsubishi(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
     """A product of positions."""
     side = sides.Mitsubishi(link)
@@ -226,6 +247,7 @@ SHIFTED: dict[Brand, tuple[str, Run]] = {
     Brand.STAUBLI: ("Stäubli", _staubli),
     Brand.KAWASAKI: ("Kawasaki", _kawasaki),
     Brand.EPSON: ("Epson", _epson),
+    Brand.DENSO: ("Denso", _denso),
     Brand.MITSUBISHI: ("Mitsubishi", _mitsubishi),
     Brand.YASKAWA: ("Yaskawa", _yaskawa),
 }

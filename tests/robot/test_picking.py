@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers.snapshots import make_target, make_transform
 
+from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, Outcome, Reject, Status, Target
 from edged.domain.picking import Bounds, Box, Order, Picking
 from edged.robot.picking import RobotFrame, narrowed, picked, within
@@ -67,6 +68,24 @@ def test_parts_that_are_equal_stay_in_the_order_of_their_score_and_what_is_no_nu
     lost = dataclasses.replace(PARTS[0], job="n", rig_from_part=np.full((4, 4), np.nan))
     outcome = picked(Outcome(Status.OK, (lost, PARTS[1], twin)), Picking(Order.NEAREST), RIG)
     assert ["b", "t", "n"] == [target.job for target in outcome.targets]
+
+
+@pytest.mark.parametrize("robot_from_rig", [None, TURNED])
+def test_a_part_that_could_not_be_picked_comes_behind_the_other_good_ones(
+    robot_from_rig: FloatArray | None,
+) -> None:
+    """Also pushed a little; one that lies elsewhere is not meant, and alone it is given all the same."""
+    frame = RobotFrame(robot_from_rig)
+    turn = np.eye(4) if robot_from_rig is None else robot_from_rig
+    bad = dataclasses.replace(PARTS[2], job="x", reject=Reject.RESIDUAL)
+    for shift_mm, names in ((0.0, "bcax"), (29.0, "bcax"), (31.0, "abcx"), (-31.0, "acbx")):
+        x, y, z = (float(one) for one in (turn @ [50.0 + shift_mm, 0.0, 200.0, 1.0])[:3])
+        rules = Picking(Order.SCORE, skipped_mm=(x, y, z))
+        outcome = picked(Outcome(Status.OK, (*PARTS, bad)), rules, frame)
+        assert (Status.OK, [*names]) == (outcome.status, [target.job for target in outcome.targets])
+        alone = picked(Outcome(Status.OK, PARTS[:1]), rules, frame)
+        assert (Status.OK, ["a"]) == (alone.status, [target.job for target in alone.targets])
+    assert ["x"] == [t.job for t in picked(Outcome(Status.LOW_QUALITY, (bad,)), rules, frame).targets]
 
 
 # --- limits --------------------------------------------------------------------------------------

@@ -153,6 +153,16 @@ def test_the_python_client_reads_jobs_and_tries_all(client_module: ModuleType) -
         assert (2, 2) == tuple(client.read("counters")[name] for name in ("N_CYCLES", "N_GOOD"))
 
 
+def test_the_python_client_skips_what_could_not_be_picked(client_module: ModuleType) -> None:
+    """The part of the result before comes last; a plain locate knows nothing of it."""
+    cell = LiveCell()
+    cell.targets = (make_target(x_mm=10.0), make_target(x_mm=90.0))
+    with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
+        wait_until(lambda: "READY" in client.status()["bits"])
+        found = [client.locate(skip=skip).values["X"] for skip in (False, True, True, False)]
+        assert [10_000, 90_000, 10_000, 10_000] == found
+
+
 def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None:
     """Of two bins the part of the second; a bin that is not there is refused."""
     cell = LiveCell()
@@ -889,6 +899,35 @@ def test_urscript_gives_part_after_part() -> None:
         assert [(0.010, 2), (0.020, 1), (0.030, 0)] == seen
         robot["edged_next"](5.0)
         assert (False, 9, 1) == (robot["edged_ok"], robot["edged_error"], cell.head.captures)
+
+
+def test_urscript_lets_the_robot_go_when_its_picture_is_taken() -> None:
+    """The pose comes by a second call; one that asks for it without, or after another command, gets none."""
+    with robot_beside(cell := LiveCell()) as (_, robot):
+        for captures in (1, 2):
+            cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+            cell.may_end.clear()
+            assert robot["edged_expose"](0, 5.0), robot["edged_error"]
+            assert not robot["edged_ok"]
+            cell.may_end.set()
+            seen = [robot["edged_result"](5.0)[0]]
+            assert robot["edged_ok"], robot["edged_error"]
+            seen.append(robot["edged_next"](5.0)[0])
+            robot["edged_acknowledge"]()
+            assert ([0.010, 0.020], captures) == (seen, cell.head.captures)
+        robot["edged_result"](5.0)
+        assert (False, 111) == (robot["edged_ok"], robot["edged_error"])
+        assert robot["edged_expose"](0, 5.0)
+        assert 0.010 == robot["edged_locate"](0, 5.0)[0]
+        robot["edged_result"](5.0)
+        assert (False, 111) == (robot["edged_ok"], robot["edged_error"])
+        cell.targets = ()
+        assert robot["edged_expose"](0, 5.0)
+        robot["edged_result"](5.0)
+        assert (False, 101) == (robot["edged_ok"], robot["edged_error"])
+        cell.head.broken = True
+        assert (False, 6) == (robot["edged_expose"](0, 5.0), robot["edged_error"])
+        robot["edged_alive"]()
 
 
 def test_urscript_shifts_a_taught_path_to_where_the_part_is() -> None:

@@ -106,6 +106,31 @@ def test_a_brand_that_does_not_exist_is_named_as_the_reason() -> None:
         assert 0 == cell.head.captures
 
 
+def test_a_part_that_could_not_be_picked_comes_last_in_the_next_picture() -> None:
+    """SKIP is a LOCATE that knows which part was given last, acknowledged or not; for one picture."""
+    cell = LiveCell(KUKA)
+    with cell, connected(cell) as robot:
+        ready(cell)
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (0.0, 100.0, 200.0))
+        for sequence, request, expected in (
+            (7, "SKIP,0", 0.0),  # nothing was given yet
+            (8, "SKIP,0", 100.0),
+            (9, "SKIP,0", 0.0),
+            (9, "ACK", 0.0),
+            (10, "SKIP,0", 100.0),
+            (11, "NEXT", 200.0),
+            (12, "SKIP,0", 0.0),
+            (13, "RESULT", 0.0),
+            (14, "LOCATE,0", 0.0),
+        ):
+            answered, status, _, numbers = robot.ask(f"{sequence},{request}")
+            assert (sequence, 0) == (answered, status)
+            if request != "ACK":
+                assert numbers[0] == pytest.approx(expected), request
+        cell.targets = cell.targets[:1]
+        assert (15, 0, 0) == robot.ask("15,SKIP,0")[:3]
+
+
 def test_every_target_is_given_one_after_the_other() -> None:
     """LOCATE gives the first and how many remain, NEXT the others without a new picture, then none."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:

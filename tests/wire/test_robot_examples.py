@@ -160,6 +160,7 @@ APPROACHES = {
     "val3": ("start.pgx", "movel(appro(pPick,{0,0,-100,0,0,0}),tTool,mSlow)"),
     "as": ("edged.as", "LAPPRO ed_part,100"),
     "spel": ("Edged.prg", "Go P10 +TLZ(-100)"),
+    "pacscript": ("edged.pcs", "Approach L, part, @E 100"),
     "motoplus": ("edged.c", "MOVL P082"),
     "urscript": ("edged.script", "movel(pose_trans(target, p[0, 0, -0.1, 0, 0, 0]))"),
 }

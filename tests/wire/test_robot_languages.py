@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import select
 import socket
 import threading
@@ -20,6 +21,7 @@ from helpers.robotsides import (
     LIES,
     SIDES,
     Abb,
+    Denso,
     Doosan,
     Epson,
     Fanuc,
@@ -38,10 +40,11 @@ from helpers.waiting import LIMIT_S
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.measurement import Target
+from edged.domain.picking import Bounds, Grasp, Gripper, Picking
 from edged.plc.answers import NackReason
 from edged.plc.lines import LineStatus
 from edged.plc.registers import StatusBit
-from edged.robot.orientations import Brand, transform_of
+from edged.robot.orientations import Brand, about, transform_of
 from edged.robots.robotlines import Failure
 from edged.vision.geometry.rigid import rotation_matrix, transform
 
@@ -263,7 +266,9 @@ def test_parts_may_be_acknowledged_one_by_one(make: type[Any]) -> None:
         assert 2 == cell.head.captures
 
 
-@pytest.mark.parametrize("make", [Abb, Doosan, Staubli, Kawasaki, Epson], ids=lambda one: one.__name__)
+@pytest.mark.parametrize(
+    "make", [Abb, Doosan, Staubli, Kawasaki, Epson, Denso, Yaskawa], ids=lambda one: one.__name__
+)
 def test_a_robot_may_go_when_its_picture_is_taken(make: type[Any]) -> None:
     """Its program goes on while the cell measures, and fetches the pose afterwards; so again and again."""
     with running(make) as (cell, side):
@@ -281,6 +286,49 @@ def test_a_robot_may_go_when_its_picture_is_taken(make: type[Any]) -> None:
         assert (None, 102, 0) == (side.result(), side.error(), side.remaining())
         cell.head.broken = True
         assert (False, 6) == (side.expose(), side.error())
+
+
+@pytest.mark.parametrize("make", [Kuka, Kuka6], ids=lambda one: one.__name__)
+def test_krl_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> None:
+    """The link stays open in between; a result that was never asked for is given up by the next command."""
+    with running(make) as (cell, side):
+        for captures in (1, 2):
+            cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+            cell.may_end.clear()
+            assert side.expose(), side.error()
+            assert not bits(cell) & StatusBit.ACK
+            cell.may_end.set()
+            seen = [(one or (0,))[0] for one in (side.result(), side.next())]
+            assert ([10.0, 20.0], 0, captures) == (seen, side.error(), cell.head.captures)
+            assert not bits(cell) & StatusBit.RESULT_VALID
+        assert (None, Failure.NO_LINK) == (side.result(), side.error())
+        assert side.expose()
+        assert side.locate() is not None, side.error()
+        cell.head.broken = True
+        assert (False, 6) == (side.expose(), side.error())
+        assert not side.controller.is_initialised
+        assert (None, Failure.NO_LINK) == (side.result(), side.error())
+
+
+@pytest.mark.parametrize("make", [Fanuc, FanucWithEnds], ids=lambda one: one.__name__)
+def test_karel_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> None:
+    """It is run beside the program that moves: R[88] is 1, and in the end 2, whatever R[81] says then."""
+    with running(make) as (cell, side):
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+        cell.may_end.clear()
+        beside = threading.Thread(target=side.beside)
+        beside.start()
+        try:
+            until(lambda: side.controller.registers.get(88) == 1)
+            assert (Failure.LATE, {}) == (side.error(), side.controller.positions)
+        finally:
+            cell.may_end.set()
+            beside.join(LIMIT_S)
+        assert (2, 0) == (side.controller.registers[88], side.error())
+        assert [10.0, 20.0] == [(side.next() or (0,))[0] for _ in range(2)]
+        cell.head.broken = True
+        side.beside()
+        assert (2, 6) == (side.controller.registers[88], side.error())
 
 
 @talkers
@@ -330,6 +378,23 @@ def test_a_robot_that_carries_the_cameras_says_where_its_flange_is(make: type[An
             # the registers say where the flange is to 1 µm and 0.001°
             np.testing.assert_allclose(pose[:3, 3], expected[:3, 3], atol=0.05)
             np.testing.assert_allclose(pose[:3, :3], expected[:3, :3], atol=8e-5)
+
+
+@pytest.mark.parametrize("make", [one for one in TALKERS if one is not Yaskawa], ids=lambda one: one.__name__)
+def test_a_symmetric_part_is_taken_as_the_flange_stands(make: type[Any]) -> None:
+    """Cameras that stand still look at it, too, where the limits say what is on it: half a turn stays one."""
+    bounds = Bounds(gripper=Gripper((10.0, 0.0, 150.0), (0.0, 0.0, 0.0)))
+    with running(make, robot_from_rig=np.eye(4), bounds=bounds) as (cell, side):
+        part = cell.targets[0].rig_from_part
+        grasps = (Grasp("any way", np.eye(4), part, 50.0, 50.0, 2),)
+        cell.call(lambda: cell.cycle.exchange(cell.pick(Picking(grasps=grasps)).setup))
+        for half_turns in (0, 1, 0):
+            turned = part @ transform(about(2, math.pi * half_turns), np.zeros(3))
+            side.link.arm.flange = turned @ transform(about(2, 0.4), np.array([0.0, 0.0, -200.0]))
+            assert side.locate(1) is not None, side.error()
+            given = transform_of(side.brand, side.grasp()[0])
+            np.testing.assert_allclose(given[:3, :3], turned[:3, :3], atol=5e-5)
+            side.acknowledge()
 
 
 def test_karel_says_no_flange_where_a_tool_or_a_frame_is_active() -> None:

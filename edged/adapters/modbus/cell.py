@@ -323,6 +323,7 @@ class CellRegisters:
         known = code in set(CommandKind)
         flange, written = self._taken_flange()
         self.ladder.writes(code, job, written)
+        skipped_mm = self._shown_last_mm() if reg.Option.SKIP in options else None
         event = ev.SequenceWritten(
             self._command[_offset("CMD_SEQ")],
             known,
@@ -337,13 +338,23 @@ class CellRegisters:
                 kind, tries_all = CommandKind(code), reg.Option.ALL_JOBS in options
                 box = self._command[_offset("BOX")]
                 pose = shown or written
-                self._submit(Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all, box, pose))
+                self._submit(
+                    Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all, box, pose, skipped_mm)
+                )
 
     def _lock(self, client: int | None) -> None:
         """Forbid or allow SETUP when AUTO_LOCK changes. client : that wrote 1; None: nobody."""
         was_locked, self._locked_by = self._locked_by is not None, client
         if self._commander is not None and was_locked != (client is not None):
             self._commander.lock_setup(client is not None)
+
+    def _shown_last_mm(self) -> tuple[float, float, float] | None:
+        """Where the part lay that was on display last, whatever became of it since; None: there was none."""
+        shown = self._state.result
+        if shown is None or not shown.payload.good:
+            return None
+        pose = shown.payload.poses[shown.payload.index]
+        return None if pose is None else (pose.exact[0], pose.exact[1], pose.exact[2])
 
     def _taken_flange(self) -> tuple[FloatArray | None, tuple[float, ...]]:
         """Take robot_from_flange (4, 4) and its numbers (mm, degrees) out of FLANGE; None if all are zero.

@@ -8,6 +8,7 @@ write and reads of `CellRegisters`, as of any other client.
     7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    with the pose of the flange
     7,LOCATE,0:2                                         of the second box of the limits alone
     7,EXPOSE,0 and 8,RESULT                              LOCATE in two: answered when the picture is taken
+    7,SKIP,0                                             LOCATE, and the part that was shown last comes last
     kuka,7,LOCATE,0                                      with the robot's brand
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.LineAnswer`
 
@@ -209,7 +210,7 @@ class Robot:
         reject = int(result["REJECT"])
         if code == reg.ResultCode.LOW_QUALITY and reject and not reject & ~FORBIDDEN:
             raise _Refused(LineStatus.OUT_OF_LIMITS)
-        if request.command in ("LOCATE", "RESULT"):
+        if request.command in ("LOCATE", "RESULT", "SKIP"):
             if code != reg.ResultCode.OK:
                 raise _Refused(100 + code)
             return self._part(request, LineStatus.NOT_VALID)
@@ -298,12 +299,13 @@ class Robot:
 
     def _command(self, request: LineRequest, sequence: int) -> list[int]:
         """Words of COMMAND to TIMEOUT: what a PLC wrote behind them stays. ONCE: a line is written once."""
-        kind = CommandKind.LOCATE if request.command == "EXPOSE" else CommandKind[request.command]
+        kind = CommandKind.LOCATE if request.command in ("EXPOSE", "SKIP") else CommandKind[request.command]
+        options = reg.Option.ONCE | (reg.Option.ALL_JOBS if request.tries_all else reg.Option(0))
         values: dict[str, reg.Number] = {
             "COMMAND": kind,
             "JOB": request.job,
             "CMD_SEQ": sequence,
-            "OPTIONS": reg.Option.ONCE | (reg.Option.ALL_JOBS if request.tries_all else reg.Option(0)),
+            "OPTIONS": options | (reg.Option.SKIP if request.command == "SKIP" else reg.Option(0)),
             "TIMEOUT": round(TIMEOUT_S * 1000),
             **{f"FLANGE_{axis}": 0 for axis in "XYZABC"},
         }

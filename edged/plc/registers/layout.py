@@ -70,10 +70,12 @@ COMMAND = make_block(
     OPTIONS          u16 bits {list_bits(Option)}; reads back as 0. RELEASE gives up the right to write. The
         others count in one request with CMD_SEQ. ONCE: it is not written again and again, so it runs as the
         first of a connection, too. ALL_JOBS: every job is tried, none is begun after 3 s; JOB of the result
-        is the one whose part agrees best
+        is the one whose part agrees best. SKIP: the part that was shown last could not be picked; the one
+        nearest to its place, within 30 mm, comes behind all other good parts of this picture
     FLANGE_[XYZABC]  i32 µm/0.001° pose of the flange at the exposure, A, B, C as POSE_CONVENTION says, for a
         rig that the robot carries (LOCATE and GOLDEN are refused without it), and for REGISTER_ADD (after
-        TOUCH_START of the tool's tip where it touched); serves one command, then reads 0
+        TOUCH_START of the tool's tip where it touched); with [limits.gripper] the tool turns least from
+        there; serves one command, then reads 0
     TIMEOUT          u16 ms time-out of the command, NACK after it; 0: none
     AUTO_LOCK        u16 - 1: the plant runs; nobody may take the cell for SETUP, and who has it loses it.
         0: they may; so it is without the connection that wrote 1

@@ -124,6 +124,8 @@ class Option(enum.IntFlag):
     """With CMD_SEQ in one request: written once, so it runs as the first of a connection, too."""
     ALL_JOBS = 1 << 2
     """With CMD_SEQ in one request: LOCATE and VERIFY try every job, and the part that agrees best counts."""
+    SKIP = 1 << 3
+    """With CMD_SEQ in one request: the part that was shown last could not be picked, and comes last now."""
 
 
 class ControlBit(enum.IntFlag):

@@ -73,8 +73,9 @@ def drawn(taken: Recording, inspection: PairInspection, rig: PreparedRig, job: J
     if taken.pair is None:
         raise ValueError("a recording without images")
     frame = _frame(rig, _robot_from_flange(taken))[0]
+    found = [part.target for part in inspection.measured]
     measured = [
-        replace(part, target=allowed(part.target, job.picking, frame)) for part in inspection.measured
+        replace(part, target=allowed(part.target, job.picking, frame, found)) for part in inspection.measured
     ]
     status = Status[decided(taken, inspection, rig, job)["status"]]
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
@@ -103,7 +104,8 @@ def _frame(rig: PreparedRig, robot_from_flange: FloatArray | None) -> tuple[Robo
     if robot_from_flange is not None and rig.rig.flange_from_rig is not None:
         robot = robot_from_flange @ rig.rig.flange_from_rig
         registration = None if registration is None else moved_frame(registration, robot_from_flange)
-    return RobotFrame(robot, robot is not None or rig.rig.flange_from_rig is None), registration
+    is_known = robot is not None or rig.rig.flange_from_rig is None
+    return RobotFrame(robot, is_known, robot_from_flange), registration
 
 
 def _json_of(

@@ -61,9 +61,13 @@ class MeasuredBy:
         job, command = self.jobs.get(number), snapshot.get("command")
         if job is None:
             return None
-        box = command.get("box", 0) if isinstance(command, dict) else 0
-        box = box if isinstance(box, int) else 0
-        return replace(job, picking=within(job.picking, narrowed(self.bounds, box)))
+        said = command if isinstance(command, dict) else {}
+        box, skipped = said.get("box", 0), said.get("skipped_mm")
+        picking = within(job.picking, narrowed(self.bounds, box if isinstance(box, int) else 0))
+        if isinstance(skipped, list) and len(skipped) == 3:
+            x, y, z = map(float, skipped)
+            picking = replace(picking, skipped_mm=(x, y, z))
+        return replace(job, picking=picking)
 
     def measures_as(self, other: MeasuredBy, numbers: tuple[int, int]) -> bool:
         """Whether results of a job are the same to the last bit. numbers : of the job, here and there."""

@@ -165,6 +165,7 @@ const WHOSE = {
   drl: "Doosan",
   melfa: "Mitsubishi",
   spel: "Epson",
+  pacscript: "Denso",
   python: "Python",
   csv: "CSV",
 };

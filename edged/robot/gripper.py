@@ -1,0 +1,110 @@
+"""The body of a tool against zones and other parts: pure functions of boxes that may lie askew.
+
+Of another part only what was measured is known: its body is the box around that, in its own frame.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Circle3D, Slot3D, Target
+from edged.domain.picking import Box, Gripper
+from edged.robot.orientations import matrix_fixed_xyz
+from edged.vision.geometry.rigid import transform
+
+PARALLEL = 1e-9
+"""Sine below which the edges of two boxes are parallel: their cross product separates nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A box anywhere. centre_mm (3,); axes (3, 3) : unit, in columns; half_mm (3,) : along each of them."""
+
+    centre_mm: FloatArray
+    axes: FloatArray
+    half_mm: FloatArray
+
+    def moved(self, pose: FloatArray) -> Solid:
+        """Move the box by pose (4, 4)."""
+        return Solid(pose[:3, :3] @ self.centre_mm + pose[:3, 3], pose[:3, :3] @ self.axes, self.half_mm)
+
+
+def solid_of(box: Box) -> Solid:
+    """The box along the axes of its frame."""
+    low, high = np.array(box.min_mm), np.array(box.max_mm)
+    return Solid((low + high) / 2, np.eye(3), (high - low) / 2)
+
+
+def flange_from_tip(gripper: Gripper) -> FloatArray:
+    """(4, 4) of the tool's tip."""
+    return transform(matrix_fixed_xyz(*gripper.tip_rad), np.array(gripper.tip_mm))
+
+
+def swept(gripper: Gripper, along_mm: float) -> Iterator[Solid]:
+    """Boxes of the body, in the tip's frame, drawn out over the straight way along -z."""
+    for box in gripper.boxes:
+        x_mm, y_mm, z_mm = box.min_mm
+        yield solid_of(Box(box.name, (x_mm, y_mm, z_mm - along_mm), box.max_mm))
+
+
+def meet(first: Solid, other: Solid) -> bool:
+    """Whether two boxes have a point in common: no axis separates them.
+
+    Source: S. Gottschalk, M. C. Lin, D. Manocha, "OBBTree", SIGGRAPH 1996, section 5 (15 axes).
+    """
+    apart = other.centre_mm - first.centre_mm
+    edges = [np.cross(a, b) for a, b in itertools.product(first.axes.T, other.axes.T)]
+    for axis in (*first.axes.T, *other.axes.T, *edges):
+        if np.linalg.norm(axis) < PARALLEL:
+            continue
+        reach = sum(float(solid.half_mm @ np.abs(solid.axes.T @ axis)) for solid in (first, other))
+        if abs(float(apart @ axis)) > reach:
+            return False
+    return True
+
+
+def any_meet(some: Iterable[Solid], others: Sequence[Solid]) -> bool:
+    """Whether one of these meets one of those."""
+    return any(meet(first, other) for first in some for other in others)
+
+
+def body_of(target: Target) -> Solid | None:
+    """The box around what was measured of a part, rig frame; None where nothing is known."""
+    pose = target.rig_from_part
+    points = [point for point in _outermost(target) if np.isfinite(point).all()]
+    if not points or not np.isfinite(pose).all():
+        return None
+    own = (np.array(points) - pose[:3, 3]) @ pose[:3, :3]
+    low, high = own.min(axis=0), own.max(axis=0)
+    return Solid((low + high) / 2, np.eye(3), (high - low) / 2).moved(pose)
+
+
+def _outermost(target: Target) -> Iterator[FloatArray]:
+    """Points around each feature, rig frame."""
+    for circle in target.circles:
+        yield from _around_circle(circle, target.rig_from_part)
+    for edge in target.edges:
+        yield from (edge.start_mm, edge.end_mm)
+    for slot in target.slots:
+        yield from _around_slot(slot, target.rig_from_part)
+    for corner in target.corners:
+        yield corner.position_mm
+
+
+def _around_circle(circle: Circle3D, rig_from_part: FloatArray) -> Iterator[FloatArray]:
+    """Its ends along the part's axes."""
+    for axis in rig_from_part[:3, :2].T:
+        yield circle.centre_mm + circle.radius_mm * axis
+        yield circle.centre_mm - circle.radius_mm * axis
+
+
+def _around_slot(slot: Slot3D, rig_from_part: FloatArray) -> Iterator[FloatArray]:
+    """Corners of the rectangle around it."""
+    across = np.cross(rig_from_part[:3, 2], slot.direction)
+    for along, aside in itertools.product((-0.5, 0.5), repeat=2):
+        yield slot.centre_mm + along * slot.length_mm * slot.direction + aside * slot.width_mm * across
