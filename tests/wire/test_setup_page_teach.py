@@ -340,6 +340,28 @@ async def test_who_was_slower_is_told_and_sees_what_the_other_did(stand: Stand) 
     page.complaints.clear()  # of the refusal
 
 
+async def test_a_tap_on_the_part_holds_whatever_the_cell_has_found_meanwhile(stand: Stand) -> None:
+    """A place in the picture is the same one: it is sent again, and nobody is told to do so."""
+    page = stand.page
+    before = await stand.until(lambda now: now["proposing"] is None)
+    for name in (f"{before['name']}-", before["name"]):  # there is a revision before this one
+        named = {"revision": before["revision"], "name": name}
+        before = await stand.newcomer.ask("PUT", f"teachings/{stand.draft}", named)
+    await stand.open()
+    x, y = np.mean(before["features"][0]["outline"]["left"], axis=0).tolist()
+    await page.value(
+        "import('/static/setup/teaching/teaching.js').then(async ({teaching, change}) => {"
+        "  teaching.value = {...teaching.value, revision: teaching.value.revision - 1};"
+        f"  globalThis.isTapped = await change('POST', '/tap', {{x: {x}, y: {y}}}); }})"
+    )
+    assert await page.value("globalThis.isTapped")
+    assert not await page.value(said("This was changed meanwhile"))
+    page.complaints.clear()  # of the first try
+    tapped = await stand.until(lambda now: now["proposing"] is None and now["revision"] > before["revision"])
+    await stand.newcomer.ask("POST", f"teachings/{stand.draft}/undo", {"revision": tapped["revision"]})
+    await stand.until(lambda now: now["proposing"] is None and now["revision"] > tapped["revision"])
+
+
 @pytest.mark.parametrize(("width", "height"), [(360, 740), (1920, 1080)])
 async def test_everybody_can_teach(stand: Stand, width: int, height: int) -> None:
     """axe finds nothing, all is translated and fits, also twice as large, and a finger hits every target."""

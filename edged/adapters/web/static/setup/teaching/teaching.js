@@ -64,7 +64,7 @@ export function change(method, path, body = {}) {
   return done;
 }
 
-async function send(method, path, body) {
+async function send(method, path, body, isAgain = false) {
   const { id, revision } = teaching.value;
   try {
     see(await newest(pushed, ask(method, `teachings/${id}${path}`, { ...body, revision })));
@@ -72,6 +72,8 @@ async function send(method, path, body) {
   } catch (problem) {
     if (problem.status !== 412) throw problem;
     see(problem.params?.document ?? (await newest(pushed, ask("GET", `teachings/${id}`))));
+    // a place in the picture stays the same one, whatever the cell has found meanwhile
+    if (path === "/tap" && !isAgain) return send(method, path, body, true);
     throw new Problem({ status: 412, code: "stale", detail: problem.detail });
   }
 }
