@@ -110,14 +110,14 @@ def main() -> int:
         "| sigma ° | jackknife ° |"
     )
     print("|---|--:|--:|---|--:|--:|--:|--:|--:|--:|--:|")
-    for one in SETS:
+    for dataset in SETS:
         if options.pictures is None:
-            views = kept_views(one)
+            views = kept_views(dataset)
         else:
-            views = measured_views(one, options.pictures / one.folder)
+            views = measured_views(dataset, options.pictures / dataset.folder)
             if options.write:
-                keep(one, views)
-        for row in rows_of(one, views):
+                keep(dataset, views)
+        for row in rows_of(dataset, views):
             rows.append(row)
             print(
                 f"| {row.name} | {row.size:.4f} | {row.poses} | {', '.join(row.outliers) or '-'} "
@@ -135,19 +135,19 @@ def listed(values: tuple[float, ...], digits: int = 2) -> str:
     return " ".join(f"{value:.{digits}f}" for value in values)
 
 
-def rows_of(one: PublicSet, views: list[PosedMarks]) -> list[HandEyeRow]:
+def rows_of(dataset: PublicSet, views: list[PosedMarks]) -> list[HandEyeRow]:
     """Solve a set with the board's stated size, and with the one that the robot tells."""
-    placed, reprojection_px = board_poses(one, views)
-    sizes = (1.0, size_told(one, [view.robot_from_flange for view in views], placed))
-    return [figures_of(one, views, scaled(placed, size), size, reprojection_px) for size in sizes]
+    placed, reprojection_px = board_poses(dataset, views)
+    sizes = (1.0, size_by_robot(dataset, [view.robot_from_flange for view in views], placed))
+    return [figures_of(dataset, views, scaled(placed, size), size, reprojection_px) for size in sizes]
 
 
 def figures_of(
-    one: PublicSet, views: list[PosedMarks], placed: list[FloatArray], size: float, reprojection_px: float
+    dataset: PublicSet, views: list[PosedMarks], placed: list[FloatArray], size: float, reprojection_px: float
 ) -> HandEyeRow:
     """Solve a set, and hold it against itself."""
     poses = [view.robot_from_flange for view in views]
-    solved = hand_eye(poses, placed, size * one.board.points_mm, one.mount)
+    solved = hand_eye(poses, placed, size * dataset.board.points_mm, dataset.mount)
     kept = np.flatnonzero(solved.used)
     left_out = []
     for index in kept:
@@ -156,8 +156,8 @@ def figures_of(
             hand_eye(
                 [poses[other] for other in others],
                 [placed[other] for other in others],
-                size * one.board.points_mm,
-                one.mount,
+                size * dataset.board.points_mm,
+                dataset.mount,
                 hold_out=False,
             )
         )
@@ -166,7 +166,7 @@ def figures_of(
     jackknife, sigma = np.sqrt(spread), np.sqrt(np.diag(solved.covariance))
     held = solved.held_out_mm[kept], solved.held_out_rad[kept]
     return HandEyeRow(
-        one.name,
+        dataset.name,
         size,
         len(views),
         tuple(views[index].name for index in np.flatnonzero(~solved.used)),
@@ -181,12 +181,12 @@ def figures_of(
     )
 
 
-def size_told(one: PublicSet, poses: list[FloatArray], placed: list[FloatArray]) -> float:
+def size_by_robot(dataset: PublicSet, poses: list[FloatArray], placed: list[FloatArray]) -> float:
     """The board's true size over the stated one by which the poses agree best; golden section in +-5 %."""
 
     def rms_mm(size: float) -> float:
         return hand_eye(
-            poses, scaled(placed, size), size * one.board.points_mm, one.mount, hold_out=False
+            poses, scaled(placed, size), size * dataset.board.points_mm, dataset.mount, hold_out=False
         ).rms_mm
 
     low, high = 0.95, 1.05
@@ -207,12 +207,12 @@ def motion(pose: FloatArray, other: FloatArray) -> FloatArray:
     return np.concatenate([step[:3, 3], rotation_vector(step[:3, :3])])
 
 
-def board_poses(one: PublicSet, views: list[PosedMarks]) -> tuple[list[FloatArray], float]:
+def board_poses(dataset: PublicSet, views: list[PosedMarks]) -> tuple[list[FloatArray], float]:
     """camera_from_board of each picture, and the rms of the marks, px; lens and poses in one adjustment."""
-    boards = [one.board.points_mm[view.ids.astype(int)].astype(np.float32) for view in views]
+    boards = [dataset.board.points_mm[view.ids.astype(int)].astype(np.float32) for view in views]
     pixels = [view.pixels.astype(np.float32).reshape(-1, 1, 2) for view in views]
     rms, _, _, turns, shifts = cv2.calibrateCamera(
-        boards, pixels, one.size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
+        boards, pixels, dataset.size, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
     )
     placed = [
         transform(rotation_matrix(np.ravel(turn)), np.ravel(shift))
@@ -224,14 +224,14 @@ def board_poses(one: PublicSet, views: list[PosedMarks]) -> tuple[list[FloatArra
 # --- the pictures, and what is kept of them ------------------------------------------------------
 
 
-def kept_views(one: PublicSet) -> list[PosedMarks]:
+def kept_views(dataset: PublicSet) -> list[PosedMarks]:
     """What tests/data/hand-eye has of a set."""
     marks: dict[str, list[list[float]]] = {}
-    for line in read_table(DATA / f"{one.name}.csv"):
+    for line in read_table(DATA / f"{dataset.name}.csv"):
         if line.cells:
             marks.setdefault(line.cells[0], []).append([number_of(cell) for cell in line.cells[1:]])
     views = []
-    for line in read_table(DATA / f"{one.name}_poses.csv"):
+    for line in read_table(DATA / f"{dataset.name}_poses.csv"):
         if line.cells:
             seen = np.array(marks[line.cells[0]])
             pose = posed(*(number_of(cell) for cell in line.cells[1:]))
@@ -239,7 +239,7 @@ def kept_views(one: PublicSet) -> list[PosedMarks]:
     return views
 
 
-def keep(one: PublicSet, views: list[PosedMarks]) -> None:
+def keep(dataset: PublicSet, views: list[PosedMarks]) -> None:
     """Write what was measured to tests/data/hand-eye."""
     poses, marks = ["# x y z mm, quaternion x y z w: robot_from_flange", "view,x,y,z,qx,qy,qz,qw"], []
     for view in views:
@@ -247,9 +247,9 @@ def keep(one: PublicSet, views: list[PosedMarks]) -> None:
         poses.append(",".join([view.name, *(f"{number:.9g}" for number in numbers)]))
         for mark, (x, y) in zip(view.ids.tolist(), view.pixels.tolist(), strict=True):
             marks.append(f"{view.name},{mark:.0f},{x:.3f},{y:.3f}")
-    (DATA / f"{one.name}_poses.csv").write_text("\n".join(poses) + "\n")
+    (DATA / f"{dataset.name}_poses.csv").write_text("\n".join(poses) + "\n")
     header = "# image (x, y) in px of each mark; integer: the middle of a pixel"
-    (DATA / f"{one.name}.csv").write_text("\n".join([header, "view,mark,x,y", *marks]) + "\n")
+    (DATA / f"{dataset.name}.csv").write_text("\n".join([header, "view,mark,x,y", *marks]) + "\n")
 
 
 def posed(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> FloatArray:
@@ -263,13 +263,13 @@ def raw_pose(pose: FloatArray) -> tuple[float, ...]:
     return (*pose[:3, 3].tolist(), float(x), float(y), float(z), float(w))
 
 
-def measured_views(one: PublicSet, folder: Path) -> list[PosedMarks]:
+def measured_views(dataset: PublicSet, folder: Path) -> list[PosedMarks]:
     """The pictures of a set in which the board is found, with their poses."""
     views = []
     for path in sorted((folder / "images").glob("*.png"), key=lambda path: int(path.stem)):
-        found = detected(one, load_image(path))
+        found = detected(dataset, load_image(path))
         if found is None:
-            print(f"{one.name} {path.name}: the board is not found", file=sys.stderr)
+            print(f"{dataset.name} {path.name}: the board is not found", file=sys.stderr)
             continue
         text = (folder / "poses" / f"{path.stem}.yaml").read_text()
         numbers = dict(re.findall(r"(\w+):\s*(\S+)", text))
@@ -281,12 +281,12 @@ def measured_views(one: PublicSet, folder: Path) -> list[PosedMarks]:
     return views
 
 
-def detected(one: PublicSet, image: Image) -> Detection | None:
+def detected(dataset: PublicSet, image: Image) -> Detection | None:
     """The marks of a picture; of the plate, whose first dot is larger, OpenCV says which is which."""
-    if isinstance(one.board, Charuco):
-        found = detect_charuco(image, one.board)
+    if isinstance(dataset.board, Charuco):
+        found = detect_charuco(image, dataset.board)
         return None if isinstance(found, NotDetected) else found
-    columns, rows = one.board.columns, one.board.rows
+    columns, rows = dataset.board.columns, dataset.board.rows
     known, centres = cv2.findCirclesGrid(image, (columns, rows), None, flags=cv2.CALIB_CB_SYMMETRIC_GRID)
     if not known:
         return None
@@ -298,10 +298,10 @@ def detected(one: PublicSet, image: Image) -> Detection | None:
     ids, pixels = np.arange(columns * rows), grid.reshape(-1, 2)
     height, width = image.shape
     camera = CameraModel("brown", width, height, 550.0, 550.0, width / 2, height / 2, (0.0,) * 5)
-    _, turn, shift = cv2.solvePnP(one.board.points_mm, pixels, camera.matrix, None)
+    _, turn, shift = cv2.solvePnP(dataset.board.points_mm, pixels, camera.matrix, None)
     seen = Detection(ids, pixels, np.full(len(ids), 0.1), 1.0, 100.0)
     pose = transform(rotation_matrix(np.ravel(turn)), np.ravel(shift))
-    found = remeasure_dots(image, one.board, seen, camera, pose)
+    found = remeasure_dots(image, dataset.board, seen, camera, pose)
     return None if isinstance(found, NotDetected) else found
 
 
