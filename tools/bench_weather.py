@@ -34,9 +34,9 @@ from edged.sim.weather import DAY_S, Knock
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 from edged.vision.marks.frame import parse_frame
 from edged.vision.marks.measuring import measure_marks
+from edged.vision.marks.observing import DotsInPair
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import teach_marks
-from edged.vision.marks.tracking import DotsInPair
 
 HOUR_S = 3600.0
 

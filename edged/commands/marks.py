@@ -22,9 +22,10 @@ from edged.payload import marks_to_json
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.correction import shift_by_displacement
 from edged.vision.geometry.rectification import check_size, linear_image
+from edged.vision.marks.observing import DotsInPair
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import TaughtMarks, teach_marks
-from edged.vision.marks.tracking import DotsInPair, MarksFilter, MarksSettings, correction_of
+from edged.vision.marks.tracking import MarksFilter, MarksSettings, correction_of
 
 
 def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
