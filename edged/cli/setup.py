@@ -501,6 +501,25 @@ def register_touch(
     raise typer.Exit(command(rig, points, output, limit, as_json, Console(stderr=as_json)))
 
 
+@register.command("marks")
+def register_marks(
+    rig: RigOption,
+    former: Annotated[Path, typer.Option(help="the rig as it was calibrated and registered before")],
+    former_marks: Annotated[Path, typer.Option(help="marks.json that was taught with that one")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    limit: Annotated[float, typer.Option(min=0, help="mm: of each mark against all others")] = 0.05,
+) -> None:
+    """Take the robot over to a new calibration by the marks, which were taught with both. 0: saved; 1: not.
+
+    Neither plate nor robot may have moved between both teachings. The new marks.json is beside --rig.
+    """
+    from rich.console import Console
+
+    from edged.commands.register import by_marks as command
+
+    raise typer.Exit(command(rig, former, former_marks, output, limit, Console(soft_wrap=True)))
+
+
 @register.command("hand-eye")
 def register_hand_eye(
     directory: PairsArgument,

@@ -38,6 +38,10 @@ OUTPUTS = {
     ("locate", "ply"): f"{LOCATE} --ply {{}}/cloud.ply",
     ("register hand-eye", "output"): "register hand-eye pictures --rig rig.json --poses poses.csv "
     f"--board {SPEC} --brand kuka -o {{}}/rig.json",
+    (
+        "register marks",
+        "output",
+    ): "register marks --rig rig.json --former rig.json --former-marks touched.csv -o {}/rig.json",
     ("register touch", "output"): "register touch --rig rig.json --points touched.csv -o {}/rig.json",
     ("registers", "output"): "registers --format twincat -o {}/client",
     ("replay", "export"): "replay recordings --export {}/copies",
@@ -63,7 +67,8 @@ INPUTS = {
     *(("marks status", name) for name in ("rig", "left", "right")),
     *(("accept", name) for name in ("directory", "rig", "job", "length_job", "sign")),
     *(("study", name) for name in ("directory", "rig", "job")),
-    *((f"register {name}", "rig") for name in ("hand-eye", "self-test", "touch")),
+    *((f"register {name}", "rig") for name in ("hand-eye", "marks", "self-test", "touch")),
+    *(("register marks", name) for name in ("former", "former_marks")),
     *((f"register {name}", part) for name in ("hand-eye", "self-test") for part in ("directory", "poses")),
     ("calibrate", "directory"),
     ("register touch", "points"),
