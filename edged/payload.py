@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from edged.domain.acceptance import Acceptance
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellState, SetupSource
 from edged.domain.events import Command, Registered, Snapshot
@@ -179,6 +180,16 @@ def state_to_json(state: CellState) -> Json:
         if state.setup is SetupSource.NONE
         else {"source": state.setup.name, "by": state.setup_by},
         **({} if state.marks.state is MarksState.NONE else {"marks": state.marks.state.name}),
+        **({} if state.acceptance == Acceptance() else {"acceptance": acceptance_to_json(state.acceptance)}),
+    }
+
+
+def acceptance_to_json(found: Acceptance) -> Json:
+    """The last acceptance test of the cell; whether it is overdue is for the reader's clock to say."""
+    return {
+        "state": found.state(found.made_ns).name,
+        "made_ns": found.made_ns,
+        "due_ns": found.due_ns,
     }
 
 

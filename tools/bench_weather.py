@@ -13,7 +13,8 @@ knocks    0.2 mm and 1 mrad, of one camera and of the rig, once in each draw, at
 hidden    6 of 8 marks covered for an hour, at the steepest hour: sigma before and after, error in sigmas.
 limits    one mark moved, half of the plate bent, another plate, a larger one, all covered.
 rendered  noise and error of dots in drawn pictures.
-price     ms of the filter, and the sigma that a correction adds to a part: it knows the range, not the drift.
+price     ms of the filter, and the sigma that a correction adds to a part: it knows the range, not the drift;
+          beside what a calibration alone leaves.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from bench_accept import calibrated
 from benching import bench_parser, finish
-from helpers.markedday import FRAME, MIDDLE, NOISE_PX, SWING_K, chi2, new_day
+from helpers.markedday import FRAME, MIDDLE, NOISE_PX, SWING_K, chi2, new_day, rim_mm
 
 from edged.domain.arrays import SIDES, FloatArray
 from edged.sim.cell import demo_rig, stereo_views
@@ -32,11 +34,12 @@ from edged.sim.marksplate import marks_plate
 from edged.sim.render.scene import PlacedPart, Scene, Surface, Table
 from edged.sim.weather import DAY_S, Knock
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
+from edged.vision.geometry.uncertainty import calibration_covariance
 from edged.vision.marks.frame import parse_frame
 from edged.vision.marks.measuring import measure_marks
+from edged.vision.marks.observing import DotsInPair
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import teach_marks
-from edged.vision.marks.tracking import DotsInPair
 
 HOUR_S = 3600.0
 
@@ -268,7 +271,7 @@ def rendered(places: int = 12) -> dict[str, float]:
 # --- price ------------------------------------------------------------------------------------------------
 
 
-def price() -> dict[str, float]:
+def price() -> dict[str, object]:
     """Print what marks cost: time, and sigma where nothing drifts."""
     day = new_day(0)
     for at_s in range(30):
@@ -281,11 +284,29 @@ def price() -> dict[str, float]:
         day.filter.updated(day.filter.predicted(day.track, round(31e9) + k), dots)
         times.append(1e3 * (time.perf_counter() - begun))
     filter_ms = float(np.median(times))
-    cameras = day.weather.at(30.0)
-    sigma = 1e3 * np.sqrt(np.median([np.diag(day.part(cameras)[2]) for _ in range(200)], axis=0))
     print(f"\nfilter {filter_ms:.2f} ms of an exposure of 8 marks (median)")
-    print(f"sigma that it adds to a part: X {sigma[0]:.1f}, Y {sigma[1]:.1f}, Z {sigma[2]:.1f} um (median)")
-    return {"filter_ms": filter_ms, "sigma_um": sigma.tolist()}
+    rig = calibrated("right", demo_rig())
+    every = [np.diag(covariance) for covariance in calibration_covariance(rig, MIDDLE + rim_mm())]
+    alone = 1e3 * np.sqrt(np.median(every, axis=0))
+    print(f"\na part of a rig calibrated from 20 views has sigma {_three(alone)} um by that alone")
+    print("| plate | range K | exposures | sigma that the correction adds, um | of it all, % |")
+    print("|---|---|---|---|---|")
+    rows = []
+    cases = (("steel", 10, 30), ("steel", 10, 300), ("invar", 10, 30), ("steel", 2, 30))
+    for material, swing_k, exposures in cases:
+        day = new_day(0, material=material, swing_k=float(swing_k))
+        for at_s in range(exposures):
+            day.expose(float(at_s))
+        cameras = day.weather.at(float(exposures))
+        added = 1e3 * np.sqrt(np.median([np.diag(day.part(cameras)[2]) for _ in range(200)], axis=0))
+        more = 100 * (np.hypot(alone, added) / alone - 1)
+        print(f"| {material} | {swing_k} | {exposures} | {_three(added)} | {_three(more)} |")
+        rows.append({"material": material, "range_k": swing_k, "sigma_um": added.tolist()})
+    return {"filter_ms": filter_ms, "alone_um": alone.tolist(), "added": rows}
+
+
+def _three(values: FloatArray) -> str:
+    return " ".join(f"{value:.1f}" for value in values)
 
 
 def main() -> None:

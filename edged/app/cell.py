@@ -22,6 +22,7 @@ from edged.robot.golden import GoldenPart, golden_of, golden_part, golden_target
 from edged.setup.cellfiles import (
     CellFiles,
     UnfinishedCell,
+    acceptance_of,
     fingerprint,
     golden_parts,
     read_any_cell,
@@ -99,6 +100,7 @@ def _loaded(cell: CellFiles) -> LoadedCell:
         if cell.marks is None
         else rig_marks(rig, cell.marks, config.marks, {job.number: job for job in cell.jobs}),
         others=MarksState.OTHER_CALIBRATION if cell.other_marks else MarksState.NONE,
+        acceptance=cell.acceptance,
     )
     return LoadedCell(cell, rig, setup)
 
@@ -117,14 +119,16 @@ def with_registration(loaded: LoadedCell) -> LoadedCell:
     contents = {**cell.contents, "rig.json": data}
     files = {name: content for name, content in contents.items() if name != "cell.toml"}
     identity = fingerprint(cell.config, files)
+    acceptance = acceptance_of(path, rig)
     setup = replace(
         loaded.setup,
         fingerprint=identity,
+        acceptance=acceptance,
         robot_from_rig=rig.robot_from_rig,
         registration_covariance=rig.registration_covariance,
         flange_from_rig=rig.flange_from_rig,
     )
-    registered = replace(cell, rig=rig, fingerprint=identity, contents=contents)
+    registered = replace(cell, rig=rig, fingerprint=identity, contents=contents, acceptance=acceptance)
     golden = golden_parts(path, rig, cell.jobs)
     return _with_golden_parts(LoadedCell(registered, replace(prepared, rig=rig), setup), golden)
 

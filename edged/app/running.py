@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,7 @@ from edged.app.cameras import CellHead, camera_facts, camera_figures
 from edged.app.cell import LoadedCell
 from edged.cell.cycle import Cycle
 from edged.cell.lease.session import SetupSession
+from edged.domain.acceptance import Acceptance, AcceptanceState
 from edged.domain.marks import MarksState
 from edged.domain.overview import Overview, RigFigures
 from edged.payload import Json, said
@@ -187,6 +189,15 @@ class Running:
                 "marks_right_moved_metres": (
                     "how far the right camera moved",
                     _or_nan(marks.right_mm) / 1000,
+                ),
+            }
+        if (accepted := self.cycle.acceptance) != Acceptance():
+            states = ", ".join(f"{state.value} {state.name}" for state in AcceptanceState)
+            result |= {
+                "acceptance_state": (f"acceptance test: {states}", accepted.state(time.time_ns())),
+                "acceptance_due_seconds": (
+                    "UTC since 1970, when it is due again",
+                    accepted.due_ns / 1e9,
                 ),
             }
         recorder = self.servers.get("recorder")

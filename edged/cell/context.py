@@ -204,6 +204,7 @@ class CellContext:
             setup=self.setup_source if in_setup else SetupSource.NONE,
             setup_by=self.lease.name if in_setup else "",
             marks=self.announced_marks,
+            acceptance=self.setup.acceptance,
         )
         out.tell_state(state, drift, self.setup.calibration_id)
 

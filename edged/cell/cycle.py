@@ -23,6 +23,7 @@ from edged.cell.loaded import Setup
 from edged.cell.measurement import CycleRun
 from edged.cell.registering import Registrar, RobotRegistration
 from edged.cell.tasks import cancel_and_await
+from edged.domain.acceptance import Acceptance
 from edged.domain.cell import CellPhase, DriftState, SetupSource
 from edged.domain.events import (
     REGISTERING,
@@ -147,6 +148,11 @@ class Cycle:
     def drift(self) -> DriftState:
         """The verdict on the calibration, and the means it is based on."""
         return self._cell.drift.state()
+
+    @property
+    def acceptance(self) -> Acceptance:
+        """The last acceptance test of the cell."""
+        return self._cell.setup.acceptance
 
     @property
     def marks(self) -> MarksReport:

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from edged.cell.drift import DriftLimits
+from edged.domain.acceptance import Acceptance
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import SetupSource
 from edged.domain.events import Command, CommandKind
@@ -77,7 +78,7 @@ class Setup:
     flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
     registration_covariance : (6, 6) of robot_from_rig, or of flange_from_rig.
     bounds : where the robot may go, whatever the job. marks : None: nothing is corrected; others : why, where
-    there are reference marks all the same.
+    there are reference marks all the same. acceptance : the last test of the cell.
     """
 
     jobs: Mapping[int, LoadedJob]
@@ -96,6 +97,7 @@ class Setup:
     idle_s: float | None = None
     marks: MarksFollower | None = None
     others: MarksState = MarksState.NONE
+    acceptance: Acceptance = field(default_factory=Acceptance)
 
     def problem(self, command: Command) -> str:
         """Why a command cannot be carried out; "" when it can."""

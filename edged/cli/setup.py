@@ -319,6 +319,78 @@ def golden(
     raise typer.Exit(command(rig, job, left, right, Console()))
 
 
+@app.command()
+def accept(
+    directory: Annotated[
+        Path, typer.Argument(help="folder with still/, pose/ (and truth.csv), length/, robot/touched.csv")
+    ],
+    rig: RigOption,
+    job: Annotated[Path, typer.Option(help="job of the part in still/ and pose/")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="folder for the page and its figures")],
+    length: Annotated[
+        str | None,
+        typer.Option(help="NAME=MM: what is measured in length/, as in `edged verify`, e.g. c0-c1=60"),
+    ] = None,
+    length_job: Annotated[
+        Path | None, typer.Option(help="job of the bar in length/; left out: --job")
+    ] = None,
+    truth_um: Annotated[float, typer.Option(min=0, max=1000, help="one sigma of pose/truth.csv")] = 2.0,
+    robot_um: Annotated[
+        float, typer.Option(min=0.1, max=10_000, help="one sigma of a touch: the robot's accuracy as stated")
+    ] = 50.0,
+    days: Annotated[int, typer.Option(min=1, max=3650, help="until the test is due again")] = 365,
+    by: Annotated[str, typer.Option(help="who made the test")] = "",
+    sign: Annotated[
+        Path | None, typer.Option("--sign", help="private key (Ed25519, PEM): sign acceptance.json")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Test a cell in its own place, and write a page to sign. 0: passed; 1: not, or not whole."""
+    from rich.console import Console
+
+    from edged.commands.accept import Signed, StatedTruth
+    from edged.commands.accept import accept as command
+
+    shown = StatedTruth(length, length_job, truth_um, robot_um, days)
+    console = Console(soft_wrap=True)
+    raise typer.Exit(
+        command(directory, rig, job, output, shown, console, signed=Signed(by, sign), as_json=as_json)
+    )
+
+
+@app.command()
+def study(
+    directory: Annotated[Path, typer.Argument(help="folder with master/, or parts/PART/PERSON/, or both")],
+    rig: RigOption,
+    job: Annotated[Path, typer.Option(help="job of the parts")],
+    size: Annotated[str, typer.Option(help="what is inspected: a circle's name, two as A-B, a measurement")],
+    tolerance: Annotated[str, typer.Option(help="LOW:HIGH, mm")],
+    reference: Annotated[float | None, typer.Option(help="mm: true size of the master")] = None,
+    report: Annotated[Path | None, typer.Option(help="HTML page to write")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Is the cell fit to inspect a size? Capability by a master, gauge R&R by parts. 0: fit; 1: not."""
+    from rich.console import Console
+
+    from edged.commands.study import parse_tolerance
+    from edged.commands.study import study as command
+
+    limits = parse_tolerance(tolerance)
+    raise typer.Exit(
+        command(
+            directory,
+            rig,
+            job,
+            size,
+            limits,
+            Console(soft_wrap=True),
+            reference=reference,
+            report=report,
+            as_json=as_json,
+        )
+    )
+
+
 Material = Literal["steel", "aluminium", "invar", "ceramic", "glass"]
 MaterialOption = Annotated[Material, typer.Option(help="what the marks are on, as [marks] material")]
 
@@ -427,6 +499,25 @@ def register_touch(
     from edged.commands.register import touch as command
 
     raise typer.Exit(command(rig, points, output, limit, as_json, Console(stderr=as_json)))
+
+
+@register.command("marks")
+def register_marks(
+    rig: RigOption,
+    former: Annotated[Path, typer.Option(help="the rig as it was calibrated and registered before")],
+    former_marks: Annotated[Path, typer.Option(help="marks.json that was taught with that one")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
+    limit: Annotated[float, typer.Option(min=0, help="mm: of each mark against all others")] = 0.05,
+) -> None:
+    """Take the robot over to a new calibration by the marks, which were taught with both. 0: saved; 1: not.
+
+    Neither plate nor robot may have moved between both teachings. The new marks.json is beside --rig.
+    """
+    from rich.console import Console
+
+    from edged.commands.register import by_marks as command
+
+    raise typer.Exit(command(rig, former, former_marks, output, limit, Console(soft_wrap=True)))
 
 
 @register.command("hand-eye")

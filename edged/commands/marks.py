@@ -13,7 +13,7 @@ from rich.table import Table
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.errors import CalibrationError, ImageError, UserError
 from edged.files.images import load_image
-from edged.files.marks import marks_file, marks_of, read_marks, save_marks
+from edged.files.marks import keep_old_marks, marks_file, marks_of, read_marks, save_marks
 from edged.files.outputs import check_folder
 from edged.files.pairs import find_pairs
 from edged.files.rig import load_rig
@@ -22,9 +22,10 @@ from edged.payload import marks_to_json
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.correction import shift_by_displacement
 from edged.vision.geometry.rectification import check_size, linear_image
+from edged.vision.marks.observing import DotsInPair
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import TaughtMarks, teach_marks
-from edged.vision.marks.tracking import DotsInPair, MarksFilter, MarksSettings, correction_of
+from edged.vision.marks.tracking import MarksFilter, MarksSettings, correction_of
 
 
 def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
@@ -49,7 +50,15 @@ def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
     except CalibrationError as error:
         raise UserError(f"{directory}: {error}") from error
     with as_owner(rig.resolve().parent) as folder:
+        kept = keep_old_marks(marks_file(folder / rig.name), loaded.calibration_id)
         save_marks(marks_file(folder / rig.name), taught)
+    if kept is not None:
+        console.print(
+            f"the marks of the former calibration are {rig.parent / kept.name} now; edged register marks "
+            "takes the robot over from them",
+            markup=False,
+            soft_wrap=True,
+        )
     sigma = sigma_um(taught, MarksSettings(material))
     console.print(
         f"{marks_file(rig)}: {len(taught.codes)} marks taught of {len(pairs)} exposures, codes "

@@ -21,6 +21,7 @@ from edged.domain.numerals import decimal
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import MAX_DOCUMENT_BYTES, read_bytes
 from edged.files.images import load_image
+from edged.files.marks import marks_file, marks_of, read_marks
 from edged.files.outputs import check_outputs
 from edged.files.pairs import half_of
 from edged.files.rig import load_rig
@@ -31,6 +32,7 @@ from edged.robot.touch import PointRegistration
 from edged.setup.calibration.boards import Stated, boards_in, check_board_shown, stated_boards
 from edged.setup.pairs import Pair, Picture
 from edged.setup.registration.registering import (
+    from_marks,
     from_points,
     from_poses,
     rig_from_board,
@@ -76,6 +78,40 @@ def touch(
     else:
         _tell_saved(output, kept, console)
     return 0 if good else 1
+
+
+def by_marks(
+    rig_path: Path, former_path: Path, former_marks: Path, output: Path, limit_mm: float, console: Console
+) -> int:
+    """Register a rig that was calibrated anew by reference marks of its former calibration; 0 when saved."""
+    check_outputs({"--output": output}, {"--former": former_path, "--former-marks": former_marks})
+    rig, former = load_rig(rig_path), load_rig(former_path)
+    if rig.calibration_id == former.calibration_id:
+        raise UserError(f"--former {former_path}: the same calibration as {rig_path}")
+    place = marks_file(rig_path)
+    now, then = (marks_of(read_marks(path), path, of) for path, of in ((place, rig), (former_marks, former)))
+    for taught, path, of in ((now, place, rig_path), (then, former_marks, former_path)):
+        if taught is None:
+            raise UserError(f"{path}: taught with another calibration than {of} has (edged marks teach)")
+    assert now is not None
+    assert then is not None
+    try:
+        solved = from_marks(rig, now, then, limit_mm)
+    except CalibrationError as error:
+        raise UserError(f"{former_path}: {error}") from error
+    sigma = np.sqrt(np.diag(solved.covariance)[:3])
+    console.print(
+        f"{len(now.codes)} marks: rms {solved.rms_mm:.4f} mm, the farthest {solved.worst} by "
+        f"{solved.worst_mm:.4f} mm; one sigma at the robot's origin {np.max(sigma):.3f} mm"
+    )
+    if not solved.good:
+        console.print(
+            f"over the limit of {limit_mm:g} mm: mark {solved.worst} or the plate was moved between both "
+            "teachings: nothing was saved; register by touch or hand-eye"
+        )
+        return 1
+    _tell_saved(output, save(rig_path, solved.registered, output), console)
+    return 0
 
 
 @dataclass(frozen=True, slots=True)

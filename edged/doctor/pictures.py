@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from edged.app.cameras import camera_facts, camera_gammas, head_of
 from edged.config.configuration import Config
 from edged.doctor.findings import Check, CheckResult
+from edged.doctor.marks import look_at_marks
 from edged.errors import (
     CameraBusy,
     CameraSetupError,
@@ -64,6 +65,7 @@ def take_pictures(config: Config, rig: StereoRig | None) -> Iterator[Check]:
 async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | None) -> list[Check]:
     head = head_of(config.cameras, world)
     times_ms, skews_ms, faults = [], [], list[CaptureError]()
+    marks: list[Check] = []
     sizes = None if rig is None else [(camera.height, camera.width) for camera in (rig.left, rig.right)]
     try:
         await head.open()
@@ -86,6 +88,8 @@ async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | No
                         "calibrate again, or set Width and Height as they were",
                     )
                 ]
+            if not marks:
+                marks += look_at_marks(config, rig, pair)
         facts, gammas = camera_facts(head), camera_gammas(head)
     finally:
         await head.close()
@@ -111,9 +115,10 @@ async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | No
                 _remedy(faults[0]),
             ),
             *lacking,
+            *marks,
             *_responses(rig, gammas),
         ]
-    return [Check("test pictures", CheckResult.OK, text), *lacking, *_responses(rig, gammas)]
+    return [Check("test pictures", CheckResult.OK, text), *lacking, *marks, *_responses(rig, gammas)]
 
 
 def _responses(rig: StereoRig | None, gammas: dict[str, tuple[float, str]]) -> Iterator[Check]:

@@ -6,6 +6,7 @@ import enum
 import math
 from dataclasses import dataclass, field
 
+from edged.domain.acceptance import Acceptance
 from edged.domain.marks import MarksReport
 
 
@@ -59,8 +60,8 @@ class SetupSource(enum.IntEnum):
 class CellState:
     """The daemon's own state, published on change.
 
-    marks : what the reference marks said when that changed last. setup : why it is in SETUP. setup_by :
-    holder of the cell; "" when no lease is held.
+    marks : what the reference marks said when that changed last. acceptance : the last test of
+    the cell. setup : why it is in SETUP. setup_by : holder of the cell; "" when no lease is held.
     """
 
     state: CellPhase
@@ -75,6 +76,7 @@ class CellState:
     setup: SetupSource = SetupSource.NONE
     setup_by: str = ""
     marks: MarksReport = field(default_factory=MarksReport)
+    acceptance: Acceptance = field(default_factory=Acceptance)
 
     @property
     def why(self) -> str:

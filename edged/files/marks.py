@@ -62,6 +62,27 @@ def save_marks(path: Path, taught: TaughtMarks) -> None:
     write_file(path, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
 
 
+def keep_old_marks(path: Path, calibration_id: str) -> Path | None:
+    """Copy marks of another calibration, which are about to be replaced, beside them, under its id.
+
+    They say where the rig of that calibration stood, and so where the robot is (`edged register marks`).
+    Returns the copy, or None where there is nothing to keep.
+    """
+    if not path.is_file():
+        return None
+    data = read_marks(path)
+    try:
+        former = str(json_of(data)["calibration_id"])
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+    if former == calibration_id:
+        return None
+    safe = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "-" for c in former)[:60]
+    kept = path.with_name(f"{path.stem}.{safe}{path.suffix}")
+    write_file(kept, data)
+    return kept
+
+
 def read_marks(path: Path) -> bytes:
     """The bytes of a file of marks. Raises `FileFormatError`."""
     return read_bytes(path, "reference marks", MAX_MARKS_BYTES)

@@ -16,6 +16,7 @@ from edged.cbor import CborBounds
 from edged.codec.codec import FORMAT, Codec
 from edged.config.chosencameras import ChosenCamera
 from edged.domain import (
+    acceptance,
     cell,
     events,
     exposure,
@@ -33,6 +34,8 @@ from edged.plc.ladder import Exchange, Rung
 MOST_BYTES = 256 << 20
 """A message's size: the largest are the files of many jobs."""
 TYPES: tuple[type, ...] = (
+    acceptance.Acceptance,
+    acceptance.AcceptanceState,
     cell.CalibrationHealth,
     cell.CellPhase,
     cell.CellState,

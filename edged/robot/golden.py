@@ -90,7 +90,7 @@ def golden_target(snapshot: Snapshot) -> Target | str:
 
 def _is_finite(target: Target) -> bool:
     """Whether all that an offset is made of is; no such result gets this far, and none may end the daemon."""
-    own, points_mm = _own(target)
+    own, points_mm = own_and_points(target)
     numbers = (target.rig_from_part, target.covariance, own, points_mm)
     return all(bool(np.isfinite(array).all()) for array in numbers)
 
@@ -99,7 +99,7 @@ def golden_of(snapshot: Snapshot, target: Target, job: Job, rig: StereoRig) -> G
     """What is kept of a target in the robot's frame."""
     robot = snapshot.robot_from_rig
     assert robot is not None  # `golden_target` was asked
-    own, points_mm = _own(target)
+    own, points_mm = own_and_points(target)
     return Golden(
         number=job.number,
         job=job.name,
@@ -170,7 +170,7 @@ def offset_of(
     parameters, the golden part. Of a part that looks the same from
     all sides the turn about its axis is the one that turns the robot's path least, and counts as exact.
     """
-    own, points_mm = _own(target)
+    own, points_mm = own_and_points(target)
     rig_from_part = _least_turned(target, golden, robot_from_rig)
     robot_from_part, was = robot_from_rig @ rig_from_part, golden.robot_from_part
     robot = robot_from_part @ invert(was)
@@ -181,7 +181,7 @@ def offset_of(
     if registration is not None:
         to_rig = adjoint(invert(robot_from_rig))
         at_rig = to_rig @ registration @ to_rig.T
-    moved = _without_turn_of(target.free_axis, rig_from_part, _motion_by_parameters(rig, points_mm))
+    moved = _without_turn_of(target.free_axis, rig_from_part, motion_of_points(rig, points_mm))
     parameters = np.zeros((moved.shape[1],) * 2) if rig.covariance is None else rig.covariance
 
     def spread(back: FloatArray, forth: FloatArray) -> FloatArray:
@@ -202,11 +202,11 @@ def offset_of(
 
 def motion_by_parameters(rig: StereoRig, golden: Golden) -> FloatArray:
     """(6, P): the twist, about the rig's origin, by which each of its parameters moves a golden part."""
-    motion = _motion_by_parameters(rig, golden.points_mm)
+    motion = motion_of_points(rig, golden.points_mm)
     return _without_turn_of(golden.free_axis, golden.rig_from_part, motion)
 
 
-def _own(target: Target) -> tuple[FloatArray, FloatArray]:
+def own_and_points(target: Target) -> tuple[FloatArray, FloatArray]:
     """Covariance of what another exposure does not share, and points for what it shares.
 
     The doubt is drawn from this exposure's own rows and sizes, and reference marks were seen anew. Where the
@@ -220,7 +220,7 @@ def _own(target: Target) -> tuple[FloatArray, FloatArray]:
     return own if target.by_marks is None else own + target.by_marks, points_mm
 
 
-def _motion_by_parameters(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
+def motion_of_points(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
     """(6, P): the twist, about the rig's origin, by which each of the rig's parameters moves a part.
 
     That of the rigid motion nearest to how its points move; 0 without points.

@@ -44,7 +44,8 @@ class HandEye:
     rig : robot_from_rig (eye-to-hand) or flange_from_rig (eye-in-hand).
     board : flange_from_board (eye-to-hand) or robot_from_board (eye-in-hand).
     covariance (6, 6) : of a small motion (shift mm, rotation rad) that follows `rig`, from the scatter
-    between poses.  used (N,) bool : poses that were not rejected as outliers.
+    of the fits without each pose; NaN where one of them leaves something open.
+    used (N,) bool : poses that were not rejected as outliers.
     held_out_mm, held_out_rad (N,) : how far each pose is off for a fit of all others; NaN for a lost one.
     """
 
@@ -227,15 +228,23 @@ def _errors_mm(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks
 
 
 def _covariance(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray) -> FloatArray:
-    """From the scatter between poses: the marks of one pose share its error (cluster-robust sandwich)."""
+    """From the scatter of the fits without each pose in turn, to first order; NaN where one of them is open.
+
+    The marks of a pose share its error, so a pose is left out as a whole. The sandwich without leaving out
+    is too small by a factor of 2 in sigma for six poses: each pulls the fit towards itself.
+    Source: B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", 1982, ch. 3.
+    """
     residuals, jacobian = _mismatch(A, B, X, Y, marks)
     n = len(A)
     J, r = jacobian.reshape(n, -1, 12), residuals.reshape(n, -1)
-    bread = np.linalg.inv(np.einsum("nki,nkj->ij", J, J))
+    of_poses = np.einsum("nki,nkj->nij", J, J)
     gradients = np.einsum("nki,nk->ni", J, r)
-    # each pose has six numbers of its own; twelve of them all went into the unknowns
-    correction = 6 * n / max(6 * n - 12, 1)
-    return np.asarray((bread @ (gradients.T @ gradients) @ bread * correction)[:6, :6])
+    try:
+        steps = np.linalg.solve(of_poses.sum(axis=0) - of_poses, gradients[..., None])[:, :6, 0]
+    except np.linalg.LinAlgError:
+        return np.full((6, 6), np.nan)
+    apart = steps - steps.mean(axis=0)
+    return np.asarray((n - 1) / n * apart.T @ apart)
 
 
 def _held_out(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,10 +20,12 @@ from edged.config.cell import MarksSection
 from edged.config.configuration import Config
 from edged.config.reading import config_and_choice, read
 from edged.config.tomltext import toml_of
+from edged.domain.acceptance import Acceptance, AcceptanceState
 from edged.domain.cell import SetupSource
 from edged.domain.golden import GoldenState
 from edged.domain.numerals import json_of
 from edged.errors import ConfigError, FileFormatError, UserError, printable
+from edged.files.acceptance import acceptance_file, load_acceptance
 from edged.files.golden import golden_file, load_golden
 from edged.files.jobs import job_folders, job_of, read_job
 from edged.files.marks import MARKS_NAME, marks_file, marks_of, read_marks
@@ -30,7 +33,7 @@ from edged.files.private import can_close, closing, is_exposed, read_shared_key
 from edged.files.rig import read_rig, rig_of
 from edged.files.secrettext import without_secrets
 from edged.link.summary import FilesInUse
-from edged.robot.golden import GoldenPart, golden_part
+from edged.robot.golden import GoldenPart, golden_part, registration_digest
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.part.job import Job
@@ -65,6 +68,7 @@ class CellFiles:
     golden: Mapping[int, GoldenPart] = field(default_factory=dict)
     marks: TaughtMarks | None = None
     other_marks: bool = False
+    acceptance: Acceptance = field(default_factory=Acceptance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +126,18 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
     if rig is None or rectification is None or problems:
         raise ConfigError(str(path), problems)
     golden = golden_parts(config.cell.rig, rig, jobs)
-    return CellFiles(config, rig, rectification, tuple(jobs), identity, contents, golden, marks, other_marks)
+    acceptance = acceptance_of(config.cell.rig, rig)
+    return CellFiles(
+        config, rig, rectification, tuple(jobs), identity, contents, golden, marks, other_marks, acceptance
+    )
+
+
+def acceptance_of(path: Path, rig: StereoRig) -> Acceptance:
+    """The last acceptance test beside a rig; a file that cannot be read keeps no cell from measuring."""
+    try:
+        return load_acceptance(acceptance_file(path), rig.calibration_id, registration_digest(rig))
+    except FileFormatError:
+        return Acceptance(wrong=AcceptanceState.DAMAGED)
 
 
 def files_in_use(cell: CellFiles | UnfinishedCell) -> FilesInUse:
@@ -207,6 +222,15 @@ class ExposedSecret:
         return f"{self.place}: every user of this machine may read {self.file}: {self.remedy}"
 
 
+UNACCEPTED = {
+    AcceptanceState.FAILED: "the cell did not pass its last test",
+    AcceptanceState.OVERDUE: "the cell is to be tested again",
+    AcceptanceState.OTHER_RIG: "the rig was calibrated or registered anew since the cell was tested",
+    AcceptanceState.DAMAGED: "it cannot be read, so nothing is known of the last test",
+}
+"""What is to be done about a last acceptance test."""
+
+
 def doubts(cell: CellFiles) -> list[str]:
     """What a person should look at before results are trusted; none of it keeps a cell from measuring."""
     rig, said = cell.rig, []
@@ -228,6 +252,8 @@ def doubts(cell: CellFiles) -> list[str]:
             f"{MARKS_NAME}: taught with another calibration: results are not corrected until the marks are "
             "taught again (edged marks teach)"
         )
+    if (state := cell.acceptance.state(time.time_ns())) in UNACCEPTED:
+        lines.append(f"acceptance.json: {state.name}: {UNACCEPTED[state]} (edged accept)")
     for number, part in sorted(cell.golden.items()):
         if part.why:
             place = f"golden/{number}.json: {part.state.name}"

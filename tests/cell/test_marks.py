@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.markedcell import marked_cell, pair_at, prepared, teach
+from helpers.markedcell import STILL, marked_cell, pair_at, prepared, teach
 from helpers.schema_check import load_schema, violations
 from helpers.scriptedhead import Ear, Head, locate_command, running
 from helpers.waiting import until
@@ -24,7 +24,10 @@ from edged.adapters.modbus import ModbusSettings
 from edged.adapters.modbus.cell import CellRegisters
 from edged.app.cell import LoadedCell, load_cell
 from edged.cell.cycle import Cycle
+from edged.cell.twoexposures import MOST_MOVED_PX
 from edged.commands.replay import replay
+from edged.domain.arrays import SIDES
+from edged.domain.cell import CellPhase
 from edged.domain.events import Basis, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.marks import MarksState
@@ -32,10 +35,11 @@ from edged.domain.measurement import Reject, Status
 from edged.files import recording
 from edged.files.marks import marks_file
 from edged.payload import snapshot_to_json
+from edged.pictures.twoexposures import merge_exposures
 from edged.pipeline import locate, prepare
 from edged.plc import registers as reg
-from edged.sim.cell import VirtualCell
-from edged.sim.weather import Knock, Schedule
+from edged.sim.cell import DEMO_MARKS, VirtualCell, demo_part, demo_rig, inside
+from edged.sim.weather import Knock, Schedule, Weather
 
 COLD = Schedule(((0.0, 0.0), (1e-9, -8.0)))
 """Eight kelvin colder at once: the cameras follow within the hour."""
@@ -223,3 +227,59 @@ def test_marks_of_another_calibration_correct_nothing_and_say_so(tmp_path: Path)
     (snapshot,) = measured(loaded, drifted()[1][:1])
     assert (MarksState.OTHER_CALIBRATION, None) == (snapshot.marks.state, snapshot.marks_before)
     assert snapshot.marks.valid
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("knocked", ["heal", "refuse"])
+def test_a_knock_in_setup_is_found_by_the_first_exposure_after_it(tmp_path: Path, knocked: str) -> None:
+    """What a person took in SETUP moves no track; results come after three exposures that agree, or never."""
+    files = prepared(tmp_path, f'\n[marks]\non_knock = "{knocked}"\n')
+    teach(files)
+    cell = marked_cell(Knock(50.0, "left", (0.2, 0.0, 0.0)))
+    seconds = (0, 60, 61, 62, 63, 64, 65, 66)
+    pairs, ear = [pair_at(cell, second) for second in seconds], Ear()
+    setup = replace(load_cell(files.config).setup, period_s=None)
+
+    async def main() -> None:
+        cycle = Cycle(Reel(pairs), setup)
+        async with running(cycle, ear):
+
+            async def located(number: int) -> None:
+                command = locate_command(number)
+                cycle.submit(command)
+                await until(lambda: ear.answers(command))
+
+            await located(1)
+            token = await cycle.session.enter_setup("Anna")
+            await cycle.session.capture(token)
+            await cycle.session.leave_setup(token)
+            await until(lambda: ear.state() is CellPhase.READY)
+            for number in range(2, 7):
+                await located(number)
+
+    asyncio.run(main())
+    states = [(snapshot.marks.state, snapshot.status is Status.OK) for snapshot in ear.snapshots()]
+    assert states[0] == (MarksState.CORRECTED, True)
+    assert states[1:4] == [(MarksState.KNOCKED, False)] * 3
+    after = (MarksState.CORRECTED, True) if knocked == "heal" else (MarksState.KNOCKED, False)
+    assert states[4:] == [after] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hit", ["left", "right", "rig"])
+def test_a_knock_between_two_exposures_of_one_cycle_is_no_picture(hit: str) -> None:
+    """Merged, the marks would be seen twice: both exposures do not show the same, which is a fault."""
+    rig = demo_rig()
+    lies = replace(inside(DEMO_MARKS), shift_mm=(0.0, 0.0), depth_mm=0.0, tilt_rad=0.0, turn_rad=0.0)
+    weather = Weather(rig, STILL, (Knock(1.5, hit, (0.2, 0.0, 0.0)),), 3)
+    cell = VirtualCell(rig, demo_part(), seed=3, marks=DEMO_MARKS, weather=weather, motion=lies)
+    pair_at(cell, 0)
+    long, short = pair_at(cell, 1), pair_at(cell, 2)
+    merged = [
+        merge_exposures(long.side(side).image, np.round(short.side(side).image / 4.0).astype(np.uint8), 4.0)
+        for side in SIDES
+    ]
+    assert max(picture.moved_px for picture in merged) > MOST_MOVED_PX
+    still = pair_at(cell, 3)
+    again = merge_exposures(short.left.image, np.round(still.left.image / 4.0).astype(np.uint8), 4.0)
+    assert again.moved_px < MOST_MOVED_PX

@@ -25,6 +25,7 @@ Command = Callable[[str], tuple[int, list[str]]]
 TEACH = "teach --rig rig.json --left left.png --right right.png --name new"
 LOCATE = "locate --rig rig.json --job jobs/flange left.png right.png"
 OUTPUTS = {
+    ("accept", "output"): "accept pictures --rig rig.json --job jobs/flange -o {}/out",
     ("backup", "output"): "backup cell.toml -o {}/cell.tar.gz",
     ("board", "output"): "board chessboard:11x8:15 -o {}/board.pdf",
     ("calibrate", "output"): f"calibrate pictures --board {SPEC} -o {{}}/rig.json",
@@ -37,12 +38,18 @@ OUTPUTS = {
     ("locate", "ply"): f"{LOCATE} --ply {{}}/cloud.ply",
     ("register hand-eye", "output"): "register hand-eye pictures --rig rig.json --poses poses.csv "
     f"--board {SPEC} --brand kuka -o {{}}/rig.json",
+    (
+        "register marks",
+        "output",
+    ): "register marks --rig rig.json --former rig.json --former-marks touched.csv -o {}/rig.json",
     ("register touch", "output"): "register touch --rig rig.json --points touched.csv -o {}/rig.json",
     ("registers", "output"): "registers --format twincat -o {}/client",
     ("replay", "export"): "replay recordings --export {}/copies",
     ("replay", "overlays"): "replay recordings --overlays {}/pictures",
     ("restore", "output"): "restore cell.tar.gz -o {}/cell",
     ("rig convert", "target"): "rig convert rig.json {}/rig.yaml --to opencv",
+    ("study", "report"): "study pictures --rig rig.json --job jobs/flange --size c0 --tolerance 1:2 "
+    "--report {}/study.html",
     ("teach", "output"): f"{TEACH} -o {{}}/new",
     ("teach", "report"): f"{TEACH} -o new --report {{}}/new.html",
 }
@@ -58,9 +65,10 @@ INPUTS = {
     *((name, side) for name in ("golden", "grasp touch", "locate", "verify") for side in ("left", "right")),
     *(("marks teach", name) for name in ("rig", "directory")),
     *(("marks status", name) for name in ("rig", "left", "right")),
-    ("backup", "sign"),
-    ("restore", "verify"),
-    *((f"register {name}", "rig") for name in ("hand-eye", "self-test", "touch")),
+    *(("accept", name) for name in ("directory", "rig", "job", "length_job", "sign")),
+    *(("study", name) for name in ("directory", "rig", "job")),
+    *((f"register {name}", "rig") for name in ("hand-eye", "marks", "self-test", "touch")),
+    *(("register marks", name) for name in ("former", "former_marks")),
     *((f"register {name}", part) for name in ("hand-eye", "self-test") for part in ("directory", "poses")),
     ("calibrate", "directory"),
     ("register touch", "points"),

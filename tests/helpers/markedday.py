@@ -17,9 +17,10 @@ from edged.vision.geometry.rigid import apply, rotation_matrix
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.marks.frame import CODE_AWAY, MarkFrame, parse_frame
 from edged.vision.marks.measuring import PlacedMarks
+from edged.vision.marks.observing import DotsInPair
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import TaughtMarks, taught_of
-from edged.vision.marks.tracking import DotsInPair, MarksFilter, MarksSettings, correction_of
+from edged.vision.marks.tracking import MarksFilter, MarksSettings, correction_of
 
 FRAME = "60x52:8:2:40"
 MIDDLE = np.array([7.0, 0.0, 207.9])

@@ -220,6 +220,18 @@ def test_the_doubt_of_hand_eye_is_honest() -> None:
     assert np.mean(held) < 0.2
 
 
+def test_a_hand_eye_of_few_poses_says_how_little_it_knows() -> None:
+    """Of six poses, too, the squared error over the stated variance is about 1, never a multiple of it."""
+    rng, ratios = np.random.default_rng(11), []
+    for _ in range(60):
+        told, seen, X, _ = poses(rng, 6, sigma_mm=0.05, sigma_rad=0.0005)
+        found = hand_eye(told, seen, BOARD_MM, "eye-to-hand", hold_out=False)
+        error = found.rig @ invert(X)
+        step = np.concatenate([error[:3, 3], rotation_vector(error[:3, :3])])
+        ratios.append(np.mean(step**2 / np.diag(found.covariance)))
+    assert 0.3 < np.mean(ratios) < 1.6
+
+
 def _skew(v: FloatArray) -> FloatArray:
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0.0]])
 

@@ -312,6 +312,9 @@ async def test_an_acknowledged_result_falls_everywhere_in_one_write(
         assert [("X", NO_DATA), ("Latest", NO_DATA)] == [(name, code) for name, _, code in notes.changes[2:]]
         bits = await register(client, "status", "STATUS_BITS")
         assert not bits & reg.StatusBit.RESULT_VALID
+        # what holds without a result stays
+        assert 0 == await register(client, "reference marks", "M_STATE")
+        assert reg.INT32_MIN == await register(client, "acceptance", "A_DAYS")
         _, data, error = await client.get_node(RESULTS).call_method(
             "2:GetResultById", ua.ResultIdDataType(), ua.Variant(0, I32)
         )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 import struct
+import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from edged.adapters.modbus.pdu import DEVICE_BUSY, ILLEGAL_ADDRESS, ILLEGAL_VALUE, RequestRefused
 from edged.adapters.modbus.settings import MAP_END, ModbusSettings
 from edged.cell.ages import ExposureClock
+from edged.domain.acceptance import Acceptance
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import (
@@ -46,6 +48,8 @@ from edged.ports import Commander
 from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
 
+ACCEPTANCE_S = 60.0
+"""How old the block of the acceptance test may be: it counts days."""
 NOBODYS = -1
 """Ticket of a command that has ended, or that another client submitted."""
 VERDICTS = {
@@ -119,6 +123,7 @@ class CellRegisters:
         self.ladder = Ladder(self.addresses)
         self._place_basis()
         self._place(reg.REFERENCE_MARKS, reg.marks_values(MarksReport()))
+        self._accepted_until_s = 0.0  # when the block of the acceptance test is made anew
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
         self._change: asyncio.Future[None] | None = None
 
@@ -175,6 +180,10 @@ class CellRegisters:
             self._place_result(valid, hs.is_as_published(self._state, now_s))
         self._place(reg.BITS, self._bits(valid, int(status["STATUS_BITS"])))
         self._place_ur_status(status)
+        if now_s >= self._accepted_until_s:
+            self._accepted_until_s = now_s + ACCEPTANCE_S
+            found = Acceptance() if self._cell is None else self._cell.acceptance
+            self._place(reg.ACCEPTANCE, reg.acceptance_values(found, time.time_ns()))
         if not self._are_jobs_placed:
             self._are_jobs_placed, jobs = True, self._jobs()
             for index, block in enumerate(reg.JOBS):
@@ -414,7 +423,7 @@ class CellRegisters:
                     self._step(ev.CycleBegun(), now_s)
                 if self._cell is None or self._cell.marks != event.marks:  # else a snapshot's are newer
                     self._place(reg.REFERENCE_MARKS, reg.marks_values(event.marks))
-                self._cell = event
+                self._cell, self._accepted_until_s = event, 0.0
                 if event.state is CellPhase.SETUP:
                     self._step(ev.Suspended(event.setup is SetupSource.ROBOT), now_s)
                 elif self._state.suspended and event.state is not CellPhase.STOPPING:

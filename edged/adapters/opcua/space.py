@@ -65,7 +65,10 @@ OPTIONAL = frozenset(
     }
 )
 """Optional parts of the specification that a cell has."""
-LASTING_BLOCKS = (reg.CONSTANTS, reg.COMMAND, reg.STATUS, reg.COUNTERS, *reg.JOBS)
+LASTING_BLOCKS = (
+    *(reg.CONSTANTS, reg.COMMAND, reg.STATUS, reg.COUNTERS),
+    *(*reg.JOBS, reg.REFERENCE_MARKS, reg.ACCEPTANCE),
+)
 """Every other block shows a result, and is hidden when it expires."""
 VARIANTS = {
     reg.Kind.U16: ua.VariantType.UInt16,

@@ -9,6 +9,7 @@ half of two results: sequence head and tail and the CRC of a block belong to one
 
 from edged.plc.registers.codec import CRC_START, crc16, decode, encode
 from edged.plc.registers.layout import (
+    ACCEPTANCE,
     ADDRESS,
     AXES,
     BITS,
@@ -58,6 +59,7 @@ from edged.plc.registers.values import (
     PREFIXES,
     Pose,
     RegisterResult,
+    acceptance_values,
     basis_values,
     constant_values,
     counted,

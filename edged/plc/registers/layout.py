@@ -6,6 +6,7 @@ register per axis, in the first unit for lengths and in the second for angles.
 
 from __future__ import annotations
 
+from edged.domain.acceptance import AcceptanceState
 from edged.domain.cell import SetupSource
 from edged.domain.events import CommandKind
 from edged.domain.golden import GoldenState
@@ -361,13 +362,23 @@ REFERENCE_MARKS = make_block(
     """,
 )
 
+ACCEPTANCE = make_block(
+    "acceptance",
+    1390,
+    f"""
+    A_STATE           u16 - {list_codes(AcceptanceState)}
+    A_DAYS            i32 - days until the test is due again, negative since; 32768, 0: none was made
+    A_DUE             u32 s UTC since 1970, when it is due; 0: none was made
+    """,
+)
+
 JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
 BLOCKS = (
     *(CONSTANTS, COMMAND, STATUS),
     *(RESULT, UR, UR_GRASP, FLOAT, BITS, GRASP, REGISTRATION),
-    *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET, REFERENCE_MARKS),
+    *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET, REFERENCE_MARKS, ACCEPTANCE),
 )
 ROWS = (TABLE, JOBS)
 """Blocks that repeat, row by row."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from edged.domain.acceptance import Acceptance
 from edged.domain.arrays import FloatArray
 from edged.domain.events import Basis, CommandKind, Snapshot
 from edged.domain.golden import Offset
@@ -486,6 +487,17 @@ def marks_values(report: MarksReport) -> dict[str, Number]:
         "M_FIT": _saturated(report.fit, 0.01),
         "M_LEFT": _saturated(report.left_mm, 1e-4),
         "M_RIGHT": _saturated(report.right_mm, 1e-4),
+    }
+
+
+def acceptance_values(found: Acceptance, now_ns: int) -> dict[str, Number]:
+    """Values of the block of the acceptance test, at a time, UTC."""
+    if found == Acceptance():
+        return {"A_STATE": 0, "A_DAYS": INT32_MIN, "A_DUE": 0}
+    return {
+        "A_STATE": found.state(now_ns),
+        "A_DAYS": found.days_left(now_ns) if found.made_ns else INT32_MIN,
+        "A_DUE": min(found.due_ns // 10**9, UINT32_MAX),
     }
 
 

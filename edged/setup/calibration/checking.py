@@ -114,7 +114,7 @@ def by_part(
     if not measured:
         return Finding("UNDECIDED", math.nan, (), f"the part was not measured: {outcome.status}")
     target = undoubted(measured[0], rig.baseline_mm)
-    lengths = tuple(_length_of(target, name, true_mm) for name, true_mm in known.items())
+    lengths = tuple(length_of(target, name, true_mm) for name, true_mm in known.items())
     return _judged(target.epipolar_rms_px, lengths, limits, None)
 
 
@@ -145,7 +145,7 @@ def _judged(
     return Finding("UNDECIDED" if "UNDECIDED" in verdicts else "OK", epipolar_px, lengths, "", board)
 
 
-def _length_of(target: Target, name: str, true_mm: float) -> Length:
+def length_of(target: Target, name: str, true_mm: float) -> Length:
     """A measurement of the job, a circle's diameter, or the distance of two circles' centres."""
     circles = {circle.name: circle for circle in target.circles}
     for measurement in target.measurements:

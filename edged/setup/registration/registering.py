@@ -7,12 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray
-from edged.errors import UserError
+from edged.errors import CalibrationError, UserError
 from edged.files.rig import keep_old_rig, load_rig_quality, save_rig
+from edged.robot.covariance import adjoint
+from edged.robot.golden import motion_of_points
 from edged.robot.handeye import HandEye, Mount, hand_eye
 from edged.robot.orientations import LENGTH_UNITS_MM, READINGS
 from edged.robot.readings import PoseReading, rank_readings
@@ -22,7 +25,13 @@ from edged.vision.boards.board import NominalBoard, NotDetected, StereoView
 from edged.vision.boards.detection import detect_board
 from edged.vision.calibration.verification import pose_of_board
 from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rigid import fit_rigid, skew
 
+if TYPE_CHECKING:  # as in `files.marks`
+    from edged.vision.marks.taught import TaughtMarks
+
+MIN_COMMON = 6
+"""Marks that two teachings must have in common: with fewer none that was moved could be told."""
 DECIDED = 3.0
 """A reading that fits so many times better than the next is the right one."""
 
@@ -69,6 +78,23 @@ class FromPoses:
             return None
         among = np.where(used & (not used.all()), np.nan, held)
         return int(np.nanargmax(among)) if np.isfinite(among).any() else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FromMarks:
+    """What reference marks say of a rig that was calibrated anew.
+
+    covariance (6, 6) : as of a rig; NaN where the former one was not known. worst : code of the mark that is
+    farthest, by worst_mm, from where the others have it.  good : within the limit.
+    """
+
+    robot_from_rig: FloatArray
+    covariance: FloatArray
+    worst: int
+    worst_mm: float
+    rms_mm: float
+    good: bool
+    registered: RegisteredRig
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +171,48 @@ def from_poses(
         "held_out_rms_mm": round(rms_mm, 4),
     }
     return FromPoses(found, rms_mm, rms_mm <= limit_mm, _known(registered, found.covariance, how))
+
+
+def from_marks(rig: StereoRig, taught: TaughtMarks, former: TaughtMarks, limit_mm: float) -> FromMarks:
+    """Register a rig that was calibrated anew by the reference marks that both calibrations saw.
+
+    taught, former : the same plate, which stood still between both teachings. limit_mm : how far places may
+    differ. Raises `CalibrationError`.
+    """
+    robot_from_former = former.rig.robot_from_rig
+    if robot_from_former is None:
+        raise CalibrationError("the former rig is not registered to a robot that does not carry it")
+    common = [code for code in taught.codes if code in former.codes]
+    if len(common) < MIN_COMMON:
+        raise CalibrationError(f"{len(common)} marks are in both teachings, {MIN_COMMON} are needed")
+    now, then = (
+        marks.placed.places_mm[[marks.codes.index(code) for code in common]] for marks in (taught, former)
+    )
+    fit = fit_rigid(now, then)
+    robot_from_rig = robot_from_former @ fit.to_from_source
+    away = np.linalg.norm(fit.residuals_mm, axis=1)
+    about = np.eye(6)  # a fit states the shift of the rig's origin
+    about[:3, 3:] = skew(fit.to_from_source[:3, 3])
+    to_robot = adjoint(robot_from_former)
+    covariance = to_robot @ about @ fit.covariance @ about.T @ to_robot.T
+    for seen, frame, points in ((former.rig, robot_from_former, then), (rig, robot_from_rig, now)):
+        if seen.covariance is not None:  # what each calibration has wrong moves the marks as it moves parts
+            moved = adjoint(frame) @ motion_of_points(seen, points)
+            covariance = covariance + moved @ seen.covariance @ moved.T
+    known = former.rig.registration_covariance
+    covariance = np.full((6, 6), np.nan) if known is None else covariance + known
+    worst = int(np.argmax(away))
+    how = {"how": "reference marks", "marks": len(common), "from": former.rig.calibration_id}
+    registered = replace(rig, robot_from_rig=robot_from_rig, flange_from_rig=None)
+    return FromMarks(
+        robot_from_rig,
+        covariance,
+        common[worst],
+        float(away[worst]),
+        float(np.sqrt(np.mean(away**2))),
+        bool(away[worst] <= limit_mm),
+        _known(registered, covariance, how),
+    )
 
 
 def which_convention(

@@ -39,6 +39,7 @@ from edged.config.configuration import Config
 from edged.config.tomltext import toml_of
 from edged.domain.numerals import json_of
 from edged.errors import FileFormatError, UserError
+from edged.files.acceptance import acceptance_file
 from edged.files.atomic import read_bytes, replace_folder
 from edged.files.golden import golden_file
 from edged.files.marks import marks_file
@@ -233,6 +234,8 @@ def _collect(path: Path, config: Config, parts: Parts) -> tuple[dict[str, bytes]
         left_out["golden"] = str(golden)  # it belongs to the path that the robot was taught
     if (marks := marks_file(config.cell.rig)).is_file():
         left_out["marks"] = str(marks)  # they belong to the plate as it stands there
+    if (accepted := acceptance_file(config.cell.rig)).is_file():
+        left_out["acceptance"] = str(accepted)  # what was restored elsewhere was not tested there
     if config.cameras.folder is not None:
         left_out["cameras.folder"] = str(config.cameras.folder)
     return files, left_out

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -33,6 +32,7 @@ from edged.vision.geometry.correction import (
 )
 from edged.vision.geometry.rigid import rotation_matrix, skew
 from edged.vision.marks.measuring import SeenDots, measure_marks, rough_dots, search_marks
+from edged.vision.marks.observing import DotsInPair, ObservedDots, chance_limit, expected_dots
 from edged.vision.marks.params import EXPANSION_PER_K, MARKS
 from edged.vision.marks.taught import TaughtMarks
 
@@ -53,20 +53,6 @@ class MarksSettings:
     material: str = "steel"
     range_k: float = 10.0
     heals: bool = True
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DotsInPair:
-    """What both pictures show: pixels (2, N, 2), sigma_px (2, N), NaN where a dot was not seen.
-
-    strange : codes in the pictures that were not taught; known only after a search. twice : of those taught
-    that are there more than once.
-    """
-
-    pixels: FloatArray
-    sigma_px: FloatArray
-    strange: tuple[int, ...] = ()
-    twice: tuple[int, ...] = ()
 
 
 class MarksFilter:
@@ -128,8 +114,8 @@ class MarksFilter:
         marks = np.flatnonzero(seen.any(axis=0))
         if not len(marks):
             return self._coasting(track, dots, None, marks)
-        every = _Observed.of(self, track, dots, marks)
-        if every.misfit <= _most(every.count):
+        every = self._observed(track, dots, marks)
+        if every.misfit <= chance_limit(every.count):
             return self._agreed(track, dots, every, marks, ())
         few, kept = self._without_wrong(track, dots, marks)
         for hit in (SIDES[:1], SIDES[1:], SIDES):
@@ -152,7 +138,7 @@ class MarksFilter:
         self,
         track: MarksTrack,
         dots: DotsInPair,
-        observed: _Observed,
+        observed: ObservedDots,
         marks: IntArray,
         excluded: tuple[int, ...],
     ) -> tuple[MarksTrack, MarksReport]:
@@ -185,9 +171,11 @@ class MarksFilter:
         self, track: MarksTrack, dots: DotsInPair, fit: float | None, marks: IntArray
     ) -> tuple[MarksTrack, MarksReport]:
         """Too few marks are seen. Codes of another plate are no weather."""
-        if dots.strange and not len(marks):
-            shown = ", ".join(map(str, dots.strange[:8]))
+        if not len(marks) and (dots.strange or len(dots.unlike) >= MARKS.min_of_camera):
+            shown = ", ".join(map(str, (dots.strange or dots.unlike)[:8]))
             why = f"another plate: codes {shown} were not taught here"
+            if not dots.strange:
+                why = f"another plate, or covered dots: at codes {shown} there is none of the taught size"
             return track, replace(self._report(track, MarksState.CONTRADICTED, marks, fit, why), valid=False)
         state, why = MarksState.COASTING, f"{len(marks)} of {len(self.taught.codes)} marks are seen"
         report = self._report(track, MarksState.KNOCKED if track.knocked else state, marks, fit, why)
@@ -203,7 +191,7 @@ class MarksFilter:
         hit: Sequence[Side],
     ) -> tuple[MarksTrack, MarksReport]:
         excluded = self._codes(np.setdiff1d(marks, agreeing))
-        observed = _Observed.of(self, moved, dots, agreeing)
+        observed = self._observed(moved, dots, agreeing)
         fit = observed.misfit / observed.count
         whole = self._as_a_whole(track, dots, agreeing) if len(hit) > 1 else None
         why = _refused(self.taught, moved, whole)
@@ -225,10 +213,10 @@ class MarksFilter:
         The plate may lie elsewhere (as it seems when the rig was moved), and be of another size.
         """
         taught = self.taught
-        observed = _Observed.of(self, track, dots, marks)
+        observed = self._observed(track, dots, marks)
         middle = taught.world_from_marks[:3, 3]
         arms, shift, turned = taught.placed.places_mm - middle, np.zeros(3), np.eye(3)
-        growth, weights = 0.0, np.linalg.inv(observed.factor @ observed.factor.T)
+        growth, weights = 0.0, observed.root.T @ observed.root
         for _ in range(_STEPS):
             moved = (1.0 + growth) * arms @ turned.T
             difference, rows = [], []
@@ -246,9 +234,14 @@ class MarksFilter:
             turned, shift = rotation_matrix(step[:3]) @ turned, shift + step[3:6]
             growth += float(step[6])
         left_over = left_over - slopes @ step
-        if float(left_over @ weights @ left_over) > _most(observed.count):
+        if float(left_over @ weights @ left_over) > chance_limit(observed.count):
             return None
         return growth, math.sqrt(inverse[6, 6])
+
+    def _observed(
+        self, track: MarksTrack, dots: DotsInPair, marks: IntArray, at: FloatArray | None = None
+    ) -> ObservedDots:
+        return ObservedDots.of(self.taught, self.considered, track, dots, marks, at)
 
     def _waiting(self, track: MarksTrack) -> int:
         return MARKS.consistent if track.knocked else track.wait
@@ -266,13 +259,13 @@ class MarksFilter:
 
     def _without_wrong(
         self, track: MarksTrack, dots: DotsInPair, marks: IntArray
-    ) -> tuple[_Observed | None, IntArray]:
+    ) -> tuple[ObservedDots | None, IntArray]:
         """Leave out, one by one, the mark without which the others agree best; None where none agree."""
         kept = marks
         while len(kept) > MARKS.min_of_camera:
-            kept = np.delete(kept, _Observed.of(self, track, dots, kept).worst(kept))
-            observed = _Observed.of(self, track, dots, kept)
-            if observed.misfit <= _most(observed.count):
+            kept = np.delete(kept, self._observed(track, dots, kept).worst(kept))
+            observed = self._observed(track, dots, kept)
+            if observed.misfit <= chance_limit(observed.count):
                 return observed, kept
         return None, kept[:0]
 
@@ -294,9 +287,9 @@ class MarksFilter:
         while len(kept) >= MARKS.min_agreeing:
             at = prior
             for _ in range(_STEPS):
-                observed = _Observed.of(self, prior, dots, kept, at.displacement)
+                observed = self._observed(prior, dots, kept, at.displacement)
                 at = observed.applied(prior)
-            if observed.misfit <= _most(observed.count):
+            if observed.misfit <= chance_limit(observed.count):
                 return at, kept
             kept = np.delete(kept, observed.worst(kept))
         return None, kept[:0]
@@ -318,7 +311,7 @@ class MarksFilter:
             return _both(seen), replace(track, searched=track.searched - 1)
         dots = self._searched(images, seen)
         again = min(int(np.isfinite(pixels).all(axis=1).sum()) for pixels in dots.pixels)
-        if again > found:
+        if again > found or dots.strange or dots.unlike:  # what another plate is must be said each time
             return dots, replace(track, searched=0, blank=0)
         blank = min(2 * track.blank + 1, MARKS.farthest_search)
         return dots, replace(track, searched=blank, blank=blank)
@@ -326,11 +319,10 @@ class MarksFilter:
     def _searched(self, images: tuple[Image, Image], seen: list[SeenDots]) -> DotsInPair:
         """Dots found anywhere, in place of those not seen."""
         codes, both = self.taught.codes, []
-        strange, twice = set[int](), set[int]()
+        strange, unlike = set[int](), set[int]()
         for image, look, dots in zip(images, self.taught.looks, seen, strict=True):
             found = search_marks(image)
             strange |= set(found.codes) - set(codes)
-            twice |= set(found.twice) & set(codes)
             near = np.full((len(codes), 2), np.nan)
             for code, centre in zip(found.codes, found.centres_px, strict=True):
                 if code in codes:
@@ -338,114 +330,23 @@ class MarksFilter:
             near[np.isfinite(dots.sigma_px)] = np.nan
             more = measure_marks(image, look, rough_dots(image, look, near))
             is_new = np.isfinite(more.sigma_px)
+            lost = np.isfinite(near).all(axis=1) & ~is_new
+            unlike |= {codes[index] for index in np.flatnonzero(lost)}
             both.append(
                 SeenDots(
                     np.where(is_new[:, None], more.pixels, dots.pixels),
                     np.where(is_new, more.sigma_px, dots.sigma_px),
                 )
             )
-        return replace(_both(both), strange=tuple(sorted(strange)), twice=tuple(sorted(twice)))
+        return replace(
+            _both(both),
+            strange=tuple(sorted(strange)),
+            unlike=tuple(sorted(unlike)),
+        )
 
     def expected_px(self, displacement: FloatArray) -> FloatArray:
         """(2, N, 2) where the dots should be seen."""
-        return _seen(self.taught, displacement.tobytes())[0]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Observed:
-    """Chosen dots against a track: innovation (M,) and its covariance, and what they are worth.
-
-    slopes (M, 14).  rows (M,) : of the considered places.  factor (M, M) : Cholesky of the covariance.
-    """
-
-    innovation: FloatArray
-    factor: FloatArray
-    gain: FloatArray
-    slopes: FloatArray
-    rows: IntArray
-    considered: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        tracker: MarksFilter,
-        track: MarksTrack,
-        dots: DotsInPair,
-        marks: IntArray,
-        at: FloatArray | None = None,
-    ) -> _Observed:
-        """Dots of some marks, linearised at a displacement: the track's own, or `at`."""
-        taught, considered = tracker.taught, tracker.considered
-        here = track.displacement if at is None else at
-        count = len(taught.codes)
-        expected, slopes = _seen(taught, here.tobytes())
-        difference = dots.pixels - expected
-        chosen = np.zeros((2, count, 2), bool)
-        chosen[:, marks] = np.isfinite(dots.pixels[:, marks])
-        rows = np.flatnonzero(chosen)
-        H = slopes.reshape(-1, DISPLACEMENT)[rows]
-        innovation = difference.reshape(-1)[rows] - H @ (track.displacement - here)
-        sigma = taught.noise * np.hypot(dots.sigma_px, MARKS.noise_px)
-        noise = np.repeat(sigma.reshape(-1) ** 2, 2)[rows]
-        HC = H @ track.cross[:, rows]
-        S = H @ track.covariance @ H.T + HC + HC.T + considered[np.ix_(rows, rows)] + np.diag(noise)
-        factor = np.asarray(np.linalg.cholesky(S))
-        gain = track.covariance @ H.T + track.cross[:, rows]
-        return cls(innovation, factor, gain, H, rows, considered)
-
-    @property
-    def count(self) -> int:
-        """Coordinates."""
-        return len(self.innovation)
-
-    @property
-    def misfit(self) -> float:
-        """chi² of the innovation."""
-        whitened = np.linalg.solve(self.factor, self.innovation)
-        return float(whitened @ whitened)
-
-    def applied(self, track: MarksTrack) -> MarksTrack:
-        """The track with what these dots say; the considered places stay as they are."""
-        whitened = np.linalg.solve(self.factor, self.gain.T).T  # K S^(1/2)
-        K = np.linalg.solve(self.factor.T, whitened.T).T
-        covariance = track.covariance - whitened @ whitened.T
-        cross = track.cross - K @ (self.slopes @ track.cross + self.considered[self.rows])
-        return replace(
-            track,
-            displacement=track.displacement + K @ self.innovation,
-            covariance=0.5 * (covariance + covariance.T),
-            cross=cross,
-        )
-
-    def worst(self, marks: IntArray) -> int:
-        """Which of these marks, by its place among them, the others agree best without.
-
-        Leaving out rows B takes w_B' (S^-1)_BB^-1 w_B from the misfit, with w = S^-1 innovation.
-        """
-        count = self.considered.shape[0] // 4
-        inverse = np.linalg.inv(self.factor @ self.factor.T)
-        weighted = inverse @ self.innovation
-        of_mark = self.rows // 2 % count
-        gains = []
-        for mark in marks:
-            rows = np.flatnonzero(of_mark == mark)
-            gains.append(weighted[rows] @ np.linalg.solve(inverse[np.ix_(rows, rows)], weighted[rows]))
-        return int(np.argmax(gains))
-
-
-@lru_cache(maxsize=8)  # an exposure asks for the same place when it measures and when it compares
-def _seen(taught: TaughtMarks, displacement: bytes) -> tuple[FloatArray, FloatArray]:
-    """Where the dots should be seen (2, N, 2), and how that moves with the displacement (2, N, 2, 14)."""
-    at: FloatArray = np.frombuffer(displacement)
-    pixels = np.array(taught.residual_px)
-    slopes = np.zeros((*pixels.shape, DISPLACEMENT))
-    for index, side in enumerate(SIDES):
-        seen, own, _ = seen_with_slopes(taught.rig, at, side, taught.placed.places_mm)
-        pixels[index] += seen
-        slopes[index, :, :, of_side(side)] = own
-    for array in (pixels, slopes):
-        array.flags.writeable = False
-    return pixels, slopes
+        return expected_dots(self.taught, displacement)[0]
 
 
 def _moved_px(taught: TaughtMarks, displacement: FloatArray) -> float:
@@ -472,12 +373,6 @@ def _both(seen: list[SeenDots]) -> DotsInPair:
 def _by_camera(mm: float, rad: float, focal: float) -> FloatArray:
     """(14,) for both cameras alike."""
     return np.tile([rad, rad, rad, mm, mm, mm, focal], 2)
-
-
-def _most(count: int) -> float:
-    """chi² of `count` that chance exceeds once in a million (E. B. Wilson, M. M. Hilferty, PNAS 17, 1931)."""
-    share = 2.0 / (9.0 * count)
-    return float(count * (1.0 - share + MARKS.chance * math.sqrt(share)) ** 3)
 
 
 def _refused(taught: TaughtMarks, moved: MarksTrack, whole: tuple[float, float] | None) -> str:

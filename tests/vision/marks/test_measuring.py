@@ -2,47 +2,19 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
+from helpers.markedplate import AT, FRAME, MIDDLE, OWN, VIEWS, pair, taught
 from naive.marks import fit_rims_naive
 
-from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.domain.arrays import SIDES
 from edged.errors import CalibrationError
-from edged.sim.cell import demo_rig, stereo_views
-from edged.sim.marksplate import marks_plate
-from edged.sim.render.scene import Disc, Part, PlacedPart, Scene, Surface, Table
+from edged.sim.cell import demo_rig
+from edged.sim.render.scene import Disc, Part, PlacedPart, Surface
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
-from edged.vision.marks.frame import parse_frame
 from edged.vision.marks.measuring import measure_marks, search_marks
 from edged.vision.marks.rims import fit_rims
-from edged.vision.marks.taught import TaughtMarks, places_in_own_frame, teach_marks
-
-FRAME = parse_frame("60x52:8:2:40")
-MIDDLE = np.array([7.0, 0.0, 207.9])
-OWN = np.column_stack([FRAME.places[:, :2], np.zeros(FRAME.count)])
-AT = transform(np.eye(3), MIDDLE)
-VIEWS = stereo_views(demo_rig())
-
-
-def pair(at: FloatArray, noise: int, *more: PlacedPart, first: int = 40) -> tuple[Image, Image]:
-    """Both pictures of a plate at a pose."""
-    table = Table(
-        Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2), transform(np.eye(3), MIDDLE + 1)
-    )
-    plate = marks_plate(parse_frame(f"60x52:8:2:{first}"))
-    scene = Scene(table, (PlacedPart(plate, at), *more))
-    left, right = (
-        VIEWS[side].render(scene, np.random.default_rng((noise, index))) for index, side in enumerate(SIDES)
-    )
-    return left, right
-
-
-@cache
-def taught() -> TaughtMarks:
-    """Marks that were taught with ten exposures."""
-    return teach_marks((pair(AT, noise) for noise in range(10)), demo_rig(), 7, least=10)
+from edged.vision.marks.taught import places_in_own_frame, teach_marks
 
 
 @pytest.mark.slow

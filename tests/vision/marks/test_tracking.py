@@ -21,8 +21,9 @@ from edged.vision.geometry.correction import (
 from edged.vision.geometry.rigid import apply, rotation_matrix
 from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.marks.frame import parse_frame
+from edged.vision.marks.observing import DotsInPair
 from edged.vision.marks.params import MARKS
-from edged.vision.marks.tracking import DotsInPair, correction_of
+from edged.vision.marks.tracking import correction_of
 
 HOUR_S = 3600.0
 

@@ -176,3 +176,6 @@ register-m-first-excluded = Code der ersten davon; 65535: keine
 register-m-fit = quadrierte Abweichung gegen die erwartete, etwa 1; 65535: nichts wurde verglichen
 register-m-left = vom geteachten Ort der linken Kamera zu ihrem jetzigen; 65535: nicht bekannt
 register-m-right = der rechten
+register-a-state = { $codes }
+register-a-days = Tage, bis die Prüfung wieder fällig ist, negativ seitdem; 32768, 0: keine gemacht
+register-a-due = UTC seit 1970, wann sie fällig ist; 0: keine gemacht

@@ -176,3 +176,6 @@ register-m-first-excluded = code of the first of them; 65535: none
 register-m-fit = squared misfit over what is expected, about 1; 65535: nothing was compared
 register-m-left = from where it was taught to where the left camera is; 65535: not known
 register-m-right = the right one
+register-a-state = { $codes }
+register-a-days = days until the test is due again, negative since; 32768, 0: none was made
+register-a-due = UTC since 1970, when it is due; 0: none was made

@@ -176,3 +176,6 @@ register-m-first-excluded = code du premier d’entre eux ; 65535 : aucun
 register-m-fit = écart au carré rapporté à l’attendu, environ 1 ; 65535 : rien n’a été comparé
 register-m-left = du lieu appris de la caméra gauche à son lieu actuel ; 65535 : inconnu
 register-m-right = de la droite
+register-a-state = { $codes }
+register-a-days = jours jusqu'à la prochaine recette, négatifs depuis ; 32768, 0 : aucune n'a été faite
+register-a-due = UTC depuis 1970, quand elle est due ; 0 : aucune n'a été faite

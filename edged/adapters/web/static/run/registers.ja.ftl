@@ -176,3 +176,6 @@ register-m-first-excluded = そのうち最初のコード。65535：なし
 register-m-fit = 予想に対する二乗ずれ、およそ 1。65535：比較なし
 register-m-left = 教示時の位置から現在の左カメラの位置まで。65535：不明
 register-m-right = 右カメラのもの
+register-a-state = { $codes }
+register-a-days = 次の検収までの日数、過ぎたら負；32768, 0：検収なし
+register-a-due = 期限、1970年からのUTC；0：検収なし

@@ -176,3 +176,6 @@ register-m-first-excluded = 其中第一个的编码；65535：无
 register-m-fit = 平方偏差与预期之比，约为 1；65535：未作比较
 register-m-left = 左相机从示教位置到当前位置的距离；65535：未知
 register-m-right = 右相机的
+register-a-state = { $codes }
+register-a-days = 距下次验收的天数，过期后为负；32768, 0：未做过验收
+register-a-due = 到期时间，自1970年起的UTC；0：未做过验收

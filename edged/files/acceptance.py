@@ -1,0 +1,64 @@
+"""`acceptance.json`: the last acceptance test, beside the rig that it was made with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from edged.domain.acceptance import Acceptance, AcceptanceState
+from edged.domain.numerals import json_of
+from edged.errors import FileFormatError
+from edged.files.atomic import read_bytes, write_file
+from edged.files.jsonfields import JsonFields
+
+ACCEPTANCE_FORMAT = "edged-acceptance"
+ACCEPTANCE_VERSION = 1
+MAX_ACCEPTANCE_BYTES = 256 * 1024
+
+
+def acceptance_file(rig: Path) -> Path:
+    """Where the last acceptance of a rig is kept. rig : its file."""
+    return rig.parent / "acceptance.json"
+
+
+def document_of(
+    found: Acceptance, calibration_id: str, registration: str, more: Mapping[str, object]
+) -> bytes:
+    """The file. registration : digest of how the rig stands to the robot. more : figures for people."""
+    document = {
+        "format": ACCEPTANCE_FORMAT,
+        "version": ACCEPTANCE_VERSION,
+        "calibration_id": calibration_id,
+        "registration": registration,
+        "passed": found.passed,
+        "made_ns": found.made_ns,
+        "due_ns": found.due_ns,
+        **more,
+    }
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+
+
+def save_acceptance(path: Path, document: bytes) -> None:
+    """Write it; a former one is replaced in one step. Raises `FileFormatError` where the disc refuses."""
+    write_file(path, document)
+
+
+def load_acceptance(path: Path, calibration_id: str, registration: str) -> Acceptance:
+    """The acceptance beside a rig of this identity; one without figures where there is none.
+
+    Raises `FileFormatError` that names file, field and expectation.
+    """
+    if not path.is_file():
+        return Acceptance()
+    try:
+        document = json_of(read_bytes(path, "an acceptance", MAX_ACCEPTANCE_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{path}: not JSON: {error}") from error
+    reader = JsonFields.of_document(document, path, "acceptance test", ACCEPTANCE_FORMAT, ACCEPTANCE_VERSION)
+    passed = reader.document.get("passed")
+    if not isinstance(passed, bool):
+        raise reader.error("passed", f"expected true or false, got {passed!r}")
+    made_ns, due_ns = (reader.whole(name, 2**63 - 1, 1) for name in ("made_ns", "due_ns"))
+    same = reader.text("calibration_id") == calibration_id and reader.text("registration") == registration
+    return Acceptance(passed, made_ns, due_ns, AcceptanceState.NONE if same else AcceptanceState.OTHER_RIG)

@@ -1,0 +1,173 @@
+"""What the pictures of an acceptance or of a study show: pairs in folders, measured one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.frames import FramePair
+from edged.domain.measurement import Reject, Target
+from edged.errors import FileFormatError, ImageError, UserError
+from edged.files.images import load_image
+from edged.files.pairs import ImagePair, find_pairs
+from edged.files.tables import number_of, read_table
+from edged.pipeline import PreparedRig, inspect, locate
+from edged.robot.golden import motion_of_points, own_and_points
+from edged.setup.acceptance.verdicts import PlacedPoses
+from edged.setup.calibration.checking import length_of
+from edged.setup.trials.stilltest import Stand, StillResult
+from edged.setup.trials.tried import stand_of, still_part
+from edged.vision.geometry.rectification import check_size
+from edged.vision.geometry.rigid import apply, invert, skew
+from edged.vision.part.job import Job
+
+MOST_PAIRS = 1000
+"""The most in one folder."""
+MOST_OF_A_KIND = 100
+"""Parts, or people, of a study."""
+
+
+def pairs_of(folder: Path) -> list[ImagePair]:
+    """The pairs of a folder. Raises `UserError`."""
+    pairs = find_pairs(folder)
+    if len(pairs) > MOST_PAIRS:
+        raise UserError(f"{folder}: {len(pairs)} pairs: expected at most {MOST_PAIRS}")
+    return pairs
+
+
+def load_pair(rig: PreparedRig, pair: ImagePair) -> FramePair:
+    """Both pictures. Raises `ImageError` that names the file, for one of another size than the rig's, too."""
+    images = load_image(pair.left), load_image(pair.right)
+    for path, image, side in zip((pair.left, pair.right), images, SIDES, strict=True):
+        try:
+            check_size(rig.rig.camera(side), image, side)
+        except ImageError as error:
+            raise ImageError(f"{path}: {error}") from error
+    return FramePair.of_images(*images)
+
+
+def good_target(rig: PreparedRig, job: Job, pair: ImagePair) -> Target | str:
+    """The one good part of a pair, or why there is none."""
+    outcome = locate(load_pair(rig, pair), job, rig)
+    good = [target for target in outcome.targets if target.reject is Reject.NONE]
+    if len(good) == 1 and np.isfinite(good[0].covariance).all():
+        return good[0]
+    return f"{len(good)} good parts, expected one" if good else f"no good part: {outcome.status}"
+
+
+def poses_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> tuple[PlacedPoses, dict[str, str]]:
+    """The poses of the part in the pairs that show it well, and why others do not count, by name."""
+    found: dict[str, Target] = {}
+    missing: dict[str, str] = {}
+    for pair in pairs:
+        target = good_target(rig, job, pair)
+        if isinstance(target, str):
+            missing[pair.name] = target
+        else:
+            found[pair.name] = target
+    own, moved, circles = [], [], []
+    names = [{circle.name for circle in target.circles} for target in found.values()]
+    common = sorted(set.intersection(*names)) if names else []
+    for target in found.values():
+        alone, points_mm = own_and_points(target)
+        place = target.rig_from_part[:3, 3]
+        own.append(alone[:3, :3])
+        lever = np.hstack([np.eye(3), -skew(place)])
+        moved.append(lever @ motion_of_points(rig.rig, points_mm))
+        seen = {circle.name: circle.centre_mm for circle in target.circles}
+        centres = np.array([seen[name] for name in common]).reshape(-1, 3)
+        circles.append(apply(invert(target.rig_from_part), centres))
+    count, parameters = len(found), rig.rig.covariance
+    width = len(rig.rig.parameter_names)
+    return PlacedPoses(
+        tuple(found),
+        np.array([target.rig_from_part for target in found.values()]).reshape(count, 4, 4),
+        np.array(own).reshape(count, 3, 3),
+        np.array(moved).reshape(count, 3, width),
+        np.zeros((width, width)) if parameters is None else parameters,
+        np.array(circles).reshape(count, len(common), 3),
+    ), missing
+
+
+def read_truth(path: Path) -> dict[str, FloatArray]:
+    """Places (3,) of a stage, mm, by the pair's name: lines of `NAME,x,y,z`. Raises `FileFormatError`."""
+    places: dict[str, FloatArray] = {}
+    for line in read_table(path):
+        if not line.cells:
+            continue
+        where = f"{path}: line {line.number}"
+        if len(line.cells) != 4:
+            raise FileFormatError(f"{where}: expected NAME,x,y,z in mm, got {len(line.cells)} values")
+        if line.cells[0] in places:
+            raise FileFormatError(f"{where}: {line.cells[0]} is there twice")
+        try:
+            places[line.cells[0]] = np.array([number_of(cell) for cell in line.cells[1:]])
+        except ValueError as error:
+            raise FileFormatError(f"{where}: {error}") from None
+    return places
+
+
+def sizes_in(
+    rig: PreparedRig, job: Job, pairs: Sequence[ImagePair], size: str
+) -> tuple[dict[str, tuple[float, float]], dict[str, str]]:
+    """A size and its sigma, mm, of each pair that shows the part well; why others do not count.
+
+    size : a measurement of the job, a circle (its diameter), or two circles as A-B. Raises `UserError`.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    missing: dict[str, str] = {}
+    for pair in pairs:
+        target = good_target(rig, job, pair)
+        if isinstance(target, str):
+            missing[pair.name] = target
+            continue
+        length = length_of(target, size, 1.0)
+        found[pair.name] = length.measured_mm, length.sigma_mm
+    return found, missing
+
+
+def still_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> StillResult:
+    """What many pictures of a part that nobody touches say."""
+    stands: list[Stand | None] = []
+    for pair in pairs:
+        inspection = inspect(load_pair(rig, pair), job, rig)
+        good = [part for part in inspection.measured if not part.target.reject]
+        best = max(good, key=lambda part: part.target.match.score, default=None)
+        stands.append(None if best is None else stand_of(best))
+    return still_part(rig, job, stands)
+
+
+def studied_folders(folder: Path) -> Iterator[tuple[str, str, list[ImagePair]]]:
+    """Part, person and pairs below `folder/PART/PERSON`. Raises `UserError` that names what is wrong."""
+    for part in _folders(folder):
+        for person in _folders(part):
+            yield part.name, person.name, pairs_of(person)
+
+
+def _folders(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        raise UserError(f"{folder}: no such folder: expected {folder}/PART/PERSON with pairs of pictures")
+    found = sorted(path for path in folder.iterdir() if path.is_dir())
+    if not 1 <= len(found) <= MOST_OF_A_KIND:
+        raise UserError(f"{folder}: {len(found)} folders: expected 1 to {MOST_OF_A_KIND}")
+    return found
+
+
+def crossed(values: Mapping[tuple[str, str], Sequence[float]], folder: Path) -> FloatArray:
+    """Values (parts, people, trials) by part and person. Raises `UserError` where some are missing."""
+    parts = sorted({part for part, _ in values})
+    people = sorted({person for _, person in values})
+    trials = {len(some) for some in values.values()}
+    for part in parts:
+        for person in people:
+            if (part, person) not in values:
+                raise UserError(
+                    f"{folder}: {person} did not measure {part}: expected everybody at every part"
+                )
+    if len(trials) != 1:
+        counts = ", ".join(f"{part}/{person} {len(some)}" for (part, person), some in values.items())
+        raise UserError(f"{folder}: not as many good pairs of each: {counts}")
+    return np.array([[values[part, person] for person in people] for part in parts])

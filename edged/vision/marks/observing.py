@@ -1,0 +1,150 @@
+"""What dots in a pair say to a track of the reference marks: where they should be, and how far off they are.
+
+The taught places (2, N, 2) are considered, never updated: see `edged.vision.marks.tracking`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.marks import MarksTrack
+from edged.vision.boards.board import IntArray
+from edged.vision.geometry.correction import DISPLACEMENT, of_side, seen_with_slopes
+from edged.vision.marks.params import MARKS
+from edged.vision.marks.taught import TaughtMarks
+
+GRID = np.tile([1e-5, 1e-5, 1e-5, 0.005, 0.005, 0.005, 1e-5], 2)
+"""Steps of a displacement (rad, mm, share): half of one moves a dot by 0.1 px at most."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DotsInPair:
+    """What both pictures show: pixels (2, N, 2), sigma_px (2, N), NaN where a dot was not seen.
+
+    strange : codes in the pictures that were not taught; known only after a search. unlike : codes that were
+    taught, and have no dot as it was taught.
+    """
+
+    pixels: FloatArray
+    sigma_px: FloatArray
+    strange: tuple[int, ...] = ()
+    unlike: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedDots:
+    """Chosen dots against a track: innovation (M,) and its covariance, and what they are worth.
+
+    slopes (M, 14).  rows (M,) : of the considered places.  root (M, M) : the inverse of the covariance is
+    root^T root.
+    """
+
+    innovation: FloatArray
+    root: FloatArray
+    gain: FloatArray
+    slopes: FloatArray
+    rows: IntArray
+    considered: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        taught: TaughtMarks,
+        considered: FloatArray,
+        track: MarksTrack,
+        dots: DotsInPair,
+        marks: IntArray,
+        at: FloatArray | None = None,
+    ) -> ObservedDots:
+        """Dots of some marks, linearised at a displacement: the track's own, or `at`."""
+        here = track.displacement if at is None else at
+        count = len(taught.codes)
+        expected, slopes = expected_dots(taught, here)
+        difference = dots.pixels - expected
+        chosen = np.zeros((2, count, 2), bool)
+        chosen[:, marks] = np.isfinite(dots.pixels[:, marks])
+        rows = np.flatnonzero(chosen)
+        H = slopes.reshape(-1, DISPLACEMENT)[rows]
+        innovation = difference.reshape(-1)[rows] - H @ (track.displacement - here)
+        sigma = taught.noise * np.hypot(dots.sigma_px, MARKS.noise_px)
+        noise = np.repeat(sigma.reshape(-1) ** 2, 2)[rows]
+        HC = H @ track.cross[:, rows]
+        S = H @ track.covariance @ H.T + HC + HC.T + considered[np.ix_(rows, rows)] + np.diag(noise)
+        root = np.asarray(np.linalg.inv(np.linalg.cholesky(S)))
+        gain = track.covariance @ H.T + track.cross[:, rows]
+        return cls(innovation, root, gain, H, rows, considered)
+
+    @property
+    def count(self) -> int:
+        """Coordinates."""
+        return len(self.innovation)
+
+    @property
+    def misfit(self) -> float:
+        """chi² of the innovation."""
+        whitened = self.root @ self.innovation
+        return float(whitened @ whitened)
+
+    def applied(self, track: MarksTrack) -> MarksTrack:
+        """The track with what these dots say; the considered places stay as they are."""
+        whitened = self.gain @ self.root.T  # K S^(1/2)
+        K = whitened @ self.root
+        covariance = track.covariance - whitened @ whitened.T
+        cross = track.cross - K @ (self.slopes @ track.cross + self.considered[self.rows])
+        return replace(
+            track,
+            displacement=track.displacement + K @ self.innovation,
+            covariance=0.5 * (covariance + covariance.T),
+            cross=cross,
+        )
+
+    def worst(self, marks: IntArray) -> int:
+        """Which of these marks, by its place among them, the others agree best without.
+
+        Leaving out rows B takes w_B' (S^-1)_BB^-1 w_B from the misfit, with w = S^-1 innovation.
+        """
+        count = self.considered.shape[0] // 4
+        inverse = self.root.T @ self.root
+        weighted = inverse @ self.innovation
+        of_mark = self.rows // 2 % count
+        gains = []
+        for mark in marks:
+            rows = np.flatnonzero(of_mark == mark)
+            gains.append(weighted[rows] @ np.linalg.solve(inverse[np.ix_(rows, rows)], weighted[rows]))
+        return int(np.argmax(gains))
+
+
+def expected_dots(taught: TaughtMarks, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where the dots should be seen (2, N, 2), and how that moves with the displacement (2, N, 2, 14).
+
+    From the nearest of a grid of displacements, so narrow that what is not linear within it is below 1e-5 px:
+    the cameras of a cell stay near one for minutes.
+    """
+    near = np.round(displacement / GRID) * GRID
+    pixels, slopes = _on_grid(taught, near.tobytes())
+    return pixels + slopes @ (displacement - near), slopes
+
+
+@lru_cache(maxsize=8)
+def _on_grid(taught: TaughtMarks, displacement: bytes) -> tuple[FloatArray, FloatArray]:
+    at: FloatArray = np.frombuffer(displacement)
+    pixels = np.array(taught.residual_px)
+    slopes = np.zeros((*pixels.shape, DISPLACEMENT))
+    for index, side in enumerate(SIDES):
+        seen, own, _ = seen_with_slopes(taught.rig, at, side, taught.placed.places_mm)
+        pixels[index] += seen
+        slopes[index, :, :, of_side(side)] = own
+    for array in (pixels, slopes):
+        array.flags.writeable = False
+    return pixels, slopes
+
+
+def chance_limit(count: int) -> float:
+    """chi² of `count` that chance exceeds once in a million (E. B. Wilson, M. M. Hilferty, PNAS 17, 1931)."""
+    share = 2.0 / (9.0 * count)
+    return float(count * (1.0 - share + MARKS.chance * math.sqrt(share)) ** 3)

@@ -1,0 +1,161 @@
+"""Plates that are not the taught one, in drawn pictures, through the whole filter: no wrong result."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from helpers.markedday import new_day
+from helpers.markedplate import AT, MIDDLE, OWN, VIEWS, pair, taught
+
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.marks import MarksReport, MarksState, MarksTrack
+from edged.sim.marksplate import marks_plate
+from edged.sim.render.scene import PlacedPart
+from edged.vision.geometry.rigid import apply, transform
+from edged.vision.marks.frame import parse_frame
+from edged.vision.marks.tracking import MarksFilter, MarksSettings
+
+S = 10**9
+
+
+def steps(*pairs: tuple[Image, Image], settings: MarksSettings | None = None) -> list[MarksReport]:
+    """What exposures a second apart say, after a first one of the taught plate."""
+    tracker = MarksFilter(taught(), settings)
+    track, report = tracker.step(tracker.begin(), *pair(AT, 20), S)
+    assert report.state is MarksState.CORRECTED
+    reports = []
+    for second, images in enumerate(pairs, 2):
+        track, report = tracker.step(track, *images, second * S)
+        reports.append(report)
+    return reports
+
+
+def beside(shift: tuple[float, float, float]) -> FloatArray:
+    """The plate's pose, shifted by mm."""
+    return transform(np.eye(3), np.add(MIDDLE, shift))
+
+
+@pytest.mark.slow
+def test_the_plate_of_another_cell_is_named() -> None:
+    """Its codes are none of ours: no result, as long as it lies there; then ours again."""
+    other = pair(AT, 21, first=100)
+    first, second, again = steps(other, other, pair(AT, 22))
+    assert (first.state, first.valid) == (MarksState.CONTRADICTED, False)
+    assert "codes 100, 101" in first.why
+    assert not second.valid
+    assert (again.state, again.valid) == (MarksState.CORRECTED, True)
+
+
+@pytest.mark.slow
+def test_a_mirrored_plate_has_no_marks() -> None:
+    """Nothing of it is read: the cell coasts, as if all were covered, and names no mark as seen."""
+    mirrored = tuple(np.ascontiguousarray(image[:, ::-1]) for image in pair(AT, 23))
+    (report,) = steps((mirrored[0], mirrored[1]))
+    assert report.seen == 0
+    assert report.state in (MarksState.COASTING, MarksState.CONTRADICTED)
+
+
+@pytest.mark.slow
+def test_a_second_plate_of_the_same_codes_does_not_move_the_cell() -> None:
+    """Ours are where they are expected: the other one, in both pictures, is nothing but clutter."""
+    copy = PlacedPart(marks_plate(parse_frame("60x52:8:2:40")), beside((9.0, 4.0, -0.2)))
+    both = pair(AT, 24, copy)
+    (report,) = steps(both)
+    assert report.valid
+    left_mm, right_mm = report.left_mm, report.right_mm
+    assert left_mm is not None
+    assert right_mm is not None
+    assert max(left_mm, right_mm) < 0.02
+
+
+@pytest.mark.slow
+def test_a_copy_alone_elsewhere_is_no_weather() -> None:
+    """Ours was taken away and its twin lies 5 mm beside it: a knock of the whole, and no result."""
+    elsewhere = pair(beside((4.0, 3.0, 0.0)), 25)
+    first, *_ = steps(elsewhere, settings=MarksSettings(heals=False))
+    assert not first.valid
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [0.98, 1.02, 1.1])
+def test_a_plate_of_another_size_is_no_result(size: float) -> None:
+    """The taught codes on a plate that is larger or smaller by 2 % or more, three exposures on."""
+    tracker = MarksFilter(taught())
+    track, _ = tracker.step(tracker.begin(), *pair(AT, 20), S)
+    plate = marks_plate(parse_frame("60x52:8:2:40"), size)
+    for second in range(2, 6):
+        images = only(PlacedPart(plate, AT), second)
+        track, report = tracker.step(track, *images, second * S)
+        assert not report.valid, report
+
+
+def only(placed: PlacedPart, noise: int) -> tuple[Image, Image]:
+    """Both pictures of one plate, without ours."""
+    left, right = pair(AT, noise, instead=placed)
+    return left, right
+
+
+@pytest.mark.slow
+def test_marks_outside_of_where_they_are_looked_for_are_searched() -> None:
+    """A rig that was moved by 4 mm has its dots 60 px from where they were: found, and a knock, not lost."""
+    elsewhere = [pair(beside((4.0, 0.0, 0.0)), noise) for noise in range(30, 35)]
+    reports = steps(*elsewhere)
+    assert reports[0].state is MarksState.KNOCKED
+    assert reports[0].seen >= 6
+    assert not reports[0].valid
+    assert reports[-1].valid
+    shown = VIEWS["left"].project(apply(beside((4.0, 0.0, 0.0)), OWN)) - taught().pixels[0]
+    assert np.linalg.norm(shown, axis=1).min() > 30
+
+
+def test_marks_that_are_covered_for_ever_end_in_a_sigma_that_says_so() -> None:
+    """A year, an exposure each ten minutes: valid by the marks, and sigma beyond any that was asked for."""
+    day = new_day(1)
+    for at_s in range(3):
+        day.expose(float(at_s))
+    sigmas = []
+    track: MarksTrack = day.track
+    for step in range(1, 365 * 144):
+        if step in (6, 144, 30 * 144, 364 * 144):
+            day.track = track
+            cameras, report = day.expose(600.0 * step, list(range(8)))
+            track = day.track
+            _, _, stated = day.part(cameras)
+            sigmas.append(float(np.sqrt(np.diag(stated)).max()))
+            assert (report.state, report.seen) == (MarksState.COASTING, 0)
+        else:
+            track = day.filter.predicted(track, round(1e9 * (600.0 * step + 1.0)))
+    assert np.isfinite(sigmas).all()
+    assert sigmas == sorted(sigmas)
+    assert sigmas[-1] > 0.2  # mm: beyond the default of max_sigma_mm
+    assert all(np.isfinite(day.track.covariance).ravel())
+    _, report = day.expose(600.0 * 365 * 144)
+    assert (report.state, report.valid) == (MarksState.CORRECTED, True)
+
+
+def oiled(images: tuple[Image, Image], marks: list[int]) -> tuple[Image, Image]:
+    """Oil over some dots: blurred by a pixel and a half, and a third darker, with an edge of its own."""
+    found = []
+    for index, image in enumerate(images):
+        smooth = cv2.GaussianBlur(image, (0, 0), 1.5) * 0.67
+        drop = np.zeros(image.shape, np.float32)
+        for mark in marks:
+            x, y = taught().pixels[index, mark]
+            cv2.circle(drop, (round(x + 6), round(y - 4)), 40, 1.0, -1)
+        drop = cv2.GaussianBlur(drop, (0, 0), 4.0)
+        mixed = drop * smooth + (1 - drop) * image
+        found.append(np.clip(np.round(mixed), 0, 255).astype(np.uint8))
+    return found[0], found[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("marks", [[2], [0, 3, 5]])
+def test_oil_on_marks_is_no_knock(marks: list[int]) -> None:
+    """Dots under oil count as they are or are left out; the cell is not told that a camera moved."""
+    for report in steps(*(oiled(pair(AT, noise), marks) for noise in (40, 41, 42))):
+        assert report.valid, report
+        assert report.state in (MarksState.CORRECTED, MarksState.CONTRADICTED)
+        assert {taught().codes[mark] for mark in marks} >= set(report.excluded)
+        assert report.left_mm is not None
+        assert report.left_mm < 0.02
