@@ -233,8 +233,9 @@ def _covariance(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, mark
     """From the scatter between poses: the marks of one pose share its error (cluster-robust sandwich).
 
     Each pose pulls the fit towards itself, the more the fewer there are: its residuals are grown by as much,
-    or sigma is too small, by a factor of 2 for six poses. Source: R. Bell and D. McCaffrey, "Bias reduction in
-    standard errors for linear regression with multi-stage samples", Survey Methodology 28, 2002.
+    or sigma is too small, by a factor of 2 for six poses.
+    Source: R. Bell and D. McCaffrey, "Bias reduction in standard errors for linear regression with
+    multi-stage samples", Survey Methodology 28, 2002.
     """
     residuals, jacobian = _mismatch(A, B, X, Y, marks)
     n = len(A)
