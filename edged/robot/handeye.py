@@ -35,6 +35,8 @@ OUTLIER = 6.0
 MIN_KEPT = 0.6
 """Least share of poses in agreement; below it no outlier can be identified, and all poses are kept."""
 REWEIGHTED = 12
+LEAST_KEPT = 1e-3
+"""Least share of a pose's error that its residuals count as having kept: below it the pose alone decides."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +46,7 @@ class HandEye:
     rig : robot_from_rig (eye-to-hand) or flange_from_rig (eye-in-hand).
     board : flange_from_board (eye-to-hand) or robot_from_board (eye-in-hand).
     covariance (6, 6) : of a small motion (shift mm, rotation rad) that follows `rig`, from the scatter
-    of the fits without each pose; NaN where one of them leaves something open.
+    of the poses.
     used (N,) bool : poses that were not rejected as outliers.
     held_out_mm, held_out_rad (N,) : how far each pose is off for a fit of all others; NaN for a lost one.
     """
@@ -228,23 +230,23 @@ def _errors_mm(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks
 
 
 def _covariance(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray) -> FloatArray:
-    """From the scatter of the fits without each pose in turn, to first order; NaN where one of them is open.
+    """From the scatter between poses: the marks of one pose share its error (cluster-robust sandwich).
 
-    The marks of a pose share its error, so a pose is left out as a whole. The sandwich without leaving out
-    is too small by a factor of 2 in sigma for six poses: each pulls the fit towards itself.
-    Source: B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", 1982, ch. 3.
+    Each pose pulls the fit towards itself, the more the fewer there are: its residuals are grown by as much,
+    or sigma is too small, by a factor of 2 for six poses.
+    Source: R. Bell and D. McCaffrey, "Bias reduction in standard errors for linear regression with
+    multi-stage samples", Survey Methodology 28, 2002.
     """
     residuals, jacobian = _mismatch(A, B, X, Y, marks)
     n = len(A)
     J, r = jacobian.reshape(n, -1, 12), residuals.reshape(n, -1)
-    of_poses = np.einsum("nki,nkj->nij", J, J)
-    gradients = np.einsum("nki,nk->ni", J, r)
-    try:
-        steps = np.linalg.solve(of_poses.sum(axis=0) - of_poses, gradients[..., None])[:, :6, 0]
-    except np.linalg.LinAlgError:
-        return np.full((6, 6), np.nan)
-    apart = steps - steps.mean(axis=0)
-    return np.asarray((n - 1) / n * apart.T @ apart)
+    bread = np.linalg.inv(np.einsum("nki,nkj->ij", J, J))
+    kept, axes = np.linalg.eigh(np.eye(J.shape[1]) - J @ bread @ J.transpose(0, 2, 1))
+    along = np.einsum("nki,nk->ni", axes, r) / np.sqrt(np.maximum(kept, LEAST_KEPT))
+    gradients = np.einsum("nki,nkj,nj->ni", J, axes, along)
+    # estimated from few poses: errors follow Student's t, which is that much wider
+    wider = (n - 2) / max(n - 4, 0.5)
+    return np.asarray((bread @ (gradients.T @ gradients) @ bread)[:6, :6] * wider)
 
 
 def _held_out(

@@ -20,4 +20,4 @@ def test_real_poses_of_a_robot_agree_within_a_millimetre() -> None:
     assert stated.rms_mm < 1.0
     assert fitted.rms_mm < 0.8
     assert fitted.size == pytest.approx(1.0036, abs=0.001)
-    assert np.allclose(stated.sigma_mm, stated.jackknife_mm, rtol=0.1)
+    assert np.allclose(stated.sigma_mm, stated.jackknife_mm, rtol=0.15)

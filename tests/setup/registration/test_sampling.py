@@ -91,7 +91,7 @@ def test_true_poses_are_good_and_their_sigma_is_that_of_the_board(noise_mm: floa
     middle = np.mean([view[:3, 3] for view in one.views], axis=0)
     error_mm = np.abs(apply(found, middle) - apply(ROBOT_FROM_RIG, middle))
     assert (error_mm <= 4 * np.array(step.registration.sigma[:3]) + 1e-6).all()
-    assert max(step.registration.sigma[:3]) <= 2 * noise_mm + 1e-6
+    assert max(step.registration.sigma[:3]) <= 2.5 * noise_mm + 1e-6  # of ten poses, by Student's t
 
 
 def test_it_must_be_clear_which_part_was_touched() -> None:
