@@ -142,7 +142,7 @@ function bars({ sigma, terms, limit_mm: limit }) {
 }
 
 function shares({ terms, free }, unit, axes, name, factor) {
-  const may = document.querySelector('header a[href="/setup"]');
+  const may = document.querySelector('.pages a[href="/setup"]');
   const digits = unit === "mm" ? 1 : 4;
   const table = element(
     "table",

@@ -215,7 +215,7 @@ async function again() {
 
 // --- language ---
 
-const hasUsers = Boolean(document.querySelector('header a[href="/setup"]'));
+const hasUsers = Boolean(document.querySelector('.pages a[href="/setup"]'));
 
 function speakThePage() {
   for (const node of document.querySelectorAll("[data-text]")) {
