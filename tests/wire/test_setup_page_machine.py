@@ -15,6 +15,7 @@ from helpers.firefox import BROWSERS, Opener
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
 from helpers.smallcell import SmallCell
 
+from edged import __version__
 from edged.files.rig import load_rig, rig_text
 from edged.setup.releases.archive import make, parts_at, unpack
 
@@ -62,6 +63,8 @@ def test_findings_are_mended_by_a_button(tmp_path: Path, opened: Opener) -> None
             await log_in(
                 page, f"http://127.0.0.1:{cell.port}", "Anna", PASSWORD, "/setup#/system", (1280, 900)
             )
+            await page.until(said(f"edged {__version__}"))
+            await page.until(said("as that of this browser"))
             await press(page, "Examine this machine")
             await page.until('document.querySelector(".checks .warn")')
             await page.until(said("what was changed does not count yet"))

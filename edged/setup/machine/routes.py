@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 from aiohttp import web
 from pydantic import StringConstraints
 
+from edged import __version__
 from edged.adapters.web.gate import chunks
 from edged.adapters.web.routes import Answer, Body, Call, route
 from edged.errors import UserError
@@ -32,10 +34,12 @@ class MachineCheck(Answer):
 
 
 class Findings(Answer):
-    """The last examination. at : when; null: none yet."""
+    """The last examination. at : when; null: none yet. version : of edged. now : UTC, by the machine."""
 
     at: str | None
     checks: list[MachineCheck]
+    version: str
+    now: str
 
 
 class Mending(Body):
@@ -119,9 +123,12 @@ class MachineRoutes:
 
 
 def _findings(found: Examination | None) -> Findings:
-    if found is None:
-        return Findings(at=None, checks=[])
-    return Findings(at=found.at.isoformat(), checks=[MachineCheck(**_known(check)) for check in found.checks])
+    return Findings(
+        at=None if found is None else found.at.isoformat(),
+        checks=[] if found is None else [MachineCheck(**_known(check)) for check in found.checks],
+        version=__version__,
+        now=datetime.now(UTC).isoformat(),
+    )
 
 
 def _known(check: Mapping[str, str]) -> dict[str, Any]:

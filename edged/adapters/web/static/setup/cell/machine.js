@@ -9,6 +9,32 @@ import { moment, t } from "../shared/texts.js";
 const SHAPES = { ok: "tick", warn: "doubt", bad: "gap", skip: "none" };
 const isTrouble = ({ verdict }) => verdict === "warn" || verdict === "bad";
 
+const MOST_OFF_MS = 2000; // a request and its answer on a slow network
+
+// What is set on the machine alone: the page has no right to, and whoever takes it over has none either.
+function Kept({ version, now, took }) {
+  const off = Math.abs(new Date(now).getTime() - took);
+  return html`<h3>${t("machine-kept")}</h3>
+    <p class="hint">${t("machine-kept-how")}</p>
+    <dl class="facts">
+      <dt>${t("machine-software")}</dt>
+      <dd translate=${false}>
+        edged ${version}<br />
+        <code lang="en">sudo tools/install</code><br />
+        <code lang="en">sudo tools/install --rollback</code>
+      </dd>
+      <dt>${t("machine-clock")}</dt>
+      <dd>
+        <span translate=${false}>${moment(now)}</span>${" "}
+        <${Shape} is=${off > MOST_OFF_MS ? "doubt" : "tick"} />${" "}
+        ${off > MOST_OFF_MS ? t("machine-clock-off", { s: Math.round(off / 1000) }) : t("machine-clock-same")}<br />
+        <code lang="en" translate=${false}>sudo timedatectl set-ntp true</code>
+      </dd>
+      <dt>${t("machine-network")}</dt>
+      <dd><code lang="en" translate=${false}>sudo nmtui</code></dd>
+    </dl>`;
+}
+
 // A command is copied where the browser lets pages do that: over TLS, or on the machine itself.
 function Remedy({ text }) {
   const copy = async () => {
@@ -51,14 +77,14 @@ function Check({ check, isBusy, onMend }) {
 }
 
 export function Machine() {
-  const [found, setFound] = useState({ at: null, checks: [] });
+  const [found, setFound] = useState({ at: null, checks: [], version: "", now: "", took: 0 });
   const [isBusy, setBusy] = useState(false);
-  useFresh(() => glance(async () => setFound(await ask("GET", "machine"))));
+  useFresh(() => glance(async () => setFound({ ...(await ask("GET", "machine")), took: Date.now() })));
   const doing = async (work) => {
     setBusy(true);
     const next = await attempt(work);
     setBusy(false);
-    if (next) setFound(next);
+    if (next) setFound({ ...next, took: Date.now() });
     return next;
   };
   const examine = () => doing(() => ask("POST", "machine/examination"));
@@ -97,6 +123,7 @@ export function Machine() {
         ${list(checks.filter((check) => !isTrouble(check)))}
       </details>`
     }
+    ${found.version && html`<${Kept} ...${found} />`}
   </section>`;
 }
 
