@@ -353,7 +353,8 @@ CASES: dict[str, Bad] = {
     "region: nothing in it": region(
         "1,1,40,40",
         "1 circle(s) found in the left image, but none of them in the right one; is the part seen by "
-        "both cameras, and does the rig belong to these images?",
+        "both cameras, and does the rig belong to these images? Where its face is bright in one and dark in "
+        "the other: light from more sides, or its STEP file besides",
     ),
     "region: contrast": Bad(
         f"{TEACH} --contrast 40,10", "edged: contrast_low 40: expected at most contrast_high, 10"

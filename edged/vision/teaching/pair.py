@@ -338,7 +338,8 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
             return Plane(circle.normal, float(circle.normal @ circle.centre_mm)), found
     raise TeachError(
         f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
-        "is the part seen by both cameras, and does the rig belong to these images?",
+        "is the part seen by both cameras, and does the rig belong to these images? Where its face is bright "
+        "in one and dark in the other: light from more sides, or its STEP file besides",
         "one_sided",
         count=len(ellipses),
     )
