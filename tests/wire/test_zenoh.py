@@ -114,7 +114,7 @@ async def test_a_trigger_is_answered_by_the_result_it_asked_for():
         (reply,) = await ask(cell.port, "edged/cell1/trigger?job=2;kind=grab;flange=500,0,700,0,1,0,0")
     assert reply["ok"]
     assert 9 == reply["document"]["cycle"]
-    command = {"kind": "GRAB", "source": "zenoh", "sequence": 1, "job": 2, "box": 0}
+    command = {"kind": "GRAB", "source": "zenoh", "sequence": 1, "job": 2, "box": 0, "skipped_mm": None}
     flange = [[1, 0, 0, 500], [0, -1, 0, 0], [0, 0, -1, 700], [0, 0, 0, 1]]
     assert {**command, "robot_from_flange": flange} == reply["document"]["command"]
     assert [] == violations(reply["document"], SCHEMA, SCHEMA)

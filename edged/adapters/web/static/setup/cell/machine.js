@@ -14,6 +14,7 @@ const MOST_OFF_MS = 2000; // a request and its answer on a slow network
 // What is set on the machine alone: the page has no right to, and whoever takes it over has none either.
 function Kept({ version, now, took }) {
   const off = Math.abs(new Date(now).getTime() - took);
+  const isOff = off > MOST_OFF_MS;
   return html`<h3>${t("machine-kept")}</h3>
     <p class="hint">${t("machine-kept-how")}</p>
     <dl class="facts">
@@ -26,8 +27,8 @@ function Kept({ version, now, took }) {
       <dt>${t("machine-clock")}</dt>
       <dd>
         <span translate=${false}>${moment(now)}</span>${" "}
-        <${Shape} is=${off > MOST_OFF_MS ? "doubt" : "tick"} />${" "}
-        ${off > MOST_OFF_MS ? t("machine-clock-off", { s: Math.round(off / 1000) }) : t("machine-clock-same")}<br />
+        <${Shape} is=${isOff ? "doubt" : "tick"} />${" "}
+        ${isOff ? t("machine-clock-off", { s: Math.round(off / 1000) }) : t("machine-clock-same")}<br />
         <code lang="en" translate=${false}>sudo timedatectl set-ntp true</code>
       </dd>
       <dt>${t("machine-network")}</dt>

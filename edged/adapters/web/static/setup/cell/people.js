@@ -178,7 +178,7 @@ export function Users() {
   </section>`;
 }
 
-// What was done, in words; else as the route that it is. The first pattern counts: after the path there may be
+// What was done, in words; else as the route that it is. The first pattern counts: after the path may stand
 // a name of what was made.
 /** @type {[RegExp, string][]} */
 const DID = [
