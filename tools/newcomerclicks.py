@@ -243,6 +243,11 @@ async def calibrate(page: Browser, clicks: Clicks, goal_um: float, password: str
     await page.type("[name=mm]", SQUARE_MM)
     if goal_um != float(await page.value('document.querySelector("[name=goal]").value')):
         await page.type("[name=goal]", f"{goal_um:g}")
+    return await to_release(page, clicks, password)
+
+
+async def to_release(page: Browser, clicks: Clicks, password: str) -> int:
+    """Take views of the board where it is drawn until the goal is reached, solve, use it; their number."""
     await press(page, "Begin, and take views automatically")
     await press(page, "Follow the dashed place")
     begun_s = time.monotonic()

@@ -22,7 +22,6 @@ from newcomerclicks import (
     BORROWED,
     LEAST_S,
     LIMIT_S,
-    REACHED,
     VIEWS,
     Clicks,
     check,
@@ -31,6 +30,7 @@ from newcomerclicks import (
     long,
     press,
     release,
+    to_release,
     try_out,
 )
 from pymodbus.client import ModbusTcpClient
@@ -253,19 +253,7 @@ async def calibrate_again(page: Browser, clicks: Clicks, beside: Bench, goal_um:
     await press(page, "Stop taking views")
     await press(page, "Begin another calibration")
     await long(page, 'document.querySelector("[name=mm]")')
-    await press(page, "Begin, and take views automatically")
-    await press(page, "Follow the dashed place")
-    begun_s = time.monotonic()
-    while not await page.value(REACHED):
-        if time.monotonic() - begun_s > LIMIT_S:
-            raise RuntimeError(await page.value("document.querySelector('main').innerText"))
-        await clicks.wait(100)
-    views = int(await page.value(VIEWS))
-    await press(page, "Solve")
-    await long(page, 'document.querySelector("#solve").parentElement.querySelector("dl")')
-    await release(page, "Use this calibration", password)
-    await long(page, said("In use, as release"))
-    return views
+    return await to_release(page, clicks, password)
 
 
 async def anew(page: Browser, another: str, beginning: str) -> None:

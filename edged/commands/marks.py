@@ -11,17 +11,16 @@ from rich.console import Console
 from rich.table import Table
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.errors import CalibrationError, ImageError, UserError
-from edged.files.images import load_image
+from edged.errors import CalibrationError, UserError
 from edged.files.marks import keep_old_marks, marks_file, marks_of, read_marks, save_marks
 from edged.files.outputs import check_folder
 from edged.files.pairs import find_pairs
 from edged.files.rig import load_rig
 from edged.owners import as_owner
 from edged.payload import marks_to_json
-from edged.vision.geometry.camera import StereoRig
+from edged.setup.pairs import load_pair
 from edged.vision.geometry.correction import shift_by_displacement
-from edged.vision.geometry.rectification import check_size, linear_image
+from edged.vision.geometry.rectification import linear_image
 from edged.vision.marks.observing import DotsInPair
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import TaughtMarks, teach_marks
@@ -42,7 +41,7 @@ def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
 
     def pictures() -> Iterator[tuple[Image, Image]]:
         for pair in pairs:
-            yield _load_pair(loaded, pair.left, pair.right)
+            yield load_pair(loaded, pair.left, pair.right)
 
     newest_ns = max(pair.left.stat().st_mtime_ns for pair in pairs)  # pictures say nothing of their own time
     try:
@@ -75,17 +74,6 @@ def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
     return 0
 
 
-def _load_pair(rig: StereoRig, left: Path, right: Path) -> tuple[Image, Image]:
-    """Raises `ImageError` that names the file, for one of another size than the rig's, too."""
-    images = load_image(left), load_image(right)
-    for path, image, side in zip((left, right), images, SIDES, strict=True):
-        try:
-            check_size(rig.camera(side), image, side)
-        except ImageError as error:
-            raise ImageError(f"{path}: {error}") from error
-    return images
-
-
 def sigma_um(taught: TaughtMarks, settings: MarksSettings) -> FloatArray:
     """(3,) sigma of X, Y, Z that the correction by one exposure leaves in the marks' middle, µm."""
     marks = MarksFilter(taught, settings)
@@ -110,7 +98,7 @@ def status(
         raise UserError(f"{place}: taught with another calibration than {rig}: teach them again")
     images = [
         linear_image(image, loaded.camera(side).gamma)
-        for image, side in zip(_load_pair(loaded, left, right), SIDES, strict=True)
+        for image, side in zip(load_pair(loaded, left, right), SIDES, strict=True)
     ]
     marks = MarksFilter(taught, settings)
     before = marks.predicted(marks.begin(), left.stat().st_mtime_ns)

@@ -11,16 +11,29 @@ from pathlib import Path
 from typing import Protocol, Self, TypeVar
 
 from edged.domain.arrays import SIDES, Image, Side
-from edged.errors import CalibrationError
+from edged.errors import CalibrationError, ImageError
 from edged.files.atomic import write_atomically
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair
 from edged.pictures.encoding import jpeg, png
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.rectification import check_size
 
 THUMBNAIL_QUALITY = 95
 """Per cent, of JPEG."""
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
 T = TypeVar("T")
+
+
+def load_pair(rig: StereoRig, left: Path, right: Path) -> tuple[Image, Image]:
+    """Both pictures. Raises `ImageError` that names the file, for one of another size than the rig's, too."""
+    images = load_image(left), load_image(right)
+    for path, image, side in zip((left, right), images, SIDES, strict=True):
+        try:
+            check_size(rig.camera(side), image, side)
+        except ImageError as error:
+            raise ImageError(f"{path}: {error}") from error
+    return images
 
 
 class Progress(Protocol):

@@ -8,11 +8,22 @@ from __future__ import annotations
 
 import functools
 import re
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from edged.robot.orientations import Brand, pose_of
-from helpers.robotlanguage import Assign, Call, Parameter, Program, Returned, Routine, Syntax, block
+from helpers.robotlanguage import (
+    Assign,
+    Call,
+    Function,
+    Leave,
+    OnError,
+    Parameter,
+    Program,
+    Returned,
+    Routine,
+    Syntax,
+    block,
+)
 from helpers.robotlink import Link
 from helpers.robotvalues import Array, Record, Types, Variable
 
@@ -82,23 +93,6 @@ TYPES = _Types(
     },
     {"Position": {**dict.fromkeys(AXES, "Double"), "fig": "Integer"}},
 )
-
-
-class Leave(NamedTuple):
-    """Exit Function, Exit Sub."""
-
-
-class OnError(NamedTuple):
-    """Where errors of this routine go from now on."""
-
-    label: str
-
-
-@dataclass
-class Function(Routine):
-    """Its lines from each label on."""
-
-    labels: dict[str, list[Any]] | None = None
 
 
 class _Syntax(Syntax):

@@ -90,6 +90,23 @@ class Routine:
     handler: list[Any] | None = None
 
 
+class Leave(NamedTuple):
+    """A routine is left early: Exit Function, Exit Sub."""
+
+
+class OnError(NamedTuple):
+    """Where errors of this routine go from now on; "" is nowhere."""
+
+    label: str
+
+
+@dataclass
+class Function(Routine):
+    """A routine whose errors go to labels: its lines from each label on."""
+
+    labels: dict[str, list[Any]] | None = None
+
+
 class Syntax:
     """How a language writes statements, one a line: patterns of how blocks begin, "" where it has none.
 

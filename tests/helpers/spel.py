@@ -9,11 +9,22 @@ from __future__ import annotations
 
 import functools
 import re
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from edged.robot.orientations import Brand, pose_of
-from helpers.robotlanguage import Assign, Call, Parameter, Program, Returned, Routine, Syntax, block
+from helpers.robotlanguage import (
+    Assign,
+    Call,
+    Function,
+    Leave,
+    OnError,
+    Parameter,
+    Program,
+    Returned,
+    Routine,
+    Syntax,
+    block,
+)
 from helpers.robotlink import Link
 from helpers.robotvalues import Array, Types
 
@@ -56,23 +67,6 @@ TYPES = Types(
         "literal": ("", _literal),
     }
 )
-
-
-class Leave(NamedTuple):
-    """Exit Function."""
-
-
-class OnError(NamedTuple):
-    """Where errors of this function go from now on; "" is nowhere."""
-
-    label: str
-
-
-@dataclass
-class Function(Routine):
-    """Its lines from each label on, without that label's own."""
-
-    labels: dict[str, list[Any]] | None = None
 
 
 class _Syntax(Syntax):

@@ -7,20 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Target
-from edged.errors import FileFormatError, ImageError, UserError
-from edged.files.images import load_image
+from edged.errors import FileFormatError, UserError
 from edged.files.pairs import ImagePair, find_pairs
 from edged.files.tables import number_of, read_table
 from edged.pipeline import PreparedRig, inspect, locate
 from edged.robot.golden import motion_of_points, own_and_points
 from edged.setup.acceptance.verdicts import PlacedPoses
 from edged.setup.calibration.checking import length_of
+from edged.setup.pairs import load_pair
 from edged.setup.trials.stilltest import Stand, StillResult
 from edged.setup.trials.tried import stand_of, still_part
-from edged.vision.geometry.rectification import check_size
 from edged.vision.geometry.rigid import apply, invert, skew
 from edged.vision.part.job import Job
 
@@ -38,20 +37,14 @@ def pairs_of(folder: Path) -> list[ImagePair]:
     return pairs
 
 
-def load_pair(rig: PreparedRig, pair: ImagePair) -> FramePair:
-    """Both pictures. Raises `ImageError` that names the file, for one of another size than the rig's, too."""
-    images = load_image(pair.left), load_image(pair.right)
-    for path, image, side in zip((pair.left, pair.right), images, SIDES, strict=True):
-        try:
-            check_size(rig.rig.camera(side), image, side)
-        except ImageError as error:
-            raise ImageError(f"{path}: {error}") from error
-    return FramePair.of_images(*images)
+def _frames(rig: PreparedRig, pair: ImagePair) -> FramePair:
+    """As a camera would give them. Raises `ImageError`."""
+    return FramePair.of_images(*load_pair(rig.rig, pair.left, pair.right))
 
 
 def good_target(rig: PreparedRig, job: Job, pair: ImagePair) -> Target | str:
     """The one good part of a pair, or why there is none."""
-    outcome = locate(load_pair(rig, pair), job, rig)
+    outcome = locate(_frames(rig, pair), job, rig)
     good = [target for target in outcome.targets if target.reject is Reject.NONE]
     if len(good) == 1 and np.isfinite(good[0].covariance).all():
         return good[0]
@@ -133,7 +126,7 @@ def still_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> StillRes
     """What many pictures of a part that nobody touches say."""
     stands: list[Stand | None] = []
     for pair in pairs:
-        inspection = inspect(load_pair(rig, pair), job, rig)
+        inspection = inspect(_frames(rig, pair), job, rig)
         good = [part for part in inspection.measured if not part.target.reject]
         best = max(good, key=lambda part: part.target.match.score, default=None)
         stands.append(None if best is None else stand_of(best))

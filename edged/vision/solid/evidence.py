@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of
-from edged.vision.solid.lock import MOST, Pyramids, find_edges, seen_by
+from edged.vision.solid.lock import Pyramids, edges_beside, seen_by
 from edged.vision.solid.params import EVIDENCE, LOCK
 from edged.vision.solid.visible import find_neighbours
 
@@ -73,11 +73,7 @@ def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseE
     """What both pictures show of a part at a pose, rig_from_part (4, 4)."""
     hits, chances, curves, pixels, cameras, walled = [], [], [], [], [], []
     for k, seen in enumerate(seen_by(model, pyramids, pose, 0, EVIDENCE.spacing_px)):
-        offsets = np.full((len(seen.row), MOST), np.nan)
-        find_edges(
-            *pyramids.slopes[0][k], seen.pixels, seen.normals, seen.curve,
-            EVIDENCE.reach_px, EVIDENCE.together, LOCK.fine_px, offsets,
-        )  # fmt: skip
+        offsets = edges_beside(pyramids, 0, k, seen, EVIDENCE.reach_px, EVIDENCE.together)
         away = np.abs(offsets)
         hits.append(np.nanmin(np.where(np.isfinite(away), away, np.inf), axis=1) < EVIDENCE.agree_px)
         # edges per px, without the own one and the part's others there, over a stretch of the curve

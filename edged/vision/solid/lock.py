@@ -141,6 +141,19 @@ def seen_by(
     return [see(model, samples, views[k], buffer_px, hidden[k]) for k in (0, 1)]
 
 
+def edges_beside(
+    pyramids: Pyramids, level: int, camera: int, seen: VisibleSamples, reach_px: float, together: int,
+    fine_px: float = LOCK.fine_px,
+) -> FloatArray:  # fmt: skip
+    """(M, MOST) edges about what a camera sees, px along the normals; arguments as of `find_edges`."""
+    found = np.full((len(seen.row), MOST), np.nan)
+    find_edges(
+        *pyramids.slopes[level][camera], seen.pixels, seen.normals, seen.curve, reach_px, together, fine_px,
+        found,
+    )  # fmt: skip
+    return found
+
+
 def step(
     model: EdgeModel, pyramids: Pyramids, pose: FloatArray, how: LockStep, occlusion: Occlusion
 ) -> LaidPose | None:
@@ -153,13 +166,8 @@ def step(
     together = max(0, round(how.along_px / how.spacing_px / 2))
     offsets, beside = [], []
     for k, seen in enumerate(both):
-        slope_x, slope_y = pyramids.slopes[how.level][k]
-        found = np.full((len(seen.row), MOST), np.nan)
         fine = LOCK.fine_px if how.reach_px <= LOCK.coarse_reach_px else LOCK.coarse_px
-        find_edges(
-            slope_x, slope_y, seen.pixels, seen.normals, seen.curve, how.reach_px, together, fine, found
-        )
-        offsets.append(found)
+        offsets.append(edges_beside(pyramids, how.level, k, seen, how.reach_px, together, fine))
         near = np.empty((len(seen.row), 4))
         find_neighbours(
             seen.pixels,

@@ -75,6 +75,12 @@ class ModelCircle:
     span: float
     sigma_mm: float = 0.0
 
+    @property
+    def words(self) -> str:
+        """Which one it is, for messages."""
+        place = ", ".join(f"{value:.3f}" for value in self.centre_mm)
+        return f"the {'hole' if self.hole else 'boss'} of radius {self.radius_mm:.3f} mm at ({place})"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelEdge:

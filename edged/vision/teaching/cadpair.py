@@ -28,7 +28,7 @@ from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmatch import levelled
 from edged.vision.teaching.cadmodel import ModelCurves
-from edged.vision.teaching.cadrevision import moved_circle
+from edged.vision.teaching.cadrevision import another_revision, moved_circle
 from edged.vision.teaching.cadsettling import Settled, laid_on_pair, settle
 from edged.vision.teaching.pair import taught_mask, teach
 from edged.vision.teaching.params import CAD
@@ -129,9 +129,6 @@ def _from_model(
         laid = model_of(taken.body)
         moved = moved_circle(images, laid, taken.rig_from_part, part_from_model, curves)
         if moved:
-            raise TeachError(
-                f"{what}: another revision of the part? {moved} in the pair: expected the model that it was "
-                "made by"
-            )
+            raise another_revision(what, moved)
     found = f"{what}: looked for by all its edges, for the pair alone does not tell how it lies"
     return Settled(taken, (found, *measured))

@@ -14,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
+from edged.errors import TeachError
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
-from edged.vision.solid.lock import MOST, Pyramids, find_edges, scale_at, seen_by
-from edged.vision.solid.params import DECISION, EVIDENCE, LOCK
+from edged.vision.solid.lock import Pyramids, edges_beside, scale_at, seen_by
+from edged.vision.solid.params import DECISION, EVIDENCE
 from edged.vision.solid.visible import VisibleSamples, samples_at
 from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
 from edged.vision.teaching.params import CAD
@@ -45,7 +46,8 @@ def moved_circle(
     pyramids = Pyramids(images.rig, images.raw, 1)
     samples = samples_at(model, px_per_mm, EVIDENCE.spacing_px)
     both = seen_by(model, pyramids, rig_from_part, 0, EVIDENCE.spacing_px)
-    offsets = [_offsets(pyramids, k, seen, CAD.near_mm * px_per_mm) for k, seen in enumerate(both)]
+    reach_px = CAD.near_mm * px_per_mm
+    offsets = [edges_beside(pyramids, 0, k, seen, reach_px, EVIDENCE.together) for k, seen in enumerate(both)]
     for circle in curves.circles:
         if circle.span < CAD.min_span:
             continue
@@ -65,23 +67,19 @@ def moved_circle(
     return ""
 
 
+def another_revision(what: str, why: str) -> TeachError:
+    """Error for a pair that shows another revision of the part. what : the model's name. why : in words."""
+    return TeachError(
+        f"{what}: another revision of the part? {why} in the pair: expected the model that it was made by",
+        "revision",
+    )
+
+
 def _words(circle: ModelCircle, found: _Displaced) -> str:
-    kind = "hole" if circle.hole else "boss"
-    place = ", ".join(f"{value:.3f}" for value in circle.centre_mm)
-    whose = f"the {kind} of radius {circle.radius_mm:.3f} mm at ({place})"
     if found.aside_mm >= found.narrower_mm:
-        return f"{whose} lies {found.aside_mm:.3f} mm aside"
-    return f"the radius of {whose} is {found.narrower_mm:.3f} mm {'smaller' if circle.hole else 'larger'}"
-
-
-def _offsets(pyramids: Pyramids, camera: int, seen: VisibleSamples, reach_px: float) -> FloatArray:
-    """(M, MOST) edges about each sample, px along its normal; NaN: fewer."""
-    found = np.full((len(seen.row), MOST), np.nan)
-    find_edges(
-        *pyramids.slopes[0][camera], seen.pixels, seen.normals, seen.curve, reach_px, EVIDENCE.together,
-        LOCK.fine_px, found,
-    )  # fmt: skip
-    return found
+        return f"{circle.words} lies {found.aside_mm:.3f} mm aside"
+    sense = "smaller" if circle.hole else "larger"
+    return f"the radius of {circle.words} is {found.narrower_mm:.3f} mm {sense}"
 
 
 def _chain_of(model: EdgeModel, centre: FloatArray, radius_mm: float) -> int | None:
@@ -103,7 +101,9 @@ def _displaced(
     designs: Sequence[FloatArray], offsets: Sequence[FloatArray], px_per_mm: float
 ) -> _Displaced | None:
     """Where else both cameras show a circle, that do not show it in its place; None: nowhere."""
-    here = [_share(offset) for offset in offsets]
+    here = max(_share(offset) for offset in offsets)
+    if here > 1.0 - CAD.moved_share:
+        return None
     step = 1.0 / px_per_mm
     count = math.ceil(CAD.near_mm / step)
     x, y, narrower = (
@@ -120,7 +120,7 @@ def _displaced(
         axis=0,
     )
     most = float(shares.max())
-    if most < DECISION.present or most - max(here) < CAD.moved_share:
+    if most < DECISION.present or most - here < CAD.moved_share:
         return None
     aside_x, aside_y, less = tried[shares == most].mean(axis=0)  # between places, all as good
     return _Displaced(math.hypot(aside_x, aside_y), float(less))

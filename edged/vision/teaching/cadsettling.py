@@ -25,6 +25,7 @@ from edged.vision.solid.params import DECISION
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import ModelRegistration, Partner, register
 from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
+from edged.vision.teaching.cadrevision import another_revision
 from edged.vision.teaching.params import CAD
 
 
@@ -185,9 +186,7 @@ def _check_revision(job: Job, model: ModelCurves, found: ModelRegistration, reac
             continue
         circle = model.circles[one.index]
         limit = _aside_limit(job, one.name, reach)
-        kind = "hole" if circle.hole else "boss"
-        place = ", ".join(f"{value:.3f}" for value in circle.centre_mm)
-        whose = f"{one.name} is the {kind} of radius {circle.radius_mm:.3f} mm at ({place})"
+        whose = f"{one.name} is {circle.words}"
         if one.aside / limit > worst[0]:
             worst = one.aside / limit, f"{whose} and lies {one.aside:.3f} mm aside"
         narrow = -one.wider / (limit + 3 * circle.sigma_mm)
@@ -197,11 +196,7 @@ def _check_revision(job: Job, model: ModelCurves, found: ModelRegistration, reac
         if -one.deeper / reach.depth_mm > worst[0]:
             worst = -one.deeper / reach.depth_mm, f"{whose} and lies {-one.deeper:.3f} mm higher"
     if worst[1]:
-        raise TeachError(
-            f"{what}: another revision of the part? {worst[1]} in the pair: expected the model that it was "
-            "made by",
-            "revision",
-        )
+        raise another_revision(what, worst[1])
 
 
 def _summary(settled: Sequence[str], found: ModelRegistration, what: str) -> str:
