@@ -41,6 +41,8 @@ I1 = Annotated[npt.NDArray[np.int64], "i8[::1]"]
 I2 = Annotated[npt.NDArray[np.int64], "i8[:, ::1]"]
 B1 = Annotated[npt.NDArray[np.bool_], "b1[::1]"]
 S2 = Annotated[npt.NDArray[np.int16], "i2[:, ::1]"]
+G2 = Annotated[npt.NDArray[np.float32], "f4[:, ::1]"]
+N2 = Annotated[npt.NDArray[np.int32], "i4[:, ::1]"]
 INT = Annotated[int, "i8"]
 FLOAT = Annotated[float, "f8"]
 """Fields of a `NamedTuple` that a kernel takes: contiguous arrays of so many dimensions, a number."""

@@ -12,13 +12,17 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
-from edged.vision.geometry.rigid import unit
-from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.jit import for_kernel, kernel
 from edged.vision.part.params import SOLID
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 B64 = npt.NDArray[np.bool_]
+
+# numba freezes globals when it compiles: kernels read these by name
+BEHIND_SHARE = SOLID.behind_share
+BEHIND_PX = SOLID.behind_px
+AROUND_PX = SOLID.around_px
 
 
 def hidden_points(
@@ -34,28 +38,60 @@ def hidden_points(
     the surface about it.  size_px : side of the buffer.
     Nothing is hidden where the camera is inside, or too close.
     """
-    middle = 0.5 * (vertices_mm.min(axis=0) + vertices_mm.max(axis=0))
-    reach = float(np.linalg.norm(vertices_mm - middle, axis=1).max())
-    distance = float(np.linalg.norm(middle - camera_mm))
-    if not distance > 1.5 * reach:
-        return np.zeros(len(points_mm), bool)
-    z = unit(middle - camera_mm)
-    x = unit(np.cross(np.eye(3)[int(np.abs(z).argmin())], z))
-    frame = np.stack([x, np.cross(z, x), z])
-    scale = 0.5 * (size_px - 3) * np.sqrt(distance**2 - reach**2) / reach
-    body, seen = ((at_mm - camera_mm) @ frame.T for at_mm in (vertices_mm, points_mm))
-    buffer = np.zeros((size_px, size_px))
-    fill_nearness(_in_buffer(body, scale, size_px), np.ascontiguousarray(triangles, np.int64), buffer)
     result = np.zeros(len(points_mm), np.bool_)
-    behind = 2 * reach * max(SOLID.behind_share, SOLID.behind_px / size_px)
-    find_hidden(buffer, _in_buffer(seen, scale, size_px), behind, SOLID.around_px, result)
+    vertices, points, eye = (for_kernel(each, np.float64) for each in (vertices_mm, points_mm, camera_mm))
+    hide(vertices, points, eye, for_kernel(triangles, np.int64), size_px, result)
     return result
 
 
-def _in_buffer(points: FloatArray, scale: float, size_px: int) -> FloatArray:
+@kernel("void(f8[:, ::1], f8[:, ::1], f8[::1], i8[:, ::1], i8, b1[::1])")
+def hide(vertices: F64, points: F64, eye: F64, triangles: I64, size: int, hidden: B64) -> None:
+    """Fill hidden (N,), of False, as in `hidden_points`."""
+    middle, towards, frame = np.empty(3), np.empty(3), np.empty((3, 3))
+    reach = distance = 0.0
+    for i in range(3):
+        middle[i] = 0.5 * (vertices[:, i].min() + vertices[:, i].max())
+        towards[i] = middle[i] - eye[i]
+        distance += towards[i] * towards[i]
+    distance = np.sqrt(distance)
+    for n in range(len(vertices)):
+        square = 0.0
+        for i in range(3):
+            square += (vertices[n, i] - middle[i]) ** 2
+        reach = max(reach, square)
+    reach = np.sqrt(reach)
+    if not distance > 1.5 * reach:
+        return
+    least = 0
+    for i in range(3):
+        frame[2, i] = towards[i] / distance
+        if abs(frame[2, i]) < abs(frame[2, least]):
+            least = i
+    # across the axis that is farthest from the line of sight
+    i, j = (least + 1) % 3, (least + 2) % 3
+    length = np.sqrt(frame[2, i] ** 2 + frame[2, j] ** 2)
+    frame[0, least], frame[0, i], frame[0, j] = 0.0, -frame[2, j] / length, frame[2, i] / length
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        frame[1, i] = frame[2, j] * frame[0, k] - frame[2, k] * frame[0, j]
+    scale = 0.5 * (size - 3) * np.sqrt(distance**2 - reach**2) / reach
+    buffer = np.zeros((size, size))
+    fill_nearness(_in_buffer(vertices, eye, frame, scale, size), triangles, buffer)
+    behind = 2 * reach * max(BEHIND_SHARE, BEHIND_PX / size)
+    find_hidden(buffer, _in_buffer(points, eye, frame, scale, size), behind, AROUND_PX, hidden)
+
+
+@kernel()
+def _in_buffer(points: F64, eye: F64, frame: F64, scale: float, size: int) -> F64:
     """(N, 3): column, row, and depth along the line of sight."""
-    depth = points[:, 2:]
-    return np.ascontiguousarray(np.hstack([0.5 * size_px + scale * points[:, :2] / depth, depth]))
+    result = np.zeros((len(points), 3))
+    for n in range(len(points)):
+        for i in range(3):
+            for j in range(3):
+                result[n, i] += frame[i, j] * (points[n, j] - eye[j])
+        for i in range(2):
+            result[n, i] = 0.5 * size + scale * result[n, i] / result[n, 2]
+    return result
 
 
 @kernel("void(f8[:, ::1], i8[:, ::1], f8[:, ::1])")

@@ -79,7 +79,13 @@ def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseE
         # edges per px, without the own one and the part's others there, over a stretch of the curve
         near = np.empty((len(seen.row), 4))
         find_neighbours(
-            seen.pixels, seen.normals, seen.curve, pyramids.drawn[0][k], LOCK.own_px, EVIDENCE.reach_px, near
+            seen.pixels,
+            seen.normals,
+            seen.curve,
+            pyramids.pictures[0][k].drawn,
+            LOCK.own_px,
+            EVIDENCE.reach_px,
+            near,
         )
         own = (np.abs(offsets[:, :, None] - near[:, None]) < EVIDENCE.own_px).any(axis=2)
         beside = ((away > EVIDENCE.own_px) & (away < EVIDENCE.reach_px) & ~own).sum(axis=1)

@@ -19,8 +19,9 @@ from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
-from edged.vision.kernels.jit import for_both
-from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, mad_sigma, tukey_weights
+from edged.vision.kernels.jit import for_both, kernel
+from edged.vision.kernels.median import median
+from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weights
 from edged.vision.solid.edgemodel import EdgeModel, EdgePoints, are_unbroken, chains_of
 from edged.vision.solid.lock import Pyramids, scale_at
 from edged.vision.solid.params import PROFILE, VISIBILITY
@@ -28,6 +29,11 @@ from edged.vision.solid.shifts import NEAR, find_shifts
 from edged.vision.solid.visible import VisibleSamples, find_neighbours, moved, samples_at, see
 
 I64 = npt.NDArray[np.int64]
+
+# numba freezes globals when it compiles: kernels read these by name
+CORRELATED = PROFILE.correlated
+PRIOR_BLOCKS = PROFILE.prior_blocks
+MIN_SIGMA_PX = PROFILE.min_sigma_px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +105,7 @@ def profiles_of(
             dense.pixels,
             dense.normals,
             dense.curve,
-            pyramids.drawn[0][k],
+            pyramids.pictures[0][k].drawn,
             PROFILE.own_px,
             PROFILE.reach_px,
             near,
@@ -294,6 +300,7 @@ def _with_covariance(
     return ProfileFit(fit.pose, edges / units, calibration / units, fit.rms_px, *extra)
 
 
+@kernel("f8[::1](f8[::1], i8[::1], b1[::1])")
 def scatter_of(left: FloatArray, stretch: I64, good: npt.NDArray[np.bool_]) -> FloatArray:
     """(M,) robust sigma of the residuals left (M,) about 0, px, each of the stretch of a curve it belongs to.
 
@@ -302,17 +309,31 @@ def scatter_of(left: FloatArray, stretch: I64, good: npt.NDArray[np.bool_]) -> F
     it does not say more.
     Source: W. Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", 1979.
 
-    stretch (M,) : numbers from 0 on.
+    stretch (M,) : numbers from 0 on.  good (M,) : which residuals count, one at least.
     """
-    common = max(mad_sigma(left[good]), PROFILE.min_sigma_px) ** 2
-    result = np.empty(len(left))
-    for number in range(int(stretch.max()) + 1):
-        own = stretch == number
-        scatter = np.abs(left[own & good])
-        blocks = len(scatter) / PROFILE.correlated
-        square = (SIGMA_PER_MEDIAN * float(np.median(scatter))) ** 2 if blocks else 0.0
-        result[own] = (PROFILE.prior_blocks * common + blocks * square) / (PROFILE.prior_blocks + blocks)
-    return np.maximum(np.sqrt(result), PROFILE.min_sigma_px)
+    count, numbers = len(left), int(stretch.max()) + 1
+    # all good residuals, those of one stretch behind each other
+    ends = np.zeros(numbers + 1, np.int64)
+    for m in range(count):
+        ends[stretch[m] + 1] += good[m]
+    for k in range(numbers):
+        ends[k + 1] += ends[k]
+    sizes, place = np.empty(ends[numbers]), ends[:numbers].copy()
+    for m in range(count):
+        if good[m]:
+            sizes[place[stretch[m]]] = abs(left[m])
+            place[stretch[m]] += 1
+    common = max(SIGMA_PER_MEDIAN * median(sizes), MIN_SIGMA_PX) ** 2
+    sigma = np.empty(numbers)
+    for k in range(numbers):
+        own, square = sizes[ends[k] : ends[k + 1]], 0.0
+        blocks = len(own) / CORRELATED
+        if len(own):
+            square = (SIGMA_PER_MEDIAN * median(own)) ** 2
+        sigma[k] = max(
+            np.sqrt((PRIOR_BLOCKS * common + blocks * square) / (PRIOR_BLOCKS + blocks)), MIN_SIGMA_PX
+        )
+    return sigma[stretch]
 
 
 def _blocks(curve: I64) -> I64:

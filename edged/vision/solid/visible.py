@@ -17,7 +17,7 @@ from edged.domain.arrays import FloatArray
 from edged.vision.curves.outlines import distorted, packed_lens
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix, transform
-from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
+from edged.vision.kernels.jit import B1, F1, F2, I1, INT, for_kernel, kernel
 from edged.vision.part.zbuffer import hidden_points
 from edged.vision.solid.edgemodel import EdgeModel, EdgePoints, sampled
 from edged.vision.solid.params import VISIBILITY
@@ -53,17 +53,17 @@ class VisibleSamples(NamedTuple):
 
     row (M,) : of the samples.  pixels, normals (M, 2) : raw px, unit.  design (M, 6) : motion along the
     normal, px, by a turn about the part's axes (rad, about its centre) and a shift along them (mm).
-    by_break (M,) : the same by the width of the edge break, px / mm.  walled (M,) : both faces look at the
-    camera.
+    by_break (M,) : the same by the width of the edge break, px / mm.  curve (M,) : as of the samples.
+    walled (M,) : both faces look at the camera.
     """
 
-    row: npt.NDArray[np.int64]
-    pixels: F64
-    normals: F64
-    design: F64
-    by_break: F64
-    curve: npt.NDArray[np.int64]
-    walled: B64
+    row: I1
+    pixels: F2
+    normals: F2
+    design: F2
+    by_break: F1
+    curve: I1
+    walled: B1
 
 
 def at_level(camera: CameraModel, level: int) -> CameraModel:
@@ -111,33 +111,18 @@ def moved(model: EdgeModel, pose: FloatArray, twist: FloatArray) -> FloatArray:
     return np.asarray(pose @ transform(turn, model.centre - turn @ model.centre + twist[3:]))
 
 
-def see(
-    model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int, hidden: B64 | None = None
-) -> VisibleSamples:
-    """The samples that a camera sees.  buffer_px : side of the z-buffer; the part fills it.
-
-    hidden (N,) : by the part's own surface, if that is known, as from a pose nearby.
-    """
-    count = len(samples.points)
-    facing, walled = np.empty(count, np.bool_), np.empty(count, np.bool_)
-    find_facing(samples, view, facing, walled)
-    rows = np.flatnonzero(facing if hidden is None else facing & ~hidden)
-    if hidden is None:
-        rows = rows[~hidden_from(model, samples.points[rows], view, buffer_px)]
-    seen = VisibleSamples(
-        rows, np.empty((len(rows), 2)), np.empty((len(rows), 2)), np.empty((len(rows), 6)),
-        np.empty(len(rows)), samples.curve[rows], walled[rows],
-    )  # fmt: skip
-    kept = np.empty(len(rows), np.bool_)
-    project_samples(samples, rows, view, seen.pixels, seen.normals, seen.design, seen.by_break, kept)
-    return seen if kept.all() else VisibleSamples._make(field[kept] for field in seen)
+def see(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -> VisibleSamples:
+    """The samples that a camera sees.  buffer_px : side of the z-buffer; the part fills it."""
+    seen = room_for(len(samples.points))
+    count = find_visible(samples, hidden_from(model, samples.points, view.eye, buffer_px), view, seen)
+    return VisibleSamples._make(field[:count] for field in seen)
 
 
-def hidden_from(model: EdgeModel, points: FloatArray, view: PartView, buffer_px: int) -> B64:
-    """(N,) which points (N, 3) the part's own surface hides from a camera."""
+def hidden_from(model: EdgeModel, points: FloatArray, eye: FloatArray, buffer_px: int) -> B64:
+    """(N,) which points (N, 3) the part's own surface hides from a camera at eye (3,), part frame."""
     if not len(points) or not len(model.triangles):
         return np.zeros(len(points), np.bool_)
-    return hidden_points(model.vertices, model.triangles, points, view.eye, buffer_px)
+    return hidden_points(model.vertices, model.triangles, points, eye, buffer_px)
 
 
 def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> EdgePoints:
@@ -146,84 +131,80 @@ def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> Edg
     return sampled(model, math.exp(-steps * VISIBILITY.alike))
 
 
-@kernel("void(EdgePoints, PartView, b1[::1], b1[::1])", tuples=(EdgePoints, PartView))
-def find_facing(samples: EdgePoints, view: PartView, facing: B64, walled: B64) -> None:
-    """Fill facing (N,): sharp edges with a face towards the camera, smooth walls where they are outline.
+@kernel("VisibleSamples(i8)", tuples=(VisibleSamples,))
+def room_for(count: int) -> VisibleSamples:
+    """Samples to be filled."""
+    return VisibleSamples(
+        np.empty(count, np.int64), np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 6)),
+        np.empty(count), np.empty(count, np.int64), np.empty(count, np.bool_),
+    )  # fmt: skip
 
-    And walled (N,): both faces look at the camera.
+
+@kernel("i8(EdgePoints, b1[::1], PartView, VisibleSamples)", tuples=(EdgePoints, PartView, VisibleSamples))
+def find_visible(samples: EdgePoints, hidden: B64, view: PartView, seen: VisibleSamples) -> int:
+    """Fill the first rows of what is seen, and say how many.
+
+    Of sharp edges that is what has a face towards the camera, of smooth walls what is outline; neither too
+    slanted nor outside of the image.  hidden (N,) : samples that the part's own surface hides.
     """
+    pose = view.pose
+    there, along, gradient, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    m = 0
     for n in range(len(samples.points)):
+        if hidden[n]:
+            continue
         first = second = 0.0
         for i in range(3):
             to_eye = view.eye[i] - samples.points[n, i]
             first += to_eye * samples.normals[n, i]
             second += to_eye * samples.normals[n, 3 + i]
-        walled[n] = first > 0.0 and second > 0.0
-        if samples.sharp[n]:
-            facing[n] = first > 0.0 or second > 0.0
-        else:
-            facing[n] = (first > 0.0) != (second > 0.0)
-
-
-@kernel(
-    "void(EdgePoints, i8[::1], PartView, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], b1[::1])",
-    tuples=(EdgePoints, PartView),
-)
-def project_samples(
-    samples: EdgePoints,
-    rows: I64,
-    view: PartView,
-    pixels: F64,
-    normals: F64,
-    design: F64,
-    by_break: F64,
-    kept: B64,
-) -> None:
-    """Fill `VisibleSamples` of some rows, and kept (M,): neither too slanted nor outside of the image."""
-    pose = view.pose
-    there, along, gradient, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for m in range(len(rows)):
-        n = rows[m]
+        facing = first > 0.0 or second > 0.0
+        if not samples.sharp[n]:
+            facing = (first > 0.0) != (second > 0.0)
+        if not facing:
+            continue
         for i in range(3):
             there[i], along[i] = pose[i, 3], 0.0
             for j in range(3):
                 there[i] += pose[i, j] * samples.points[n, j]
                 along[i] += pose[i, j] * samples.along[n, j]
-        kept[m] = there[2] > 0.0
-        if not kept[m]:
+        if not there[2] > 0.0:
             continue
         nearness = 1.0 / there[2]
         u, v = there[0] * nearness, there[1] * nearness
         x, y, xu, xv, yu, yv = distorted(u, v, view.lens, view.model)
-        pixels[m, 0], pixels[m, 1] = x * view.focal[0] + view.centre[0], y * view.focal[1] + view.centre[1]
+        x, y = x * view.focal[0] + view.centre[0], y * view.focal[1] + view.centre[1]
         xu, xv = view.focal[0] * xu * nearness, view.focal[0] * xv * nearness
         yu, yv = view.focal[1] * yu * nearness, view.focal[1] * yv * nearness
         along_u, along_v = along[0] - u * along[2], along[1] - v * along[2]
         tx, ty = xu * along_u + xv * along_v, yu * along_u + yv * along_v
         size = np.sqrt(tx * tx + ty * ty)
         inside = (
-            pixels[m, 0] > BORDER_PX and pixels[m, 1] > BORDER_PX
-            and pixels[m, 0] < view.size[0] - 1.0 - BORDER_PX
-            and pixels[m, 1] < view.size[1] - 1.0 - BORDER_PX
+            x > BORDER_PX and y > BORDER_PX
+            and x < view.size[0] - 1.0 - BORDER_PX
+            and y < view.size[1] - 1.0 - BORDER_PX
         )  # fmt: skip
-        kept[m] = inside and size > SLANT * view.focal[0] * nearness
-        if not kept[m]:
+        if not inside or not size > SLANT * view.focal[0] * nearness:
             continue
         normal_x, normal_y = -ty / size, tx / size
-        normals[m, 0], normals[m, 1] = normal_x, normal_y
+        seen.row[m], seen.curve[m], seen.walled[m] = n, samples.curve[n], first > 0.0 and second > 0.0
+        seen.pixels[m, 0], seen.pixels[m, 1] = x, y
+        seen.normals[m, 0], seen.normals[m, 1] = normal_x, normal_y
         du, dv = normal_x * xu + normal_y * yu, normal_x * xv + normal_y * yv
         dw = -(u * du + v * dv)
-        by_break[m] = 0.0
+        seen.by_break[m] = 0.0
         for j in range(3):
             gradient[j] = du * pose[0, j] + dv * pose[1, j] + dw * pose[2, j]
             arm[j] = samples.points[n, j] - view.middle[j]
-            by_break[m] += gradient[j] * samples.by_break[n, j]
+            seen.by_break[m] += gradient[j] * samples.by_break[n, j]
         # a small turn w moves the point by w x arm: gradient . (w x arm) = w . (arm x gradient)
-        design[m, 0] = arm[1] * gradient[2] - arm[2] * gradient[1]
-        design[m, 1] = arm[2] * gradient[0] - arm[0] * gradient[2]
-        design[m, 2] = arm[0] * gradient[1] - arm[1] * gradient[0]
+        seen.design[m, 0] = arm[1] * gradient[2] - arm[2] * gradient[1]
+        seen.design[m, 1] = arm[2] * gradient[0] - arm[0] * gradient[2]
+        seen.design[m, 2] = arm[0] * gradient[1] - arm[1] * gradient[0]
         for j in range(3):
-            design[m, 3 + j] = gradient[j]
+            seen.design[m, 3 + j] = gradient[j]
+        m += 1
+    return m
 
 
 @kernel("void(f8[:, ::1], f8[:, ::1], i8[::1], i4[:, ::1], f8, f8, f8[:, ::1])")
