@@ -201,9 +201,9 @@ def marks_to_json(report: MarksReport) -> Json:
         "seen": report.seen,
         "taught": report.taught,
         "excluded": list(report.excluded),
-        "fit": None if report.fit is None else known(report.fit),
-        "left_mm": None if report.left_mm is None else known(report.left_mm),
-        "right_mm": None if report.right_mm is None else known(report.right_mm),
+        "fit": known(report.fit),
+        "left_mm": known(report.left_mm),
+        "right_mm": known(report.right_mm),
         "text": report.why,
     }
 
@@ -372,8 +372,8 @@ def _measurement(measured: Measurement) -> Json:
         "unit": measured.unit,
         "value": known(measured.value),
         "sigma": known(measured.sigma),
-        "nominal": None if measured.nominal is None else known(measured.nominal),
-        "tolerance": None if measured.tolerance is None else known(measured.tolerance),
+        "nominal": known(measured.nominal),
+        "tolerance": known(measured.tolerance),
         "ok": measured.ok,
     }
 

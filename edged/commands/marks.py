@@ -20,7 +20,7 @@ from edged.owners import as_owner
 from edged.payload import marks_to_json
 from edged.setup.pairs import load_pair
 from edged.vision.geometry.correction import shift_by_displacement
-from edged.vision.geometry.rectification import linear_image
+from edged.vision.geometry.rectification import linear_pair
 from edged.vision.marks.observing import DotsInPair
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import TaughtMarks, teach_marks
@@ -96,13 +96,10 @@ def status(
     taught = marks_of(read_marks(place), place, loaded)
     if taught is None:
         raise UserError(f"{place}: taught with another calibration than {rig}: teach them again")
-    images = [
-        linear_image(image, loaded.camera(side).gamma)
-        for image, side in zip(load_pair(loaded, left, right), SIDES, strict=True)
-    ]
+    images = linear_pair(loaded, *load_pair(loaded, left, right))
     marks = MarksFilter(taught, settings)
     before = marks.predicted(marks.begin(), left.stat().st_mtime_ns)
-    dots, before = marks.look(before, images[0], images[1])
+    dots, before = marks.look(before, *images)
     track, report = marks.updated(before, dots)
     if as_json:
         moved = dots.pixels - taught.pixels

@@ -17,7 +17,7 @@ from rich.table import Table
 from edged.commands.boardoption import naming_board_option
 from edged.commands.progress import shown_on
 from edged.domain.arrays import SIDES, FloatArray, Side
-from edged.domain.numerals import decimal
+from edged.domain.numerals import decimal, known
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import MAX_DOCUMENT_BYTES, read_bytes
 from edged.files.images import load_image
@@ -351,9 +351,9 @@ def _touch_json(
         "robot_from_rig": found.robot_from_rig.tolist(),
         "rms_mm": found.rms_mm,
         "scale": found.scale,
-        "sigma_scale": None if math.isnan(found.sigma_scale) else found.sigma_scale,
+        "sigma_scale": known(found.sigma_scale),
         "points": [
-            {"name": n, "residual_mm": r, "held_out_mm": None if math.isnan(o) else o}
+            {"name": n, "residual_mm": r, "held_out_mm": known(o)}
             for n, r, o in zip(names, found.residuals_mm.tolist(), found.held_out_mm.tolist(), strict=True)
         ],
         "culprit": None if found.culprit is None else names[found.culprit],
@@ -368,7 +368,7 @@ def _hand_eye_json(names: list[str], found: HandEye, rms_mm: float, good: bool) 
         key: found.rig.tolist(),
         "covariance": found.covariance.tolist(),
         "rms_mm": found.rms_mm,
-        "held_out_rms_mm": rms_mm if math.isfinite(rms_mm) else None,
+        "held_out_rms_mm": known(rms_mm),
         "poses": [
             {"name": n, "used": bool(u), "held_out_mm": float(m), "held_out_deg": float(np.degrees(a))}
             for n, u, m, a in zip(names, found.used, found.held_out_mm, found.held_out_rad, strict=True)

@@ -24,8 +24,8 @@ from edged.files.images import load_image
 from edged.files.jobs import load_job
 from edged.files.rig import load_rig
 from edged.setup.calibration.boards import boards_in, stated_boards
-from edged.setup.calibration.checking import Finding, Limits, by_board, by_part, check_sizes
-from edged.setup.pairs import Picture
+from edged.setup.calibration.checking import Finding, Limits, by_board, by_part
+from edged.setup.pairs import Picture, load_pair
 from edged.vision.calibration.verification import COVERAGE
 from edged.vision.geometry.camera import StereoRig
 
@@ -49,9 +49,7 @@ def verify(
     if not (math.isfinite(limits.epipolar_px) and math.isfinite(limits.length_percent)):
         raise UserError("--max-epipolar and --max-length-error: expected finite numbers")
     rig = load_rig(rig_path)
-    left, right = pictures
-    images = load_image(left), load_image(right)
-    check_sizes(rig, images, (str(left), str(right)))
+    images = load_pair(rig, *pictures)
     if board is not None and job is None:
         if lengths:
             raise UserError("--length belongs to --job; the length of a board is in its specification")

@@ -6,13 +6,12 @@ from collections.abc import Iterator
 
 from edged.config.configuration import Config
 from edged.doctor.findings import Check, CheckResult
-from edged.domain.arrays import SIDES
 from edged.domain.frames import FramePair
 from edged.domain.marks import MarksState
 from edged.errors import FileFormatError
 from edged.files.marks import marks_file, marks_of, read_marks
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.rectification import linear_image
+from edged.vision.geometry.rectification import linear_pair
 
 NAME = "reference marks"
 
@@ -32,7 +31,7 @@ def look_at_marks(config: Config, rig: StereoRig | None, pair: FramePair) -> Ite
 
     settings = MarksSettings(config.marks.material, config.marks.range_k)
     tracker = MarksFilter(taught, settings)
-    left, right = (linear_image(pair.side(side).image, rig.camera(side).gamma) for side in SIDES)
+    left, right = linear_pair(rig, pair.left.image, pair.right.image)
     _, report = tracker.step(tracker.begin(), left, right, pair.exposed_ns)
     seen = f"{report.seen} of {report.taught} are seen"
     if report.state is MarksState.CORRECTED:

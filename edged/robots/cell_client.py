@@ -62,7 +62,7 @@ class CellError(Exception):
     """
 
 
-class CommandRefused(CellError):
+class CommandNacked(CellError):
     """The command ended in NACK; reason : a name of `NACK_REASONS`."""
 
     def __init__(self, reason: str) -> None:
@@ -172,7 +172,7 @@ class EdgedCell:
     def locate(
         self, job: int = 0, timeout_s: float = 5.0, *, all_jobs: bool = False, skip: bool = False
     ) -> Result:
-        """Measure now. Raises `CommandRefused` for a NACK (a dead camera too), `NoAnswer`.
+        """Measure now. Raises `CommandNacked` for a NACK (a dead camera too), `NoAnswer`.
 
         all_jobs : every job is tried; the register JOB of the result is the one whose part agrees best.
         skip : the part of the result before could not be picked: it comes last.
@@ -188,7 +188,7 @@ class EdgedCell:
     def next_part(self, job: int = 0, timeout_s: float = 5.0) -> Result:
         """The next good part of the picture that the last `locate` took; job : of it, 0 for whatever it was.
 
-        The register REMAINING says whether there is one; without one `CommandRefused` says NO_LIST.
+        The register REMAINING says whether there is one; without one `CommandNacked` says NO_LIST.
         """
         return self._measure("NEXT_PART", job, timeout_s)
 
@@ -235,7 +235,7 @@ class EdgedCell:
         """A step of a registration: HAND_EYE_START, TOUCH_START, REGISTER_ADD or REGISTER_SOLVE.
 
         flange : X Y Z in um, A B C in 0.001 degrees, for REGISTER_ADD. Returns the block `registration`.
-        Raises as `locate`; what adds or solves nothing is a `CommandRefused`.
+        Raises as `locate`; what adds or solves nothing is a `CommandNacked`.
         """
         if flange:
             words = list(struct.unpack(">12H", struct.pack(">6i", *flange)))
@@ -320,7 +320,7 @@ class EdgedCell:
             if (status["START_EPOCH"], status["CMD_SEQ_ECHO"]) != (epoch, sequence):
                 raise NoAnswer(f"the cell was restarted, or another client took the place of {sequence}")
             if status["DONE_SEQ"] == sequence and "NACK" in status["bits"]:
-                raise CommandRefused(reasons.get(int(status["NACK_REASON"]), "?"))
+                raise CommandNacked(reasons.get(int(status["NACK_REASON"]), "?"))
             if status["DONE_SEQ"] == sequence and "ACK" in status["bits"]:
                 return sequence, epoch
             time.sleep(self._poll_s)

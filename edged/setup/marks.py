@@ -16,7 +16,7 @@ from edged.domain.measurement import Outcome
 from edged.errors import FileFormatError
 from edged.pipeline import PreparedRig, corrected, locate
 from edged.vision.geometry.correction import RigCorrection
-from edged.vision.geometry.rectification import Rectification, linear_image, make_rectification
+from edged.vision.geometry.rectification import Rectification, linear_pair, make_rectification
 from edged.vision.marks.taught import TaughtMarks
 from edged.vision.marks.tracking import MarksFilter, MarksSettings, correction_of
 from edged.vision.part.job import Job
@@ -41,11 +41,7 @@ class RigMarks:
 
     def see(self, track: MarksTrack, pair: FramePair) -> tuple[MarksTrack, MarksReport]:
         """What the marks of a pair say after a track."""
-        rig = self._prepared.rig
-        images = (
-            linear_image(pair.left.image, rig.left.gamma),
-            linear_image(pair.right.image, rig.right.gamma),
-        )
+        images = linear_pair(self._prepared.rig, pair.left.image, pair.right.image)
         return self._filter.step(track, *images, pair.exposed_ns)
 
     def rig(self, track: MarksTrack) -> PreparedRig:

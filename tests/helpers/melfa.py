@@ -69,7 +69,7 @@ def _write(position: Record, pose: FloatArray) -> None:
         position.fields[name].set(number)
 
 
-class Slot:
+class TaskSlot:
     """A task slot: what it runs, its own variables, and why it waits."""
 
     equals = "="
@@ -216,7 +216,7 @@ class Controller:
             self.shared[name] = TYPES.variable("position")
         self.shared["P_CURR"].get().fields["fl1"].set(7)
         self.arguments: tuple[float, ...] = ()
-        self.slots: dict[int, Slot] = {}
+        self.slots: dict[int, TaskSlot] = {}
         self.moves: list[tuple[Record, float]] = []
         self.stopped = False
         self.timers = {1: 0.0, 2: 0.0}
@@ -235,7 +235,7 @@ class Controller:
 
     def run(self, source: str, **known: FloatArray) -> None:
         """A program that calls EDGED. known : poses of its positions."""
-        slot = Slot(self, source)
+        slot = TaskSlot(self, source)
         for name, pose in known.items():
             _write(slot.named(name).get(), pose)
         while slot.runs:
@@ -246,7 +246,7 @@ class Controller:
         self.arguments = arguments
         for name, pose in (("P_CURR", self.link.arm.tip), ("P_TOOL", self.link.arm.flange_from_tip)):
             _write(self.shared[name].get(), pose)
-        main = self.slots[1] = Slot(self, self.files["EDGED.prg"])
+        main = self.slots[1] = TaskSlot(self, self.files["EDGED.prg"])
         while main.runs:
             moved = main.step()
             if 2 in self.slots and self.slots[2].runs and not self.stopped:
@@ -262,7 +262,7 @@ class Controller:
         """A task slot is run, stopped, reset, given free: in this order."""
         if what == "XRun":
             assert program is not None and 2 not in self.slots
-            self.slots[2] = Slot(self, self.files[f"{program[1:-1]}.prg"])
+            self.slots[2] = TaskSlot(self, self.files[f"{program[1:-1]}.prg"])
             self.stopped = False
         elif what == "XStp":
             self.stopped = True

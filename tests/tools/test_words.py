@@ -20,9 +20,6 @@ def _trees() -> dict[Path, ast.Module]:
     return {path: ast.parse(path.read_text()) for path in sorted((ROOT / "edged").rglob("*.py"))}
 
 
-TWICE = {"CommandRefused"}
-"""Public class names that stand in two modules: the Python client is a file of its own, on another PC."""
-
 BANNED = {
     **dict.fromkeys(
         (
@@ -63,14 +60,14 @@ def _words(name: str) -> list[str]:
 
 @pytest.mark.slow
 def test_no_public_class_name_stands_twice() -> None:
-    """But for those that are still to be renamed."""
+    """One name, one thing."""
     places = defaultdict[str, set[Path]](set)
     for path, tree in _trees().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].add(path)
 
-    assert {} == {name: found for name, found in places.items() if len(found) > 1 and name not in TWICE}
+    assert {} == {name: found for name, found in places.items() if len(found) > 1}
 
 
 @pytest.mark.slow

@@ -97,9 +97,9 @@ def test_the_python_client_drives_every_command(client_module: ModuleType, setti
         cell.targets = ()
         assert (False, "NO_TARGET") == (client.latest().ok, client.locate().code)
         cell.head.broken = True
-        with pytest.raises(client_module.CommandRefused, match="CAPTURE_FAULT"):
+        with pytest.raises(client_module.CommandNacked, match="CAPTURE_FAULT"):
             client.locate()
-        with pytest.raises(client_module.CommandRefused, match="REFUSED"):
+        with pytest.raises(client_module.CommandNacked, match="REFUSED"):
             client.locate(job=99)
 
 
@@ -117,12 +117,12 @@ def test_the_python_client_gives_part_after_part(client_module: ModuleType) -> N
         assert [0, 1, 2] == [part.values["INDEX"] for part in parts]
         assert 1 == len({part.values["EXPOSURE_NS"] for part in parts}) == cell.head.captures
         assert 3 == len({part.sequence for part in parts})
-        with pytest.raises(client_module.CommandRefused, match="NO_LIST"):
+        with pytest.raises(client_module.CommandNacked, match="NO_LIST"):
             client.next_part()
         assert client.locate().ok
         assert 20_000 == client.next_part().values["X"]
         client.verify()
-        with pytest.raises(client_module.CommandRefused, match="NO_LIST"):
+        with pytest.raises(client_module.CommandNacked, match="NO_LIST"):
             client.next_part()
 
 
@@ -175,7 +175,7 @@ def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None
         client.narrow(2)
         assert [50_000] == [part.values["X"] for part in client.parts()]
         client.narrow(3)
-        with pytest.raises(client_module.CommandRefused, match="REFUSED"):
+        with pytest.raises(client_module.CommandNacked, match="REFUSED"):
             client.locate()
 
 
@@ -271,7 +271,7 @@ def test_the_python_client_ends_in_time(client_module: ModuleType) -> None:
     """Vision that takes too long is a NACK by the time-out of the command, and nothing is valid after it."""
     with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
         cell.slow_s = 0.6
-        with pytest.raises(client_module.CommandRefused, match="TIMEOUT"):
+        with pytest.raises(client_module.CommandNacked, match="TIMEOUT"):
             client.locate(timeout_s=0.1)
         wait_until(lambda: "READY" in client.status()["bits"] and not client.status()["OPEN_COMMANDS"])
         time.sleep(0.6)

@@ -15,7 +15,7 @@ from edged.domain.registration import Method
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason
 from edged.robot.orientations import ANGLES_DEG, Brand, Convention
-from edged.robots.cell_client import CommandRefused, EdgedCell
+from edged.robots.cell_client import CommandNacked, EdgedCell
 from edged.vision.geometry.rigid import apply, transform
 
 GOOD_MM = 0.03
@@ -201,7 +201,7 @@ def test_the_python_client_goes_step_by_step(cell: WalkedCell) -> None:
             numbers = (*pose[:3, 3], *ANGLES_DEG[Convention.FIXED_XYZ](pose[:3, :3]))
             flange = tuple(round(one * 1000) for one in numbers)
             assert number == client.register("REGISTER_ADD", flange)["H_SAMPLES"]
-        with pytest.raises(CommandRefused, match="TOO_FEW"):
+        with pytest.raises(CommandNacked, match="TOO_FEW"):
             client.register("REGISTER_SOLVE")
 
 

@@ -266,6 +266,16 @@ def test_parts_may_be_acknowledged_one_by_one(make: type[Any]) -> None:
         assert 2 == cell.head.captures
 
 
+def exposed(cell: LiveCell, side: Any) -> list[float]:
+    """Let a robot expose two parts, which it knows before the cell has measured, and fetch x of both."""
+    cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+    cell.may_end.clear()
+    assert side.expose(), side.error()
+    assert not bits(cell) & StatusBit.ACK
+    cell.may_end.set()
+    return [(pose or (0.0,))[0] for pose in (side.result(), side.next())]
+
+
 @pytest.mark.parametrize(
     "make", [Abb, Doosan, Staubli, Kawasaki, Epson, Denso, Yaskawa], ids=lambda one: one.__name__
 )
@@ -273,14 +283,9 @@ def test_a_robot_may_go_when_its_picture_is_taken(make: type[Any]) -> None:
     """Its program goes on while the cell measures, and fetches the pose afterwards; so again and again."""
     with running(make) as (cell, side):
         for captures in (1, 2):
-            cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
-            cell.may_end.clear()
-            assert side.expose(), side.error()
-            assert not bits(cell) & StatusBit.ACK
-            cell.may_end.set()
-            seen = [(one or (0,))[0] for one in (side.result(), side.next())]
+            assert ([10.0, 20.0], 0) == (exposed(cell, side), side.error())
             side.acknowledge()
-            assert ([10.0, 20.0], 0, captures) == (seen, side.error(), cell.head.captures)
+            assert captures == cell.head.captures
         cell.targets = ()
         assert side.expose()
         assert (None, 102, 0) == (side.result(), side.error(), side.remaining())
@@ -293,13 +298,7 @@ def test_krl_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> Non
     """The link stays open in between; a result that was never asked for is given up by the next command."""
     with running(make) as (cell, side):
         for captures in (1, 2):
-            cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
-            cell.may_end.clear()
-            assert side.expose(), side.error()
-            assert not bits(cell) & StatusBit.ACK
-            cell.may_end.set()
-            seen = [(one or (0,))[0] for one in (side.result(), side.next())]
-            assert ([10.0, 20.0], 0, captures) == (seen, side.error(), cell.head.captures)
+            assert ([10.0, 20.0], 0, captures) == (exposed(cell, side), side.error(), cell.head.captures)
             assert not bits(cell) & StatusBit.RESULT_VALID
         assert (None, Failure.NO_LINK) == (side.result(), side.error())
         assert side.expose()

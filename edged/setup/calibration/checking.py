@@ -13,7 +13,7 @@ from edged.cell.drift import TELLING
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Circle3D, Target
-from edged.errors import ImageError, UserError
+from edged.errors import UserError
 from edged.pipeline import locate, prepare
 from edged.vision.boards.board import NominalBoard, NotDetected, StereoView
 from edged.vision.boards.detection import detect_board, remeasure_board
@@ -21,7 +21,7 @@ from edged.vision.calibration.imaging import Imaging, edges_of, findings, imagin
 from edged.vision.calibration.imaging import ImagingFinding as Remark
 from edged.vision.calibration.verification import BoardCheck, Length, Verdict, check_board, pose_of_board
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.rectification import linear_image
+from edged.vision.geometry.rectification import linear_pair
 from edged.vision.geometry.rigid import apply
 from edged.vision.part.consistency import undoubted
 from edged.vision.part.job import Job
@@ -53,21 +53,14 @@ class Finding:
     cameras: tuple[Remark, ...] = ()
 
 
-def check_sizes(rig: StereoRig, images: tuple[Image, Image], names: tuple[str, str]) -> None:
-    """Raises `ImageError` for images of other sizes than the rig's. names : what the images are called."""
-    for side, image, name in zip(SIDES, images, names, strict=True):
-        camera = rig.camera(side)
-        if image.shape != (camera.height, camera.width):
-            raise ImageError(
-                f"{name}: {image.shape[1]} x {image.shape[0]}, the rig's {side} camera was calibrated for "
-                f"{camera.width} x {camera.height}"
-            )
-
-
 def by_board(
     rig: StereoRig, images: tuple[Image, Image], boards: Sequence[NominalBoard], limits: Limits
 ) -> Finding:
-    """What one pair of any of the boards says of the rig; left and right image of the rig's sizes."""
+    """What one pair of any of the boards says of the rig.
+
+    Raises `ImageError` for images that the rig was not calibrated for.
+    """
+    linear = linear_pair(rig, *images)
     reason = ""
     for board in boards:
         view = StereoView("verify", board, *(detect_board(image, board) for image in images))
@@ -84,18 +77,18 @@ def by_board(
             continue
         check = check_board(rig, *placed)
         found = _judged(check.epipolar_rms_px, (check.size,), limits, check)
-        return replace(found, cameras=_cameras(rig, images, *placed))
+        return replace(found, cameras=_cameras(rig, linear, *placed))
     return Finding("UNDECIDED", math.nan, (), reason)
 
 
 def _cameras(
-    rig: StereoRig, images: tuple[Image, Image], view: StereoView, left_from_board: FloatArray
+    rig: StereoRig, linear: tuple[Image, Image], view: StereoView, left_from_board: FloatArray
 ) -> tuple[Remark, ...]:
-    """What the board's edges say of the cameras, the response that the rig knows of taken out."""
+    """What the board's edges say of the cameras. linear : without the response that the rig knows of."""
     sides: list[Imaging] = []
-    for side, image in zip(SIDES, images, strict=True):
+    for side, image in zip(SIDES, linear, strict=True):
         camera = rig.camera(side)
-        edges = edges_of(linear_image(image, camera.gamma), view.board, view.found(side))
+        edges = edges_of(image, view.board, view.found(side))
         sides.append(imaging_of([] if edges is None else [edges], (camera.width, camera.height)))
     depth_mm = float(apply(left_from_board, view.board.points_mm)[:, 2].mean())
     return findings((sides[0], sides[1]), rig, depth_mm)

@@ -89,7 +89,6 @@ def check_board(
     _progress: Progress, rig: RigInUse, images: tuple[Image, Image], board: NominalBoard, limits: Limits
 ) -> Finding:
     """What a pair of a board says of a rig."""
-    checking.check_sizes(rig.stereo(), images, ("the pair", "the pair"))
     return checking.by_board(rig.stereo(), images, [board], limits)
 
 
@@ -102,7 +101,6 @@ def check_part(
     limits: Limits,
 ) -> Finding:
     """What a pair of a part says of a rig."""
-    checking.check_sizes(rig.stereo(), images, ("the pair", "the pair"))
     return checking.by_part(rig.stereo(), images, job, known_mm, limits)
 
 

@@ -355,12 +355,7 @@ class StereoImages:
     @staticmethod
     def of(rectification: Rectification, left: Image, right: Image) -> StereoImages:
         """Take a raw pair. Raises `ImageError` for images that the rig was not calibrated for."""
-        rig = rectification.rig
-        check_size(rig.left, left, "left")
-        check_size(rig.right, right, "right")
-        return StereoImages(
-            rectification, linear_image(left, rig.left.gamma), linear_image(right, rig.right.gamma)
-        )
+        return StereoImages(rectification, *linear_pair(rectification.rig, left, right))
 
     @cached_property
     def rectified_left(self) -> Image:
@@ -394,6 +389,13 @@ def linear_image(image: Image, gamma: float) -> Image:
     if gamma == 1.0:
         return image
     return np.asarray(cv2.LUT(image, _inverse(gamma)), np.uint8)
+
+
+def linear_pair(rig: StereoRig, left: Image, right: Image) -> tuple[Image, Image]:
+    """Both images as `linear_image`. Raises `ImageError` for images that the rig was not calibrated for."""
+    check_size(rig.left, left, "left")
+    check_size(rig.right, right, "right")
+    return linear_image(left, rig.left.gamma), linear_image(right, rig.right.gamma)
 
 
 @lru_cache(maxsize=8)

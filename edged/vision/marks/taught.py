@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +19,7 @@ from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.errors import CalibrationError
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.correction import DISPLACEMENT, seen_with_slopes
-from edged.vision.geometry.rectification import linear_image
+from edged.vision.geometry.rectification import linear_pair
 from edged.vision.geometry.rigid import apply, invert, skew, transform, unit
 from edged.vision.geometry.triangulation import raw_covariance, triangulate_raw
 from edged.vision.geometry.uncertainty import shift_by_parameters
@@ -126,9 +126,7 @@ def teach_marks(
     every: list[FloatArray] = []
     sigmas: list[FloatArray] = []
     for pair in pairs:
-        images = [
-            linear_image(image, rig.camera(side).gamma) for image, side in zip(pair, SIDES, strict=True)
-        ]
+        images = linear_pair(rig, *pair)
         if placed is None:
             placed, near, shapes, blur_px = first_look(images, rig)
             looks = _looks(rig, placed, shapes, blur_px)
@@ -193,7 +191,7 @@ def _counts(codes: tuple[int, ...], shown: FloatArray, exposures: int) -> str:
 
 
 def first_look(
-    images: list[Image], rig: StereoRig
+    images: Sequence[Image], rig: StereoRig
 ) -> tuple[PlacedMarks, FloatArray, FloatArray, tuple[float, float]]:
     """The marks in both pictures, roughly; of their dots centres (2, N, 2), shapes (2, N, 3) and blur."""
     found = [search_marks(image) for image in images]
@@ -241,7 +239,7 @@ def first_look(
     return placed, np.stack(dots)[:, kept], np.stack(shapes)[:, kept], (blurs[0], blurs[1])
 
 
-def _why_so_few(images: list[Image], found: list[FoundMarks], codes: tuple[int, ...]) -> str:
+def _why_so_few(images: Sequence[Image], found: list[FoundMarks], codes: tuple[int, ...]) -> str:
     """In words, why marks cannot be taught."""
     said = f"{len(codes)} reference marks are in both pictures, at least {MARKS.min_agreeing} are needed"
     twice = sorted({code for marks in found for code in marks.twice})
