@@ -6,7 +6,6 @@ It lives in memory only: a restart or reload ends it, and the previous registrat
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Protocol
 
 from edged.cell.announcements import log
@@ -48,12 +47,9 @@ class RobotRegistration:
     registrar : None: registration by commands is not configured.
     """
 
-    def __init__(
-        self, cell: CellContext, registrar: Registrar | None, clock_s: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, cell: CellContext, registrar: Registrar | None) -> None:
         self._cell = cell
         self._registrar = registrar
-        self._clock_s = clock_s
         self._until_s = 0.0
         self._state = Registration()
 
@@ -83,7 +79,7 @@ class RobotRegistration:
         cell.announce(Idle())
         if cell.commands:
             await self.carry_out(cell.commands.take())
-        elif self.is_on and self._clock_s() >= self._until_s:
+        elif self.is_on and time.monotonic() >= self._until_s:
             self.end("no further command came")
         else:
             await cell.wait()
@@ -150,7 +146,7 @@ class RobotRegistration:
             self._cell.tell_state(CellPhase.READY)
 
     def _note(self, event: Registered) -> None:
-        self._state, self._until_s = event.registration, self._clock_s() + REST_S
+        self._state, self._until_s = event.registration, time.monotonic() + REST_S
         if event.obstacle is None:
             log.info("registration: %s", event.why)
         else:

@@ -37,14 +37,12 @@ def write(
     cv2.putText(canvas, text, place, colour, _face(), size_px, weight)
 
 
-def write_rimmed(
-    canvas: Canvas, text: str, place: tuple[int, int], colour: Colour, size_px: int, weight: int = NORMAL
-) -> None:
+def write_rimmed(canvas: Canvas, text: str, place: tuple[int, int], colour: Colour, size_px: int) -> None:
     """Write with a dark rim, legible on any picture."""
     x, y = place
     for dx, dy in ((-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (1, -1), (-1, 1), (1, 1)):
-        write(canvas, text, (x + dx, y + dy), RIM, size_px, weight)
-    write(canvas, text, place, colour, size_px, weight)
+        write(canvas, text, (x + dx, y + dy), RIM, size_px)
+    write(canvas, text, place, colour, size_px)
 
 
 def _face() -> cv2.FontFace:

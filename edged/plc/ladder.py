@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from edged.domain.events import CommandKind
@@ -63,8 +63,8 @@ class Ladder:
     addresses : of the clients that have one, by their numbers.
     """
 
-    def __init__(self, addresses: Mapping[int, str], clock_ns: Callable[[], int] = time.time_ns) -> None:
-        self._addresses, self._clock_ns = addresses, clock_ns
+    def __init__(self, addresses: Mapping[int, str]) -> None:
+        self._addresses = addresses
         self._kept: deque[Exchange] = deque(maxlen=KEPT)
         self._by_ticket: dict[int, tuple[Exchange, float]] = {}
         self._count = 0
@@ -141,9 +141,7 @@ class Ladder:
 
     def _keep(self, client: int, sequence: int, code: int, job: int) -> Exchange:
         self._count += 1
-        exchange = Exchange(
-            self._count, self._clock_ns(), self._addresses.get(client, ""), sequence, code, job
-        )
+        exchange = Exchange(self._count, time.time_ns(), self._addresses.get(client, ""), sequence, code, job)
         self._kept.append(exchange)
         return exchange
 

@@ -56,20 +56,19 @@ class Chart:
         bottom = self.height - _BOTTOM
         return bottom + (value - self.y[0]) / (self.y[1] - self.y[0]) * (_TOP - bottom)
 
-    def points(self, xy: FloatArray, colour: str = ACCENT, radius: float = 2.0, hollow: bool = False) -> None:
+    def points(self, xy: FloatArray, colour: str = ACCENT, radius: float = 2.0) -> None:
         """Small circles at (N, 2)."""
-        fill, stroke, opacity = ("none", colour, 1.0) if hollow else (colour, "none", 0.75)
-        mark = Markup('<circle cx="{:.1f}" cy="{:.1f}" r="{}" fill="{}" stroke="{}" fill-opacity="{}"/>')
-        self._marks += [mark.format(self.to_x(u), self.to_y(v), radius, fill, stroke, opacity) for u, v in xy]
+        mark = Markup('<circle cx="{:.1f}" cy="{:.1f}" r="{}" fill="{}" stroke="none" fill-opacity="0.75"/>')
+        self._marks += [mark.format(self.to_x(u), self.to_y(v), radius, colour) for u, v in xy]
 
-    def strokes(self, starts: FloatArray, ends: FloatArray, colour: str = ACCENT, width: float = 0.8) -> None:
+    def strokes(self, starts: FloatArray, ends: FloatArray, width: float = 0.8) -> None:
         """Short lines from (N, 2) to (N, 2), as one path."""
         path = "".join(
             f"M{self.to_x(a):.1f} {self.to_y(b):.1f}L{self.to_x(c):.1f} {self.to_y(d):.1f}"
             for (a, b), (c, d) in zip(starts, ends, strict=True)
         )
         mark = Markup('<path d="{}" stroke="{}" stroke-width="{}" fill="none"/>')
-        self._marks.append(mark.format(path, colour, width))
+        self._marks.append(mark.format(path, ACCENT, width))
 
     def line(self, xy: FloatArray, colour: str = INK, dashed: bool = False) -> None:
         """A polyline through (N, 2)."""

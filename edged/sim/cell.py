@@ -405,14 +405,14 @@ class CalibrationView:
 
 
 def calibration_views(
-    rig: StereoRig, plate: Plate, count: int, *, seed: int = 0, sensor: Sensor | None = None
+    rig: StereoRig, plate: Plate, count: int, *, seed: int = 0
 ) -> Iterator[CalibrationView]:
     """Pictures of a plate as a careful person takes them: tilted up to 20° every way, at several
     depths, all over the common field, never cut.
 
     Raises ValueError where the plate does not fit into the view of both cameras.
     """
-    views = stereo_views(rig, sensor)
+    views = stereo_views(rig)
     table_pose = np.eye(4)
     table_pose[:3, 3] = _meeting_point(rig)
     table_pose[2, 3] += 30.0

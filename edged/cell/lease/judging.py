@@ -63,24 +63,18 @@ class PictureJudge:
     notices : get "quality". gains : known camera gains, dB.
     """
 
-    def __init__(
-        self,
-        notices: Notices,
-        gains: Callable[[], Mapping[Side, float]],
-        clock_s: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, notices: Notices, gains: Callable[[], Mapping[Side, float]]) -> None:
         self._notices = notices
         self._gains = gains
-        self._clock_s = clock_s
         self._next_s = -math.inf
         self._task: asyncio.Task[None] | None = None
         self.latest: dict[str, Any] | None = None
 
     def look(self, number: int, pair: FramePair) -> None:
         """Judge this pair, unless the last one is still being judged or was only just; returns at once."""
-        if self._task is not None or self._clock_s() < self._next_s:
+        if self._task is not None or time.monotonic() < self._next_s:
             return
-        self._next_s = self._clock_s() + PERIOD_S
+        self._next_s = time.monotonic() + PERIOD_S
         self._task = asyncio.create_task(self._judge(number, pair), name="judge pictures")
 
     async def judged(self, number: int, pair: FramePair) -> dict[str, Any]:

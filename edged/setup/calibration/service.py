@@ -10,7 +10,6 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -105,13 +104,12 @@ class OpenCalibration:
 class Calibrations:
     """All drafts of a cell; used on its event loop."""
 
-    def __init__(self, cell: CellInUse, clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
         self._worker = cell.worker
         self._tasks = cell.tasks
         self._folders = Drafts(cell.folder / "drafts")
         self.drafts = OpenDrafts("draft", cell.notices, self._folders, self)
-        self._clock_s = clock_s
         self._watching: asyncio.Task[None] | None = None
 
     async def close(self) -> None:
@@ -220,14 +218,14 @@ class Calibrations:
             self._watching = None
 
     async def _look(self, opened: OpenCalibration, left: Image, right: Image) -> None:
-        state, now_s = opened.draft.state, self._clock_s()
+        state, now_s = opened.draft.state, time.monotonic()
         boards = state.board_models
         # a board that was seen once is not another one; and looking for any takes longer than for one
         others = not state.used and now_s - opened.looked_for_others_s > OTHERS_EVERY_S
         opened.watched = watched = await self._worker.run("watch", left, right, boards, others)
         if others:
             opened.looked_for_others_s = now_s
-        opened.still, opened.fault = opened.stillness.look(self._clock_s(), watched), None
+        opened.still, opened.fault = opened.stillness.look(time.monotonic(), watched), None
         if watched.recognised is not None and not boards:
             await self._recognise(opened, watched.recognised)
         if opened.draft.state.boards and not opened.draft.state.used:

@@ -57,7 +57,7 @@ def sharpness(image: Image, noise_grey: float, fields: tuple[int, int] = (6, 8))
     return Sharpness(_spread(variance), fields_px, len(variance))
 
 
-def cost_of_spread(spread_px: float, sharp_px: float = SHARPNESS.sharp_px) -> float:
+def cost_of_spread(spread_px: float) -> float:
     """By which factor the sigma of an edge's place, and so of Z, is larger than in a sharp picture.
 
     Of a step of spread b in white noise, at the best of the pipeline's widths s: sigma² ~ (b² + s²)³ / s⁵;
@@ -70,7 +70,7 @@ def cost_of_spread(spread_px: float, sharp_px: float = SHARPNESS.sharp_px) -> fl
     def sigma(b: float) -> float:
         return min(math.sqrt((b * b + s * s) ** 3 / s**5) for s in WIDTHS_PX)
 
-    return max(1.0, sigma(spread_px) / sigma(sharp_px))
+    return max(1.0, sigma(spread_px) / sigma(SHARPNESS.sharp_px))
 
 
 def _spread(variances: FloatArray) -> float:
