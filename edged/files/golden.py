@@ -23,7 +23,7 @@ GOLDEN_FORMAT = "edged-golden"
 GOLDEN_VERSION = 1
 MAX_GOLDEN_BYTES = 256 * 1024
 MAX_POINTS = 1000
-"""Of a part; 8 for a circle, 2 for an edge or a slot."""
+"""Points of a part at the most; 8 for a circle, 2 for an edge or a slot."""
 _DIGEST = re.compile(r"[0-9a-f]{16}")
 
 

@@ -14,7 +14,7 @@ from edged.errors import LinkError
 from edged.link.values import schema_of
 
 MAX_BYTES = 64 * 1024
-"""Of a message of a page: the note of a release is the largest."""
+"""Size of a message of a page: the note of a release is the largest."""
 BOUNDS = CborBounds(MAX_BYTES, 2000, 32)
 
 Token = Annotated[str, StringConstraints(min_length=1, max_length=64)]

@@ -30,12 +30,12 @@ BANNED = {
     ),
     "room": 13,
     "sight": 19,
-    "one": 136,
+    "one": 25,
 }
 """Words that cost every reader a minute, and how many names still hold them."""
 
 HALF_SENTENCES = ("Of ", "The same ")
-HALF = 15
+HALF = 2
 """Docstrings that only finish the sentence of a name; how many there still are."""
 
 

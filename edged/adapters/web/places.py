@@ -16,7 +16,7 @@ from edged.connections import TcpClient, network_of
 MAX_CONNECTIONS = 96
 """Connections at a time; a browser has six, a scraper one. Viewers and sockets leave a third of them."""
 KEPT = 32
-"""Of them, for people who are let in."""
+"""Connections kept for people who are let in."""
 OF_ADDRESS = 8
 """Strangers at one address: a browser's connections to the log-in."""
 CLIENT = web.RequestKey("client", TcpClient)

@@ -34,9 +34,9 @@ from edged.payload import Json
 from edged.pictures.encoding import jpeg
 
 MAX_SOCKETS, OF_SESSION = 32, 4
-"""Of all, and of one session."""
+"""Sockets of all, and of one session."""
 KEPT = 16
-"""Of all, for users: those who have the page's password alone take no more than the others."""
+"""Sockets kept for users: those who have the page's password alone take no more than the others."""
 MESSAGE_BYTES = 1024
 """Size of a tab's message."""
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 60.0, 120.0

@@ -26,8 +26,8 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
     face = Plane(normal, float(normal @ rig_from_part[:3, 3]))
     contours = find_contours(view.images.rectified_left, mask)
     agreeing = [agreeing_with(view, face, contour) for contour in contours]
-    total = sum(len(one) for one in agreeing)
-    if not total or sum(np.count_nonzero(one) for one in agreeing) >= TEACHING.clean_share * total:
+    total = sum(len(flags) for flags in agreeing)
+    if not total or sum(np.count_nonzero(flags) for flags in agreeing) >= TEACHING.clean_share * total:
         return mask
     kept = np.zeros_like(mask)
     for contour, agrees in zip(contours, agreeing, strict=True):

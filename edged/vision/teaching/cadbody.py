@@ -17,8 +17,8 @@ def body_of(model: CadModel, part_from_model: FloatArray) -> PartBody | None:
     points, triangles = welded(corners)
     if not 4 <= len(triangles) <= MAX_TRIANGLES:
         return None
-    one, two = (points[triangles[:, k]] - points[triangles[:, 0]] for k in (1, 2))
-    if float(np.einsum("ij,ij->", points[triangles[:, 0]], np.cross(one, two))) < 0:
+    first, second = (points[triangles[:, k]] - points[triangles[:, 0]] for k in (1, 2))
+    if float(np.einsum("ij,ij->", points[triangles[:, 0]], np.cross(first, second))) < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
     plain = CadModel(points, triangles, np.arange(len(triangles)), ())
     outside = triangle_normals(plain)[1]

@@ -72,21 +72,21 @@ def teach_model(
     corners = _corners(edges)
     reference, origin = _reference(circles, edges, corners, main_mm)
     part_from_model = transform(np.eye(3), -origin) @ level
-    circles = [replace(one, centre_mm=_snapped(one.centre_mm - origin)) for one in circles]
+    circles = [replace(circle, centre_mm=_snapped(circle.centre_mm - origin)) for circle in circles]
     edges = [
-        replace(one, start_mm=_snapped(one.start_mm - origin), end_mm=_snapped(one.end_mm - origin))
-        for one in edges
+        replace(edge, start_mm=_snapped(edge.start_mm - origin), end_mm=_snapped(edge.end_mm - origin))
+        for edge in edges
     ]
     points = apply(part_from_model, model.points_mm)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     rig_from_part = transform(np.eye(3), np.array([-middle[0], -middle[1], depth_mm]))
     image = _painted(model, curves.up, points, rig_from_part, rectification)
     body = body_of(model, part_from_model)
-    flat = [one for one in _curves(circles, edges) if abs(one.height_mm) < CAD.level_mm]
+    flat = [curve for curve in _curves(circles, edges) if abs(curve.height_mm) < CAD.level_mm]
     mask = mask_along(rectification, flat, rig_from_part)
     shape = create_model(image, mask, params=params)
     sizes, witness = known_radius(circles, reference)
-    sigma_mm = math.hypot(CAD.sigma_mm, max((one.sigma_mm for one in curves.circles), default=0.0))
+    sigma_mm = math.hypot(CAD.sigma_mm, max((circle.sigma_mm for circle in curves.circles), default=0.0))
     job = Job(
         name=name,
         number=number,
@@ -132,19 +132,21 @@ def _features(
 ) -> tuple[list[CircleFeature], list[EdgeFeature]]:
     """Curves large enough to be measured at a scale, px per mm; of an edge break, the upper one."""
     rounds = [
-        CircleFeature("", apply(level, one.centre_mm), one.radius_mm, 1 if one.hole else -1, double=True)
-        for one in curves.circles
-        if one.radius_mm * scale > CAD.min_circle_px and one.span > CAD.min_span
+        CircleFeature(
+            "", apply(level, circle.centre_mm), circle.radius_mm, 1 if circle.hole else -1, double=True
+        )
+        for circle in curves.circles
+        if circle.radius_mm * scale > CAD.min_circle_px and circle.span > CAD.min_span
     ]
     lines = []
-    for one in curves.edges:
-        start, end = apply(level, one.start_mm), apply(level, one.end_mm)
+    for edge in curves.edges:
+        start, end = apply(level, edge.start_mm), apply(level, edge.end_mm)
         if float(np.linalg.norm(end - start)) * scale > CAD.min_edge_px:
             left = np.array([start[1] - end[1], end[0] - start[0], 0.0])
-            lines.append(EdgeFeature("", start, end, -1 if left @ level[:3, :3] @ one.away > 0 else 1))
+            lines.append(EdgeFeature("", start, end, -1 if left @ level[:3, :3] @ edge.away > 0 else 1))
     return (
-        [one for one in rounds if not any(_breaks_into(one, other) for other in rounds)],
-        [one for one in lines if not any(_falls_from(one, other) for other in lines)],
+        [circle for circle in rounds if not any(_breaks_into(circle, other) for other in rounds)],
+        [edge for edge in lines if not any(_falls_from(edge, other) for other in lines)],
     )
 
 
@@ -168,39 +170,39 @@ def _shown(
         return bool((1.0 - hidden_samples(body, rig, pose, points).mean(axis=1)).min() >= CAD.min_span)
 
     return (
-        [one for one in circles if is_seen(circle_curve(one, True))],
-        [one for one in edges if is_seen(edge_curve(one, True))],
+        [circle for circle in circles if is_seen(circle_curve(circle, True))],
+        [edge for edge in edges if is_seen(edge_curve(edge, True))],
     )
 
 
-def _breaks_into(one: CircleFeature, upper: CircleFeature) -> bool:
+def _breaks_into(circle: CircleFeature, upper: CircleFeature) -> bool:
     """Whether a circle is the lower edge of an edge break."""
-    aside = float(np.linalg.norm((one.centre_mm - upper.centre_mm)[:2]))
-    wider = (upper.radius_mm - one.radius_mm) * one.polarity
-    down = float(one.centre_mm[2] - upper.centre_mm[2])
+    aside = float(np.linalg.norm((circle.centre_mm - upper.centre_mm)[:2]))
+    wider = (upper.radius_mm - circle.radius_mm) * circle.polarity
+    down = float(circle.centre_mm[2] - upper.centre_mm[2])
     return (
-        one.polarity == upper.polarity
+        circle.polarity == upper.polarity
         and aside < CAD.level_mm < down < CAD.break_mm
         and 0 < wider < CAD.break_mm
     )
 
 
-def _falls_from(one: EdgeFeature, upper: EdgeFeature) -> bool:
+def _falls_from(edge: EdgeFeature, upper: EdgeFeature) -> bool:
     """Whether a straight edge is the lower one of an edge break."""
-    along = (one.end_mm - one.start_mm) / one.length_mm
-    gap = 0.5 * (one.start_mm + one.end_mm - upper.start_mm - upper.end_mm)
+    along = (edge.end_mm - edge.start_mm) / edge.length_mm
+    gap = 0.5 * (edge.start_mm + edge.end_mm - upper.start_mm - upper.end_mm)
     parallel = np.linalg.norm(np.cross(along, upper.end_mm - upper.start_mm)) < 1e-3 * upper.length_mm
     aside = abs(float(along[0] * gap[1] - along[1] * gap[0]))
-    within = abs(float(along @ gap)) < 0.5 * one.length_mm
+    within = abs(float(along @ gap)) < 0.5 * edge.length_mm
     return bool(parallel) and within and aside < CAD.break_mm and CAD.level_mm < float(gap[2]) < CAD.break_mm
 
 
 def _main_face(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -> float:
     """The height, along z, at which most of all edges lies."""
     lengths: dict[float, float] = {}
-    for one in _curves(circles, edges):
-        height = round(one.height_mm / CAD.level_mm) * CAD.level_mm
-        lengths[height] = lengths.get(height, 0.0) + one.perimeter_mm
+    for curve in _curves(circles, edges):
+        height = round(curve.height_mm / CAD.level_mm) * CAD.level_mm
+        lengths[height] = lengths.get(height, 0.0) + curve.perimeter_mm
     if not lengths:
         raise TeachError(
             "the model shows nothing that the cameras could measure at this distance: expected a circle of "
@@ -221,18 +223,19 @@ def _in_order(
         edges, key=lambda e: (abs(e.start_mm[2] - main_mm) > CAD.level_mm, -e.length_mm, *e.start_mm[:2])
     )
     return (
-        [replace(one, name=f"c{k}") for k, one in enumerate(rounds)],
-        [replace(one, name=f"e{k}") for k, one in enumerate(lines)],
+        [replace(circle, name=f"c{k}") for k, circle in enumerate(rounds)],
+        [replace(edge, name=f"e{k}") for k, edge in enumerate(lines)],
     )
 
 
 def _corners(edges: Sequence[EdgeFeature]) -> list[CornerFeature]:
     """Corners: places where edges of one face end together."""
     found: list[CornerFeature] = []
-    for one, two in itertools.combinations(edges, 2):
-        gaps = [np.linalg.norm(a - b) for a in (one.start_mm, one.end_mm) for b in (two.start_mm, two.end_mm)]
-        if min(gaps) < CAD.meet_mm and np.isfinite(crossing(one, two)).all():
-            found.append(CornerFeature(f"k{len(found)}", (one.name, two.name)))
+    for first, second in itertools.combinations(edges, 2):
+        ends = itertools.product((first.start_mm, first.end_mm), (second.start_mm, second.end_mm))
+        gaps = [np.linalg.norm(a - b) for a, b in ends]
+        if min(gaps) < CAD.meet_mm and np.isfinite(crossing(first, second)).all():
+            found.append(CornerFeature(f"k{len(found)}", (first.name, second.name)))
     return found
 
 

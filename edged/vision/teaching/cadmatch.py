@@ -80,14 +80,14 @@ def register(
         )
     turned = levelled(model.up)
     taught = _Curves(
-        np.array([[*one.centre_mm, one.radius_mm] for one in circles]).reshape(-1, 4),
-        np.array([[one.start_mm, one.end_mm] for one in edges]).reshape(-1, 2, 3),
+        np.array([[*circle.centre_mm, circle.radius_mm] for circle in circles]).reshape(-1, 4),
+        np.array([[edge.start_mm, edge.end_mm] for edge in edges]).reshape(-1, 2, 3),
     )
     drawn = _drawn(model, turned)
     found = _laid(taught, drawn)
     flipped = np.diag([-1.0, 1.0, 1.0])
     mirrored = _laid(taught, _mapped(drawn, flipped))
-    best, mirror = (0.0 if not one else one[0][0] for one in (found, mirrored))
+    best, mirror = (0.0 if not fits else fits[0][0] for fits in (found, mirrored))
     needed = max(CAD.min_matched * taught.count, CAD.min_curves if taught.count > 1 else 1) * 0.5
     if mirror > max(best + 0.5, needed):
         raise TeachError(
@@ -97,7 +97,7 @@ def register(
     if not found:
         raise TeachError(_no_fit(what, 0, taught.count), "no_fit")
     rivals = _rivals(found, drawn)
-    which = tell([one @ transform(turned, np.zeros(3)) for one in rivals]) if len(rivals) > 1 else 0
+    which = tell([rival @ transform(turned, np.zeros(3)) for rival in rivals]) if len(rivals) > 1 else 0
     if which is None:
         turn = round(abs(math.degrees(_turn_of(np.linalg.inv(rivals[0]) @ rivals[1]))))
         otherwise = f"turned by {turn}°" if turn else "at another of its holes"
@@ -108,8 +108,8 @@ def register(
     pose, partners = _refined(circles, edges, taught, model, drawn, rivals[which])
     if len(partners) < max(CAD.min_matched * taught.count, min(CAD.min_curves, taught.count)):
         raise TeachError(_no_fit(what, len(partners), taught.count), "no_fit")
-    names = {one.name for one in partners}
-    taught_names = [*(one.name for one in circles), *(one.name for one in edges)]
+    names = {partner.name for partner in partners}
+    taught_names = [*(feature.name for feature in circles), *(feature.name for feature in edges)]
     missing = tuple(name for name in taught_names if name not in names)
     return ModelRegistration(pose @ transform(turned, np.zeros(3)), partners, missing)
 
@@ -130,8 +130,8 @@ def levelled(up: FloatArray) -> FloatArray:
 
 
 def _drawn(model: ModelCurves, turned: FloatArray) -> _Curves:
-    circles = np.array([[*(turned @ one.centre_mm), one.radius_mm] for one in model.circles])
-    edges = np.array([[turned @ one.start_mm, turned @ one.end_mm] for one in model.edges])
+    circles = np.array([[*(turned @ circle.centre_mm), circle.radius_mm] for circle in model.circles])
+    edges = np.array([[turned @ edge.start_mm, turned @ edge.end_mm] for edge in model.edges])
     return _Curves(circles.reshape(-1, 4), edges.reshape(-1, 2, 3))
 
 
@@ -159,9 +159,9 @@ def _laid(taught: _Curves, drawn: _Curves) -> list[tuple[float, FloatArray]]:
         if scores[k] <= 0 or len(kept) >= 30:
             break
         if any(
-            abs(math.remainder(turn - one[0], math.tau)) < 2 * CAD.same_turn_rad
-            and float(np.abs(one[1:] - shift).max()) < 2 * CAD.near_mm
-            for one in seen
+            abs(math.remainder(turn - other[0], math.tau)) < 2 * CAD.same_turn_rad
+            and float(np.abs(other[1:] - shift).max()) < 2 * CAD.near_mm
+            for other in seen
         ):
             continue
         seen.append(starts[k])
@@ -194,18 +194,19 @@ def _by_circles(taught: _Curves, drawn: _Curves) -> list[list[float]]:
     gaps = drawn.circles[None, :, :3] - drawn.circles[:, None, :3]
     length = np.linalg.norm(gaps[..., :2], axis=2)
     wide = drawn.circles[:, 3]
-    for one, two in itertools.combinations(taught.circles, 2):
-        arm = two[:3] - one[:3]
+    for first, second in itertools.combinations(taught.circles, 2):
+        arm = second[:3] - first[:3]
         size = float(np.linalg.norm(arm[:2]))
         if size < CAD.min_arm_mm:
             continue
         like = (np.abs(length - size) < CAD.near_mm) & (np.abs(gaps[..., 2] - arm[2]) < CAD.break_mm)
-        like &= (np.abs(wide - one[3]) < CAD.break_mm)[:, None] & (np.abs(wide - two[3]) < CAD.break_mm)[None]
+        fits = [np.abs(wide - circle[3]) < CAD.break_mm for circle in (first, second)]
+        like &= fits[0][:, None] & fits[1][None]
         np.fill_diagonal(like, val=False)
         for a, b in np.argwhere(like):
             turn = math.atan2(arm[1], arm[0]) - math.atan2(gaps[a, b, 1], gaps[a, b, 0])
             middle = about_z(turn) @ (0.5 * (drawn.circles[a, :3] + drawn.circles[b, :3]))
-            starts.append([turn, *(0.5 * (one[:3] + two[:3]) - middle)])
+            starts.append([turn, *(0.5 * (first[:3] + second[:3]) - middle)])
             if len(starts) > CAD.max_starts // 2:
                 return starts
     return starts
@@ -226,12 +227,12 @@ def _turns_of_edges(taught: _Curves, drawn: _Curves) -> list[tuple[float, list[t
             round((gaps[e, f] % math.pi) / CAD.turn_bin_rad) % round(math.pi / CAD.turn_bin_rad), []
         ).append((e, f))
     longest = set(np.argsort(-size)[: CAD.longest].tolist())
-    order = sorted(bins, key=lambda one: -sum(size[e] for e in {e for e, _ in bins[one]}))
+    order = sorted(bins, key=lambda step: -sum(size[e] for e in {e for e, _ in bins[step]}))
     found = []
-    for one in order[: CAD.max_turns]:
-        pairs = [(int(e), int(f)) for e, f in bins[one]]
-        offset = np.array([math.remainder(gaps[e, f] - one * CAD.turn_bin_rad, math.pi) for e, f in pairs])
-        turn = one * CAD.turn_bin_rad + float(np.median(offset))
+    for step in order[: CAD.max_turns]:
+        pairs = [(int(e), int(f)) for e, f in bins[step]]
+        offset = np.array([math.remainder(gaps[e, f] - step * CAD.turn_bin_rad, math.pi) for e, f in pairs])
+        turn = step * CAD.turn_bin_rad + float(np.median(offset))
         chosen = [(e, f) for e, f in pairs if e in longest]
         found += [(turn, chosen), (turn + math.pi, chosen)]
     return found
@@ -334,26 +335,26 @@ def _refined(
         laid = _mapped(drawn, about_z(turn), shift)
         partners = _partners(circles, edges, taught, model, laid)
         rows, values, weights, down = [], [], [], []
-        for one in partners:
-            if one.kind == "circle":
-                k = next(k for k, c in enumerate(circles) if c.name == one.name)
-                gap = taught.circles[k, :3] - laid.circles[one.index, :3]
-                x, y = laid.circles[one.index, :2] - shift[:2]
+        for partner in partners:
+            if partner.kind == "circle":
+                k = next(k for k, c in enumerate(circles) if c.name == partner.name)
+                gap = taught.circles[k, :3] - laid.circles[partner.index, :3]
+                x, y = laid.circles[partner.index, :2] - shift[:2]
                 weight = 1.0 / max(float(np.hypot(*gap[:2])), CAD.floor_mm)
                 rows += [[1.0, 0.0, -y], [0.0, 1.0, x]]
                 values += list(gap[:2])
                 weights += [weight, weight]
             else:
-                k = next(k for k, e in enumerate(edges) if e.name == one.name)
-                along = unit(laid.edges[one.index, 1] - laid.edges[one.index, 0])
+                k = next(k for k, e in enumerate(edges) if e.name == partner.name)
+                along = unit(laid.edges[partner.index, 1] - laid.edges[partner.index, 0])
                 for end in taught.edges[k]:
                     normal = np.array([-along[1], along[0]])
-                    off = float(normal @ (end - laid.edges[one.index, 0])[:2])
+                    off = float(normal @ (end - laid.edges[partner.index, 0])[:2])
                     x, y = end[:2] - shift[:2]
                     rows.append([normal[0], normal[1], normal[1] * x - normal[0] * y])
                     values.append(off)
                     weights.append((CAD.edge_weight if circles else 1.0) / max(abs(off), CAD.floor_mm))
-            down.append(one.deeper)
+            down.append(partner.deeper)
         if not rows:
             break
         root = np.sqrt(np.array(weights))[:, None]
@@ -372,7 +373,7 @@ def _partners(
     model: ModelCurves,
     laid: _Curves,
 ) -> list[Partner]:
-    """Of each taught curve the nearest of the model, once it lies in place."""
+    """The curve of the model that is nearest to each taught one, once it lies in place."""
     found: list[Partner] = []
     for k, circle in enumerate(circles):
         if not len(laid.circles):

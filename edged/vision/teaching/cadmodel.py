@@ -114,14 +114,14 @@ def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
     edges: list[ModelEdge] = []
     for meeting in _meetings(model):
         sides = [model.surfaces[face] for face in meeting.faces]
-        looks = [float(normals[one].mean(axis=0) @ up) for one in meeting.beside]
+        looks = [float(normals[index].mean(axis=0) @ up) for index in meeting.beside]
         if max(looks) < CAD.looks_up or not _is_outer(meeting, corners, normals):
             continue
-        one, two = sides
-        if isinstance(one, FlatSurface) and isinstance(two, FlatSurface):
-            edges += _edges(one, two, meeting, normals, up)
-        elif one is not None and two is not None:
-            circle = _circle(one, two, meeting, normals, up)
+        first, second = sides
+        if isinstance(first, FlatSurface) and isinstance(second, FlatSurface):
+            edges += _edges(first, second, meeting, normals, up)
+        elif first is not None and second is not None:
+            circle = _circle(first, second, meeting, normals, up)
             circles += [] if circle is None else [circle]
     return ModelCurves(up, merged_circles(circles), tuple(edges), model)
 
@@ -196,25 +196,25 @@ def _meetings(model: CadModel) -> Iterator[_Meeting]:
 
 def _is_outer(meeting: _Meeting, corners: FloatArray, normals: FloatArray) -> bool:
     """Whether the second face falls away from the first one there."""
-    one, two = meeting.beside
-    farthest = np.einsum("kij,kj->ki", corners[two] - meeting.segments[:, :1], normals[one])
+    first, second = meeting.beside
+    farthest = np.einsum("kij,kj->ki", corners[second] - meeting.segments[:, :1], normals[first])
     rows = np.abs(farthest).argmax(axis=1)
     return bool(farthest[np.arange(len(rows)), rows].sum() < 0)
 
 
 def _edges(
-    one: FlatSurface, two: FlatSurface, meeting: _Meeting, normals: FloatArray, up: FloatArray
+    first: FlatSurface, second: FlatSurface, meeting: _Meeting, normals: FloatArray, up: FloatArray
 ) -> list[ModelEdge]:
     """The stretches in which two planes meet, where they are level."""
-    along = np.cross(one.normal, two.normal)
+    along = np.cross(first.normal, second.normal)
     size = float(np.linalg.norm(along))
     if size < PARALLEL or abs(float(along @ up)) > PARALLEL * size:
         return []
     along = along / size
     # the point of both planes that is nearest to the corners
     middle = meeting.segments.mean(axis=(0, 1))
-    planes = np.stack([one.normal, two.normal])
-    offsets = np.array([one.normal @ one.origin_mm, two.normal @ two.origin_mm])
+    planes = np.stack([first.normal, second.normal])
+    offsets = np.array([first.normal @ first.origin_mm, second.normal @ second.origin_mm])
     point = middle + np.linalg.lstsq(planes, offsets - planes @ middle, rcond=None)[0]
     if float(np.linalg.norm(point - middle)) > CAD.on_curve_mm:
         return []
@@ -241,11 +241,11 @@ def _joined(spans: FloatArray) -> list[tuple[float, float]]:
 
 
 def _circle(
-    one: Surface, two: Surface, meeting: _Meeting, normals: FloatArray, up: FloatArray
+    first: Surface, second: Surface, meeting: _Meeting, normals: FloatArray, up: FloatArray
 ) -> ModelCircle | None:
     """The circle in which a plane and a round wall, or two round walls about one axis meet, where level."""
-    wall, side = (one, 0) if isinstance(one, RoundSurface) else (two, 1)
-    other = two if side == 0 else one
+    wall, side = (first, 0) if isinstance(first, RoundSurface) else (second, 1)
+    other = second if side == 0 else first
     assert isinstance(wall, RoundSurface)
     if not _parallel(wall.axis, up):
         return None
@@ -277,10 +277,10 @@ def _meeting_height(wall: RoundSurface, other: Surface, up: FloatArray) -> float
     aside = gap - float(gap @ up) * up
     if not _parallel(other.axis, up) or float(np.linalg.norm(aside)) > CAD.same_mm:
         return None
-    slopes = [one.slope * float(one.axis @ up) for one in (wall, other)]
+    slopes = [surface.slope * float(surface.axis @ up) for surface in (wall, other)]
     if abs(slopes[0] - slopes[1]) < PARALLEL:
         return None
-    at_zero = [_radius_at(one, 0.0, up) for one in (wall, other)]
+    at_zero = [_radius_at(surface, 0.0, up) for surface in (wall, other)]
     return (at_zero[1] - at_zero[0]) / (slopes[0] - slopes[1])
 
 
@@ -288,25 +288,25 @@ def _radius_at(wall: RoundSurface, height: float, up: FloatArray) -> float:
     return wall.radius_mm + wall.slope * float(wall.axis @ up) * (height - float(wall.origin_mm @ up))
 
 
-def _parallel(one: FloatArray, two: FloatArray) -> bool:
-    return float(np.linalg.norm(np.cross(one, two))) < PARALLEL
+def _parallel(first: FloatArray, second: FloatArray) -> bool:
+    return float(np.linalg.norm(np.cross(first, second))) < PARALLEL
 
 
 def merged_circles(circles: Sequence[ModelCircle]) -> tuple[ModelCircle, ...]:
     """The pieces of one circle as one: a wall may be several faces, a notch may cut it."""
-    order = sorted(circles, key=lambda one: (-round(one.radius_mm, 3), one.hole))
+    order = sorted(circles, key=lambda circle: (-round(circle.radius_mm, 3), circle.hole))
     merged: list[ModelCircle] = []
-    for _, group in itertools.groupby(order, key=lambda one: (round(one.radius_mm, 3), one.hole)):
+    for _, group in itertools.groupby(order, key=lambda circle: (round(circle.radius_mm, 3), circle.hole)):
         kept: list[ModelCircle] = []
-        for one in group:
+        for circle in group:
             same = [k for k, other in enumerate(kept)
-                    if float(np.linalg.norm(other.centre_mm - one.centre_mm)) < CAD.same_mm]  # fmt: skip
+                    if float(np.linalg.norm(other.centre_mm - circle.centre_mm)) < CAD.same_mm]  # fmt: skip
             if same:
                 before = kept[same[0]]
-                span = min(1.0, before.span + one.span)
-                sigma_mm = max(before.sigma_mm, one.sigma_mm)
-                kept[same[0]] = ModelCircle(before.centre_mm, before.radius_mm, one.hole, span, sigma_mm)
+                span = min(1.0, before.span + circle.span)
+                sigma_mm = max(before.sigma_mm, circle.sigma_mm)
+                kept[same[0]] = ModelCircle(before.centre_mm, before.radius_mm, circle.hole, span, sigma_mm)
             else:
-                kept.append(one)
+                kept.append(circle)
         merged += kept
     return tuple(merged)

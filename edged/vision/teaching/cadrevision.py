@@ -127,6 +127,6 @@ def _displaced(
 
 
 def _share(offsets: FloatArray) -> float:
-    """Of samples, with an edge within reach of a place."""
+    """Share of samples with an edge within reach of a place."""
     with np.errstate(invalid="ignore"):
         return float((np.abs(offsets) < CAD.moved_px).any(axis=1).mean())

@@ -58,34 +58,34 @@ def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Set
         drawn = body_of(model.model, np.eye(4))
         if drawn is None:
             return None
-        return likeliest(images, model_of(drawn), [job.rig_from_part @ one for one in poses])
+        return likeliest(images, model_of(drawn), [job.rig_from_part @ pose for pose in poses])
 
     found = register(job.circles, job.edges, model, what, tell)
     depth_mm = float(job.rig_from_part[2, 3])
     aside_mm = MEASURING.displaced_px * depth_mm / rectification.focal_px
     reach = _Reach(aside_mm, aside_mm * max(1.0, depth_mm / rectification.baseline_mm))
-    partners = {one.name: one for one in found.partners}
+    partners = {partner.name: partner for partner in found.partners}
     _check_revision(job, model, found, reach, what)
-    settled = [name for name, one in partners.items() if _agrees(job, one, reach, model)]
+    settled = [name for name, partner in partners.items() if _agrees(job, partner, reach, model)]
     part_from_model = found.part_from_model
     body = body_of(model.model, part_from_model)
     laid, measured = laid_on_pair(replace(job, part_from_model=part_from_model, body=body), images, what)
     circles = tuple(
         replace(
-            one,
-            centre_mm=_snapped(apply(part_from_model, model.circles[partners[one.name].index].centre_mm)),
-            radius_mm=_radius_mm(one, model.circles[partners[one.name].index]),
+            circle,
+            centre_mm=_snapped(apply(part_from_model, model.circles[partners[circle.name].index].centre_mm)),
+            radius_mm=_radius_mm(circle, model.circles[partners[circle.name].index]),
         )
-        if one.name in settled
-        else one
-        for one in job.circles
+        if circle.name in settled
+        else circle
+        for circle in job.circles
     )
-    faceted = {one.name: model.circles[partners[one.name].index].sigma_mm for one in job.circles
-               if one.name in settled}  # fmt: skip
+    faceted = {circle.name: model.circles[partners[circle.name].index].sigma_mm for circle in job.circles
+               if circle.name in settled}  # fmt: skip
     used = [sigma_mm for sigma_mm in faceted.values() if sigma_mm <= CAD.fine_mm]
     edges = tuple(
-        _on_model(one, model, partners[one.name], part_from_model) if one.name in settled else one
-        for one in job.edges
+        _on_model(edge, model, partners[edge.name], part_from_model) if edge.name in settled else edge
+        for edge in job.edges
     )
     taken = replace(
         laid,
@@ -151,12 +151,12 @@ def _snapped(point: FloatArray) -> FloatArray:
     return np.round(point, 9) + 0.0
 
 
-def _agrees(job: Job, one: Partner, reach: _Reach, model: ModelCurves) -> bool:
-    sigma_mm = 3 * model.circles[one.index].sigma_mm if one.kind == "circle" else 0.0
+def _agrees(job: Job, partner: Partner, reach: _Reach, model: ModelCurves) -> bool:
+    sigma_mm = 3 * model.circles[partner.index].sigma_mm if partner.kind == "circle" else 0.0
     return (
-        one.aside <= _aside_limit(job, one.name, reach)
-        and abs(one.wider) <= _aside_limit(job, one.name, reach) + sigma_mm
-        and abs(one.deeper) <= reach.depth_mm
+        partner.aside <= _aside_limit(job, partner.name, reach)
+        and abs(partner.wider) <= _aside_limit(job, partner.name, reach) + sigma_mm
+        and abs(partner.deeper) <= reach.depth_mm
     )
 
 
@@ -166,10 +166,10 @@ def _aside_limit(job: Job, name: str, reach: _Reach) -> float:
 
 
 def _on_model(
-    edge: EdgeFeature, model: ModelCurves, one: Partner, part_from_model: FloatArray
+    edge: EdgeFeature, model: ModelCurves, partner: Partner, part_from_model: FloatArray
 ) -> EdgeFeature:
     """The stretch that the pair shows, on the model's line."""
-    line = model.edges[one.index]
+    line = model.edges[partner.index]
     start, end = (apply(part_from_model, point) for point in (line.start_mm, line.end_mm))
     along = unit(end - start)
     ends = [
@@ -181,20 +181,20 @@ def _on_model(
 def _check_revision(job: Job, model: ModelCurves, found: ModelRegistration, reach: _Reach, what: str) -> None:
     """A circle that lies elsewhere than the model's, or is larger than an edge break makes it."""
     worst: tuple[float, str] = (1.0, "")
-    for one in found.partners:
-        if one.kind != "circle":
+    for partner in found.partners:
+        if partner.kind != "circle":
             continue
-        circle = model.circles[one.index]
-        limit = _aside_limit(job, one.name, reach)
-        whose = f"{one.name} is {circle.words}"
-        if one.aside / limit > worst[0]:
-            worst = one.aside / limit, f"{whose} and lies {one.aside:.3f} mm aside"
-        narrow = -one.wider / (limit + 3 * circle.sigma_mm)
+        circle = model.circles[partner.index]
+        limit = _aside_limit(job, partner.name, reach)
+        whose = f"{partner.name} is {circle.words}"
+        if partner.aside / limit > worst[0]:
+            worst = partner.aside / limit, f"{whose} and lies {partner.aside:.3f} mm aside"
+        narrow = -partner.wider / (limit + 3 * circle.sigma_mm)
         if narrow > worst[0]:
             sense = "smaller" if circle.hole else "larger"
-            worst = narrow, f"{whose} and its radius is {-one.wider:.3f} mm {sense}"
-        if -one.deeper / reach.depth_mm > worst[0]:
-            worst = -one.deeper / reach.depth_mm, f"{whose} and lies {-one.deeper:.3f} mm higher"
+            worst = narrow, f"{whose} and its radius is {-partner.wider:.3f} mm {sense}"
+        if -partner.deeper / reach.depth_mm > worst[0]:
+            worst = -partner.deeper / reach.depth_mm, f"{whose} and lies {-partner.deeper:.3f} mm higher"
     if worst[1]:
         raise another_revision(what, worst[1])
 
@@ -208,11 +208,11 @@ def _summary(settled: Sequence[str], found: ModelRegistration, what: str) -> str
 def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
     """What displaces the others, those alike in one line."""
     said = []
-    others = [one for one in partners if one.name not in settled]
-    broken = [one for one in others if max(one.wider, one.deeper) > CAD.min_break_mm]
+    others = [partner for partner in partners if partner.name not in settled]
+    broken = [partner for partner in others if max(partner.wider, partner.deeper) > CAD.min_break_mm]
     for which, seen in (
-        ("upper", {one.name: one.wider for one in broken if one.wider >= one.deeper}),
-        ("lower", {one.name: one.deeper for one in broken if one.wider < one.deeper}),
+        ("upper", {partner.name: partner.wider for partner in broken if partner.wider >= partner.deeper}),
+        ("lower", {partner.name: partner.deeper for partner in broken if partner.wider < partner.deeper}),
     ):
         if seen:
             low, high = f"{min(seen.values()):.3f}", f"{max(seen.values()):.3f}"
@@ -221,7 +221,7 @@ def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
                 f"an edge break of {size} mm that the model does not show, seen by its {which} edge: "
                 f"{', '.join(seen)}: kept as seen"
             )
-    odd = {one.name: _off(one) for one in others if one not in broken}
+    odd = {partner.name: _off(partner) for partner in others if partner not in broken}
     if odd:
         said.append(
             f"up to {max(odd.values()):.3f} mm off the model, which no edge break explains: "
@@ -231,8 +231,8 @@ def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
     return said
 
 
-def _off(one: Partner) -> float:
-    return max(one.aside, abs(one.wider), abs(one.deeper))
+def _off(partner: Partner) -> float:
+    return max(partner.aside, abs(partner.wider), abs(partner.deeper))
 
 
 def _contradicting(found: ModelRegistration, settled: Sequence[str]) -> list[float]:
@@ -241,8 +241,8 @@ def _contradicting(found: ModelRegistration, settled: Sequence[str]) -> list[flo
     A hole whose edge is broken has the model's radius at the lower edge of the break. Where most are seen by
     that, the part stands higher by the break than it seems, and curves that are seen as they are do not fit.
     """
-    left = [one for one in found.partners if one.name not in settled]
-    return [_off(one) for one in left if max(one.wider, one.deeper) <= CAD.min_break_mm]
+    left = [partner for partner in found.partners if partner.name not in settled]
+    return [_off(partner) for partner in left if max(partner.wider, partner.deeper) <= CAD.min_break_mm]
 
 
 def _others(found: ModelRegistration) -> list[str]:

@@ -74,7 +74,7 @@ def cut_edges(
 
 
 def _square(reach_px: int) -> Image:
-    """Of pixels to all sides."""
+    """A kernel of so many pixels to all sides."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach_px + 1,) * 2), np.uint8)
 
 
@@ -105,10 +105,10 @@ def _circle_of(job: Job, rectified_px: FloatArray, rectification: Rectification)
     places = apply(invert(job.rig_from_part), space)[:, :2]
     pixel_mm = float(job.rig_from_part[2, 3]) / rectification.focal_px
     apart = {
-        one.name: float(np.median(np.abs(np.hypot(*(places - one.centre_mm[:2]).T) - one.radius_mm)))
-        for one in job.circles
+        circle.name: float(np.median(np.abs(np.hypot(*(places - circle.centre_mm[:2]).T) - circle.radius_mm)))
+        for circle in job.circles
     }
-    best = min(job.circles, key=lambda one: apart[one.name], default=None)
+    best = min(job.circles, key=lambda circle: apart[circle.name], default=None)
     return best if best is not None and apart[best.name] < TEACHING.cut_band_px * pixel_mm else None
 
 

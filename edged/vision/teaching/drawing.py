@@ -71,12 +71,12 @@ def teach_drawing(
     """
     scale = px_per_mm(rectification, depth_mm)
     outlines = _arranged(outlines_mm)
-    everything = np.concatenate([one.points for one in outlines])
+    everything = np.concatenate([outline.points for outline in outlines])
     middle = 0.5 * (everything.min(axis=0) + everything.max(axis=0))
     circles, edges, corners = _features(outlines, scale)
     origin, reference = _reference(circles, edges, corners)
     rig_from_part = transform(np.eye(3), np.array([*(origin - middle), depth_mm]))
-    outlines = [_moved(one, -origin) for one in outlines]
+    outlines = [_moved(outline, -origin) for outline in outlines]
     image, mask = _painted(outlines, rig_from_part, rectification)
     at = np.zeros(2) if circles else middle - origin
     shape = create_model(image, mask, _pixels(at[None], rig_from_part, rectification)[0], params)
@@ -153,9 +153,9 @@ def _features(
     """Circles, largest first; where there is none, straight edges and the corners between neighbours."""
     rounds = sorted(
         (
-            (one.circle, one.hole)
-            for one in outlines
-            if one.circle is not None and one.circle[2] * scale > CAD.min_circle_px
+            (outline.circle, outline.hole)
+            for outline in outlines
+            if outline.circle is not None and outline.circle[2] * scale > CAD.min_circle_px
         ),
         key=lambda found: (-round(found[0][2], 6), found[0][1], found[0][0]),
     )
@@ -167,11 +167,11 @@ def _features(
         return circles, [], []
     edges: list[EdgeFeature] = []
     corners: list[CornerFeature] = []
-    for one in outlines:
+    for outline in outlines:
         first = len(edges)
-        lines = _straight(one.points, CAD.min_edge_px / scale)
+        lines = _straight(outline.points, CAD.min_edge_px / scale)
         for start, end in lines:
-            polarity = _brighter_side(one, start, end)
+            polarity = _brighter_side(outline, start, end)
             edges.append(EdgeFeature(f"e{len(edges)}", np.append(start, 0.0), np.append(end, 0.0), polarity))
         names = [edge.name for edge in edges[first:]]
         for k, name in enumerate(names):
@@ -195,8 +195,8 @@ def _straight(points: FloatArray, shortest: float) -> list[tuple[FloatArray, Flo
     return [(a, b) for a, b in sides if float(np.linalg.norm(b - a)) >= shortest]
 
 
-def _is_corner(one: tuple[FloatArray, FloatArray], two: tuple[FloatArray, FloatArray]) -> bool:
-    a, b = one[1] - one[0], two[1] - two[0]
+def _is_corner(first: tuple[FloatArray, FloatArray], second: tuple[FloatArray, FloatArray]) -> bool:
+    a, b = first[1] - first[0], second[1] - second[0]
     sine = abs(a[0] * b[1] - a[1] * b[0]) / float(np.linalg.norm(a) * np.linalg.norm(b))
     return bool(sine > np.sin(np.radians(30.0)))
 
@@ -217,11 +217,11 @@ def _reference(
         return circles[0].centre_mm[:2], circles[0].name
     by_name = {edge.name: edge for edge in edges}
     for corner in corners:
-        one, two = (by_name[name] for name in corner.edges)
-        a, b = (one.end_mm - one.start_mm)[:2], (two.end_mm - two.start_mm)[:2]
-        gap = (two.start_mm - one.start_mm)[:2]
+        first, second = (by_name[name] for name in corner.edges)
+        a, b = (first.end_mm - first.start_mm)[:2], (second.end_mm - second.start_mm)[:2]
+        gap = (second.start_mm - first.start_mm)[:2]
         along = (gap[0] * b[1] - gap[1] * b[0]) / (a[0] * b[1] - a[1] * b[0])
-        return one.start_mm[:2] + along * a, corner.name
+        return first.start_mm[:2] + along * a, corner.name
     raise TeachError(
         "the drawing has no circle and no corner that the cameras could measure at this distance: expected a "
         f"circle of at least {CAD.min_circle_px:g} px radius, or two edges of {CAD.min_edge_px:g} px "
@@ -248,7 +248,7 @@ def _painted(
 ) -> tuple[Image, Image]:
     """The part in the rectified left image (h, w) uint8, and the mask of it with a margin."""
     width, height = rectification.size
-    polygons = [_pixels(one.points, rig_from_part, rectification) for one in outlines]
+    polygons = [_pixels(outline.points, rig_from_part, rectification) for outline in outlines]
     everything = np.concatenate(polygons)
     low, high = everything.min(axis=0) - CAD.margin_px, everything.max(axis=0) + CAD.margin_px
     if (low < 0).any() or (high > [width - 1, height - 1]).any():
@@ -259,9 +259,9 @@ def _painted(
         )
     grey = np.full((height, width), BACKGROUND)
     mask = np.zeros((height, width), np.uint8)
-    for one, polygon in zip(outlines, polygons, strict=True):
+    for outline, polygon in zip(outlines, polygons, strict=True):
         share = coverage(polygon, height, width)
-        grey += (-1 if one.hole else 1) * (PART - BACKGROUND) * share
+        grey += (-1 if outline.hole else 1) * (PART - BACKGROUND) * share
         mask[share > 0] = 255
     reach = int(2 * CAD.margin_px) - 1
     mask = np.asarray(cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))))

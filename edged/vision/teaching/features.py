@@ -85,9 +85,9 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
     centre = np.median(space[np.isfinite(space).all(axis=1)], axis=0)
     start = part_frame(plane.normal, centre)
     fit = _fitted(view, Face(centre, start[:3, :3].T), ())
-    if fit is None or sum(1 if one.curve.kind == "edge" else 3 for one in fit.fits) < 3:
+    if fit is None or sum(1 if fitted.curve.kind == "edge" else 3 for fitted in fit.fits) < 3:
         return None
-    corners = np.concatenate([one.curve.outline(np.linspace(0, 1, 16)).points for one in fit.fits])
+    corners = np.concatenate([fitted.curve.outline(np.linspace(0, 1, 16)).points for fitted in fit.fits])
     return part_frame(-fit.face.normal, fit.face.to_rig(corners.mean(axis=0, keepdims=True))[0])
 
 
@@ -120,7 +120,7 @@ def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFi
         fit = fit_plane(view.images.rig, view.images.raw, face, [*circles, *candidates], TEACHING.feature_fit)
         if fit is None:
             return None
-        good = {one.curve.name for one in fit.fits if _is_clear(one)}
+        good = {fitted.curve.name for fitted in fit.fits if _is_clear(fitted)}
         kept = [curve for curve in candidates if curve.name in good]
         if len(kept) == len(candidates):
             return fit
@@ -238,8 +238,8 @@ def _twins(edge: Curve, longer: Curve) -> bool:
 
 def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
     """The fitted curves under their names."""
-    slots = [one.curve for one in fit.fits if one.curve.kind == "slot"]
-    edges = [one.curve for one in fit.fits if one.curve.kind == "edge"]
+    slots = [fitted.curve for fitted in fit.fits if fitted.curve.kind == "slot"]
+    edges = [fitted.curve for fitted in fit.fits if fitted.curve.kind == "edge"]
     slots.sort(key=_order(lambda curve: float(curve.parameters[3])))
     edges.sort(key=_order(lambda curve: curve.length_mm))
     named = [replace(curve, name=f"e{k}") for k, curve in enumerate(edges)]
@@ -283,13 +283,15 @@ def slot_feature(curve: Curve) -> SlotFeature:
 def _corners(edges: list[Curve], gap_mm: float) -> tuple[CornerFeature, ...]:
     """Where an end of one edge lies near an end of another one that runs elsewhere."""
     found = []
-    for one, two in itertools.combinations(edges, 2):
-        sine = abs(float(one.direction @ (-two.direction[1], two.direction[0])))
+    for first, second in itertools.combinations(edges, 2):
+        sine = abs(float(first.direction @ (-second.direction[1], second.direction[0])))
         if sine < math.sin(TEACHING.min_corner_rad):
             continue
-        normals = np.stack([(-edge.direction[1], edge.direction[0]) for edge in (one, two)])
-        offsets = [normals[k] @ edge.parameters[:2] for k, edge in enumerate((one, two))]
+        normals = np.stack([(-edge.direction[1], edge.direction[0]) for edge in (first, second)])
+        offsets = [normals[k] @ edge.parameters[:2] for k, edge in enumerate((first, second))]
         tip = np.linalg.solve(normals, offsets)
-        if all(np.linalg.norm(_ends(edge) - tip, axis=1).min() < gap_mm for edge in (one, two)):
-            found.append((float(round(tip[1], 1)), float(round(tip[0], 1)), one.name, two.name))
-    return tuple(CornerFeature(f"k{k}", (one, two)) for k, (_, _, one, two) in enumerate(sorted(found)))
+        if all(np.linalg.norm(_ends(edge) - tip, axis=1).min() < gap_mm for edge in (first, second)):
+            found.append((float(round(tip[1], 1)), float(round(tip[0], 1)), first.name, second.name))
+    return tuple(
+        CornerFeature(f"k{k}", (first, second)) for k, (_, _, first, second) in enumerate(sorted(found))
+    )

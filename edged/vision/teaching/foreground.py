@@ -31,7 +31,7 @@ class _Outline:
 
     def is_beside(self, other: _Outline) -> bool:
         """Whether both outlines follow one edge, one inside the other."""
-        radii = [np.sqrt(one.area / np.pi) for one in (self, other)]
+        radii = [np.sqrt(outline.area / np.pi) for outline in (self, other)]
         return bool(abs(radii[0] - radii[1]) <= max(TEACHING.same_px, TEACHING.same_share * max(radii)))
 
 
@@ -41,7 +41,7 @@ def likely_part(left: Image) -> FloatArray | None:
     found = _outlines(small)
     if not found:
         return None
-    best = max(found, key=lambda one: one.strength * np.sqrt(one.area))
+    best = max(found, key=lambda outline: outline.strength * np.sqrt(outline.area))
     return _around(best, scale, small.shape)
 
 
@@ -52,20 +52,24 @@ def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
     """
     small, scale = _shrunk(left)
     place = (x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5
-    around = [one for one in _outlines(small) if cv2.pointPolygonTest(one.points, place, False) >= 0]
+    around = [
+        outline for outline in _outlines(small) if cv2.pointPolygonTest(outline.points, place, False) >= 0
+    ]
     if not around:
         raise TeachError(
             f"nothing with a clear outline was tapped at {x:.0f}, {y:.0f} px: draw the region around the "
             "part, or light it so that it differs from the table",
             "nothing_there",
         )
-    least = TEACHING.rival * max(one.strength for one in around)
+    least = TEACHING.rival * max(outline.strength for outline in around)
     nested: list[_Outline] = []
     # of outlines of nearly one size the strongest is the edge itself
-    for one in sorted((one for one in around if one.strength >= least), key=lambda one: -one.strength):
-        if not any(one.is_beside(other) for other in nested):
-            nested.append(one)
-    return tuple(_around(one, scale, small.shape) for one in sorted(nested, key=lambda one: -one.area))
+    strong = [outline for outline in around if outline.strength >= least]
+    for outline in sorted(strong, key=lambda outline: -outline.strength):
+        if not any(outline.is_beside(other) for other in nested):
+            nested.append(outline)
+    nested.sort(key=lambda outline: -outline.area)
+    return tuple(_around(outline, scale, small.shape) for outline in nested)
 
 
 def _shrunk(left: Image) -> tuple[Image, float]:
@@ -122,9 +126,9 @@ def _level_sets(
 def _borders(inside: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.int32]]:
     # opened: a bridge of texture is no part of the part
     mask = cv2.morphologyEx(inside.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    for one in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
-        if len(one) >= MIN_WIDTH_PX:
-            yield np.asarray(one[:, 0], np.int32)
+    for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+        if len(contour) >= MIN_WIDTH_PX:
+            yield np.asarray(contour[:, 0], np.int32)
 
 
 def _around(outline: _Outline, scale: float, shape: tuple[int, ...]) -> FloatArray:

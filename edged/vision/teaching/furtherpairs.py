@@ -110,7 +110,7 @@ def _settled(job: Job, choice: FormChoice, forms: Sequence[tuple[float, bool]]) 
 
 
 def _width_mm(model: EdgeModel) -> float:
-    """Of the breaks of most of its edges, by their length."""
+    """Width of the breaks of most of its edges, by their length."""
     length = np.linalg.norm(model.end - model.start, axis=1)
     order = np.argsort(model.breaks_mm)
     total = np.cumsum(length[order])

@@ -68,17 +68,17 @@ def find_levels(
     """
     found: list[FoundCircle] = []
     for ellipse in ellipses:
-        one = _measured(images, ellipse, face.normal, depth_mm)
-        if one is not None and is_clear(one.fit):
-            found.append(one)
+        measured = _measured(images, ellipse, face.normal, depth_mm)
+        if measured is not None and is_clear(measured.fit):
+            found.append(measured)
     found = _without_breaks(found, face.normal)
     if not found:
         return None
     normal, heights = turned_alike(found, face.normal)
     if float(np.ptp(heights)) < TEACHING.apart_mm:
         return None
-    again = [_anew(images, one, normal) for one in found]
-    kept = [one for one in again if one is not None]
+    again = [_anew(images, measured, normal) for measured in found]
+    kept = [measured for measured in again if measured is not None]
     normal, heights = turned_alike(kept, normal)
     return Levels(tuple(kept), normal, heights)
 
@@ -120,16 +120,16 @@ def circle_on(
     return None if fit is None else circle_in_rig(fit, "circle")
 
 
-def _anew(images: StereoImages, one: FoundCircle, normal: FloatArray) -> FoundCircle | None:
+def _anew(images: StereoImages, measured: FoundCircle, normal: FloatArray) -> FoundCircle | None:
     """The circle measured again with a better normal."""
-    circle = one.circle
+    circle = measured.circle
     fit = fit_circle(
         images.rig,
         images.raw,
         circle.centre_mm,
         normal,
         circle.radius_mm,
-        one.fit.curve.polarity,
+        measured.fit.curve.polarity,
         TEACHING.together,
         fixed_normal=True,
     )
@@ -139,17 +139,17 @@ def _anew(images: StereoImages, one: FoundCircle, normal: FloatArray) -> FoundCi
 def _without_breaks(found: Sequence[FoundCircle], normal: FloatArray) -> list[FoundCircle]:
     """The circles without duplicates and lower chamfer edges: the one nearer to the cameras stays."""
     kept: list[FoundCircle] = []
-    for one in sorted(found, key=lambda one: -float(normal @ one.circle.centre_mm)):
-        if not any(_same(one, other, normal) for other in kept):
-            kept.append(one)
+    for measured in sorted(found, key=lambda measured: -float(normal @ measured.circle.centre_mm)):
+        if not any(_same(measured, other, normal) for other in kept):
+            kept.append(measured)
     return kept
 
 
-def _same(one: FoundCircle, other: FoundCircle, normal: FloatArray) -> bool:
-    gap = one.circle.centre_mm - other.circle.centre_mm
+def _same(first: FoundCircle, other: FoundCircle, normal: FloatArray) -> bool:
+    gap = first.circle.centre_mm - other.circle.centre_mm
     height = abs(float(normal @ gap))
     aside = float(np.linalg.norm(gap - (normal @ gap) * normal))
-    apart = abs(one.circle.radius_mm - other.circle.radius_mm)
+    apart = abs(first.circle.radius_mm - other.circle.radius_mm)
     return (
         aside < TEACHING.apart_mm
         and height < TEACHING.break_mm
@@ -164,8 +164,8 @@ def turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[Floa
     normal : of the largest circle. Circles of one face lie level, unless that lifts the largest one's own rim
     by more than faces are flat to: then they are seen by other ends of their breaks, and its rim tells more.
     """
-    centres = np.array([one.circle.centre_mm for one in found])
-    sizes = np.array([one.circle.radius_mm for one in found])
+    centres = np.array([measured.circle.centre_mm for measured in found])
+    sizes = np.array([measured.circle.radius_mm for measured in found])
     first, apart_mm = normal, TEACHING.apart_mm
     for _ in range(TEACHING.rounds):
         normal = _tilted(centres, sizes, _grouped(centres @ normal, apart_mm), normal)
@@ -309,11 +309,11 @@ def dominant_face(view: TeachingView, levels: Levels) -> float:
     return most if seen[most] > TEACHING.dominant * seen[own] else own
 
 
-def _laid(one: FoundCircle, frame: FloatArray, name: str, height_mm: float) -> Curve:
+def _laid(measured: FoundCircle, frame: FloatArray, name: str, height_mm: float) -> Curve:
     """A circle as a curve of the part's frame (4, 4), at the height of its face."""
-    x, y, _ = apply(invert(frame), one.circle.centre_mm)
-    parameters = np.array([x, y, one.circle.radius_mm])
-    return Curve(name, "circle", parameters, one.fit.curve.polarity, height_mm=height_mm)
+    x, y, _ = apply(invert(frame), measured.circle.centre_mm)
+    parameters = np.array([x, y, measured.circle.radius_mm])
+    return Curve(name, "circle", parameters, measured.fit.curve.polarity, height_mm=height_mm)
 
 
 def _carried(found: FoundFeatures, part_from_face: FloatArray, height_mm: float) -> FoundFeatures:
@@ -373,12 +373,12 @@ def _in_picture(view: TeachingView, frame: FloatArray, edge: EdgeFeature) -> Flo
     return view.images.rectification.rectify_points("left", view.images.rig.left.project(ends))
 
 
-def _one_line(one: FloatArray, other: FloatArray) -> bool:
+def _one_line(first: FloatArray, other: FloatArray) -> bool:
     """Whether two edges are the same line in the picture, along some of their length."""
     along = other[1] - other[0]
     length = float(np.linalg.norm(along))
     along = along / length
-    gaps = one - other[0]
+    gaps = first - other[0]
     across = np.abs(gaps[:, 0] * along[1] - gaps[:, 1] * along[0])
     places = gaps @ along
     return bool(across.max() < TEACHING.same_line_px and places.max() > 0 and places.min() < length)
@@ -389,8 +389,8 @@ def _as_features(fit: PlaneFit, found: FoundFeatures) -> SolidFeatures:
     circles = circles_in_rig(fit)
     origin = fit.face.to_rig(np.append(fit.fits[0].curve.parameters[:2], 0.0)[None])[0]
     shift = -np.append(fit.fits[0].curve.parameters[:2], 0.0)
-    edges = [edge_feature(one.curve) for one in fit.fits if one.curve.kind == "edge"]
-    slots = [slot_feature(one.curve) for one in fit.fits if one.curve.kind == "slot"]
+    edges = [edge_feature(fitted.curve) for fitted in fit.fits if fitted.curve.kind == "edge"]
+    slots = [slot_feature(fitted.curve) for fitted in fit.fits if fitted.curve.kind == "slot"]
     kept = {edge.name for edge in edges}
     corners = tuple(corner for corner in found.corners if kept.issuperset(corner.edges))
     features = FoundFeatures(tuple(edges), tuple(slots), corners).moved(shift)

@@ -179,13 +179,13 @@ def _circle_features(
     into_part = invert(rig_from_part)
     return tuple(
         CircleFeature(
-            one.circle.name,
-            apply(into_part, one.circle.centre_mm),
-            one.circle.radius_mm,
-            one.fit.curve.polarity,
-            is_double(view.images, one),
+            measured.circle.name,
+            apply(into_part, measured.circle.centre_mm),
+            measured.circle.radius_mm,
+            measured.fit.curve.polarity,
+            is_double(view.images, measured),
         )
-        for one in circles
+        for measured in circles
     )
 
 
@@ -196,7 +196,10 @@ def _circles(
     found = _in_order([reference, *_others(view.images, ellipses, face, reference)])
     together = fit_plane(view.images.rig, view.images.raw, *_laid_in_face(found), FitParams(reach_px=(2.0,)))
     if together is None or together.fit_of("c0") is None:
-        return [replace(one, circle=replace(one.circle, name=f"c{k}")) for k, one in enumerate(found)]
+        return [
+            replace(measured, circle=replace(measured.circle, name=f"c{k}"))
+            for k, measured in enumerate(found)
+        ]
     return circles_in_rig(together)
 
 
@@ -356,10 +359,10 @@ def _others(
     """The other circles of the face, each verified in both images."""
     found: list[FoundCircle] = []
     for ellipse in ellipses:
-        one = circle_on(face, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=True)
-        if one is None or not _is_clear(one.fit):
+        measured = circle_on(face, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=True)
+        if measured is None or not _is_clear(measured.fit):
             continue
-        circle = one.circle
+        circle = measured.circle
         off_face = abs(float(face.normal @ circle.centre_mm) - face.offset)
         sigma = float(np.sqrt(face.normal @ circle.covariance[:3, :3] @ face.normal))
         if (
@@ -370,13 +373,13 @@ def _others(
         # the two edges of a chamfer are one feature: the first, stronger one stays
         if any(_are_duplicates(circle, other.circle) for other in (reference, *found)):
             continue
-        found.append(one)
+        found.append(measured)
     return found
 
 
-def _are_duplicates(one: Circle3D, other: Circle3D) -> bool:
-    apart = float(np.linalg.norm(one.centre_mm - other.centre_mm))
-    return apart < 0.3 and abs(one.radius_mm - other.radius_mm) < 0.3
+def _are_duplicates(first: Circle3D, other: Circle3D) -> bool:
+    apart = float(np.linalg.norm(first.centre_mm - other.centre_mm))
+    return apart < 0.3 and abs(first.radius_mm - other.radius_mm) < 0.3
 
 
 def _laid_in_face(found: list[FoundCircle]) -> tuple[Face, list[Curve]]:
@@ -385,15 +388,15 @@ def _laid_in_face(found: list[FoundCircle]) -> tuple[Face, list[Curve]]:
     frame = part_frame(reference.normal, reference.centre_mm)
     face = Face(frame[:3, 3], frame[:3, :3].T)
     curves = []
-    for k, one in enumerate(found):
-        x, y, height = face.from_rig(one.circle.centre_mm)
-        sigma = float(np.sqrt(face.normal @ one.circle.covariance[:3, :3] @ face.normal))
+    for k, measured in enumerate(found):
+        x, y, height = face.from_rig(measured.circle.centre_mm)
+        sigma = float(np.sqrt(face.normal @ measured.circle.covariance[:3, :3] @ face.normal))
         curves.append(
             Curve(
                 f"c{k}",
                 "circle",
-                np.array([x, y, one.circle.radius_mm]),
-                one.fit.curve.polarity,
+                np.array([x, y, measured.circle.radius_mm]),
+                measured.fit.curve.polarity,
                 height_mm=0.0 if abs(height) < max(IN_FACE_MM, 3 * sigma) else float(height),
             )
         )
@@ -404,7 +407,10 @@ def _in_order(found: list[FoundCircle]) -> list[FoundCircle]:
     """By falling radius; equal ones in reading order, so that names are repeatable."""
     return sorted(
         found,
-        key=lambda one: (-round(one.circle.radius_mm, 1), *np.round(one.circle.centre_mm[1::-1], 1)),
+        key=lambda measured: (
+            -round(measured.circle.radius_mm, 1),
+            *np.round(measured.circle.centre_mm[1::-1], 1),
+        ),
     )
 
 

@@ -23,7 +23,8 @@ class TeachingParams:
     window_px: int = 25  # length of edge that is judged together
     min_agreeing: float = 0.6  # of a window of the face; at another depth one in five agrees by chance
     clean_share: float = 0.7
-    """Of the region's edges in the face, at which the rest is the part's own: chamfers, grounds of holes."""
+    """Share of the region's edges in the face, at which the rest is the part's own: chamfers, grounds of
+    holes."""
     min_kept: int = 100  # edge pixels; fewer are no shape, and the region is used as given
     band_px: int = 3  # to both sides of an edge that is kept
     cut_margin_px: int = 24  # around the region, in which edges are looked for
@@ -73,10 +74,11 @@ class TeachingParams:
     rounds: int = 4  # of faces and their circles
     face_tolerance_mm: float = 0.15  # from a circle to the face; shading displaces farther ones
     solid_score: float = 0.5
-    """Of a thick part's main face: walls as bright as it hide some outline; both cameras refuse false
-    matches."""
+    """Least score of a thick part's main face: walls as bright as it hide some outline; both cameras refuse
+    false matches."""
     solid_top_points: int = 100
-    """Of the coarsest level: with fewer, half hidden by walls, a tilted view is like many things."""
+    """Least points of the coarsest level: with fewer, half hidden by walls, a tilted view is like many
+    things."""
     min_support: float = 0.75  # of the reference circle
     height_share: float = 0.12  # of the distance, from the reference circle to another face of the part
     max_rms_px: float = 0.5  # as a job's own limit: edges that scatter more are two different things
@@ -106,7 +108,8 @@ class CadParams:
     """
 
     sigma_mm: float = 0.1
-    """Of what a model alone says of a real part's edges: edge breaks are 0.1-0.5 mm (ISO 13715)."""
+    """What a model alone says of a real part's edges is as exact as this: edge breaks are
+    0.1-0.5 mm (ISO 13715)."""
     max_sigma_mm: float = 0.3  # a job's limit; twice the above, across the face, is in every result
     above_grey: float = 150.0  # of faces above the painted one
     finer: int = 4  # sub-pixels of the painting, in x and y

@@ -52,7 +52,7 @@ def _limits(former: Job, taught: Job, said: list[str]) -> ResultLimits:
     if not all(abs(a - b) < 1e-6 * depth_mm for a, b in zip(was.depth_mm, usual, strict=True)):
         now = replace(now, depth_mm=was.depth_mm)
         said.append(_kept("limits.depth_mm", was.depth_mm, taught.limits.depth_mm))
-    for name in (one.name for one in fields(ResultLimits) if one.name != "depth_mm"):
+    for name in (field.name for field in fields(ResultLimits) if field.name != "depth_mm"):
         before, after = getattr(was, name), getattr(now, name)
         by_teaching = name == "max_sigma_mm" and former.sigma_mm != taught.sigma_mm
         if _differ(before, after) and not by_teaching:
@@ -63,11 +63,11 @@ def _limits(former: Job, taught: Job, said: list[str]) -> ResultLimits:
 
 def _search(former: Job, taught: Job, said: list[str]) -> SearchParams:
     changed = {}
-    for one in fields(SearchParams):
-        before, after = getattr(former.search, one.name), getattr(taught.search, one.name)
+    for field in fields(SearchParams):
+        before, after = getattr(former.search, field.name), getattr(taught.search, field.name)
         if _differ(before, after):
-            changed[one.name] = before
-            said.append(_kept(f"search.{one.name}", before, after))
+            changed[field.name] = before
+            said.append(_kept(f"search.{field.name}", before, after))
     return replace(taught.search, **changed)
 
 
@@ -75,20 +75,20 @@ def _measurements(
     former: Job, taught: Job, said: list[str]
 ) -> tuple[tuple[MeasurementSpec, ...], str | None]:
     """Measurements of the former job, with the taught size unless another was stated."""
-    by_teaching = {one.name: one for one in known_radius(former.circles, former.reference)[0]}
-    fresh = {one.name: one for one in taught.measurements}
+    by_teaching = {spec.name: spec for spec in known_radius(former.circles, former.reference)[0]}
+    fresh = {spec.name: spec for spec in taught.measurements}
     kept: list[MeasurementSpec] = []
-    for one in former.measurements:
-        if one == by_teaching.get(one.name):
+    for spec in former.measurements:
+        if spec == by_teaching.get(spec.name):
             continue  # unedited: the taught job has its own
-        if any(former.kind_of(name) != taught.kind_of(name) for name in one.of):
-            said.append(f"measurement {one.name} is dropped: {', '.join(one.of)} is not there any more")
+        if any(former.kind_of(name) != taught.kind_of(name) for name in spec.of):
+            said.append(f"measurement {spec.name} is dropped: {', '.join(spec.of)} is not there any more")
             continue
-        kept.append(one)
-        if one != fresh.pop(one.name, None):
-            said.append(f"kept: measurement {one.name}")
+        kept.append(spec)
+        if spec != fresh.pop(spec.name, None):
+            said.append(f"kept: measurement {spec.name}")
     everything = (*fresh.values(), *kept)
-    witness = former.witness if former.witness in {one.name for one in everything} else taught.witness
+    witness = former.witness if former.witness in {spec.name for spec in everything} else taught.witness
     return everything, witness
 
 
@@ -105,5 +105,5 @@ def _kept(name: str, before: object, after: object) -> str:
 
 def _text(value: object) -> str:
     if isinstance(value, tuple):
-        return "[" + ", ".join(_text(one) for one in value) + "]"
+        return "[" + ", ".join(_text(part) for part in value) + "]"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
