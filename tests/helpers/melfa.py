@@ -19,7 +19,7 @@ from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.vision.geometry.rigid import invert
 from helpers.robotexpressions import Compiler
 from helpers.robotlink import Link
-from helpers.robotvalues import Record, Types, Variable, single
+from helpers.robotvalues import Record, Types, Variable, quoted, real, single, text_up_to
 from helpers.robotwords import Declared
 
 NAME = r"[MCP][A-Za-z0-9_]*[%$]?"
@@ -29,36 +29,25 @@ class Stopped(Exception):
     """An error of the program: its slot stops."""
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(f"{value!r} is no number")
-    return single(value)
-
-
 def _whole(value: Any) -> int:
     if isinstance(value, bool) or not -32768 <= round(value) <= 32767:
         raise TypeError(f"{value!r} does not fit 16 bits")
     return round(value)
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str) or len(value) > 255:
-        raise TypeError(f"{value!r} is no text of 255 characters")
-    return value
-
-
 TYPES = Types(
     {
-        "number": (0.0, _number),
+        "number": (0.0, lambda value: single(real(value))),
         "whole": (0, _whole),
-        "text": ("", _text),
-        "literal": ("", lambda value: _text(value[1:-1])),
+        "text": ("", text_up_to(255)),
+        "literal": ("", quoted(255)),
     },
     {"position": {**dict.fromkeys("xyzabc", "number"), "fl1": "number"}},
 )
 
 
-def _matrix(position: Record) -> FloatArray:
+def matrix(position: Record) -> FloatArray:
+    """Angles of positions are in radians here."""
     *lengths_mm, a, b, c = list(position.plain().values())[:6]
     return transform_of(Brand.MITSUBISHI, (*lengths_mm, *np.degrees((a, b, c)).tolist()))
 
@@ -171,10 +160,10 @@ class TaskSlot:
         elif found := re.match(r"M_Timer\((\d)\)=0$", line):
             self.controller.timers[int(found[1])] = self.controller.link.now_s()
         elif found := re.match(r"(\w+)=(\w+(?:\[\d\])?)\*(\w+)$", line):
-            one, other = (_matrix(self.evaluate(name).get()) for name in found.groups()[1:])
+            one, other = (matrix(self.evaluate(name).get()) for name in found.groups()[1:])
             _write(self.named(found[1]).get(), one @ other)
         elif found := re.match(r"(\w+)=(\w+)\*Inv\((\w+)\)$", line):
-            place, behind = (_matrix(self.named(name).get()) for name in found.groups()[1:])
+            place, behind = (matrix(self.named(name).get()) for name in found.groups()[1:])
             _write(self.named(found[1]).get(), place @ invert(behind))
         elif not line.startswith("Wait "):
             found = re.match(r"([\w%$]+(?:\[\w+\])?)(?:\.([XYZABC]))?=(.+)$", line)

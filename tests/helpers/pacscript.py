@@ -15,6 +15,7 @@ from helpers.robotlanguage import (
     Assign,
     Call,
     Function,
+    LabelledProgram,
     Leave,
     OnError,
     Parameter,
@@ -25,7 +26,7 @@ from helpers.robotlanguage import (
     block,
 )
 from helpers.robotlink import Link
-from helpers.robotvalues import Array, Record, Types, Variable
+from helpers.robotvalues import Array, Record, Types, Variable, quoted, real, text_up_to, whole
 
 NAME = r"[A-Za-z]\w*"
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -33,29 +34,6 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 class PacError(Exception):
     """An error that On Error may catch."""
-
-
-def _integer(value: Any) -> int:
-    if isinstance(value, bool) or not float(value).is_integer() or abs(value) >= 2**31:
-        raise TypeError(f"{value!r} is no Integer")
-    return int(value)
-
-
-def _double(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(f"{value!r} is no number")
-    return float(value)
-
-
-def _string(value: Any) -> str:
-    if not isinstance(value, str) or len(value) > 255:
-        raise TypeError(f"{value!r} is no String of 255 characters")
-    return value
-
-
-def _literal(value: str) -> str:
-    assert value[0] == '"', value
-    return _string(value[1:-1])
 
 
 class Variant(Variable):
@@ -83,13 +61,13 @@ def _byte(value: Any) -> int:
 
 TYPES = _Types(
     {
-        "Integer": (0, _integer),
-        "Double": (0.0, _double),
-        "String": ("", _string),
+        "Integer": (0, whole),
+        "Double": (0.0, real),
+        "String": ("", text_up_to(255)),
         "Variant": ([], lambda value: value),
         "byte": (0, _byte),
-        "text": ("", _string),
-        "literal": ("", _literal),
+        "text": ("", text_up_to(255)),
+        "literal": ("", quoted(255)),
     },
     {"Position": {**dict.fromkeys(AXES, "Double"), "fig": "Integer"}},
 )
@@ -118,20 +96,8 @@ class _Syntax(Syntax):
         return Call(found[1], found[2] or "")
 
 
-class _Pac(Program):
-    """PacScript: a routine may be left early, and has a place for its errors."""
-
-    def __init__(self) -> None:
-        super().__init__("pacscript", TYPES, "=", "[]")
-        self.places: list[str] = []
-
-    def run(self, routine: Routine, arguments: list[Any]) -> Any:
-        """One call; a function gives the variable of its name."""
-        self.places.append("")
-        try:
-            return super().run(routine, arguments)
-        finally:
-            self.places.pop()
+class _Pac(LabelledProgram):
+    """PacScript: a function gives the variable of its name."""
 
     def _guarded(self, routine: Routine) -> None:
         assert isinstance(routine, Function) and routine.labels is not None
@@ -146,20 +112,11 @@ class _Pac(Program):
             pass
         raise Returned(self.named(f"{routine.name}_value").get() if routine.returns else None)
 
-    def statement(self, one: Any) -> None:
-        """One of them."""
-        if isinstance(one, Leave):
-            raise Returned(None)
-        if isinstance(one, OnError):
-            self.places[-1] = one.label
-        else:
-            super().statement(one)
-
 
 def load(source: str, controller: Controller) -> Program:
     """The file, its routines ready to be called."""
     assert source.isascii()
-    program = _Pac()
+    program = _Pac("pacscript", TYPES, "=", "[]")
     program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
     program.globals |= controller.globals
     lines = [line.partition("'")[0].strip() for line in program.declared.lines(source)]

@@ -20,7 +20,7 @@ from edged.vision.geometry.rigid import transform
 from helpers.robotarm import RobotArm
 from helpers.robotlanguage import Assign, Call, Parameter, Program, Return, Routine, Syntax, block
 from helpers.robotlink import Link
-from helpers.robotvalues import Array, Record, Types, single
+from helpers.robotvalues import Array, Record, Types, single, text_up_to
 
 MAX_TEXT = 80
 NAME = r"[A-Za-z_]\w*"
@@ -30,10 +30,7 @@ class RapidError(Exception):
     """ERRNO; the instruction's documented name."""
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str) or len(value) > MAX_TEXT:
-        raise TypeError(f"{value!r} is no string of {MAX_TEXT} characters")
-    return value
+_text = text_up_to(MAX_TEXT)
 
 
 def _literal(value: str) -> str:
@@ -215,7 +212,8 @@ def robtarget(robot_from_tip: FloatArray) -> Record:
     return record
 
 
-def _pose(target: Any) -> FloatArray:
+def pose(target: Any) -> FloatArray:
+    """The transform of a robtarget or a pose, mm."""
     plain = target.get().plain()
     return transform_of(Brand.ABB, (*plain["trans"].values(), *plain["rot"].values()))
 
@@ -329,13 +327,13 @@ class Sockets:
         given = dict.fromkeys(("rx", "ry", "rz"), 0.0)
         given |= {name: value.get() for name, value in _options(options).items()}
         turn = matrix_moving_xyz(*(math.radians(given[name]) for name in ("rx", "ry", "rz")))
-        return robtarget(_pose(target) @ transform(turn, np.array([x.get(), y.get(), z.get()], float)))
+        return robtarget(pose(target) @ transform(turn, np.array([x.get(), y.get(), z.get()], float)))
 
     def move_l(self, target: Any, speed: Any, zone: Any, tool: Any, *options: Any) -> None:
         """To the point itself (fine)."""
         assert ("v100", "fine") == (speed.get(), zone.get()) and tool.get() != "tool0"
         assert "wobj0" == _options(options)["wobj"].get()
-        self.arm.move(_pose(target))
+        self.arm.move(pose(target))
 
     def wait_time(self, *options: Any) -> None:
         """\\InPos."""

@@ -6,7 +6,6 @@ What a robot is told to move to is worked out as its maker's manual says it: rob
 from __future__ import annotations
 
 import ast
-import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -18,8 +17,9 @@ from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.robots.formats import render, written
 from edged.vision.geometry.rigid import transform
-from helpers import drl, karel, kawasaki, krl, pacscript, rapid, spel, val3
+from helpers import drl, karel, kawasaki, krl, melfa, pacscript, rapid, spel, val3
 from helpers import robotsides as sides
+from helpers.robotlanguage import Program
 from helpers.robotlink import Link
 from helpers.robotvalues import Record
 
@@ -57,15 +57,11 @@ def _abb(text: str, link: Link) -> list[FloatArray]:
     program = rapid.load(source, sockets)
     moves: list[FloatArray] = []
 
-    def move(where: Any, *_: Any) -> None:
-        plain = where.get().plain()
-        moves.append(transform_of(Brand.ABB, (*plain["trans"].values(), *plain["rot"].values())))
-
     for name in ("TOOL1", "WOBJ0", "V200", "FINE"):
         program.globals[name] = rapid.TYPES.variable("num")
     program.builtins |= {
         "CROBT": lambda *_: rapid.robtarget(link.arm.flange),
-        "MOVEL": move,
+        "MOVEL": lambda where, *_: moves.append(rapid.pose(where)),
         "TPWRITE": lambda *_: None,
     }
     program.call("PickOne")
@@ -83,6 +79,27 @@ def _fanuc(_text: str, link: Link) -> list[FloatArray]:
     (remark,) = re.findall(r"!PR\[80\]: (.*?) ;", code)
     offset = transform_of(Brand.FANUC, tuple(float(one.strip("()")) for one in remark.split(",")))
     moves: list[FloatArray] = []
+
+    def move(number: str) -> None:
+        place = _numbers(controller.positions[int(number)])[:6]
+        moves.append(transform_of(Brand.FANUC, place) @ offset)
+
+    run_pendant(
+        lines,
+        program,
+        controller,
+        {
+            r"L PR\[(\d+)\] 100mm/sec FINE Tool_Offset,PR\[80\]$": move,
+            r"!|UFRAME_NUM=0|LBL\[9\]|UALM\[1\]": lambda: None,
+        },
+    )
+    return moves
+
+
+def run_pendant(
+    lines: list[str], program: Program, controller: karel.Controller, also: dict[str, Callable[..., None]]
+) -> None:
+    """Run lines of a teach pendant. also : what a line of another pattern does with its groups."""
     at = 0
     while at < len(lines) and (line := lines[at]) != "END":
         at += 1
@@ -94,12 +111,9 @@ def _fanuc(_text: str, link: Link) -> list[FloatArray]:
         elif found := re.match(r"IF R\[(\d+)\]<>0,JMP LBL\[(\d+)\]$", line):
             if controller.registers[int(found[1])] != 0:
                 at = lines.index(f"LBL[{found[2]}]")
-        elif found := re.match(r"L PR\[(\d+)\] 100mm/sec FINE Tool_Offset,PR\[80\]$", line):
-            place = _numbers(controller.positions[int(found[1])])[:6]
-            moves.append(transform_of(Brand.FANUC, place) @ offset)
         else:
-            assert re.match(r"!|UFRAME_NUM=0|LBL\[9\]|UALM\[1\]", line), line
-    return moves
+            (found,) = (found for pattern in also if (found := re.match(pattern, line)))
+            also[found.re.pattern](*found.groups())
 
 
 def _kuka(text: str, link: Link) -> list[FloatArray]:
@@ -236,12 +250,7 @@ def _mitsubishi(text: str, link: Link) -> list[FloatArray]:
     """The number behind a position is a way along the hand's Z ("Mov")."""
     side = sides.Mitsubishi(link)
     side.controller.run(text)
-    moves = []
-    for pose, ahead_mm in side.controller.moves:
-        x, y, z, *angles_rad = _numbers(pose)[:6]
-        place = transform_of(Brand.MITSUBISHI, (x, y, z, *map(math.degrees, angles_rad)))
-        moves.append(np.asarray(place @ _shift(z_mm=ahead_mm)))
-    return moves
+    return [melfa.matrix(pose) @ _shift(z_mm=ahead_mm) for pose, ahead_mm in side.controller.moves]
 
 
 def _yaskawa(text: str, link: Link) -> list[FloatArray]:

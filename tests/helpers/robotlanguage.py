@@ -322,6 +322,31 @@ class Program:
         return found
 
 
+class LabelledProgram(Program):
+    """A program whose routines may be left early, and each have a place for their errors: a label."""
+
+    def __init__(self, language: str, types: Types, equals: str, index: str) -> None:
+        super().__init__(language, types, equals, index)
+        self.places: list[str] = []
+
+    def run(self, routine: Routine, arguments: list[Any]) -> Any:
+        """One call, whose errors go nowhere until it says so."""
+        self.places.append("")
+        try:
+            return super().run(routine, arguments)
+        finally:
+            self.places.pop()
+
+    def statement(self, one: Any) -> None:
+        """One of them."""
+        if isinstance(one, Leave):
+            raise Returned(None)
+        if isinstance(one, OnError):
+            self.places[-1] = one.label
+        else:
+            super().statement(one)
+
+
 class _Counter(Types):
     """Of a loop: any whole number."""
 

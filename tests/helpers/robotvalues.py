@@ -16,6 +16,41 @@ def single(value: float) -> float:
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
+def real(value: Any) -> float:
+    """A number; raises TypeError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{value!r} is no number")
+    return float(value)
+
+
+def whole(value: Any) -> int:
+    """A whole number of 32 bits; raises TypeError for anything else."""
+    if not real(value).is_integer() or abs(value) >= 2**31:
+        raise TypeError(f"{value!r} is no whole number of 32 bits")
+    return int(value)
+
+
+def text_up_to(longest: int) -> Callable[[Any], str]:
+    """What fits a text of so many characters; raises TypeError for anything else."""
+
+    def fitted(value: Any) -> str:
+        if not isinstance(value, str) or len(value) > longest:
+            raise TypeError(f"{value!r} is no text of {longest} characters")
+        return value
+
+    return fitted
+
+
+def quoted(longest: int) -> Callable[[str], str]:
+    """The text between double quotes, of so many characters at the most."""
+
+    def read(value: str) -> str:
+        assert value[0] == '"', value
+        return text_up_to(longest)(value[1:-1])
+
+    return read
+
+
 class Place(Protocol):
     """Something that can be read, and perhaps written."""
 

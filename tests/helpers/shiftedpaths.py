@@ -16,9 +16,9 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.robots.formats import render, written
-from helpers import drl, karel, kawasaki, krl, pacscript, rapid, spel, val3
+from helpers import drl, karel, kawasaki, krl, melfa, pacscript, rapid, spel, val3
 from helpers import robotsides as sides
-from helpers.robotexamples import PAGE, with_val3_example
+from helpers.robotexamples import PAGE, run_pendant, with_val3_example
 from helpers.robotlink import Link
 
 Run = Callable[[str, Link, FloatArray], list[FloatArray]]
@@ -49,17 +49,13 @@ def _abb(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
     moves: list[FloatArray] = []
     displaced = [np.eye(4)]
 
-    def read(where: Any) -> FloatArray:
-        plain = where.get().plain()
-        return transform_of(Brand.ABB, (*plain["trans"].values(), *plain["rot"].values()))
-
     for name in ("TOOL1", "WOBJ0", "V200", "FINE"):
         program.globals[name] = rapid.TYPES.variable("num")
     program.globals["TAUGHT"] = rapid.TYPES.variable("robtarget", rapid.robtarget(taught))
     program.builtins |= {
         "CROBT": lambda *_: rapid.robtarget(link.arm.flange),
-        "MOVEL": lambda where, *_: moves.append(displaced[-1] @ read(where)),
-        "PDISPSET": lambda pose: displaced.append(read(pose)),
+        "MOVEL": lambda where, *_: moves.append(displaced[-1] @ rapid.pose(where)),
+        "PDISPSET": lambda pose: displaced.append(rapid.pose(pose)),
         "PDISPOFF": lambda: displaced.append(np.eye(4)),
     }
     program.call("PickShifted")
@@ -71,30 +67,24 @@ def _fanuc(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
     """P[1] was taught in user frame 5 while that was the base's."""
     controller = karel.Controller(link)
     program = karel.load(written("karel")["edged.kl"], controller)
-    frames, active = {0: np.eye(4)}, 0
+    frames, active = {"0": np.eye(4)}, ["0"]
     moves: list[FloatArray] = []
-    lines = [line.rstrip(" ;") for line in text.splitlines()]
-    at = 0
-    while at < len(lines):
-        line = lines[at]
-        at += 1
-        if found := re.match(r"CALL EDGED\(([\d,]+)\)$", line):
-            controller.arguments = tuple(map(int, found[1].split(",")))
-            program.call("RUN")
-        elif found := re.match(r"UTOOL_NUM=(\d)$", line):
-            controller.activate(int(found[1]))
-        elif found := re.match(r"UFRAME_NUM=(\d)$", line):
-            active = int(found[1])
-        elif found := re.match(r"UFRAME\[(\d)\]=PR\[(\d+)\]$", line):
-            numbers = tuple(controller.positions[int(found[2])].plain().values())[:6]
-            frames[int(found[1])] = transform_of(Brand.FANUC, numbers)
-        elif found := re.match(r"IF R\[(\d+)\]<>0,JMP LBL\[(\d+)\]$", line):
-            if controller.registers[int(found[1])] != 0:
-                at = lines.index(f"LBL[{found[2]}]")
-        elif line == "L P[1] 100mm/sec FINE":
-            moves.append(frames[active] @ taught)
-        else:
-            assert re.match(r"LBL\[9\]$", line), line
+
+    def place(frame: str, number: str) -> None:
+        numbers = tuple(controller.positions[int(number)].plain().values())[:6]
+        frames[frame] = transform_of(Brand.FANUC, numbers)
+
+    run_pendant(
+        [line.rstrip(" ;") for line in text.splitlines()],
+        program,
+        controller,
+        {
+            r"UFRAME_NUM=(\d)$": active.append,
+            r"UFRAME\[(\d)\]=PR\[(\d+)\]$": place,
+            r"L P\[1\] 100mm/sec FINE$": lambda: moves.append(frames[active[-1]] @ taught),
+            r"LBL\[9\]$": lambda: None,
+        },
+    )
     link.close()
     return moves
 
@@ -220,12 +210,7 @@ def _mitsubishi(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
     """A product of positions."""
     side = sides.Mitsubishi(link)
     side.controller.run(text, PTaught=taught)
-    return [_of_melfa(pose) for pose, _ in side.controller.moves]
-
-
-def _of_melfa(pose: Any) -> FloatArray:
-    *lengths_mm, a, b, c = list(pose.plain().values())[:6]
-    return transform_of(Brand.MITSUBISHI, (*lengths_mm, *np.degrees((a, b, c)).tolist()))
+    return [melfa.matrix(pose) for pose, _ in side.controller.moves]
 
 
 def _yaskawa(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:

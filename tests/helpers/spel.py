@@ -16,17 +16,17 @@ from helpers.robotlanguage import (
     Assign,
     Call,
     Function,
+    LabelledProgram,
     Leave,
     OnError,
     Parameter,
     Program,
-    Returned,
     Routine,
     Syntax,
     block,
 )
 from helpers.robotlink import Link
-from helpers.robotvalues import Array, Types
+from helpers.robotvalues import Array, Types, quoted, real, text_up_to, whole
 
 NAME = r"[A-Za-z]\w*\$?"
 
@@ -35,36 +35,13 @@ class SpelError(Exception):
     """An error that OnErr may catch."""
 
 
-def _double(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(f"{value!r} is no number")
-    return float(value)
-
-
-def _long(value: Any) -> int:
-    if isinstance(value, bool) or not float(value).is_integer() or abs(value) >= 2**31:
-        raise TypeError(f"{value!r} is no Long")
-    return int(value)
-
-
-def _string(value: Any) -> str:
-    if not isinstance(value, str) or len(value) > 255:
-        raise TypeError(f"{value!r} is no string of 255 characters")
-    return value
-
-
-def _literal(value: str) -> str:
-    assert value[0] == '"', value
-    return _string(value[1:-1])
-
-
 TYPES = Types(
     {
-        "Double": (0, _double),
-        "Long": (0, _long),
-        "String": ("", _string),
-        "text": ("", _string),
-        "literal": ("", _literal),
+        "Double": (0, real),
+        "Long": (0, whole),
+        "String": ("", text_up_to(255)),
+        "text": ("", text_up_to(255)),
+        "literal": ("", quoted(255)),
     }
 )
 
@@ -107,20 +84,8 @@ class _Syntax(Syntax):
         return Assign(found[1], found[2])
 
 
-class _Spel(Program):
-    """SPEL+: a function may be left early, and has a place for its errors."""
-
-    def __init__(self) -> None:
-        super().__init__("spel", TYPES, "=", "[]")
-        self.places: list[str] = []
-
-    def run(self, routine: Routine, arguments: list[Any]) -> Any:
-        """One call."""
-        self.places.append("")
-        try:
-            return super().run(routine, arguments)
-        finally:
-            self.places.pop()
+class _Spel(LabelledProgram):
+    """SPEL+: a handler ends in EResume, which names where it goes on."""
 
     def _guarded(self, routine: Routine) -> None:
         assert isinstance(routine, Function)
@@ -137,20 +102,11 @@ class _Spel(Program):
             self.execute(handler[:-1])
             self.execute(routine.labels[last.arguments.strip('"')])
 
-    def statement(self, one: Any) -> None:
-        """One of them."""
-        if isinstance(one, Leave):
-            raise Returned(None)
-        if isinstance(one, OnError):
-            self.places[-1] = one.label
-        else:
-            super().statement(one)
-
 
 def load(source: str, controller: Controller) -> Program:
     """The file, its functions ready to be called."""
     assert source.isascii()
-    program = _Spel()
+    program = _Spel("spel", TYPES, "=", "[]")
     program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
     program.globals["HERE"] = controller.here
     lines = [line.partition("'")[0].strip() for line in program.declared.lines(source)]

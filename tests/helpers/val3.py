@@ -14,35 +14,18 @@ from typing import Any
 from edged.robot.orientations import Brand, pose_of
 from helpers.robotlanguage import Assign, Call, Parameter, Program, Routine, Syntax, block
 from helpers.robotlink import Link
-from helpers.robotvalues import Array, Record, Types
+from helpers.robotvalues import Array, Record, Types, quoted, real, text_up_to
 
 NAME = r"[a-z]\w*"
 SPACE = "{http://www.staubli.com/robotics/VAL3/"
 
 
-def _num(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(f"{value!r} is no num")
-    return float(value)
-
-
-def _string(value: Any) -> str:
-    if not isinstance(value, str) or len(value) > 128:
-        raise TypeError(f"{value!r} is no string of 128 characters")
-    return value
-
-
-def _literal(value: str) -> str:
-    assert value[0] == '"', value
-    return _string(value[1:-1])
-
-
 TYPES = Types(
     {
-        "num": (0, _num),
-        "string": ("", _string),
-        "text": ("", _string),
-        "literal": ("", _literal),
+        "num": (0, real),
+        "string": ("", text_up_to(128)),
+        "text": ("", text_up_to(128)),
+        "literal": ("", quoted(128)),
         **dict.fromkeys(("sio", "tool", "frame"), (None, lambda value: value)),
     },
     {"trsf": dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), "num"), "pointRx": {"trsf": "trsf"}},

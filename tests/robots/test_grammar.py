@@ -44,7 +44,7 @@ Files = Mapping[str, str]
 def _melfa(files: Files) -> Declared:
     declared = Declared("melfa")
     for source in files.values():
-        slot = melfa.Slot(melfa.Controller(dict(files), NOBODY), source)
+        slot = melfa.TaskSlot(melfa.Controller(dict(files), NOBODY), source)
         for name in re.findall(r"\b[MCP][A-Z]\w*[%$]?(?=[=,])", source):
             slot.named(name)
         declared.names |= slot.declared.names
