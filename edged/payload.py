@@ -39,7 +39,8 @@ from edged.domain.measurement import (
 from edged.domain.numerals import known
 from edged.domain.picking import GraspPose
 from edged.robot.budget import Budget, budget_of
-from edged.robot.covariance import robot_covariance
+from edged.robot.covariance import robot_covariance, robot_pose
+from edged.robot.grasping import held
 
 SCHEMA_VERSION = 1
 """Raised when a field changes its meaning or goes away; new fields do not raise it."""
@@ -52,7 +53,8 @@ def target_to_json(
 ) -> Json:
     """One located part, rig frame; with `pose_robot` where the rig is registered to a robot.
 
-    With `rig_from_model` where the job was taught with a CAD model, with `offset` where it has a golden part.
+    With `rig_from_model` where the job was taught with a CAD model, with `offset` where it has a golden part,
+    with `robot_shift` where there is a map of the robot's error.
 
     `covariance_6x6` is of (x, y, z in mm, rotation vector in rad) in the axes of the frame the pose
     is given in, the small rotation applied on the left.
@@ -76,11 +78,16 @@ def target_to_json(
     }
     if target.offset is not None:
         document["offset"] = _offset(target.offset)
+    if target.robot_shift is not None:
+        document["robot_shift"] = {
+            "mm": _numbers(target.robot_shift.shift_mm),
+            "sigma_mm": known(math.sqrt(target.robot_shift.variance_mm2)),
+        }
     if target.rig_from_model is not None:
         document["rig_from_model"] = _numbers(target.rig_from_model)
     if robot_from_rig is not None:
         document["pose_robot"] = _pose(
-            robot_from_rig @ target.rig_from_part, robot_covariance(target, robot_from_rig, registration)
+            robot_pose(target, robot_from_rig), robot_covariance(target, robot_from_rig, registration)
         )
     return document
 
@@ -302,10 +309,10 @@ def _grasp(
         "retreat_mm": known(grasp.retreat_mm),
     }
     if robot_from_rig is not None:
-        held = replace(target, rig_from_part=grasp.rig_from_tcp, covariance=grasp.covariance)
-        covariance = robot_covariance(held, robot_from_rig, registration)
-        document["pose_robot"] = _pose(robot_from_rig @ grasp.rig_from_tcp, covariance)
-        approach = robot_from_rig @ grasp.rig_from_approach
+        tool = held(target, grasp)
+        covariance = robot_covariance(tool, robot_from_rig, registration)
+        document["pose_robot"] = _pose(robot_pose(tool, robot_from_rig), covariance)
+        approach = robot_pose(replace(tool, rig_from_part=grasp.rig_from_approach), robot_from_rig)
         document["approach_position_robot_mm"] = _numbers(approach[:3, 3])
     return document
 

@@ -19,6 +19,7 @@ from edged.files.golden import golden_file, save_golden
 from edged.files.rig import read_rig, rig_of
 from edged.pipeline import PreparedRig, locate
 from edged.robot.golden import GoldenPart, golden_of, golden_part, golden_target
+from edged.robot.picking import frame_of
 from edged.setup.cellfiles import (
     CellFiles,
     UnfinishedCell,
@@ -92,6 +93,7 @@ def _loaded(cell: CellFiles) -> LoadedCell:
         robot_from_rig=cell.rig.robot_from_rig,
         registration_covariance=cell.rig.registration_covariance,
         flange_from_rig=cell.rig.flange_from_rig,
+        error_map=frame_of(cell.rig).error_map,
         listens=config.cycle.mode == "external",
         drift=DriftLimits(**config.drift.model_dump()),
         bounds=config.limits.bounds(),
@@ -127,6 +129,7 @@ def with_registration(loaded: LoadedCell) -> LoadedCell:
         robot_from_rig=rig.robot_from_rig,
         registration_covariance=rig.registration_covariance,
         flange_from_rig=rig.flange_from_rig,
+        error_map=frame_of(rig).error_map,
     )
     registered = replace(cell, rig=rig, fingerprint=identity, contents=contents, acceptance=acceptance)
     golden = golden_parts(path, rig, cell.jobs)

@@ -18,6 +18,7 @@ from edged.domain.marks import MarksReport, MarksState, MarksTrack
 from edged.domain.measurement import Outcome
 from edged.domain.picking import Bounds, Picking
 from edged.robot.covariance import moved_frame
+from edged.robot.errormap import ErrorMap
 from edged.robot.golden import GoldenPart
 from edged.robot.picking import RobotFrame, narrowed, within
 
@@ -78,7 +79,7 @@ class Setup:
     flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
     registration_covariance : (6, 6) of robot_from_rig, or of flange_from_rig.
     bounds : where the robot may go, whatever the job. marks : None: nothing is corrected; others : why, where
-    there are reference marks all the same. acceptance : the last test of the cell.
+    there are reference marks all the same. error_map : of the robot. acceptance : the last test of the cell.
     """
 
     jobs: Mapping[int, LoadedJob]
@@ -96,6 +97,7 @@ class Setup:
     bounds: Bounds = field(default_factory=Bounds)
     idle_s: float | None = None
     marks: MarksFollower | None = None
+    error_map: ErrorMap | None = None
     others: MarksState = MarksState.NONE
     acceptance: Acceptance = field(default_factory=Acceptance)
 
@@ -125,7 +127,8 @@ class Setup:
         robot_from_rig, registration = self.robot_from_rig, self.registration_covariance
         robot_from_flange = command.robot_from_flange if command is not None else None
         if self.flange_from_rig is None:
-            return RobotFrame(robot_from_rig, robot_from_flange=robot_from_flange), registration
+            frame = RobotFrame(robot_from_rig, robot_from_flange=robot_from_flange, error_map=self.error_map)
+            return frame, registration
         if robot_from_flange is None:
             return RobotFrame(robot_from_rig, robot_from_rig is not None), registration
         moved = None if registration is None else moved_frame(registration, robot_from_flange)

@@ -489,16 +489,19 @@ def register_touch(
     output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
     limit: Annotated[float, typer.Option(min=0, help="mm: of each point against all others")] = 0.5,
     as_json: JsonOption = False,
+    with_map: Annotated[
+        bool, typer.Option("--map", help="also a map of the robot's error, from 12 points or more")
+    ] = False,
 ) -> None:
     """From three or more points that the robot touched. 0: saved; 1: over the limit.
 
-    With five or more a wrong point is named.
+    With five or more a wrong point is named. The points of a map span the room that parts lie in.
     """
     from rich.console import Console
 
     from edged.commands.register import touch as command
 
-    raise typer.Exit(command(rig, points, output, limit, as_json, Console(stderr=as_json)))
+    raise typer.Exit(command(rig, points, output, limit, as_json, Console(stderr=as_json), with_map=with_map))
 
 
 @register.command("marks")

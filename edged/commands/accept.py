@@ -26,6 +26,7 @@ from edged.owners import as_owner
 from edged.pipeline import PreparedRig, prepare
 from edged.report.acceptance import ReportedTest, acceptance_page, acceptance_pdf
 from edged.robot.golden import registration_digest
+from edged.robot.picking import frame_of
 from edged.setup.acceptance.measuring import pairs_of, poses_in, read_truth, sizes_in, still_in
 from edged.setup.acceptance.verdicts import (
     AcceptanceTest,
@@ -173,6 +174,8 @@ def _robot(folder: Path, rig: StereoRig, shown: StatedTruth) -> AcceptanceTest:
         raise UserError(f"{folder}: the rig is not registered to a robot (edged register)")
     _, rig_mm, touched_mm = read_touched(folder / TOUCHED_NAME)
     expected = apply(rig.robot_from_rig, rig_mm)
+    if rig.robot_map is not None:
+        return _by_map(rig, rig_mm, expected, touched_mm, shown)
     parameters = np.zeros((0, 0)) if rig.covariance is None else rig.covariance
     turned = rig.robot_from_rig[:3, :3] @ shift_by_parameters(rig, rig_mm)
     moved = turned.reshape(expected.size, -1)[:, : len(parameters)]
@@ -181,6 +184,21 @@ def _robot(folder: Path, rig: StereoRig, shown: StatedTruth) -> AcceptanceTest:
         lever = np.concatenate([np.tile(np.eye(3), (len(expected), 1, 1)), -skew(expected)], axis=2)
         shared = shared + lever.reshape(-1, 6) @ rig.registration_covariance @ lever.reshape(-1, 6).T
     return robot_test(expected, shared, touched_mm, 1e-3 * shown.robot_um)
+
+
+def _by_map(
+    rig: StereoRig, rig_mm: FloatArray, expected: FloatArray, touched_mm: FloatArray, shown: StatedTruth
+) -> AcceptanceTest:
+    """As the cell publishes points, with the map of the robot's error, which has the registration in it."""
+    frame = frame_of(rig)
+    shifts = [frame.shift(place) for place in rig_mm]
+    known = [shift for shift in shifts if shift is not None]
+    inside = np.array([shift is not None for shift in shifts], bool)
+    rows = np.array([shift.row for shift in known]).reshape(len(known), -1)
+    noise = max([shift.noise_mm for shift in known], default=0.0)
+    shared = np.kron(rows @ rows.T + noise**2 * np.eye(len(known)), np.eye(3))
+    mapped = expected[inside] + np.array([shift.shift_mm for shift in known]).reshape(-1, 3)
+    return robot_test(mapped, shared, touched_mm[inside], 1e-3 * shown.robot_um)
 
 
 def _plain(test: AcceptanceTest) -> Mapping[str, object]:

@@ -46,6 +46,8 @@ def check(path: Path, *, as_json: bool) -> int:
     frame = "robot" if rig.robot_from_rig is not None else "rig (not registered to a robot)"
     if rig.flange_from_rig is not None:
         frame = "robot, of commands that say where the flange is"
+    if rig.robot_map is not None:
+        frame = f"robot, by a map of its error of degree {rig.robot_map.degree}"
     print(f"  rig          {rig.calibration_id}; coordinates in the frame: {frame}")
     print("  jobs         " + ", ".join(f"{job['number']} {job['name']}" for job in jobs))
     when = f"every {config.cycle.period_s:g} s" if config.cycle.mode == "free" else "on command"

@@ -21,8 +21,10 @@ from edged.files.jobs.text import grasp_to_toml
 from edged.files.rig import load_rig
 from edged.pictures.captions import reasons
 from edged.pipeline import locate, prepare
+from edged.robot.covariance import robot_pose
 from edged.robot.grasping import lever_covariance
 from edged.robot.orientations import Brand, Convention, transform_of
+from edged.robot.picking import frame_of
 from edged.robot.reading import reading_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert
@@ -60,7 +62,11 @@ def touch(rig: Path, job: Path, left: Path, right: Path, asked: Touch, console: 
             why = SWAPPED
         console.print(f"{job}: nothing was written: {why}", markup=False)
         return 1
-    part_from_tcp = invert(loaded.robot_from_rig @ good[0].rig_from_part) @ robot_from_tcp
+    frame = frame_of(loaded)
+    if not frame.is_mapped(good[0].position_mm):
+        raise UserError(f"--rig {rig}: the part lies beyond the map of the robot's error")
+    mapped = replace(good[0], robot_shift=frame.shift(good[0].position_mm))
+    part_from_tcp = invert(robot_pose(mapped, loaded.robot_from_rig)) @ robot_from_tcp
     grasp = Grasp(
         asked.name,
         part_from_tcp,
@@ -71,7 +77,7 @@ def touch(rig: Path, job: Path, left: Path, right: Path, asked: Touch, console: 
     )
     lines = grasp_to_toml(grasp)
     _append(job, lines)
-    sigma = " ".join(f"{value:.3f}" for value in _sigma_mm(good[0], part_from_tcp, loaded))
+    sigma = " ".join(f"{value:.3f}" for value in _sigma_mm(mapped, part_from_tcp, loaded))
     console.print(f"{job / TEXT}: added, one sigma of the tip {sigma} mm:", markup=False)
     for line in lines:
         console.print(f"  {line}", markup=False, highlight=False)

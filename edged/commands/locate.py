@@ -181,8 +181,9 @@ def _as_read(target: Target, rig: StereoRig, convention: Convention) -> Table:
 def _taken(grasp: GraspPose, rig: StereoRig) -> str:
     """The grasp, in the frame of the pose above."""
     frame_from_rig = np.eye(4) if rig.robot_from_rig is None else rig.robot_from_rig
+    shift = np.zeros(3) if grasp.robot_shift is None else grasp.robot_shift.shift_mm
     tip, start = (
-        " ".join(f"{value:.3f}" for value in (frame_from_rig @ pose)[:3, 3])
+        " ".join(f"{value:.3f}" for value in (frame_from_rig @ pose)[:3, 3] + shift)
         for pose in (grasp.rig_from_tcp, grasp.rig_from_approach)
     )
     turn = math.degrees(grasp.turn_rad)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from edged.commands.boardoption import naming_board_option
 from edged.commands.progress import shown_on
 from edged.domain.arrays import SIDES, FloatArray, Side
 from edged.domain.numerals import decimal, known
+from edged.domain.robotmap import RobotMap
 from edged.errors import CalibrationError, FileFormatError, UserError
 from edged.files.atomic import MAX_DOCUMENT_BYTES, read_bytes
 from edged.files.images import load_image
@@ -26,12 +27,13 @@ from edged.files.outputs import check_outputs
 from edged.files.pairs import half_of
 from edged.files.rig import load_rig
 from edged.files.tables import number_of, read_table
+from edged.robot.errormap import error_map
 from edged.robot.handeye import HandEye, Mount
 from edged.robot.orientations import POSE_FIELDS, Brand, transform_of
-from edged.robot.touch import PointRegistration
 from edged.setup.calibration.boards import Stated, boards_in, check_board_shown, stated_boards
 from edged.setup.pairs import Pair, Picture
 from edged.setup.registration.registering import (
+    FromPoints,
     from_marks,
     from_points,
     from_poses,
@@ -44,7 +46,14 @@ from edged.vision.geometry.camera import StereoRig
 
 
 def touch(
-    rig_path: Path, points: Path, output: Path, limit_mm: float, as_json: bool, console: Console
+    rig_path: Path,
+    points: Path,
+    output: Path,
+    limit_mm: float,
+    as_json: bool,
+    console: Console,
+    *,
+    with_map: bool = False,
 ) -> int:
     """Register from touched points; 0 when each is within the limit of where the others expect it, else 1.
 
@@ -53,17 +62,19 @@ def touch(
     check_outputs({"--output": output}, {"--points": points})
     rig = load_rig(rig_path)
     names, rig_mm, robot_mm = read_touched(points)
-    solved = from_points(rig, rig_mm, robot_mm, limit_mm)
+    solved = from_points(rig, rig_mm, robot_mm, limit_mm, with_map=with_map)
     found, good = solved.found, solved.good
     kept = save(rig_path, solved.registered, output) if good else None
     if as_json:
-        print(json.dumps(_touch_json(names, found, good, output if good else None)))
+        print(json.dumps(_touch_json(names, solved, output if good else None)))
         return 0 if good else 1
     table = Table("point", "residual mm", "held out mm", "rms of the others mm")
     for name, *values in zip(names, found.residuals_mm, found.held_out_mm, found.others_rms_mm, strict=True):
         table.add_row(name, *("–" if math.isnan(value) else f"{value:.3f}" for value in values))
     console.print(table)
     console.print(f"rms {found.rms_mm:.3f} mm, scale {found.scale:.5f} ± {found.sigma_scale:.5f}")
+    if solved.trials:
+        _tell_map(solved, console)
     if solved.doubt:
         console.print(
             f"the robot's lengths differ by {100 * (found.scale - 1):+.2f} %: is the board's length right?"
@@ -74,7 +85,7 @@ def touch(
             "whether one of them is wrong, and which"
         )
     if not good:
-        console.print(_verdict_of_touch(names, found, solved.worst_mm, limit_mm), markup=False)
+        console.print(_verdict_of_touch(names, solved, limit_mm), markup=False)
     else:
         _tell_saved(output, kept, console)
     return 0 if good else 1
@@ -325,10 +336,9 @@ def _tell_saved(output: Path, kept: Path | None, console: Console) -> None:
     console.print(f"registration written to {output}" + (f"; the old rig is {kept}" if kept else ""))
 
 
-def _verdict_of_touch(
-    names: Sequence[str], found: PointRegistration, worst_mm: float, limit_mm: float
-) -> str:
+def _verdict_of_touch(names: Sequence[str], solved: FromPoints, limit_mm: float) -> str:
     """Why nothing is saved, and which point to touch again."""
+    found, worst_mm = solved.found, solved.worst_mm
     if (culprit := found.culprit) is not None:
         return (
             f"{names[culprit]} is wrong by {found.held_out_mm[culprit]:.3f} mm: without it the others agree "
@@ -343,11 +353,34 @@ def _verdict_of_touch(
     )
 
 
-def _touch_json(
-    names: list[str], found: PointRegistration, good: bool, output: Path | None
-) -> dict[str, object]:
+def _tell_map(solved: FromPoints, console: Console) -> None:
+    """How each degree of a map of the robot's error foretells points that were left out."""
+    table = Table("map of the robot's error", "points left out, rms mm", "BIC")
+    for trial in solved.trials:
+        name = f"degree {trial.degree}" if trial.degree else "none: the registration alone"
+        table.add_row(name, f"{trial.held_out_mm:.4f}", f"{trial.bic:.1f}")
+    console.print(table)
+    made = solved.registered.rig.robot_map
+    console.print(
+        "no map earns its place: results stay with the registration alone"
+        if made is None
+        else f"the map of degree {made.degree} goes with the rig: one sigma of it at most "
+        f"{math.sqrt(max(_variances(made))):.4f} mm; parts beyond the touched points are refused"
+    )
+
+
+def _variances(made: RobotMap) -> Iterator[float]:
+    for place in made.expected_mm:
+        shift = error_map(made).at(place)
+        yield math.nan if shift is None else shift.variance_mm2
+
+
+def _touch_json(names: list[str], solved: FromPoints, output: Path | None) -> dict[str, object]:
+    found, made = solved.found, solved.registered.rig.robot_map
+    tried = [asdict(trial) for trial in solved.trials]
+    of_map = {"map": {"degree": 0 if made is None else made.degree, "tried": tried}} if tried else {}
     return {
-        "good": good,
+        "good": solved.good,
         "robot_from_rig": found.robot_from_rig.tolist(),
         "rms_mm": found.rms_mm,
         "scale": found.scale,
@@ -358,6 +391,7 @@ def _touch_json(
         ],
         "culprit": None if found.culprit is None else names[found.culprit],
         "written": None if output is None else str(output),
+        **of_map,
     }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.golden import Offset
 from edged.domain.picking import GraspPose
+from edged.domain.robotmap import RobotShift
 
 
 class Status(enum.StrEnum):
@@ -57,6 +58,8 @@ class Reject(enum.IntFlag):
     """In a zone of `[[limits.keep_out]]`: the robot must not go there."""
     NO_GRASP = 1 << 12
     """No `[[grasp]]` of the job lies where the robot may go."""
+    OUT_OF_MAP = 1 << 13
+    """Beyond the touched points of the map of the robot's error: how wrong it is there is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +193,7 @@ class Target:
     rig_from_model (4, 4) : where the frame of the job's CAD model lies; None where it was taught without one.
     reported : what is published in place of the reference point's pose; None: that one.
     offset : how it lies against the golden part; None where the job has none.
+    robot_shift : by the map of the robot's error; None where there is none.
     doubt_mm : part of the distance's sigma, in every covariance, from evidence against the rig: rows that
     do not meet, sizes that are all wrong by one factor.
     by_edges, by_doubt, by_marks (6, 6) : parts of the covariance from the edges, from the doubt, and from the
@@ -217,6 +221,7 @@ class Target:
     rig_from_model: FloatArray | None = None
     reported: ReportedPose | None = None
     offset: Offset | None = None
+    robot_shift: RobotShift | None = None
 
     @property
     def as_reported(self) -> Target:

@@ -6,6 +6,7 @@ import enum
 from dataclasses import dataclass
 
 from edged.domain.arrays import FloatArray
+from edged.domain.robotmap import RobotShift
 
 
 class Order(enum.StrEnum):
@@ -98,7 +99,7 @@ class GraspPose:
     """Where the tool takes one part.
 
     number : of the grasp in its job, from 1. turn_rad : about the part's z, against the taught grasp.
-    rig_from_tcp (4, 4), covariance (6, 6) : pose of the tool's tip, as of a target.
+    rig_from_tcp (4, 4), covariance (6, 6) : pose of the tool's tip; robot_shift : there; as of a target.
     """
 
     name: str
@@ -108,6 +109,7 @@ class GraspPose:
     covariance: FloatArray
     approach_mm: float
     retreat_mm: float
+    robot_shift: RobotShift | None = None
 
     @property
     def rig_from_approach(self) -> FloatArray:

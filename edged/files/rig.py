@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from edged.errors import FileFormatError
+from edged.domain.robotmap import RobotMap
+from edged.errors import CalibrationError, FileFormatError
 from edged.files.atomic import (
     MAX_DOCUMENT_BYTES,
     generations,
@@ -21,10 +22,14 @@ from edged.files.atomic import (
 )
 from edged.files.imagesizes import MAX_PIXELS
 from edged.files.jsonfields import JsonFields
+from edged.robot.errormap import DEGREES, LEAST_POINTS, MOST_POINTS, error_map
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRig
 
 RIG_FORMAT = "edged-rig"
 RIG_VERSION = 1
+MAP_VERSION = 1
+FARTHEST_MM = 1e5
+"""Of a place that a robot touched."""
 MIN_GAMMA, MAX_GAMMA = 0.2, 5.0
 
 
@@ -49,6 +54,7 @@ def rig_text(rig: StereoRig, quality: Mapping[str, Any] | None = None) -> bytes:
         "registration_covariance": None
         if rig.registration_covariance is None
         else rig.registration_covariance.tolist(),
+        **({} if rig.robot_map is None else {"robot_map": _map_to_json(rig.robot_map)}),
         "covariance": None
         if rig.covariance is None
         else {"parameters": list(rig.parameter_names), "matrix": rig.covariance.tolist()},
@@ -111,7 +117,7 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
     registration = None
     if document.get("registration_covariance") is not None:
         registration = reader.covariance("registration_covariance", 6)
-    rig = StereoRig(left, right, right_from_left, identity, robot, None, registration, flange)
+    rig = StereoRig(left, right, right_from_left, identity, robot, None, registration, flange, _map(reader))
     stored = document.get("covariance")
     if stored is None:
         return rig
@@ -120,6 +126,39 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
     if stored.get("parameters") != list(rig.parameter_names):
         raise FileFormatError(f"{path}: covariance.parameters: expected {list(rig.parameter_names)}")
     return replace(rig, covariance=covariance)
+
+
+def _map_to_json(made: RobotMap) -> dict[str, Any]:
+    return {
+        "version": MAP_VERSION,
+        "degree": made.degree,
+        "expected_mm": made.expected_mm.tolist(),
+        "shown_mm": made.shown_mm.tolist(),
+    }
+
+
+def _map(reader: JsonFields) -> RobotMap | None:
+    """The map of the robot's error; what determines none is named."""
+    if reader.document.get("robot_map") is None:
+        return None
+    if reader.document.get("robot_from_rig") is None:
+        raise reader.error("robot_map", "expected none in a rig without robot_from_rig")
+    of_map = reader.sub("robot_map")
+    if of_map.whole("version", 0xFFFF) != MAP_VERSION:
+        raise of_map.error("version", f"this edged reads {MAP_VERSION}")
+    found = of_map.document.get("expected_mm")
+    count = len(found) if isinstance(found, list) else 0
+    if not LEAST_POINTS <= count <= MOST_POINTS:
+        raise of_map.error("expected_mm", f"{count} points: expected {LEAST_POINTS} to {MOST_POINTS}")
+    expected, shown = (of_map.array(name, (count, 3)) for name in ("expected_mm", "shown_mm"))
+    if max(np.abs(expected).max(), np.abs(shown).max()) > FARTHEST_MM:
+        raise of_map.error("expected_mm", f"expected places within {FARTHEST_MM:g} mm of the robot")
+    made = RobotMap(expected, shown, of_map.whole("degree", max(DEGREES), min(DEGREES)))
+    try:
+        error_map(made)
+    except CalibrationError as error:
+        raise of_map.error("expected_mm", str(error)) from error
+    return made
 
 
 def load_rig_quality(path: Path) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from edged.domain import (
     overview,
     picking,
     registration,
+    robotmap,
 )
 from edged.link import summary
 from edged.plc.ladder import Exchange, Rung
@@ -79,6 +80,7 @@ TYPES: tuple[type, ...] = (
     registration.Method,
     registration.Obstacle,
     registration.Registration,
+    robotmap.RobotShift,
     summary.CellSummary,
     summary.FilesInUse,
     summary.OpenCamera,

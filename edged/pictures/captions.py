@@ -27,6 +27,7 @@ REASONS = {
     Reject.OUT_OF_LIMITS: "outside of the robot's limits",
     Reject.KEEP_OUT: "in a keep-out zone",
     Reject.NO_GRASP: "no grasp where the robot may go",
+    Reject.OUT_OF_MAP: "beyond the map of the robot's error",
 }
 
 REMEDIES = {

@@ -19,7 +19,8 @@ class Budget:
     Of X, Y, Z in mm², then of the rotation about these axes in rad².
 
     edges : noise, blur and shape of what was measured. calibration : of the rig's own parameters.
-    registration : of the rig in the robot's frame. doubt : of what contradicts the rig (`Target.doubt_mm`).
+    registration : of the rig in the robot's frame, and of the map of the robot's error.
+    doubt : of what contradicts the rig (`Target.doubt_mm`).
     marks : of the correction by reference marks; None where there is none.
     Their exact sum, rounded once (`math.fsum`), is the published variance, bit by bit.
     """
@@ -47,7 +48,7 @@ def budget_of(
     by_edges, by_doubt = target.by_edges, target.by_doubt
     by_marks = np.zeros((6, 6)) if target.by_marks is None else target.by_marks
     if robot_from_rig is not None:
-        own = robot_covariance(target, robot_from_rig, None)
+        own = rotate_covariance(target.covariance, robot_from_rig)
         whole = robot_covariance(target, robot_from_rig, registration)
         by_edges, by_doubt, by_marks = (
             rotate_covariance(part, robot_from_rig) for part in (by_edges, by_doubt, by_marks)

@@ -15,14 +15,27 @@ def robot_covariance(
     """(6, 6) of a target's pose in the robot's frame, with the registration uncertainty.
 
     registration (6, 6) : of a small motion that follows robot_from_rig; None: taken as exact. Its rotation w
-    moves a point p by w x p, and turns every part by w.
+    moves a point p by w x p, and turns every part by w. Places of a map were fitted beside that registration:
+    its error is in the map's own.
     """
     covariance = rotate_covariance(target.covariance, robot_from_rig)
+    jacobian = np.eye(6)
+    shift = target.robot_shift
+    if shift is not None:
+        covariance = covariance + shift.variance_mm2 * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+        if registration is not None:
+            covariance[3:, 3:] += registration[3:, 3:]
+        return covariance
     if registration is None:
         return covariance
-    jacobian = np.eye(6)
     jacobian[:3, 3:] = -skew((robot_from_rig @ target.rig_from_part)[:3, 3])
     return np.asarray(covariance + jacobian @ registration @ jacobian.T)
+
+
+def robot_pose(target: Target, robot_from_rig: FloatArray) -> FloatArray:
+    """(4, 4) of a target in the robot's frame, by the map of the robot's error where there is one."""
+    pose = np.asarray(robot_from_rig @ target.rig_from_part)
+    return pose if target.robot_shift is None else target.robot_shift.moved(pose)
 
 
 def moved_frame(registration: FloatArray, robot_from_flange: FloatArray) -> FloatArray:

@@ -11,6 +11,9 @@ moves the part by J p. What the exposure alone adds is e, its own in each:
 
     d = (Ad(X) - Ad(D) Ad(X_g)) r + (Ad(X) J - Ad(D) Ad(X_g) J_g) p + Ad(X) e - Ad(D) Ad(X_g) e_g
 
+A map of the robot's error shifts both places, T becomes S T, and adds its own noise m, a shift of the robot's
+frame: m - D m_g, of which what the map alone has wrong is common to both, and what it does not tell is not.
+
 Where X = X_g, the first bracket is (1 - Ad(D)) Ad(X): of first order in the displacement, 0 for a part that
 lies where the golden one did; the second likewise. In the golden part's own frame, T_g^-1 T, the twist is
 Ad(T_g^-1) (z - z_g), in which r cancels exactly where X = X_g.
@@ -29,7 +32,9 @@ from edged.domain.arrays import FloatArray
 from edged.domain.events import Snapshot
 from edged.domain.golden import Golden, GoldenState, Offset
 from edged.domain.measurement import Outcome, Reject, Status, Target
+from edged.domain.robotmap import RobotShift
 from edged.robot.covariance import adjoint, robot_covariance
+from edged.robot.picking import frame_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix, skew, transform
 from edged.vision.geometry.uncertainty import shift_by_parameters
@@ -42,13 +47,15 @@ class GoldenPart:
     """The golden part of one job, or why it gives no offset.
 
     golden : None unless `GoldenState.HELD`. rig : by which both are measured. moved (6, P) : by which its
-    parameters move the golden part. why : for people.
+    parameters move the golden part. shift : by the map of the robot's error; None without one.
+    why : for people.
     """
 
     state: GoldenState
     golden: Golden | None = None
     rig: StereoRig | None = None
     moved: FloatArray | None = None
+    shift: RobotShift | None = None
     why: str = ""
 
     @property
@@ -68,7 +75,9 @@ class GoldenPart:
         targets = tuple(
             target
             if target.reject or not _is_finite(target)
-            else replace(target, offset=offset_of(target, golden, robot_from_rig, registration, rig, moved))
+            else replace(
+                target, offset=offset_of(target, golden, robot_from_rig, registration, rig, moved, self.shift)
+            )
             for target in outcome.targets
         )
         return replace(outcome, targets=targets)
@@ -132,12 +141,15 @@ def golden_part(golden: Golden, job: Job, rig: StereoRig) -> GoldenPart:
 
 def held(golden: Golden, rig: StereoRig) -> GoldenPart:
     """A golden part that holds."""
-    return GoldenPart(GoldenState.HELD, golden, rig, motion_by_parameters(rig, golden))
+    shift = frame_of(rig).shift(golden.rig_from_part[:3, 3])
+    return GoldenPart(GoldenState.HELD, golden, rig, motion_by_parameters(rig, golden), shift)
 
 
 def registration_digest(rig: StereoRig) -> str:
     """Digest (16 hex digits) of how a rig stands to the robot; its covariance moves nothing."""
-    return _digest((rig.robot_from_rig, rig.flange_from_rig))
+    made = rig.robot_map
+    mapped = () if made is None else (made.expected_mm, made.shown_mm, np.array(float(made.degree)))
+    return _digest((rig.robot_from_rig, rig.flange_from_rig, *mapped))
 
 
 def part_digest(job: Job) -> str:
@@ -163,16 +175,21 @@ def offset_of(
     registration: FloatArray | None,
     rig: StereoRig,
     was_moved: FloatArray,
+    was_shifted: RobotShift | None = None,
 ) -> Offset:
     """How a target lies against the golden part; see the top for its covariance.
 
     registration (6, 6) : as for `robot_covariance`; None: taken as exact. was_moved (6, P) : by the rig's
-    parameters, the golden part. Of a part that looks the same from
-    all sides the turn about its axis is the one that turns the robot's path least, and counts as exact.
+    parameters, the golden part; was_shifted : that one, by the map of the robot's error. Of a part that looks
+    the same from all sides the turn about its axis is the one that turns the robot's path least, and counts
+    as exact.
     """
     own, points_mm = own_and_points(target)
     rig_from_part = _least_turned(target, golden, robot_from_rig)
     robot_from_part, was = robot_from_rig @ rig_from_part, golden.robot_from_part
+    shift = None if was_shifted is None else target.robot_shift
+    if shift is not None and was_shifted is not None:
+        robot_from_part, was = shift.moved(robot_from_part), was_shifted.moved(was)
     robot = robot_from_part @ invert(was)
     now, then = adjoint(robot_from_rig), adjoint(golden.robot_from_rig)
     own = _about_origin(_without_turn(own, target.free_axis), rig_from_part)
@@ -188,7 +205,11 @@ def offset_of(
         """Covariance of back z - forth z_g."""
         by_rig, by_lenses = back @ now - forth @ then, back @ now @ moved - forth @ then @ was_moved
         alone = back @ now @ own @ now.T @ back.T + forth @ then @ own_then @ then.T @ forth.T
-        return np.asarray(by_rig @ at_rig @ by_rig.T + by_lenses @ parameters @ by_lenses.T + alone)
+        shared = by_rig @ at_rig @ by_rig.T
+        if shift is not None and was_shifted is not None:
+            places = robot_from_part[:3, 3], was[:3, 3]
+            shared = _spread_by_map(back, forth, places, registration, (shift, was_shifted))
+        return np.asarray(shared + by_lenses @ parameters @ by_lenses.T + alone)
 
     in_golden = adjoint(invert(was))
     part = invert(was) @ robot_from_part
@@ -198,6 +219,29 @@ def offset_of(
         part=part,
         part_covariance=_at(part[:3, 3], spread(in_golden, in_golden)),
     )
+
+
+def _spread_by_map(
+    back: FloatArray,
+    forth: FloatArray,
+    places_mm: tuple[FloatArray, FloatArray],
+    registration: FloatArray | None,
+    shifts: tuple[RobotShift, RobotShift],
+) -> FloatArray:
+    """Covariance (6, 6) of back z - forth z_g by the map of the robot's error and its registration.
+
+    The map tells both places, so that the registration only turns the parts about them.
+    """
+    now, then = shifts
+    back_shift, forth_shift = back[:, :3], forth[:, :3]
+    across = float(now.row @ then.row) * back_shift @ forth_shift.T
+    spread = now.variance_mm2 * back_shift @ back_shift.T + then.variance_mm2 * forth_shift @ forth_shift.T
+    spread = spread - across - across.T
+    if registration is not None:
+        about, about_then = (np.concatenate([skew(place), np.eye(3)]) for place in places_mm)
+        turned = back @ about - forth @ about_then
+        spread = spread + turned @ registration[3:, 3:] @ turned.T
+    return np.asarray(spread)
 
 
 def motion_by_parameters(rig: StereoRig, golden: Golden) -> FloatArray:

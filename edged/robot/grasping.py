@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -77,6 +78,16 @@ def lever_covariance(target: Target, rig_from_tcp: FloatArray, *, is_any: bool) 
         jacobian[3:, 3:] -= np.outer(axis, axis)
     jacobian[:3, 3:] = -skew(arm) @ jacobian[3:, 3:]
     return np.asarray(jacobian @ target.covariance @ jacobian.T)
+
+
+def held(target: Target, grasp: GraspPose) -> Target:
+    """The target with the tool's tip in place of its own pose."""
+    return replace(
+        target,
+        rig_from_part=grasp.rig_from_tcp,
+        covariance=grasp.covariance,
+        robot_shift=grasp.robot_shift,
+    )
 
 
 def _looks_the_same(target: Target) -> bool:

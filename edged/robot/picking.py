@@ -16,6 +16,8 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Outcome, Reject, Status, Target
 from edged.domain.picking import Bounds, Box, GraspPose, Gripper, Order, Picking
+from edged.domain.robotmap import RobotShift
+from edged.robot.errormap import ErrorMap, error_map
 from edged.robot.grasping import best_grasp
 from edged.robot.gripper import Solid, any_meet, body_of, flange_from_tip, solid_of, swept
 from edged.vision.geometry.camera import StereoRig
@@ -31,12 +33,23 @@ class RobotFrame:
     """Frame of the published coordinates. robot_from_rig (4, 4) : None for the rig's own frame.
 
     is_known : False for a rig on the flange without the flange's pose. robot_from_flange (4, 4) : where the
-    robot said that its flange was; None: it did not.
+    robot said that its flange was; None: it did not. error_map : of the robot; None: there is none.
     """
 
     robot_from_rig: FloatArray | None = None
     is_known: bool = True
     robot_from_flange: FloatArray | None = None
+    error_map: ErrorMap | None = None
+
+    def shift(self, rig_mm: FloatArray) -> RobotShift | None:
+        """By the map of the robot's error, of a point (3,) of the rig; None without one, and beyond it."""
+        if self.error_map is None or self.robot_from_rig is None or not np.isfinite(rig_mm).all():
+            return None
+        return self.error_map.at(self.robot_from_rig[:3, :3] @ rig_mm + self.robot_from_rig[:3, 3])
+
+    def is_mapped(self, rig_mm: FloatArray) -> bool:
+        """Whether the map knows how wrong the robot is at a point (3,) of the rig; True without a map."""
+        return self.error_map is None or self.shift(rig_mm) is not None
 
     def rig_from_tip(self, gripper: Gripper | None) -> FloatArray | None:
         """(4, 4) of the tool's tip at the exposure; None: not known."""
@@ -48,7 +61,8 @@ class RobotFrame:
 
 def frame_of(rig: StereoRig) -> RobotFrame:
     """The frame of a rig, without a pose of the flange."""
-    return RobotFrame(rig.robot_from_rig, rig.flange_from_rig is None)
+    known = None if rig.robot_map is None else error_map(rig.robot_map)
+    return RobotFrame(rig.robot_from_rig, rig.flange_from_rig is None, error_map=known)
 
 
 def within(picking: Picking, bounds: Bounds) -> Picking:
@@ -67,7 +81,10 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
     Each part has its reported pose: only publishing may follow. Equal parts keep their order, by score.
     """
     key = _KEYS[picking.order]
-    reported = [allowed(target, picking, frame, outcome.targets).as_reported for target in outcome.targets]
+    reported = [
+        _mapped(allowed(target, picking, frame, outcome.targets).as_reported, frame)
+        for target in outcome.targets
+    ]
     skipped = _skipped(reported, picking.skipped_mm, frame)
 
     def place(target: Target) -> tuple[bool, bool, float]:
@@ -77,6 +94,14 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
     targets = sorted(reported, key=place)
     is_bad = outcome.status is Status.OK and bool(targets) and targets[0].reject != Reject.NONE
     return replace(outcome, status=Status.LOW_QUALITY if is_bad else outcome.status, targets=tuple(targets))
+
+
+def _mapped(target: Target, frame: RobotFrame) -> Target:
+    """The target with what the map of the robot's error says of it and of its grasp."""
+    shift, grasp = frame.shift(target.position_mm), target.grasp
+    if grasp is not None:
+        grasp = replace(grasp, robot_shift=frame.shift(grasp.rig_from_tcp[:3, 3]))
+    return target if shift is None else replace(target, robot_shift=shift, grasp=grasp)
 
 
 def _skipped(
@@ -98,7 +123,10 @@ def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable
 
     found : all parts of the picture, good and bad, this one among them: the gripper keeps clear of others.
     """
-    reject = target.reject | _refusal(target.as_reported.position_mm, picking.bounds, frame)
+    place_mm = target.as_reported.position_mm
+    reject = target.reject | _refusal(place_mm, picking.bounds, frame)
+    if not frame.is_mapped(place_mm):
+        reject |= Reject.OUT_OF_MAP
     grasp = None
     if picking.grasps and not reject:
         gripper = picking.gripper
@@ -121,7 +149,7 @@ def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable
 
 def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> bool:
     """Whether the tool may go there, without a keep-out zone on its straight approach and retreat."""
-    if _refusal(grasp.rig_from_tcp[:3, 3], bounds, frame):
+    if _refusal(grasp.rig_from_tcp[:3, 3], bounds, frame) or not frame.is_mapped(grasp.rig_from_tcp[:3, 3]):
         return False
     tip_mm = _in_frame(grasp.rig_from_tcp[:3, 3], frame)
     ends_mm = [_in_frame(end[:3, 3], frame) for end in (grasp.rig_from_approach, grasp.rig_from_retreat)]
@@ -174,8 +202,9 @@ def _refusal(rig_mm: FloatArray, bounds: Sequence[Bounds], frame: RobotFrame) ->
 
 def _in_frame(rig_mm: FloatArray, frame: RobotFrame) -> FloatArray:
     """A point (3,) of the rig's frame in the published frame."""
-    robot = frame.robot_from_rig
-    return rig_mm if robot is None else np.asarray(robot[:3, :3] @ rig_mm + robot[:3, 3])
+    robot, shift = frame.robot_from_rig, frame.shift(rig_mm)
+    place_mm = rig_mm if robot is None else np.asarray(robot[:3, :3] @ rig_mm + robot[:3, 3])
+    return place_mm if shift is None else place_mm + shift.shift_mm
 
 
 def _holds(box: Box, point_mm: FloatArray) -> bool:

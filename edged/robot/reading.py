@@ -8,7 +8,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Target
-from edged.robot.covariance import robot_covariance
+from edged.robot.covariance import robot_covariance, robot_pose
 from edged.robot.orientations import ANGLES_DEG, Convention, sigma_angles_deg
 
 
@@ -36,7 +36,7 @@ def reading_of(
     """
     pose, covariance = target.rig_from_part, target.covariance
     if robot_from_rig is not None:
-        pose = robot_from_rig @ pose
+        pose = robot_pose(target, robot_from_rig)
         covariance = robot_covariance(target, robot_from_rig, registration)
     turned = pose[:3, :3]
     return PartReading(

@@ -19,6 +19,7 @@ from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.events import Snapshot
 from edged.domain.golden import GoldenState
 from edged.domain.measurement import Outcome, Status
+from edged.domain.robotmap import RobotMap
 from edged.errors import UserError
 from edged.files.golden import golden_file, load_golden
 from edged.files.rig import load_rig, save_rig
@@ -178,3 +179,25 @@ def test_what_cannot_be_kept_changes_nothing(cell: Path) -> None:
     place.parent.write_text("in the way")
     with pytest.raises(UserError, match="golden"):
         with_golden(loaded, snapshot)
+
+
+def test_a_map_of_the_robots_error_is_in_force_with_its_registration(cell: Path) -> None:
+    """In the frame of each cycle, in the fingerprint, and for what GOLDEN kept before it came: no offset."""
+    before = with_golden(load_cell(cell), seen(load_cell(cell)))
+    assert before.setup.frame(None)[0].error_map is None
+    places = np.random.default_rng(1).uniform(50, 150, (16, 3))
+    rig = cell.with_name("rig.json")
+    plain = load_rig(rig)
+    save_rig(rig, replace(plain, robot_map=RobotMap(places, places + 0.2, 1)))
+    for loaded in (with_registration(before), load_cell(cell)):
+        error_map = loaded.setup.frame(None)[0].error_map
+        assert error_map is not None
+        shift = error_map.at(np.full(3, 100.0))
+        assert shift is not None
+        np.testing.assert_allclose(shift.shift_mm, 0.2, atol=1e-9)
+        assert before.setup.fingerprint != loaded.setup.fingerprint
+        golden = loaded.setup.jobs[1].golden
+        assert golden is not None
+        assert GoldenState.OTHER_REGISTRATION is golden.state
+    save_rig(rig, plain)
+    assert with_registration(load_cell(cell)).setup.frame(None)[0].error_map is None

@@ -50,7 +50,7 @@ QUALITY = ("RMS", "HELD_OUT", "LIMIT")
 """Lengths in the answer to a registration command, in place of X, Y, Z."""
 WANTED = {"VERIFY": reg.ResultCode.VERIFIED, "GOLDEN": reg.ResultCode.KEPT}
 """RESULT of a command that is not answered with a pose."""
-FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP
+FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP | Reject.OUT_OF_MAP
 
 
 class _Refused(Exception):

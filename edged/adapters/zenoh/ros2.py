@@ -24,7 +24,7 @@ from edged.domain.events import CommandKind, Snapshot
 from edged.domain.measurement import Reject, Status
 from edged.domain.numerals import is_whole
 from edged.errors import ConfigError
-from edged.robot.covariance import robot_covariance
+from edged.robot.covariance import robot_covariance, robot_pose
 from edged.vision.geometry.rigid import quaternion
 
 QOS = "::,10:,:,:,,"  # rmw_zenoh's default: reliable, volatile, keep the last 10
@@ -71,7 +71,7 @@ def pose_of(snapshot: Snapshot, cell: str) -> RosPose | None:
         return None
     pose, covariance, frame = target.rig_from_part, target.covariance, f"{cell}_rig"
     if snapshot.robot_from_rig is not None:
-        pose, frame = snapshot.robot_from_rig @ pose, f"{cell}_robot"
+        pose, frame = robot_pose(target, snapshot.robot_from_rig), f"{cell}_robot"
         covariance = robot_covariance(target, snapshot.robot_from_rig, snapshot.registration_covariance)
     if not (np.isfinite(pose).all() and np.isfinite(covariance).all()):
         return None

@@ -32,6 +32,7 @@ from edged.plc.registers.schema import (
     Number,
     ResultCode,
 )
+from edged.robot.grasping import held
 from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
 from edged.robot.reading import reading_of
 
@@ -238,10 +239,11 @@ def _tool(target: Target, snapshot: Snapshot, convention: Convention) -> Tool | 
     grasp, robot = target.grasp, snapshot.robot_from_rig
     if grasp is None:
         return None
-    held = replace(target, rig_from_part=grasp.rig_from_tcp, covariance=grasp.covariance)
-    reading = reading_of(held, robot, snapshot.registration_covariance, convention)
+    reading = reading_of(held(target, grasp), robot, snapshot.registration_covariance, convention)
     frame_from_rig = np.eye(4) if robot is None else robot
     approach_mm = (frame_from_rig @ grasp.rig_from_approach)[:3, 3]
+    if grasp.robot_shift is not None:
+        approach_mm = approach_mm + grasp.robot_shift.shift_mm
     pose = (*reading.position_mm.tolist(), *reading.angles_deg.tolist())
     numbers = [round(value * 1000) for value in (*pose, *approach_mm.tolist())]
     if any(not -INT32_MAX <= number <= INT32_MAX for number in numbers):

@@ -22,7 +22,7 @@ from edged.pictures.lettering import Canvas
 from edged.pictures.overlay import draw_pair
 from edged.pipeline import PairInspection, PreparedRig, decide, inspect
 from edged.robot.covariance import moved_frame
-from edged.robot.picking import RobotFrame, allowed, picked
+from edged.robot.picking import RobotFrame, allowed, frame_of, picked
 from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
@@ -105,7 +105,7 @@ def _frame(rig: PreparedRig, robot_from_flange: FloatArray | None) -> tuple[Robo
         robot = robot_from_flange @ rig.rig.flange_from_rig
         registration = None if registration is None else moved_frame(registration, robot_from_flange)
     is_known = robot is not None or rig.rig.flange_from_rig is None
-    return RobotFrame(robot, is_known, robot_from_flange), registration
+    return RobotFrame(robot, is_known, robot_from_flange, frame_of(rig.rig).error_map), registration
 
 
 def _json_of(

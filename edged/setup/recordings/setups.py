@@ -31,7 +31,7 @@ KEPT = 4
 RIG, CONFIG = "rig.json", "cell.toml"
 _IDENTITY = re.compile(r"[0-9a-f]{1,64}")
 """A fingerprint; as a name of a folder it leads nowhere else."""
-_OF_ROBOT = {"robot_from_rig", "registration_covariance", "flange_from_rig", "quality"}
+_OF_ROBOT = {"robot_from_rig", "registration_covariance", "flange_from_rig", "robot_map", "quality"}
 """What of a rig's file moves no place in the rig's own frame."""
 Contents = Mapping[str, bytes]
 """The files of a setup by their names in a recording: `CellFiles.contents`."""

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.robotmap import RobotMap
 from edged.errors import CalibrationError, UserError
 from edged.files.rig import keep_old_rig, load_rig_quality, save_rig
 from edged.robot.covariance import adjoint
+from edged.robot.errormap import MapTrial, error_map, map_of
 from edged.robot.golden import motion_of_points
 from edged.robot.handeye import HandEye, Mount, hand_eye
 from edged.robot.orientations import LENGTH_UNITS_MM, READINGS
@@ -25,7 +27,7 @@ from edged.vision.boards.board import NominalBoard, NotDetected, StereoView
 from edged.vision.boards.detection import detect_board
 from edged.vision.calibration.verification import pose_of_board
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.rigid import fit_rigid, skew
+from edged.vision.geometry.rigid import apply, fit_rigid, skew
 
 if TYPE_CHECKING:  # as in `files.marks`
     from edged.vision.marks.taught import TaughtMarks
@@ -50,7 +52,7 @@ class FromPoints:
 
     worst_mm : farthest of a point from where the others expect it; where they expect nothing, how far the
     distances between points disagree.  checked : the others expect something.  good : within the limit.
-    doubt : the robot's lengths are not the rig's.
+    doubt : the robot's lengths are not the rig's. trials : of a map of its error, where one was asked.
     """
 
     found: PointRegistration
@@ -59,6 +61,7 @@ class FromPoints:
     good: bool
     doubt: bool
     registered: RegisteredRig
+    trials: tuple[MapTrial, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,20 +114,28 @@ class Readings:
     agrees: bool
 
 
-def from_points(rig: StereoRig, rig_mm: FloatArray, robot_mm: FloatArray, limit_mm: float) -> FromPoints:
+def from_points(
+    rig: StereoRig, rig_mm: FloatArray, robot_mm: FloatArray, limit_mm: float, *, with_map: bool = False
+) -> FromPoints:
     """Register from touched points, (N, 3) mm in both frames. Raises `CalibrationError`.
 
-    Three points have no others: there the distances between them must agree within the limit.
+    Three points have no others: there the distances between them must agree within the limit. with_map : also
+    a map of the robot's error, where one earns its place; the limit is of points by it then.
     """
     found = register_points(rig_mm, robot_mm)
     checked = bool(np.isfinite(found.held_out_mm).any())
     worst_mm = float(np.nanmax(found.held_out_mm)) if checked else found.lengths_mm
+    made: RobotMap | None = None
+    trials: tuple[MapTrial, ...] = ()
+    if with_map:
+        made, trials = map_of(apply(found.robot_from_rig, rig_mm), robot_mm, found.held_out_mm)
+        if made is not None:
+            worst_mm = float(error_map(made).held_out_mm.max())
     doubt = abs(found.scale - 1) > max(3 * found.sigma_scale, 0.002) if len(rig_mm) > 3 else False
-    registered = replace(rig, robot_from_rig=found.robot_from_rig, flange_from_rig=None)
+    registered = replace(rig, robot_from_rig=found.robot_from_rig, flange_from_rig=None, robot_map=made)
     how = {"how": "touched points", "points": len(rig_mm), "rms_mm": round(found.rms_mm, 4)}
-    return FromPoints(
-        found, worst_mm, checked, worst_mm <= limit_mm, doubt, _known(registered, found.covariance, how)
-    )
+    known = _known(registered, found.covariance, how)
+    return FromPoints(found, worst_mm, checked, worst_mm <= limit_mm, doubt, known, trials)
 
 
 def rig_from_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> FloatArray | NotDetected:
@@ -162,7 +173,10 @@ def from_poses(
     rms_mm = float(np.sqrt(np.mean(held**2))) if len(held) else math.inf
     fixed = mount == "eye-to-hand"
     registered = replace(
-        rig, robot_from_rig=found.rig if fixed else None, flange_from_rig=None if fixed else found.rig
+        rig,
+        robot_from_rig=found.rig if fixed else None,
+        flange_from_rig=None if fixed else found.rig,
+        robot_map=None,
     )
     how = {
         "how": f"hand-eye, {mount}",
@@ -203,7 +217,7 @@ def from_marks(rig: StereoRig, taught: TaughtMarks, former: TaughtMarks, limit_m
     covariance = np.full((6, 6), np.nan) if known is None else covariance + known
     worst = int(np.argmax(away))
     how = {"how": "reference marks", "marks": len(common), "from": former.rig.calibration_id}
-    registered = replace(rig, robot_from_rig=robot_from_rig, flange_from_rig=None)
+    registered = replace(rig, robot_from_rig=robot_from_rig, flange_from_rig=None, robot_map=None)
     return FromMarks(
         robot_from_rig,
         covariance,

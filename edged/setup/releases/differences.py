@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import PurePath
 from typing import Any
 
@@ -217,7 +218,12 @@ def _rig(before: Cell, after: Cell) -> RigDifference | None:
         return None
     old, new = (cell.rig if isinstance(cell, CellFiles) else None for cell in (before, after))
     ids = [_calibration_id(cell) for cell in (before, after)]
-    robots = [None if rig is None else (rig.robot_from_rig, rig.flange_from_rig) for rig in (old, new)]
+    robots = [
+        None
+        if rig is None
+        else (rig.robot_from_rig, rig.flange_from_rig, rig.robot_map and asdict(rig.robot_map))
+        for rig in (old, new)
+    ]
     moved = None if old is None or new is None else moved_between(old, new, _depth_mm(after))
     return RigDifference(
         before=ids[0],

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Side
+from edged.domain.robotmap import RobotMap
 
 LensModel = Literal["brown", "division"]
 DISTORTION_NAMES: dict[str, tuple[str, ...]] = {
@@ -103,6 +104,7 @@ class StereoRig:
     flange_from_rig : (4, 4), mm, of a rig that the robot carries; then there is no robot_from_rig.
     registration_covariance : (6, 6) of a small motion (shift mm, rotation rad) about the robot's (flange's)
     origin that follows robot_from_rig (flange_from_rig), or None if unknown.
+    robot_map : of the robot's error, by the same registration; None: there is none.
     """
 
     left: CameraModel
@@ -113,6 +115,7 @@ class StereoRig:
     covariance: FloatArray | None = None
     registration_covariance: FloatArray | None = None
     flange_from_rig: FloatArray | None = None
+    robot_map: RobotMap | None = None
 
     def camera(self, side: Side) -> CameraModel:
         """The camera of one side."""

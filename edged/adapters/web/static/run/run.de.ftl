@@ -63,6 +63,7 @@ run-reject-ambiguous-edge = der Bezug kann eine andere Kante sein
 run-reject-out-of-limits = außerhalb der Grenzen des Roboters
 run-reject-keep-out = in einer Sperrzone
 run-reject-no-grasp = kein Griff, wohin der Roboter darf
+run-reject-out-of-map = außerhalb der Karte des Roboterfehlers
 run-why-seen = gesehen bei { $x_px }, { $y_px } px (Ähnlichkeit { $score }), nicht gemessen: { $reasons }. Versuchen Sie: { $remedies }
 run-why-nearest = größte Ähnlichkeit { $score } bei { $x_px }, { $y_px } px, nötig ist { $needed }. Versuchen Sie: Licht und Schärfe wie beim Einlernen; ein kleineres min_score, wo Teile halb verdeckt sein dürfen
 run-why-nothing = nichts im linken Bild gleicht dem Teil. Versuchen Sie: liegt es im Bild, so weit weg und im selben Licht wie beim Einlernen?

@@ -63,6 +63,7 @@ run-reject-ambiguous-edge = the reference may be another edge
 run-reject-out-of-limits = outside of the robot's limits
 run-reject-keep-out = in a keep-out zone
 run-reject-no-grasp = no grasp where the robot may go
+run-reject-out-of-map = beyond the map of the robot's error
 run-why-seen = seen at { $x_px }, { $y_px } px (score { $score }), not measured: { $reasons }. Try: { $remedies }
 run-why-nearest = best score { $score } at { $x_px }, { $y_px } px, { $needed } is needed. Try: light and focus as at teaching; a lower min_score where parts may be half hidden
 run-why-nothing = nothing in the left picture is like the part. Try: is it in the picture, at the taught distance, and in the taught light?

@@ -63,6 +63,7 @@ run-reject-ambiguous-edge = la référence peut être un autre bord
 run-reject-out-of-limits = hors des limites du robot
 run-reject-keep-out = en zone interdite
 run-reject-no-grasp = aucune prise là où le robot peut aller
+run-reject-out-of-map = hors de la carte de l’erreur du robot
 run-why-seen = vue à { $x_px }, { $y_px } px (score { $score }), non mesurée : { $reasons }. À essayer : { $remedies }
 run-why-nearest = meilleur score { $score } à { $x_px }, { $y_px } px, il faut { $needed }. À essayer : éclairage et netteté comme à l’apprentissage ; un min_score plus bas si les pièces peuvent être à moitié cachées
 run-why-nothing = rien sur l’image de gauche ne ressemble à la pièce. À essayer : est-elle sur l’image, à la distance apprise, et sous l’éclairage appris ?

@@ -63,6 +63,7 @@ run-reject-ambiguous-edge = 基準点が別のエッジの可能性
 run-reject-out-of-limits = ロボットの範囲外
 run-reject-keep-out = 禁止領域内
 run-reject-no-grasp = ロボットの届く把持なし
+run-reject-out-of-map = ロボット誤差マップの範囲外
 run-why-seen = { $x_px }、{ $y_px } px に検出（スコア { $score }）、未測定：{ $reasons }。対策：{ $remedies }
 run-why-nearest = 最高スコア { $score }（{ $x_px }、{ $y_px } px）、必要値 { $needed }。対策：照明とピントをティーチング時と同じにする。ワークが隠れることがあるなら min_score を下げる
 run-why-nothing = 左の画像にワークと似たものがありません。確認：画像内にあり、距離と照明はティーチング時と同じですか？

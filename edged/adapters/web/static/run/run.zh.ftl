@@ -63,6 +63,7 @@ run-reject-ambiguous-edge = 参考点可能是另一条边
 run-reject-out-of-limits = 超出机器人范围
 run-reject-keep-out = 在禁入区内
 run-reject-no-grasp = 机器人可达处没有抓取点
+run-reject-out-of-map = 超出机器人误差图
 run-why-seen = 在 { $x_px }，{ $y_px } px 处看到（得分 { $score }），未测量：{ $reasons }。请尝试：{ $remedies }
 run-why-nearest = 最高得分 { $score }，位于 { $x_px }，{ $y_px } px，需要 { $needed }。请尝试：光照和对焦与示教时一致；工件可能被部分遮挡时降低 min_score
 run-why-nothing = 左图中没有与工件相似的内容。请检查：工件在图像中吗，距离和光照与示教时相同吗？

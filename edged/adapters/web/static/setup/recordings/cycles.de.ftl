@@ -27,6 +27,7 @@ cycles-reason-calibration = Kalibrierung gilt nicht mehr
 cycles-reason-out-of-limits = außerhalb der Grenzen des Roboters
 cycles-reason-keep-out = in einer Sperrzone
 cycles-reason-no-grasp = kein Griff ist frei
+cycles-reason-out-of-map = außerhalb der Roboterkarte
 cycles-reason-low-score = zu wenig ähnlich
 cycles-reason-not-found = nichts gleicht dem Teil
 cycles-reason-capture = die Kameras gaben kein Bildpaar

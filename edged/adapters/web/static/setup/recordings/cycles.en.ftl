@@ -27,6 +27,7 @@ cycles-reason-calibration = calibration does not hold
 cycles-reason-out-of-limits = out of the robot's limits
 cycles-reason-keep-out = in a keep-out zone
 cycles-reason-no-grasp = no grasp within reach
+cycles-reason-out-of-map = beyond the robot’s map
 cycles-reason-low-score = score too low
 cycles-reason-not-found = no part found
 cycles-reason-capture = the cameras gave no pair

@@ -27,6 +27,7 @@ cycles-reason-calibration = calibrage non valable
 cycles-reason-out-of-limits = hors limites du robot
 cycles-reason-keep-out = en zone interdite
 cycles-reason-no-grasp = aucune prise accessible
+cycles-reason-out-of-map = hors de la carte du robot
 cycles-reason-low-score = score trop bas
 cycles-reason-not-found = aucune pièce trouvée
 cycles-reason-capture = les caméras n’ont pas donné de paire

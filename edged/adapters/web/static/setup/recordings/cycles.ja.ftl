@@ -27,6 +27,7 @@ cycles-reason-calibration = キャリブレーション無効
 cycles-reason-out-of-limits = ロボットの範囲外
 cycles-reason-keep-out = 禁止領域内
 cycles-reason-no-grasp = 届く把持なし
+cycles-reason-out-of-map = ロボット誤差マップの外
 cycles-reason-low-score = スコア不足
 cycles-reason-not-found = ワークが見つからない
 cycles-reason-capture = 画像ペアが届かない

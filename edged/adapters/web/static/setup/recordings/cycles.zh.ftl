@@ -27,6 +27,7 @@ cycles-reason-calibration = 标定失效
 cycles-reason-out-of-limits = 超出机器人范围
 cycles-reason-keep-out = 在禁入区内
 cycles-reason-no-grasp = 无可达抓取
+cycles-reason-out-of-map = 超出机器人误差图
 cycles-reason-low-score = 得分过低
 cycles-reason-not-found = 未找到工件
 cycles-reason-capture = 相机未输出图像对

@@ -18,6 +18,7 @@ export const REASONS = [
   "OUT_OF_LIMITS",
   "KEEP_OUT",
   "NO_GRASP",
+  "OUT_OF_MAP",
   "NOT_FOUND",
   "CAPTURE",
 ];

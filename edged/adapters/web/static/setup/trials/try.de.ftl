@@ -30,6 +30,7 @@ try-why-ambiguous-edge = Der Bezug kann auf einer anderen Kante liegen, etwa ein
 try-why-out-of-limits = Es liegt, wohin der Roboter nicht darf.
 try-why-keep-out = Es liegt, wohin der Roboter nicht darf.
 try-why-no-grasp = Kein Griff des Auftrags liegt, wo der Roboter hinkommt.
+try-why-out-of-map = Das Teil liegt außerhalb der Punkte, an denen die Karte des Roboterfehlers angetastet wurde.
 try-why-not-found = Ist das Teil in beiden Bildern, und etwa so weit weg wie beim Einlernen?
 try-frame-robot = Im System des Roboters
 try-frame-rig = Im System der Kameras: kein Roboter ist eingemessen

@@ -30,6 +30,7 @@ try-why-ambiguous-edge = The reference may lie on another edge, such as a chamfe
 try-why-out-of-limits = It lies where the robot may not go.
 try-why-keep-out = It lies where the robot may not go.
 try-why-no-grasp = No grasp of the job lies where the robot may go.
+try-why-out-of-map = The part lies beyond the points that the map of the robot’s error was touched at.
 try-why-not-found = Is the part in both pictures, and about as far away as when it was taught?
 try-frame-robot = In the robot's frame
 try-frame-rig = In the cameras' frame: no robot is registered

@@ -30,6 +30,7 @@ try-why-ambiguous-edge = La référence peut se trouver sur un autre bord, par e
 try-why-out-of-limits = Elle se trouve là où le robot ne peut pas aller.
 try-why-keep-out = Elle se trouve là où le robot ne peut pas aller.
 try-why-no-grasp = Aucune prise de la tâche n’est là où le robot peut aller.
+try-why-out-of-map = La pièce est hors des points touchés pour la carte de l’erreur du robot.
 try-why-not-found = La pièce est-elle sur les deux images, et à peu près à la distance de l’apprentissage ?
 try-frame-robot = Dans le repère du robot
 try-frame-rig = Dans le repère des caméras : aucun robot n’est recalé

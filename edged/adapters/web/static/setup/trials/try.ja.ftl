@@ -30,6 +30,7 @@ try-why-ambiguous-edge = 基準点が面取りなど別のエッジ上にある�
 try-why-out-of-limits = ロボットが行けない場所にあります。
 try-why-keep-out = ロボットが行けない場所にあります。
 try-why-no-grasp = ジョブの把持点のうち、ロボットが行ける場所にあるものがありません。
+try-why-out-of-map = ワークが、ロボット誤差マップを作成した接触点の範囲外にあります。
 try-why-not-found = ワークは両方の画像にあり、ティーチング時とほぼ同じ距離ですか？
 try-frame-robot = ロボット座標系
 try-frame-rig = カメラ座標系：ロボットの座標合わせなし

@@ -30,6 +30,7 @@ try-why-ambiguous-edge = 参考点可能落在另一条边上，例如倒角。
 try-why-out-of-limits = 它位于机器人不得到达之处。
 try-why-keep-out = 它位于机器人不得到达之处。
 try-why-no-grasp = 作业的抓取点都不在机器人可到达之处。
+try-why-out-of-map = 工件位于机器人误差图所触点的范围之外。
 try-why-not-found = 工件在两张图像中吗，距离与示教时大致相同吗？
 try-frame-robot = 机器人坐标系
 try-frame-rig = 相机坐标系：未标定机器人

@@ -1,0 +1,82 @@
+"""A robot's arm that is not as its controller has it: offsets, lengths, droop and backlash of its axes.
+
+Three axes carry the wrist: they turn about the vertical, then twice in the plane through it. Where the wrist
+really is, for what the controller shows, is computed from that chain, not from any polynomial.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+
+BASE_MM, UPPER_MM, FORE_MM = 400.0, 450.0, 480.0
+"""Lengths of a robot with a reach of 0.9 m."""
+ROUNDS = 8
+"""The error moves by a thousandth of a step: three would do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErringArm:
+    """Errors of the axes. offsets_rad, gears_rad, droop_rad, backlash_rad (3,): alike at all places, twice a
+    turn, by the pull of gravity at full reach, and half of the play. lengths_mm (3,). lean_rad (2,): of the
+    first axis."""
+
+    offsets_rad: FloatArray
+    gears_rad: FloatArray
+    droop_rad: FloatArray
+    backlash_rad: FloatArray
+    lengths_mm: FloatArray
+    lean_rad: FloatArray
+
+    @classmethod
+    def drawn(cls, seed: int, size: float = 1.0, backlash_mm: float = 0.0) -> ErringArm:
+        """A robot as it comes from its maker: of size 1 it is off by about 0.5 mm at half a metre.
+
+        backlash_mm : half of the play of each axis, at half a metre from it.
+        """
+        rng = np.random.default_rng((seed, 77))
+
+        def some(scale: float, count: int = 3) -> FloatArray:
+            return np.asarray(size * scale * rng.standard_normal(count))
+
+        play = np.full(3, backlash_mm / 500.0)
+        return cls(some(5e-4), some(1.5e-4), np.abs(some(3e-4)), play, some(0.2), some(2e-4, 2))
+
+    def reached(self, shown_mm: FloatArray, before_mm: FloatArray) -> FloatArray:
+        """(3,) where the wrist is when the controller shows a place, having come from another one."""
+        axes, before = _axes(shown_mm), _axes(before_mm)
+        out_mm = math.hypot(float(shown_mm[0]), float(shown_mm[1]))
+        pull = np.array([0.0, out_mm, math.cos(axes[1] + axes[2]) * FORE_MM]) / (UPPER_MM + FORE_MM)
+        true = axes + self.offsets_rad + self.gears_rad * np.sin(2.0 * axes) - self.droop_rad * pull
+        true = true + self.backlash_rad * np.sign(before - axes)
+        turn, shoulder, elbow = true
+        base, upper, fore = np.array([BASE_MM, UPPER_MM, FORE_MM]) + self.lengths_mm
+        out = upper * math.cos(shoulder) + fore * math.cos(shoulder + elbow)
+        up = base + upper * math.sin(shoulder) + fore * math.sin(shoulder + elbow)
+        x, y = out * math.cos(turn), out * math.sin(turn)
+        lean_x, lean_y = self.lean_rad
+        return np.array([x + lean_y * up, y - lean_x * up, up + lean_x * y - lean_y * x])
+
+    def shown(self, place_mm: FloatArray, before_mm: FloatArray) -> FloatArray:
+        """(3,) what the controller shows with the wrist at a place."""
+        found = np.array(place_mm, np.float64)
+        for _ in range(ROUNDS):
+            found = found + place_mm - self.reached(found, before_mm)
+        return found
+
+
+def _axes(place_mm: FloatArray) -> FloatArray:
+    """(3,) rad: turn, shoulder and elbow of a place, by the lengths that the controller has."""
+    x, y, z = (float(value) for value in place_mm)
+    out, up = math.hypot(x, y), z - BASE_MM
+    far2 = out * out + up * up
+    bend = (far2 - UPPER_MM**2 - FORE_MM**2) / (2.0 * UPPER_MM * FORE_MM)
+    elbow = -math.acos(min(max(bend, -1.0), 1.0))
+    shoulder = math.atan2(up, out) - math.atan2(
+        FORE_MM * math.sin(elbow), UPPER_MM + FORE_MM * math.cos(elbow)
+    )
+    return np.array([math.atan2(y, x), shoulder, elbow])
