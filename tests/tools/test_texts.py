@@ -22,7 +22,8 @@ from edged.plc.answers import NackReason
 from edged.plc.registers import BLOCKS, ResultCode
 from edged.robot.orientations import Convention
 
-WEB = Path(__file__).resolve().parents[2] / "edged" / "adapters" / "web"
+ROOT = Path(__file__).resolve().parents[2]
+WEB = ROOT / "edged" / "adapters" / "web"
 SETUP, RUN = WEB / "static" / "setup", WEB / "static" / "run"
 SCRIPTS = {path.stem: path.read_text() for path in sorted([*SETUP.rglob("*.js"), *RUN.rglob("*.js")])}
 FRAME = (WEB / "templates" / "index.html").read_text()
@@ -96,6 +97,25 @@ def test_every_text_can_be_read(language: str) -> None:
     for path in (WEB / "static").rglob(f"*{language}.ftl"):
         resource = FluentResource(path.read_text())
         assert [] == [entry for entry in resource.body if isinstance(entry, Junk)], path
+
+
+OTHER_WORDS = {
+    "ja": r"部品|誰|シグマ|(トリガ|フォルダ|ブラウザ|メモリ|レジスタ|サーバ)ー|設定中"
+    r"|[ぁ-ヿ一-鿿}] ?[:,;?] ?[ぁ-ヿ一-鿿{]",
+    "zh": r"标准件|良好工件|虚拟台(?!架)|[一-鿿}] ?[:,;?] ?[一-鿿{]",
+}
+"""Second words for one thing, and the punctuation of another script."""
+
+
+def test_one_thing_has_one_word() -> None:
+    """The glossary's in each language, and no other that somebody took before."""
+    table = (ROOT / "docs" / "explanation" / "glossary.md").read_text().split("| word | German |")[1]
+    columns = zip(*(row.strip("| ").split(" | ") for row in table.splitlines()[2:]), strict=True)
+    for language, words in zip(("de", "fr", "ja", "zh"), list(columns)[1:], strict=True):
+        text = "\n".join(text for part in PARTS for text in TEXTS[language][part].values())
+        assert len(words) > 15
+        assert [] == [word for word in words if word.lower() not in text.lower()]
+        assert None is (pattern := OTHER_WORDS.get(language)) or [] == re.findall(f".*(?:{pattern}).*", text)
 
 
 def test_the_page_offers_each_language_that_has_texts() -> None:

@@ -10,7 +10,7 @@ login-button = 登录
 login-code = 我有代码
 login-wrong = 姓名或密码错误。
 login-wrong-password = 密码错误。
-login-wait = { $wait_s } s 内不接受密码：错误次数过多，或正在验证另一个密码。请稍后再试。
+login-wait = { $wait_s } 秒内不接受密码：错误次数过多，或正在验证另一个密码。请稍后再试。
 
 ## Come in by a code
 invite-title = { $cell }：代码

@@ -166,7 +166,7 @@ function Lengths({ part, known, onKnown }) {
 export default function Check() {
   const known = checked.value?.boards ?? [];
   const parts = (checked.value?.parts ?? []).filter((measured) => measured.lengths.length);
-  const [chosen, setChosen] = useKept("check-by", null); // null: the first known
+  const [chosen, setChosen] = useKept(`check-by ${cell.value.rig?.id}`, null); // null: the first known
   const [size, setSize] = useKept("check-size", SIZE);
   const [mm, setMm] = useKept("check-mm", null);
   const [lengths, setLengths] = useKept("check-lengths", {});

@@ -38,7 +38,11 @@ plc-probe-what = Lassen Sie die SPS ein Register lesen, dessen Wert bekannt ist,
 plc-probe-register = Register (Adresse)
 plc-probe-shows = Was die SPS bei { $address } anzeigt
 plc-probe-right = Richtig: Wörter, Bytes und Adresse sind, wie sie sein sollen.
-plc-probe-words = Die Wörter sind vertauscht: tauschen Sie sie in der SPS, oder wählen Sie unten die andere Reihenfolge ({ $order }).
+plc-probe-words =
+    Die Wörter sind vertauscht: tauschen Sie sie in der SPS, oder wählen Sie unten, dass das { $order ->
+        [low] niederwertige
+       *[high] höherwertige
+    } Wort zuerst kommt.
 plc-probe-bytes = Die zwei Bytes jedes Wortes sind vertauscht: tauschen Sie sie in der SPS (swap bytes, big-endian).
 plc-probe-both = Bytes und Wörter sind beide vertauscht: lesen Sie die Register big-endian, hohes Wort zuerst.
 plc-probe-high = Die Adresse ist um eins zu hoch: diese SPS zählt ab 0, wie die Tabelle.

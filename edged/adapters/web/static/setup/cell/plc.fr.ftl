@@ -38,7 +38,11 @@ plc-probe-what = Faites lire à l’automate un registre dont la valeur est conn
 plc-probe-register = Registre (adresse)
 plc-probe-shows = Ce que l’automate montre à { $address }
 plc-probe-right = Juste : mots, octets et adresse sont comme il faut.
-plc-probe-words = Les mots sont intervertis : échangez-les dans l’automate, ou choisissez ci-dessous { $order } en premier.
+plc-probe-words =
+    Les mots sont intervertis : échangez-les dans l’automate, ou choisissez ci-dessous le mot de poids { $order ->
+        [low] faible
+       *[high] fort
+    } en premier.
 plc-probe-bytes = Les deux octets de chaque mot sont intervertis : échangez-les dans l’automate (swap bytes, big-endian).
 plc-probe-both = Octets et mots sont intervertis : lisez les registres en big-endian, mot de poids fort d’abord.
 plc-probe-high = L’adresse est trop grande de un : cet automate compte à partir de 0, comme la table.

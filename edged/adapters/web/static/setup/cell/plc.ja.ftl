@@ -15,7 +15,7 @@ plc-before-open = 不足
 plc-before-none = 不明または不要
 plc-writes = 書き込み権
 plc-writes-nobody = 今はだれも書き込んでいません。PLC が動いていない間はこれで正常です。
-plc-auto-lock = AUTO_LOCK が 1 です。設備がこのセルを使用中で、だれも設定できません。
+plc-auto-lock = AUTO_LOCK が 1 です。設備がこのセルを使用中で、だれもセットアップできません。
 plc-give = セルを返却
 plc-give-ready = セルを返却：READY
 plc-given = セルを返却しました。
@@ -38,7 +38,11 @@ plc-probe-what = 値のわかっているレジスタを PLC で読み、表示�
 plc-probe-register = レジスタ（アドレス）
 plc-probe-shows = { $address } での PLC の表示値
 plc-probe-right = 正常：ワード、バイト、アドレスは正しく読めています。
-plc-probe-words = ワードの順序が逆です。PLC で入れ替えるか、下で { $order } を先にしてください。
+plc-probe-words =
+    ワードの順序が逆です。PLC で入れ替えるか、下で{ $order ->
+        [low] 下位
+       *[high] 上位
+    }ワードを先にしてください。
 plc-probe-bytes = 各ワードのバイトが逆です。PLC で入れ替えてください（バイトスワップ、ビッグエンディアン）。
 plc-probe-both = バイトもワードも逆です。ビッグエンディアン、上位ワードが先で読んでください。
 plc-probe-high = アドレスが 1 大きくなっています。この PLC はマップと同じく 0 から数えます。
@@ -80,7 +84,7 @@ plc-nack-queue-full = 8 件のコマンドが実行中でした。
 plc-nack-timeout = TIMEOUT を超えました。
 plc-nack-failed = 実行できませんでした。理由はログにあります。
 plc-nack-capture-fault = カメラから画像が届きませんでした。
-plc-nack-setup = セルは設定中です。
+plc-nack-setup = セルはセットアップ中です。
 plc-nack-baseline = 接続後最初の CMD_SEQ は記録されるだけです。次の番号を書いてください。
 plc-nack-no-list = 次のワークがありません。
 plc-nack-no-registration = 座標合わせは行われていません。

@@ -38,13 +38,17 @@ plc-probe-what = 让 PLC 读取一个已知数值的寄存器，并输入它显�
 plc-probe-register = 寄存器（地址）
 plc-probe-shows = PLC 在 { $address } 处显示的值
 plc-probe-right = 正确：字、字节和地址都对。
-plc-probe-words = 字顺序颠倒：请在 PLC 中交换，或在下面选择{ $order }在前。
+plc-probe-words =
+    字顺序颠倒：请在 PLC 中交换，或在下面选择{ $order ->
+        [low] 低字
+       *[high] 高字
+    }在前。
 plc-probe-bytes = 每个字的两个字节颠倒：请在 PLC 中交换（字节交换，大端）。
 plc-probe-both = 字节和字都颠倒：请按大端、高字在前读取寄存器。
 plc-probe-high = 地址大 1：此 PLC 从 0 计数，与映射表一致。
 plc-probe-low = 地址小 1：此 PLC 从 1 计数。请给每个地址加 1，或在下面给映射表的每个地址加 1。
 plc-probe-half = 这只是两个字中的一个：请读取 32 位。
-plc-probe-other = 是其他内容：是本单元、此单元号吗，是保持寄存器或输入寄存器（功能码 3 或 4）吗？
+plc-probe-other = 是其他内容：是本单元、此站号吗，是保持寄存器或输入寄存器（功能码 3 或 4）吗？
 plc-probe-no-number = 一个数值，例如 16909060、0x01020304 或 123.456
 plc-exchanges = PLC 与单元最近的通信
 plc-exchanges-what = 最近 50 条命令，最新在前。仅供查看。
@@ -72,7 +76,7 @@ plc-result-out-of-range = 有数值超出其寄存器范围。
 plc-result-grabbed = 已拍摄图像。
 plc-result-verified = 均在限值内，不含坐标。
 plc-result-reloaded = 测量所依据的内容此后已更换。
-plc-result-kept = 该工件现为标准件。
+plc-result-kept = 该工件现为标准样件。
 plc-nack-none = 无原因
 plc-nack-unknown-command = COMMAND 中的数值不是命令。
 plc-nack-refused = 拒绝：没有该作业、没有法兰位姿，或单元正在停止。
@@ -94,7 +98,7 @@ plc-nack-reloaded = 等待期间重新加载了配置：请再次请求。
 plc-hint-bytes = 字节颠倒：PLC 写入 COMMAND 的值只有反过来才有意义。
 plc-hint-words = 字顺序颠倒：PLC 写入的法兰位姿在数公里之外，反过来则在附近。
 plc-sources = 对方一侧的程序
-plc-sources-what = 可直接导入，由本单元的寄存器映射生成。
+plc-sources-what = 可直接导入，由本单元的寄存器映射表生成。
 plc-manual = 使用方法
 
 ## Connections, changed on the page
@@ -109,7 +113,7 @@ plc-set-everywhere = 本机的所有网络
 plc-set-one = 本机的一个地址
 plc-set-host = 监听地址
 plc-set-port = 端口
-plc-set-unit = 单元号
+plc-set-unit = 站号
 plc-set-writers = 谁可以写命令
 plc-set-writers-what = 地址或网络，例如 192.168.10.2/32
 plc-set-readers = 谁可以连接

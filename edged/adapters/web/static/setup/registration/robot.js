@@ -59,7 +59,7 @@ function Begin() {
   const [mount, setMount] = useKept("robot-mount", "fixed");
   const [way, setWay] = useKept("robot-way", "touch");
   const [brand, setBrand] = useKept("robot-brand", current.brands.value[0]?.id ?? OTHER);
-  const [what, setWhat] = useKept("robot-what", null); // null: the first known
+  const [what, setWhat] = useKept(`robot-what ${cell.value.rig?.id}`, null); // null: the first known
   const [size, setSize] = useKept("robot-size", SIZE);
   const [mm, setMm] = useKept("robot-mm", null);
   const kind = mount === "flange" ? "poses" : way;

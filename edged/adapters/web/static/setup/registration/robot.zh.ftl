@@ -73,8 +73,8 @@ robot-shown = 机器人显示的数值
 robot-paste = 或粘贴到这里，格式不限：可含制表符、逗号、括号、度符号
 robot-clear = 清除
 robot-spread = 把 { $count } 行分配给等待的图像
-robot-stage-shows = 虚拟台：虚拟机器人显示的数值
-robot-stage-walk = 虚拟台：机器人到下一位姿
+robot-stage-shows = 虚拟台架：虚拟机器人显示的数值
+robot-stage-walk = 虚拟台架：机器人到下一位姿
 
 ## What they say
 robot-verdict = 评定

@@ -162,23 +162,23 @@ problem-teach-no-pair = このジョブは別の場所でティーチングさ�
 problem-teach-nothing-left = 測定に使うものが残っていません。円 1 つ、長穴 1 つ、またはエッジ 2 本以上を選んでください。
 problem-teach-no-pictures = そのサイクルには画像がありません。カメラから届きませんでした。
 problem-teach-other-rig = そのサイクルは別のキャリブレーションで測定され、画像の位置関係が今と異なります。新しいサイクルを使ってください。
-problem-teach-further-none = 画像ペア { $pair } には、この部品 1 個の全体が両方の画像に写っていません。撮り直すか、削除してください。
-problem-teach-further-little = すべての画像ペアを合わせても、部品の写りが不足しています。
-problem-teach-further-needless = この部品は曲線が少なく、追加の画像ペアからは学習できません。削除してください。
+problem-teach-further-none = 画像ペア { $pair } には、このワーク 1 個の全体が両方の画像に写っていません。撮り直すか、削除してください。
+problem-teach-further-little = すべての画像ペアを合わせても、ワークの写りが不足しています。
+problem-teach-further-needless = このワークは曲線が少なく、追加の画像ペアからは学習できません。削除してください。
 problem-teach-further-size = この画像ペアは最初のものと大きさが異なります。
 
 teach-further = 追加の画像ペア
-teach-further-what = 加工された稜線には面取りや丸みがあり、カメラに正対して置いた部品からはその形がわかりません。部品を 10～40 度傾けるか照明を変えて、その画像ペアを追加してください。
+teach-further-what = 加工された稜線には面取りや丸みがあり、カメラに正対して置いたワークからはその形がわかりません。ワークを 10～40 度傾けるか照明を変えて、その画像ペアを追加してください。
 teach-further-add = 画像ペアを追加
 teach-further-said = 画像ペアを追加しました。
 teach-further-removed = 画像ペアを削除しました。
 teach-further-pair = 画像ペア { $number }
 teach-further-remove-pair = 画像ペア { $number } を削除
-teach-further-open = 稜線の面取りの形は未確定です。各画像から求め直し、その確かさはシグマに反映されます。
+teach-further-open = 稜線の面取りの形は未確定です。各画像から求め直し、その確かさは σ に反映されます。
 teach-further-none = 稜線はシャープです。
-teach-further-face = 面取り幅 { $width } mm。上面側の稜線を学習しています。
-teach-further-wall = 面取り幅 { $width } mm。側面側の稜線を学習しています。
-teach-further-either = 面取り幅 { $width } mm。学習した稜線は上面側か側面側か未確定です。
+teach-further-face = 面取り幅 { $width } mm。上面側の稜線をティーチングしました。
+teach-further-wall = 面取り幅 { $width } mm。側面側の稜線をティーチングしました。
+teach-further-either = 面取り幅 { $width } mm。ティーチングした稜線は上面側か側面側か未確定です。
 
 ## A drawing instead of the region
 teach-drawing = 図面
