@@ -2,7 +2,7 @@
 """Set up the virtual stage as a newcomer does, over its API: what it takes, and how true the cell is then.
 
     tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--browser | --second [--losses]]
-                         [--json FILE]
+                         [--firefox] [--json FILE]
 
 An empty folder, a hand that trembles and misses. It brings the board to the outline that the cell draws, and
 pictures are taken when it is still; when the goal is reached the calibration is solved and activated. Then a
@@ -32,7 +32,9 @@ from typing import Any, get_args
 import aiohttp
 import numpy as np
 from benching import bench_parser, finish
-from helpers.browser import Browser
+from helpers.browser import Browser, browser
+from helpers.firefox import firefox
+from helpers.waiting import bounded
 from newcomerclicks import Clicks, set_up
 from secondclicks import bench, second_pass
 
@@ -108,11 +110,12 @@ async def stage(
     try:
         async with aiohttp.ClientSession(origin, cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
             newcomer = Newcomer(session, origin)
-            while True:
-                with contextlib.suppress(aiohttp.ClientConnectorError):
-                    await newcomer.take()
-                    break
-                await asyncio.sleep(0.05)
+            async with bounded("the page answers"):
+                while not running.done():
+                    with contextlib.suppress(aiohttp.ClientConnectorError):
+                        await newcomer.take()
+                        break
+                    await asyncio.sleep(0.05)
             yield newcomer, daemon
     finally:
         daemon.stop()
@@ -206,11 +209,12 @@ async def measure(newcomer: Newcomer, parts: int) -> tuple[FloatArray, FloatArra
     for _ in range(parts):
         await newcomer.ask("POST", "stage/lay", {})
         laid_ns = time.time_ns()
-        while True:
-            now = await newcomer.ask("GET", "stage/truth")
-            if (now["at_ns"] or 0) > laid_ns:
-                break
-            await asyncio.sleep(0.05)
+        async with bounded("the part that was laid is measured"):
+            while True:
+                now = await newcomer.ask("GET", "stage/truth")
+                if (now["at_ns"] or 0) > laid_ns:
+                    break
+                await asyncio.sleep(0.05)
         if now["error_mm"] is None:
             missed += 1
             continue
@@ -237,7 +241,8 @@ async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, An
                     return await second_pass(page, clicks, beside, port, PASSWORD, options.goal, TRIED)
 
                 then = again if options.second else None
-                found = await set_up(newcomer.origin, user, port, options.goal, TRIED, film, then)
+                opened = firefox if options.firefox else browser
+                found = await set_up(newcomer.origin, user, port, options.goal, TRIED, opened, film, then)
             else:
                 found = await calibrate(newcomer, options.goal, options.lens)
             error_um = true_error_um(folder / "rig.json", world)
@@ -265,6 +270,7 @@ def main() -> None:
     parser.add_argument("--browser", action="store_true", help="on the page, by clicks")
     parser.add_argument("--second", action="store_true", help="by clicks, and then all of it a second time")
     parser.add_argument("--losses", action="store_true", help="with --second: pictures are lost")
+    parser.add_argument("--firefox", action="store_true", help="the clicks in Firefox instead of Chromium")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="edged-newcomer-") as folder:
         found = asyncio.run(newcomer_of(options, Path(folder)))

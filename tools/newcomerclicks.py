@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import shutil
 import sys
 import time
 from collections.abc import Awaitable, Callable
@@ -19,6 +18,7 @@ from pymodbus.client import ModbusTcpClient
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from helpers.browser import Browser, browser
+from helpers.firefox import Opener
 from helpers.setuppage import DIALOG, STATE, said
 from helpers.setuppage import press as press_now
 
@@ -29,6 +29,8 @@ SQUARE_MM = "4.0"
 LEAST_S = 4.0
 """Who sees that nothing came of a press presses once more."""
 LIMIT_S = 900.0
+SAY_S = 30.0
+"""Who waits says for what, so often."""
 TOUCHES = 6
 PLACES = 'document.querySelectorAll(".covered").length'
 VIEWS = 'document.querySelectorAll(".strip li").length'
@@ -67,6 +69,7 @@ class Clicks:
 
     def __init__(self, page: Browser, film: Watcher | None) -> None:
         self._page, self.by_step = page, dict[str, int]()
+        self._begun_s = time.monotonic()
         self._before = 0
         self._film = film
         if film is not None:
@@ -76,15 +79,17 @@ class Clicks:
         """A step is done."""
         self.by_step[step] = self._page.clicks - self._before
         self._before = self._page.clicks
+        after_s = time.monotonic() - self._begun_s
+        print(f"{after_s:6.1f} s: {step}, {self.by_step[step]} clicks", file=sys.stderr)
         if self._film is not None:
             self._film.end(step)
 
-    async def wait(self, least_ms: int) -> None:
+    async def wait(self) -> None:
         """Let some time pass, in which a film may get a picture."""
         if self._film is not None and self._film.is_due():
             await self._page.value(PICTURES)
             self._film.see(await self._page.picture())
-        await self._page.value(f"new Promise((done) => setTimeout(done, {least_ms}))")
+        await pause(self._page, 0.1)
 
     async def _see(self, x: float, y: float) -> None:
         if self._film is not None:
@@ -97,6 +102,7 @@ async def set_up(
     modbus: int,
     goal_um: float,
     tried: int,
+    opened: Opener = browser,
     film: Watcher | None = None,
     then: Then | None = None,
 ) -> dict[str, Any]:
@@ -104,13 +110,10 @@ async def set_up(
 
     user : name and password. modbus : the cell's port. goal_um : of the calibration. tried : places.
     then : what is clicked after that on the same page, and its figures.
-
-    Raises RuntimeError where there is no chromium.
+    opened : the browser. Of one that does not tell how long a click took there is no such figure.
     """
-    if shutil.which("chromium") is None:
-        raise RuntimeError("no chromium")
     begun_s = time.monotonic()
-    async with browser() as page:
+    async with opened() as page:
         clicks = Clicks(page, film)
         await log_in(page, origin, *user)
         await page.value(WATCH)
@@ -150,7 +153,9 @@ async def set_up(
         "calibrated_s": round(calibrated_s, 1),
         "tried_good": good,
         "whole_s": round(whole_s, 1),
-        "click_ms": {share: _quantile(spent_ms, share, page.clicks) for share in (0.5, 0.95, 1.0)},
+        "click_ms": {
+            share: _quantile(spent_ms, share, page.clicks) for share in (0.5, 0.95, 1.0) if spent_ms
+        },
         "complaints": complaints,
         **more,
     }
@@ -187,11 +192,12 @@ async def release(page: Browser, text: str, password: str) -> None:
     Once more where nothing came of it: the button was closed again for a moment. password : asked for once
     more where the last time is long ago, as on a busy machine.
     """
-    while not await page.value(f"Boolean({DIALOG})"):
+
+    async def again() -> None:
         await press(page, text)
-        begun_s = time.monotonic()
-        while not await page.value(f"Boolean({DIALOG})") and time.monotonic() - begun_s < LEAST_S:
-            await page.value("new Promise((done) => setTimeout(done, 50))")
+        await soon(page, DIALOG)
+
+    await long(page, DIALOG, again)
     if not await page.value('document.querySelector("dialog[open] [name=note]").value'):
         await page.type("dialog[open] [name=note]", "first")
     await page.click("dialog[open] .primary")
@@ -201,10 +207,8 @@ async def release(page: Browser, text: str, password: str) -> None:
 async def confirm(page: Browser, password: str) -> None:
     """Answer what else a dialog asks: who is there, and a signature, in any order."""
     signed = 'document.querySelector("dialog[open] [name=signed]")'
-    begun_s = time.monotonic()
-    while await page.value(f"Boolean({DIALOG})"):
-        if time.monotonic() - begun_s > LIMIT_S:
-            raise RuntimeError(await page.value(f"{DIALOG}.innerText"))
+
+    async def answer() -> None:
         if await page.value(f"Boolean({ASKED})"):
             await page.type("dialog[open] [type=password]", password)
             await page.click("dialog[open] .wake .primary")
@@ -212,7 +216,9 @@ async def confirm(page: Browser, password: str) -> None:
         elif await page.value(f"{signed}?.value === ''"):
             await page.type("dialog[open] [name=signed]", "it is another one")
             await page.click("dialog[open] .primary")
-        await page.value("new Promise((done) => setTimeout(done, 100))")
+        await pause(page, 0.1)
+
+    await long(page, f"!{DIALOG}", answer)
 
 
 async def wave(page: Browser) -> None:
@@ -220,12 +226,12 @@ async def wave(page: Browser) -> None:
     await follow(page, "cameras")
     await press(page, "I wave now")
     await page.until('document.querySelector(".pulse")')
-    begun_s = time.monotonic()
-    while not await page.value(said("The left picture moved")):
-        if time.monotonic() - begun_s > LIMIT_S:
-            raise RuntimeError(await page.value('document.querySelector("#wave").parentElement.innerText'))
+
+    async def again() -> None:
         await press(page, "Wave before the left camera")
-        await page.value(f"new Promise((done) => setTimeout(done, {1e3 * LEAST_S}))")
+        await pause(page, LEAST_S)
+
+    await long(page, said("The left picture moved"), again)
 
 
 async def light(page: Browser) -> None:
@@ -250,11 +256,7 @@ async def to_release(page: Browser, clicks: Clicks, password: str) -> int:
     """Take views of the board where it is drawn until the goal is reached, solve, use it; their number."""
     await press(page, "Begin, and take views automatically")
     await press(page, "Follow the dashed place")
-    begun_s = time.monotonic()
-    while not await page.value(REACHED):
-        if time.monotonic() - begun_s > LIMIT_S:
-            raise RuntimeError(await page.value("document.querySelector('main').innerText"))
-        await clicks.wait(100)
+    await long(page, REACHED, clicks.wait)
     views = int(await page.value(VIEWS))
     await press(page, "Solve")
     await long(page, 'document.querySelector("#solve").parentElement.querySelector("dl")')
@@ -270,21 +272,48 @@ async def press(page: Browser, text: str) -> None:
     await press_now(page, text)
 
 
-async def long(page: Browser, expression: str) -> None:
-    """Wait for what takes the cell longer than a page may."""
-    begun_s = time.monotonic()
+async def long(
+    page: Browser, expression: str, meanwhile: Callable[[], Awaitable[None]] | None = None
+) -> None:
+    """Wait for what takes the cell longer than a page may, and say for what.
+
+    meanwhile : done between two looks. Raises RuntimeError with what the page says where it never comes.
+    """
+    begun_s = told_s = time.monotonic()
     while not await page.value(f"Boolean({expression})"):
-        if time.monotonic() - begun_s > LIMIT_S:
+        if (now_s := time.monotonic()) - begun_s > LIMIT_S:
             raise RuntimeError(f"never true: {expression}: {await page.value('document.body.innerText')}")
-        await page.value("new Promise((done) => setTimeout(done, 200))")
+        if now_s - told_s > SAY_S:
+            told_s = now_s
+            print(f"waits {now_s - begun_s:.0f} s for {expression}", file=sys.stderr)
+        await (pause(page, 0.2) if meanwhile is None else meanwhile())
+
+
+async def soon(page: Browser, expression: str) -> None:
+    """Wait for what may not come."""
+    begun_s = time.monotonic()
+    while not await page.value(f"Boolean({expression})") and time.monotonic() - begun_s < LEAST_S:
+        await pause(page, 0.1)
+
+
+async def pause(page: Browser, least_s: float) -> None:
+    """Let some time pass."""
+    await page.value(f"new Promise((done) => setTimeout(done, {1e3 * least_s}))")
 
 
 async def check(page: Browser) -> None:
-    """This board once more."""
-    await press(page, "Lay the board down")
+    """This board once more; again where the cameras gave no pair, as on a busy machine."""
     await follow(page, "check")
-    await press(page, "Check now")
-    await long(page, 'document.querySelector(".checked .big.figure strong")')
+    trouble = 'document.querySelector(".trouble")'
+
+    async def again() -> None:
+        if await page.value(f"Boolean({trouble})"):
+            await press(page, "Understood")
+        await press(page, "Check now")
+        await long(page, f"!{said('Measuring')}")
+
+    await again()
+    await long(page, f"!{trouble}", again)
     if not await page.value(said("The calibration holds")):
         raise RuntimeError(await page.value('document.querySelector(".checked").innerText'))
 
@@ -305,14 +334,14 @@ async def teach(page: Browser, password: str) -> None:
 
 async def try_out(page: Browser, tried: int) -> int:
     """The part at several places; at how many of them the page draws that it was good."""
+    await press(page, "Lay the part")
     await follow(page, "try")
     await press(page, "Try it live")
     await long(page, f"{PLACES} > 0")
     for _ in range(tried):
-        before, begun_s = await page.value(PLACES), time.monotonic()
+        before = await page.value(PLACES)
         await press(page, "Lay the part somewhere else")
-        while await page.value(PLACES) == before and time.monotonic() - begun_s < LEAST_S:
-            await page.value("new Promise((done) => setTimeout(done, 100))")
+        await soon(page, f"{PLACES} !== {before}")
     good = int(await page.value(PLACES)) - 1
     await press(page, "Hold still, 30 pictures")
     await long(page, 'document.querySelector("main .verdict .shape")')
@@ -350,12 +379,18 @@ async def go_live(page: Browser, modbus: int) -> None:
     await page.until(DIALOG)
     await page.click("dialog[open] .primary")
     await long(page, f'["READY", "BUSY"].includes({STATE})')
-    begun_s = time.monotonic()
+    await valid(page, modbus)
+
+
+async def valid(page: Browser, modbus: int) -> dict[str, Any]:
+    """Wait until a PLC reads a VALID result; its fields by their names."""
     with ModbusTcpClient("127.0.0.1", port=modbus, timeout=5) as plc:
+        begun_s = time.monotonic()
         while time.monotonic() - begun_s < LIMIT_S:
             # the cell is in this process: its loop answers meanwhile
             read = await asyncio.to_thread(plc.read_input_registers, RESULT.address, count=RESULT.words)
-            if int(decode(RESULT, read.registers)["FLAGS"]) & Flag.VALID:
-                return
-            await page.value("new Promise((done) => setTimeout(done, 100))")
-    raise RuntimeError("no VALID result over Modbus")
+            found = decode(RESULT, read.registers)
+            if int(found["FLAGS"]) & Flag.VALID:
+                return found
+            await pause(page, 0.1)
+    raise RuntimeError(f"no VALID result over Modbus: {found}")

@@ -7,10 +7,9 @@ goes back to the release that it began with, and forward again.
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,21 +20,20 @@ from helpers.setuppage import DIALOG, STATE, said
 from newcomerclicks import (
     BORROWED,
     LEAST_S,
-    LIMIT_S,
     VIEWS,
     Clicks,
     check,
     confirm,
     follow,
     long,
+    pause,
     press,
     release,
     to_release,
     try_out,
+    valid,
 )
-from pymodbus.client import ModbusTcpClient
 
-from edged.plc.registers import RESULT, Flag, decode
 from edged.sim.exposure import ExposureRequest
 from edged.sim.gige.camera import GigeCamera
 from edged.sim.render.scene import Part, RenderedView
@@ -96,9 +94,12 @@ class Bench:
             raise ValueError("no stage")
         return self.world.stage
 
-    def has(self, number: int) -> None:
-        """The first (0) or the other part (1) is there, and hands go by what that right camera sees."""
+    def lay(self, number: int) -> None:
+        """The first (0) or the other part (1) is there."""
         self.world.cell.part = self.parts[number]
+
+    def see(self, number: int) -> None:
+        """Hands go by what the first (0) or the other right camera (1) sees."""
         self.world.cell.stand_in("right", self.views[number])
 
     def lose(self, is_on: bool) -> None:
@@ -120,37 +121,44 @@ def bench(world: VirtualWorld, *, loses: bool) -> Iterator[Bench]:
 
 
 async def second_pass(
-    page: Browser, clicks: Clicks, beside: Bench, modbus: int, password: str, goal_um: float, tried: int
+    page: Browser,
+    clicks: Clicks,
+    beside: Bench,
+    modbus: int,
+    password: str,
+    goal_um: float,
+    tried: int,
+    *,
+    backward: bool = False,
 ) -> dict[str, Any]:
     """From a VALID cell to another one that is VALID, back, and forward again; figures by their names.
 
     goal_um : of the calibration. tried : places of the part on the page, before its job is used.
+    backward : the steps in the other order, from settings to cameras.
     """
     begun_s = time.monotonic()
-    first = await valid(modbus) | {"setting": await setting(page)}
+    first = await now_valid(page, modbus)
     beside.lose(True)
     await take_again(page)
     before = await release_in_use(page)
     clicks.end("take the cell again")
-    await another_camera(page, beside)
-    clicks.end("another camera")
-    views = await calibrate_again(page, clicks, beside, goal_um, password)
-    clicks.end("another board, calibrate again")
-    await press(page, "Lay the board down")
-    await check(page)
-    clicks.end("check again")
-    await teach_another(page, beside, password)
-    clicks.end("another part")
-    await try_out(page, tried)
-    clicks.end("try again")
-    await another_robot(page, password)
-    clicks.end("another robot")
-    await other_settings(page, password)
-    clicks.end("other settings")
+    await check_again(page)
+    clicks.end("check")
+    steps: dict[str, Callable[[], Awaitable[object]]] = {
+        "another camera and board": lambda: calibrate_again(page, clicks, beside, goal_um, password),
+        "check again": lambda: check_again(page),
+        "another part": lambda: teach_another(page, beside, password),
+        "try again": lambda: try_out(page, tried),
+        "another robot": lambda: another_robot(page, password),
+        "other settings": lambda: other_settings(page, password),
+    }
+    for name in reversed(steps) if backward else steps:
+        await steps[name]()
+        clicks.end(name)
     await give_back(page)
     await use_job(page, 2)
     beside.lose(False)
-    second = await valid(modbus) | {"setting": await setting(page)}
+    second = await now_valid(page, modbus)
     clicks.end("live again")
     after = await release_in_use(page)
     back = await released(page, beside, before, 0, modbus, password)
@@ -158,7 +166,6 @@ async def second_pass(
     again = await released(page, beside, after, 1, modbus, password)
     clicks.end("forward again")
     return {
-        "second_views": views,
         "second_s": round(time.monotonic() - begun_s, 1),
         "valid": [first, second, back, again],
         "releases": [before, after],
@@ -172,25 +179,18 @@ async def released(
     """Back to a release, with its camera and part (0: the first, 1: the other); what is VALID then."""
     beside.lose(True)
     await go_back(page, number, password)
-    beside.has(which)
+    beside.lay(which)
+    beside.see(which)
     await press(page, "Lay the part")
     await use_job(page, which + 1)
     beside.lose(False)
-    return await valid(modbus) | {"setting": await setting(page)}
+    return await now_valid(page, modbus)
 
 
-async def valid(modbus: int) -> dict[str, Any]:
-    """Wait until a PLC reads a VALID result; its job and calibration."""
-    begun_s = time.monotonic()
-    with ModbusTcpClient("127.0.0.1", port=modbus, timeout=5) as plc:
-        while time.monotonic() - begun_s < LIMIT_S:
-            # the cell is in this process: its loop answers meanwhile
-            read = await asyncio.to_thread(plc.read_input_registers, RESULT.address, count=RESULT.words)
-            found = decode(RESULT, read.registers)
-            if int(found["FLAGS"]) & Flag.VALID:
-                return {name: found[name] for name in ("JOB", "CALIBRATION") if name in found}
-            await asyncio.sleep(0.1)
-    raise RuntimeError("no VALID result over Modbus")
+async def now_valid(page: Browser, modbus: int) -> dict[str, Any]:
+    """Job and calibration of a VALID result, once there is one, and the setting."""
+    found = await valid(page, modbus)
+    return {name: found[name] for name in ("JOB", "CALIBRATION")} | {"setting": await setting(page)}
 
 
 async def take_again(page: Browser) -> None:
@@ -216,24 +216,37 @@ async def another_camera(page: Browser, beside: Bench) -> None:
     await press(page, "Search again")
     tile = f"""[...document.querySelectorAll(".tile")].find((one) => one.innerText.includes("{SPARE[1]}"))"""
     await long(page, tile)
-    beside.world.cell.stand_in("right", beside.views[1])
+    beside.see(1)
     await page.click(f'[aria-label="Use as right camera: {SPARE[1]}"]')
     await long(page, f'{tile}?.innerText.includes("right camera")')
     await page.click(f'[aria-label="Use as left camera: {SPARE[1]}"]')
     await long(page, f'{tile}?.innerText.includes("left camera")')
     await press(page, "I wave now")
-    while not await page.value(said("left and right have been exchanged")):
+
+    async def again() -> None:
         await press(page, "Wave before the left camera")  # whose picture is the right one, by mistake
-        await page.value(f"new Promise((done) => setTimeout(done, {1e3 * LEAST_S}))")
+        await pause(page, LEAST_S)
         if await page.value(said("No hand was seen")):
             await press(page, "Once more")
+
+    await long(page, said("left and right have been exchanged"), again)
     await long(page, f'{tile}?.innerText.includes("right camera")')
     await press(page, "Take a test pair")
     await long(page, said("ms between the two exposures"))
 
 
-async def calibrate_again(page: Browser, clicks: Clicks, beside: Bench, goal_um: float, password: str) -> int:
-    """With another board: begun with the wrong one, discarded, stopped, begun anew, solved, used."""
+async def check_again(page: Browser) -> None:
+    """By the board in the hand, which the page must have chosen."""
+    await press(page, "Hold the board")
+    await press(page, "Lay the board down")
+    await check(page)
+
+
+async def calibrate_again(
+    page: Browser, clicks: Clicks, beside: Bench, goal_um: float, password: str
+) -> None:
+    """Another camera and board: begun with the wrong one, discarded, stopped, begun anew, solved, used."""
+    await another_camera(page, beside)
     beside.stage.take_board(*OTHER_GRID)
     await press(page, "Hold the board")
     await follow(page, "calibrate")
@@ -253,7 +266,7 @@ async def calibrate_again(page: Browser, clicks: Clicks, beside: Bench, goal_um:
     await press(page, "Stop taking views")
     await press(page, "Begin another calibration")
     await long(page, 'document.querySelector("[name=mm]")')
-    return await to_release(page, clicks, password)
+    await to_release(page, clicks, password)
 
 
 async def anew(page: Browser, another: str, beginning: str) -> None:
@@ -274,7 +287,7 @@ async def discard_here(page: Browser) -> None:
 
 async def teach_another(page: Browser, beside: Bench, password: str) -> None:
     """Another part: begun, discarded, begun again, used."""
-    beside.has(1)
+    beside.lay(1)
     await press(page, "Lay the part")
     await follow(page, "teach")
     for is_kept in (False, True):

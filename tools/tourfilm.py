@@ -175,7 +175,15 @@ def main() -> int:
     options = parser.parse_args()
     film = Film()
     way = argparse.Namespace(
-        browser=True, second=False, losses=False, seed=options.seed, goal=8.0, parts=1, lens="auto", film=film
+        browser=True,
+        second=False,
+        losses=False,
+        firefox=False,
+        film=film,
+        seed=options.seed,
+        goal=8.0,
+        parts=1,
+        lens="auto",
     )
     with tempfile.TemporaryDirectory(prefix="edged-tour-") as folder:
         found = asyncio.run(bench_newcomer.newcomer_of(way, Path(folder)))

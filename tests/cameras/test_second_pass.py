@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import re
-import shutil
 import sys
 from pathlib import Path
 
 import pytest
-from helpers.browser import browser
 from helpers.browsersession import PASSWORD
 from helpers.cells import small_rig
+from helpers.firefox import BROWSERS, Opener
 from helpers.setuppage import log_in
 from helpers.stagecell import staged
 
@@ -27,7 +26,6 @@ from secondclicks import bench, second_pass
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there"),
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
 ]
 GOAL_UM = 40.0
 """Of pictures of 640x480, soon reached: what is tested are the clicks."""
@@ -36,7 +34,11 @@ ASKED_BACK = re.compile(r"status of (403|409) .*/activate$")
 """Who releases something says the password once more, and signs where recorded cycles were not tried."""
 
 
-async def test_all_is_done_a_second_time_with_a_lost_picture_in_every_action(tmp_path: Path) -> None:
+@pytest.mark.parametrize("backward", [False, True])
+@pytest.mark.parametrize("browser", BROWSERS)
+async def test_all_is_done_a_second_time_with_a_lost_picture_in_every_action(
+    tmp_path: Path, browser: Opener, backward: bool
+) -> None:
     """VALID with what was brought, with what was there before, and with what was brought again."""
     save_rig(tmp_path / "rig.json", small_rig(), {"board": "chessboard:11x8:4"})
     async with staged(tmp_path, page_is_here=False) as newcomer, browser() as page:
@@ -52,7 +54,8 @@ async def test_all_is_done_a_second_time_with_a_lost_picture_in_every_action(tmp
             await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
             await page.click(".stage summary")
             clicks = Clicks(page, None)
-            found = await second_pass(page, clicks, beside, port, PASSWORD, GOAL_UM, PLACES)
+            also = {"backward": backward}
+            found = await second_pass(page, clicks, beside, port, PASSWORD, GOAL_UM, PLACES, **also)
         first, second, back, again = found["valid"]
         assert (1, 2, 1, 2) == tuple(result["JOB"] for result in found["valid"])
         assert first["CALIBRATION"] == back["CALIBRATION"] != second["CALIBRATION"] == again["CALIBRATION"]

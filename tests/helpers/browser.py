@@ -19,7 +19,7 @@ from typing import Any
 
 import aiohttp
 
-from helpers.waiting import LIMIT_S, until
+from helpers.waiting import LIMIT_S, bounded, until
 
 AXE = Path(__file__).parents[1] / "data" / "axe" / "axe.min.js"
 REST_MS = 40
@@ -62,7 +62,11 @@ class Browser:
         self.on_click: Callable[[float, float], Awaitable[None]] | None = None
 
     async def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """One command of the protocol, and its result."""
+        """One command of the protocol, and its result. Raises TimeoutError where none comes."""
+        async with bounded(f"{method} {parameters}"):
+            return await self._ask(method, parameters)
+
+    async def _ask(self, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
         self._number += 1
         await self._devtools.send_json({"id": self._number, "method": method, "params": parameters})
         while True:

@@ -36,7 +36,7 @@ class Firefox(Browser):
         self._context = tree["contexts"][0]["context"]
         await self._command("session.subscribe", events=["log.entryAdded"])
 
-    async def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
+    async def _ask(self, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
         """A command of Chromium's protocol, by those of BiDi. Raises `KeyError` for any other."""
         context = {"context": self._context}
         match method:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -24,6 +25,16 @@ async def until(condition: Callable[[], T], limit_s: float = LIMIT_S) -> T:
         assert time.monotonic() < deadline_s, f"not within {limit_s:g} s"
         await asyncio.sleep(POLL_S)
     return found
+
+
+@asynccontextmanager
+async def bounded(what: str, limit_s: float = WHOLE_S) -> AsyncIterator[None]:
+    """Whatever takes longer than a limit is given up, and the error says what it was."""
+    try:
+        async with asyncio.timeout(limit_s):
+            yield
+    except TimeoutError:
+        raise TimeoutError(f"not within {limit_s:g} s: {what}") from None
 
 
 def wait_until(condition: Callable[[], T], limit_s: float = LIMIT_S) -> T:

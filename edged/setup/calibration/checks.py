@@ -120,8 +120,9 @@ class Checks:
         """The last verdict, and what another check may be made by."""
         last, rig = await asyncio.to_thread(self._kept.read), self._cell.rig()
         is_current = last is not None and rig is not None and last.calibration == rig.calibration_id
-        boards = [] if last is None or last.board is None else [last.board]
-        boards += [] if rig is None else rig.boards
+        checked_by = [last.board] if last is not None and last.board is not None else []
+        made_by = [] if rig is None else rig.boards
+        boards = [*checked_by, *made_by] if is_current else [*made_by, *checked_by]
         parts = [_offered(job) for job in self._cell.jobs().values()]
         return Checked(last=last, is_current=is_current, boards=list(dict.fromkeys(boards)), parts=parts)
 

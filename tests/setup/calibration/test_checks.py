@@ -97,7 +97,7 @@ async def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Pa
         quality = {"board": f"dots:7x7:5,{BOARD}"}
         save_rig(tmp_path / "rig.json", replace(true, calibration_id="another"), quality)
         await newcomer.browser.reload(newcomer.daemon)
-        known = {"last": unseen, "is_current": False, "boards": [BOARD, "dots:7x7:5"], "parts": []}
+        known = {"last": unseen, "is_current": False, "boards": ["dots:7x7:5", BOARD], "parts": []}
         assert known == await newcomer.ask("GET", "checks")
 
 
