@@ -304,7 +304,11 @@ class CellEnd:
         self._wake.set()
 
     def _carry_out(self, envelope: Envelope) -> None:
-        memory, self._memory = self._memory, None
+        memory = None
+        if isinstance(
+            envelope.request, InstallRelease
+        ):  # it may have been read together with those before it
+            memory, self._memory = self._memory, None
         task = asyncio.get_running_loop().create_task(self._answer(envelope, memory), name="page's request")
         self._underway.add(task)
         task.add_done_callback(self._carried_out)

@@ -314,6 +314,21 @@ async def test_what_was_asked_is_carried_out_without_the_page() -> None:
         await until(lambda: scene.view.installed == b"release")
 
 
+async def test_a_release_has_its_archive_whatever_was_asked_just_before() -> None:
+    """On a busy machine both messages are read at once, and the archive comes with the first byte."""
+    async with measuring() as scene, scene.linked() as (page, _):
+        scene.view.may_install.set()
+        asked = [
+            Envelope(number=1, request=ask.EnterSetup(name="a")),
+            Envelope(number=2, request=EXAMPLES[8]),
+        ]
+        memory = sealed(b"release")
+        data: Any = b"".join(framed(message) for message in [encoded(ask.GREETING), *map(encoded, asked)])
+        socket.send_fds(page, [data], [memory])
+        os.close(memory)
+        await until(lambda: scene.view.installed == b"release")
+
+
 def lingering() -> socket.socket:
     """A socket that takes seconds to close: it has bytes which nobody takes, and waits for them."""
     with socket.create_server(("127.0.0.1", 0)) as server:
