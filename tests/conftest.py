@@ -5,6 +5,7 @@ pytest makes `helpers` and `naive` importable from every test.
 
 import gc
 import os
+import shutil
 from collections import Counter
 
 import pytest
@@ -35,6 +36,20 @@ class ByRoom(LoadScopeScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         return "cameras" if nodeid.startswith(ONE_WIRE) else nodeid.partition("::")[0]
+
+
+@pytest.fixture(scope="session")
+def template(tmp_path_factory):
+    """Files of a complete cell, which nobody changes."""
+    from helpers.smallcell import SmallCell
+
+    return SmallCell(tmp_path_factory.mktemp("template"), source="virtual-inprocess").config.parent
+
+
+@pytest.fixture
+def own_cell(template, tmp_path):
+    """Files of a complete cell for one test."""
+    return shutil.copytree(template, tmp_path / "cell")
 
 
 def pytest_collection_finish():

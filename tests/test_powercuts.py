@@ -10,21 +10,14 @@ from pathlib import Path
 import pytest
 from helpers import statewriters
 from helpers.powercuts import Call, Changed, Disk, Record, Synced, cut
-from helpers.smallcell import SmallCell
 
 from edged.files import atomic
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The configuration of a cell."""
-    return SmallCell(tmp_path_factory.mktemp("template"), source="virtual-inprocess").config
 
 
 @pytest.mark.slow
 def test_300_power_cuts_leave_the_old_state_or_the_new(template: Path, tmp_path: Path) -> None:
     """At any call of any writer: the cell is read, nothing is mixed, and what was finished has remained."""
-    assert [] == statewriters.survive(template, tmp_path, 300, seed=1)
+    assert [] == statewriters.survive(template / "cell.toml", tmp_path, 300, seed=1)
 
 
 @pytest.mark.slow
@@ -42,7 +35,7 @@ def test_writers_that_bring_nothing_to_the_disk_are_caught(
         )
 
     monkeypatch.setattr(statewriters, "cut", careless)
-    assert statewriters.survive(template, tmp_path, 40, seed=1)
+    assert statewriters.survive(template / "cell.toml", tmp_path, 40, seed=1)
 
 
 Tree = tuple[tuple[str, bytes | None], ...]

@@ -24,8 +24,9 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from benchcell import BenchCell, free_port
+from benchcell import BenchCell
 from benching import bench_parser, finish
+from helpers.ports import free_port
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 

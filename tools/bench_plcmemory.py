@@ -20,8 +20,9 @@ from pathlib import Path
 
 import numpy as np
 import snap7
-from benchcell import BenchCell, free_port
+from benchcell import BenchCell
 from benching import bench_parser, finish
+from helpers.ports import free_port
 from snap7.type import SrvArea
 
 DB, CONTROL, BITS = 1, 43, 64 + 7

@@ -23,8 +23,9 @@ from typing import Any
 import aiohttp
 import numpy as np
 from argon2 import PasswordHasher
-from benchcell import BenchCell, free_port
+from benchcell import BenchCell
 from benching import bench_parser, finish
+from helpers.ports import free_port
 
 from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair

@@ -27,9 +27,10 @@ import aiohttp
 import cv2
 import numpy as np
 from bench_modbus import in_process, read_all
-from benchcell import BenchCell, free_port
+from benchcell import BenchCell
 from benching import bench_parser, finish
 from helpers.browser import Browser, browser
+from helpers.ports import free_port
 from helpers.setuppage import log_in, take
 from pagecost import viewer
 

@@ -19,8 +19,9 @@ from pathlib import Path
 
 import numpy as np
 from bench_modbus import READERS, in_process, read_all, show_triggers
-from benchcell import BenchCell, free_port
+from benchcell import BenchCell
 from benching import bench_parser, finish
+from helpers.ports import free_port
 
 LIMIT_MS = 2.0
 """Limit of the 99th percentile, beside the cycle."""

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+import benching  # noqa: F401  (where helpers are)
 import cv2
+from helpers.ports import free_port
 
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
@@ -20,13 +21,6 @@ from edged.app.process import SWITCH_INTERVAL_S, keep_what_is_loaded
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.events import Event, Snapshot
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
-
-
-def free_port() -> int:
-    """A TCP port that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Listener:

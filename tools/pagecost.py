@@ -17,7 +17,8 @@ from typing import Any
 
 import aiohttp
 import numpy as np
-from benchcell import BenchCell, free_port
+from benchcell import BenchCell
+from helpers.ports import free_port
 from pageviewer import fetch_pictures
 
 from edged.adapters.web.assets import read_assets, run_modules

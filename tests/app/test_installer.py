@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import gzip
 import os
-import shutil
 import signal
 import subprocess
 import time
@@ -15,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
-from helpers.smallcell import SmallCell
 from helpers.waiting import WHOLE_S
 
 from edged.app import installer as installers
@@ -27,12 +25,6 @@ from edged.link.memory import is_sealed, sealed, sealed_bytes
 from edged.setup.cellfiles import read_cell
 from edged.setup.releases.archive import Backup, pack, parts_at, parts_of, read, with_parts
 from edged.setup.releases.installing import BEFORE, INSTALLING, finish_installation
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files of a complete cell."""
-    return SmallCell(tmp_path_factory.mktemp("cell"), source="virtual-inprocess").config.parent
 
 
 @dataclass
@@ -85,10 +77,9 @@ class Place:
 
 
 @pytest.fixture
-def place(template: Path, tmp_path: Path) -> Place:
+def place(own_cell: Path) -> Place:
     """Of one's own."""
-    shutil.copytree(template, tmp_path / "cell")
-    return Place(tmp_path / "cell")
+    return Place(own_cell)
 
 
 def test_a_release_is_in_use_and_the_one_before_is_kept(place: Place) -> None:

@@ -11,26 +11,12 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 from helpers.cells import flange, small_rig
+from helpers.commandline import exit_code, printed
 
-from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.errors import UserError
 from edged.setup.releases.signing import check_signature
 from edged.sim.cell import VirtualCell, demo_part
-
-
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """Exit code of `edged ARGUMENTS`."""
-    monkeypatch.setattr("sys.argv", ["edged", *map(str, arguments)])
-    with pytest.raises(SystemExit) as exit_:
-        main()
-    return int(exit_.value.code or 0)
-
-
-def words(capsys: pytest.CaptureFixture[str]) -> str:
-    """All that was printed, on one line."""
-    captured = capsys.readouterr()
-    return " ".join((captured.out + captured.err).split())
 
 
 def write_pairs(folder: Path, count: int) -> None:
@@ -45,7 +31,7 @@ def write_pairs(folder: Path, count: int) -> None:
 
 @pytest.mark.slow
 def test_a_cell_is_accepted_only_by_all_of_its_tests(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A still part alone does not pass the cell; the page is written and signed; wrong input is named."""
     prepare_cell(tmp_path, VirtualCell(small_rig(), demo_part(), seed=11), DemoOptions(), gige=False)
@@ -57,11 +43,11 @@ def test_a_cell_is_accepted_only_by_all_of_its_tests(
     public.write_bytes(private.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
     write_pairs(shown / "still", 50)
     given = ("--rig", rig, "--job", job, "-o", out)
-    assert 1 == call(monkeypatch, "accept", shown, *given, "--sign", key, "--by", "A. Tester", "--days", 30)
-    printed = words(capsys)
-    assert "still: passed" in printed
-    assert "pose: cannot be said - not made: no folder pose/" in printed
-    assert "the cell has not passed" in printed
+    assert 1 == exit_code("accept", shown, *given, "--sign", key, "--by", "A. Tester", "--days", 30)
+    words = printed(capsys)
+    assert "still: passed" in words
+    assert "pose: cannot be said - not made: no folder pose/" in words
+    assert "the cell has not passed" in words
     kept = (tmp_path / "acceptance.json").read_bytes()
     assert kept == (out / "acceptance.json").read_bytes()
     assert json.loads(kept)["passed"] is False
@@ -73,22 +59,22 @@ def test_a_cell_is_accepted_only_by_all_of_its_tests(
     assert (out / "acceptance.pdf").read_bytes().startswith(b"%PDF")
 
     write_pairs(shown / "length", 1)
-    assert 2 == call(monkeypatch, "accept", shown, *given)
-    assert "--length NAME=MM says what is measured there" in words(capsys)
-    assert 2 == call(monkeypatch, "accept", shown, *given, "--length", "nothing=3")
-    assert "length nothing: the job has" in words(capsys)
+    assert 2 == exit_code("accept", shown, *given)
+    assert "--length NAME=MM says what is measured there" in printed(capsys)
+    assert 2 == exit_code("accept", shown, *given, "--length", "nothing=3")
+    assert "length nothing: the job has" in printed(capsys)
     write_pairs(shown / "pose", 1)
     (shown / "pose/truth.csv").write_text("q,1,2,3\n")
-    assert 2 == call(monkeypatch, "accept", shown, *given)
-    assert "no line for p0" in words(capsys)
-    assert 2 == call(monkeypatch, "accept", tmp_path / "nowhere", *given)
-    assert "not a folder; expected still/" in words(capsys)
+    assert 2 == exit_code("accept", shown, *given)
+    assert "no line for p0" in printed(capsys)
+    assert 2 == exit_code("accept", tmp_path / "nowhere", *given)
+    assert "not a folder; expected still/" in printed(capsys)
     assert kept == (tmp_path / "acceptance.json").read_bytes()
 
 
 @pytest.mark.slow
 def test_a_study_of_a_size_says_whether_the_cell_is_fit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The flange's bore by 25 pictures; its own mean as reference is capable, one 10 um beside it is not."""
     prepare_cell(tmp_path, VirtualCell(small_rig(), demo_part(), seed=11), DemoOptions(), gige=False)
@@ -97,20 +83,20 @@ def test_a_study_of_a_size_says_whether_the_cell_is_fit(
     write_pairs(folder / "master", 25)
     given = ("study", folder, "--rig", rig, "--job", job, "--size", "c0")
     asked = (*given, "--tolerance", "27.95:28.05", "--json")
-    assert call(monkeypatch, *asked, "--reference", "28") in (0, 1)
+    assert exit_code(*asked, "--reference", "28") in (0, 1)
     mean = json.loads(capsys.readouterr().out)["type1"]["mean_mm"]
     assert mean == pytest.approx(28.0, abs=0.01)
-    assert 0 == call(monkeypatch, *asked, "--reference", mean, "--report", report)
+    assert 0 == exit_code(*asked, "--reference", mean, "--report", report)
     assert json.loads(capsys.readouterr().out)["type1"]["cgk"] > 1.33
     assert "Cg, Cgk" in report.read_text()
-    assert 1 == call(monkeypatch, *asked, "--reference", mean + 0.01)
+    assert 1 == exit_code(*asked, "--reference", mean + 0.01)
     capsys.readouterr()
-    assert 2 == call(monkeypatch, *given, "--tolerance", "27.95:28.05")
-    assert "--reference MM says how large the master is" in words(capsys)
-    assert 2 == call(monkeypatch, *given, "--tolerance", "28.05:27.95")
-    assert "expected LOW:HIGH" in words(capsys)
-    assert 2 == call(monkeypatch, "study", tmp_path / "jobs", *given[2:], "--tolerance", "27:28")
-    assert "expected master/" in words(capsys)
+    assert 2 == exit_code(*given, "--tolerance", "27.95:28.05")
+    assert "--reference MM says how large the master is" in printed(capsys)
+    assert 2 == exit_code(*given, "--tolerance", "28.05:27.95")
+    assert "expected LOW:HIGH" in printed(capsys)
+    assert 2 == exit_code("study", tmp_path / "jobs", *given[2:], "--tolerance", "27:28")
+    assert "expected master/" in printed(capsys)
     (folder / "parts/one").mkdir(parents=True)
-    assert 2 == call(monkeypatch, *given, "--tolerance", "27:28", "--reference", "28")
-    assert "parts/one: 0 folders" in words(capsys)
+    assert 2 == exit_code(*given, "--tolerance", "27:28", "--reference", "28")
+    assert "parts/one: 0 folders" in printed(capsys)

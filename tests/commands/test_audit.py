@@ -9,10 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.commandline import exit_code
 from helpers.journaledcell import DEEDS, JOURNALD
 from helpers.waiting import LIMIT_S
 
-from edged.__main__ import main
 from edged.files.statefolder import state_folder
 from edged.identity.audit import LINES, AuditEntry, AuditFile
 
@@ -27,11 +27,8 @@ def test_the_chain_is_printed_and_verified(
     lines = state_folder(config) / LINES
 
     def asked(*options: str) -> tuple[int, str]:
-        monkeypatch.setattr("sys.argv", ["edged", "audit", str(config), *options])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out + err
+        code, (out, err) = exit_code("audit", config, *options), capsys.readouterr()
+        return code, out + err
 
     assert (0, True) == ((first := asked())[0], "no record is kept" in first[1])
     for outcome in ("role", "ok"):

@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 import pytest
 from helpers.cells import flange, small_rig
+from helpers.commandline import exit_code
 
-from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.sim.cell import VirtualCell, demo_part
 
@@ -645,20 +645,16 @@ def test_a_mistake_is_named(
     name: str,
     place: Path,
     busy: int,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Its place, what was found and what was expected; the exit status that is documented; no traceback."""
     case = CASES[name]
     for file, change in case.files.items():
         spoil(place / file, change, busy)
-    monkeypatch.setattr("sys.argv", ["edged", *case.command.split()])
-    with pytest.raises(SystemExit) as exit_:
-        main()
-    said = capsys.readouterr()
+    code, said = exit_code(*case.command.split()), capsys.readouterr()
     answer = plain(said.err + said.out, place, busy)
 
-    assert (case.message, case.code) == (answer, exit_.value.code)
+    assert (case.message, case.code) == (answer, code)
 
 
 @pytest.mark.slow

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 import pytest
 from helpers.cells import flange, frame_pair, small_rig
+from helpers.commandline import exit_code
 
 from edged import __version__
-from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.exchanged import SWAPPED
 from edged.doctor.examination import examine
@@ -38,12 +38,9 @@ def edged(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -
     monkeypatch.setenv("COLUMNS", "400")
 
     def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["edged", *map(str, arguments)])
-        with pytest.raises(SystemExit) as exit_:
-            main()
-        out, err = capsys.readouterr()
+        code, (out, err) = exit_code(*arguments), capsys.readouterr()
         assert "Traceback" not in err
-        return int(exit_.value.code or 0), out, err
+        return code, out, err
 
     return call
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 from helpers.cells import flange, frame_pair, small_rig
+from helpers.commandline import exit_code
 from helpers.snapshots import make_transform
 
-from edged.__main__ import main
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.files.jobs import load_job
 from edged.files.rig import save_rig
@@ -22,14 +22,6 @@ from edged.sim.cell import VirtualCell, demo_part
 
 ROBOT_FROM_RIG = make_transform((0.4, 1.1, -0.7), (500.0, -200.0, 300.0))
 PART_FROM_TCP = make_transform((0.0, 0.3, 1.2), (12.0, -7.0, 4.0))
-
-
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """Exit code of `edged grasp touch ARGUMENTS`."""
-    monkeypatch.setattr("sys.argv", ["edged", "grasp", "touch", *map(str, arguments)])
-    with pytest.raises(SystemExit) as exit_:
-        main()
-    return int(exit_.value.code or 0)
 
 
 @pytest.fixture(scope="module")
@@ -72,12 +64,12 @@ def where(folder: Path, brand: Brand) -> str:
 @pytest.mark.slow
 @pytest.mark.parametrize("brand", [Brand.KUKA, Brand.ABB, Brand.UR])
 def test_where_the_robot_stands_becomes_a_grasp(
-    folder: Path, brand: Brand, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, brand: Brand, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In the part's frame, to a micrometre; what people wrote into the job stays as it was."""
     path = folder / "flange" / "job.toml"
     before = path.read_text()
-    assert 0 == call(monkeypatch, *arguments(folder, brand, where(folder, brand)), "--symmetry", 3)
+    assert 0 == exit_code("grasp", "touch", *arguments(folder, brand, where(folder, brand)), "--symmetry", 3)
     assert path.read_text().startswith(before.rstrip())
     (grasp,) = load_job(folder / "flange").picking.grasps
     assert ("rim", 50.0, 50.0, 3) == (grasp.name, grasp.approach_mm, grasp.retreat_mm, grasp.symmetry)
@@ -87,12 +79,12 @@ def test_where_the_robot_stands_becomes_a_grasp(
 
 @pytest.mark.slow
 def test_what_cannot_become_a_grasp_is_said_and_nothing_is_written(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """No part: 1. No robot, no brand, a pose that is none, a name twice: 2, with what was expected."""
     path = folder / "flange" / "job.toml"
     before, pose = path.read_text(), where(folder, Brand.KUKA)
-    assert 1 == call(monkeypatch, *arguments(folder, Brand.KUKA, pose, "blank.png"))
+    assert 1 == exit_code("grasp", "touch", *arguments(folder, Brand.KUKA, pose, "blank.png"))
     assert "NO_TARGET" in capsys.readouterr().out
     good = arguments(folder, Brand.KUKA, pose)
     for change, message in (
@@ -105,9 +97,9 @@ def test_what_cannot_become_a_grasp_is_said_and_nothing_is_written(
         (["--name", "a b"], "name"),
         (["--symmetry", "999"], "symmetry"),
     ):
-        assert 2 == call(monkeypatch, *good[:-2], *change, *good[-2:])
+        assert 2 == exit_code("grasp", "touch", *good[:-2], *change, *good[-2:])
         assert message in capsys.readouterr().err
         assert before == path.read_text()
-    assert 0 == call(monkeypatch, *good)
-    assert 2 == call(monkeypatch, *good)
+    assert 0 == exit_code("grasp", "touch", *good)
+    assert 2 == exit_code("grasp", "touch", *good)
     assert "two grasps have one name" in capsys.readouterr().err

@@ -9,9 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.commandline import exit_code, printed
 from helpers.markedcell import marked_cell, pair_at, write_pairs
 
-from edged.__main__ import main
 from edged.domain.frames import Frame, FramePair
 from edged.files.marks import marks_file
 from edged.files.rig import save_rig
@@ -19,23 +19,9 @@ from edged.sim.cell import demo_rig
 from edged.sim.weather import Knock
 
 
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """Exit code of `edged marks ARGUMENTS`."""
-    monkeypatch.setattr("sys.argv", ["edged", "marks", *map(str, arguments)])
-    with pytest.raises(SystemExit) as exit_:
-        main()
-    return int(exit_.value.code or 0)
-
-
-def said(capsys: pytest.CaptureFixture[str]) -> str:
-    """All that was printed, on one line."""
-    captured = capsys.readouterr()
-    return " ".join((captured.out + captured.err).split())
-
-
 @pytest.mark.slow
 def test_fifty_pairs_teach_what_one_pair_is_compared_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A still cell is corrected; after a knock there is no result, and dots say by how much they moved."""
     rig, shots = tmp_path / "rig.json", tmp_path / "shots"
@@ -52,30 +38,30 @@ def test_fifty_pairs_teach_what_one_pair_is_compared_with(
         return FramePair(*frames)
 
     write_pairs(shots, [again() for _ in range(50)])
-    assert 0 == call(monkeypatch, "teach", shots, "--rig", rig)
-    words = said(capsys)
+    assert 0 == exit_code("marks", "teach", shots, "--rig", rig)
+    words = printed(capsys)
     assert "8 marks taught of 50 exposures, codes 0, 1, 2, 3, 4, 5, 6, 7" in words
     assert "one sigma X" in words
     write_pairs(tmp_path, [pair_at(cell, 1), pair_at(cell, 200)])
     still, knocked = (
         [tmp_path / f"view_{number:03d}_{side}.png" for side in ("left", "right")] for number in range(2)
     )
-    assert 0 == call(monkeypatch, "status", "--rig", rig, *still)
-    assert "CORRECTED" in said(capsys)
-    assert 1 == call(monkeypatch, "status", "--rig", rig, "--json", *knocked)
+    assert 0 == exit_code("marks", "status", "--rig", rig, *still)
+    assert "CORRECTED" in printed(capsys)
+    assert 1 == exit_code("marks", "status", "--rig", rig, "--json", *knocked)
     answer = json.loads(capsys.readouterr().out)
     assert ("KNOCKED", False) == (answer["marks"]["state"], answer["marks"]["valid"])
     assert 14 < abs(answer["moved_px"]["3"]["left"][0]) < 17
     assert abs(answer["moved_px"]["3"]["right"][0]) < 0.05
     document = json.loads(marks_file(rig).read_bytes())
     marks_file(rig).write_text(json.dumps({**document, "calibration_id": "older"}))
-    assert 2 == call(monkeypatch, "status", "--rig", rig, *still)
-    assert "another calibration" in said(capsys)
+    assert 2 == exit_code("marks", "status", "--rig", rig, *still)
+    assert "another calibration" in printed(capsys)
 
 
 @pytest.mark.slow
 def test_what_cannot_be_taught_says_why_and_writes_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Too few pairs, no marks, pictures of another size, a rig that the robot carries, no folder."""
     rig, carried, shots = tmp_path / "rig.json", tmp_path / "carried.json", tmp_path / "shots"
@@ -86,19 +72,19 @@ def test_what_cannot_be_taught_says_why_and_writes_nothing(
     for number in range(50):
         for side in ("left", "right"):
             cv2.imwrite(str(shots / f"v{number}_{side}.png"), blank)
-    assert 2 == call(monkeypatch, "teach", shots, "--rig", rig)
-    assert "0 reference marks are in both pictures" in said(capsys)
-    assert 2 == call(monkeypatch, "teach", shots, "--rig", carried)
-    assert "the robot carries the cameras" in said(capsys)
+    assert 2 == exit_code("marks", "teach", shots, "--rig", rig)
+    assert "0 reference marks are in both pictures" in printed(capsys)
+    assert 2 == exit_code("marks", "teach", shots, "--rig", carried)
+    assert "the robot carries the cameras" in printed(capsys)
     cv2.imwrite(str(shots / "v0_left.png"), blank[:100])
-    assert 2 == call(monkeypatch, "teach", shots, "--rig", rig)
-    assert "1280x100, the rig was calibrated for 1280x960" in said(capsys)
+    assert 2 == exit_code("marks", "teach", shots, "--rig", rig)
+    assert "1280x100, the rig was calibrated for 1280x960" in printed(capsys)
     (shots / "v1_left.png").unlink()
     (shots / "v1_right.png").unlink()
-    assert 2 == call(monkeypatch, "teach", shots, "--rig", rig)
-    assert "49 pairs, at least 50" in said(capsys)
-    assert 2 == call(monkeypatch, "teach", tmp_path / "none", "--rig", rig)
-    assert "not a folder" in said(capsys)
-    assert 2 == call(monkeypatch, "status", "--rig", rig, shots / "v2_left.png", shots / "v2_right.png")
-    assert "marks.json" in said(capsys)
+    assert 2 == exit_code("marks", "teach", shots, "--rig", rig)
+    assert "49 pairs, at least 50" in printed(capsys)
+    assert 2 == exit_code("marks", "teach", tmp_path / "none", "--rig", rig)
+    assert "not a folder" in printed(capsys)
+    assert 2 == exit_code("marks", "status", "--rig", rig, shots / "v2_left.png", shots / "v2_right.png")
+    assert "marks.json" in printed(capsys)
     assert not marks_file(rig).exists()

@@ -10,11 +10,11 @@ from typing import Any, get_args, get_type_hints
 import cv2
 import pytest
 import typer
+from helpers import commandline
 from helpers.boardpairs import SPEC, pairs
 from helpers.cells import flange, small_rig
 from helpers.recordedcell import record
 
-from edged.__main__ import main
 from edged.cli.main import app
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.frames import FramePair
@@ -134,12 +134,9 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exit_code(command: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Of a command, run in this process."""
-    monkeypatch.setattr("sys.argv", ["edged", *command.split()])
+    """Of a command, whose lines are not broken."""
     monkeypatch.setenv("COLUMNS", "400")
-    with pytest.raises(SystemExit) as exit_:
-        main()
-    return int(exit_.value.code or 0)
+    return commandline.exit_code(*command.split())
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.commandline import exit_code
 from helpers.markedplate import AT, pair, taught
 from helpers.snapshots import make_transform
 
-from edged.__main__ import main
 from edged.files.marks import keep_old_marks, marks_file, save_marks
 from edged.files.rig import load_rig, save_rig
 from edged.sim.cell import demo_rig
@@ -21,17 +21,9 @@ OLD_FROM_NEW = make_transform((0.003, -0.002, 0.004), (0.3, -0.4, 1.0))
 """The cameras were mounted anew: from the new frame of the left one to the former."""
 
 
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """Exit code of `edged register marks ARGUMENTS`."""
-    monkeypatch.setattr("sys.argv", ["edged", "register", "marks", *map(str, arguments)])
-    with pytest.raises(SystemExit) as exit_:
-        main()
-    return int(exit_.value.code or 0)
-
-
 @pytest.mark.slow
 def test_the_robot_stays_known_over_a_new_calibration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """To micrometres at the part, with a covariance; wrong files are named."""
     robot_from_old = make_transform((0.1, 3.0, 0.2), (400.0, -60.0, 500.0))
@@ -47,7 +39,7 @@ def test_the_robot_stays_known_over_a_new_calibration(
     again = teach_marks((pair(invert(OLD_FROM_NEW) @ AT, k) for k in range(50, 60)), anew, 9, least=10)
     save_marks(marks_file(new), again)
     given = ("--rig", new, "--former", old, "--former-marks", kept, "-o", tmp_path / "out.json")
-    assert 0 == call(monkeypatch, *given)
+    assert 0 == exit_code("register", "marks", *given)
     found = load_rig(tmp_path / "out.json")
     assert found.robot_from_rig is not None
     assert found.registration_covariance is not None
@@ -59,14 +51,14 @@ def test_the_robot_stays_known_over_a_new_calibration(
     assert found.calibration_id == "anew"
 
     capsys.readouterr()
-    assert 1 == call(monkeypatch, *given, "--limit", 1e-6)
+    assert 1 == exit_code("register", "marks", *given, "--limit", 1e-6)
     assert "or the plate was moved between both teachings: nothing was saved" in " ".join(
         capsys.readouterr().out.split()
     )
-    assert 2 == call(monkeypatch, *given[:2], "--former", new, *given[4:])
+    assert 2 == exit_code("register", "marks", *given[:2], "--former", new, *given[4:])
     assert "the same calibration" in capsys.readouterr().err
-    assert 2 == call(monkeypatch, *given[:4], "--former-marks", marks_file(new), *given[6:])
+    assert 2 == exit_code("register", "marks", *given[:4], "--former-marks", marks_file(new), *given[6:])
     assert "taught with another calibration" in " ".join(capsys.readouterr().err.split())
     save_rig(old, replace(demo_rig(), robot_from_rig=None))
-    assert 2 == call(monkeypatch, *given)
+    assert 2 == exit_code("register", "marks", *given)
     assert "not registered to a robot" in " ".join(capsys.readouterr().err.split())

@@ -5,42 +5,35 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from helpers.commandline import exit_code
 
-from edged.__main__ import main
 from edged.files.statefolder import state_folder
 from edged.identity.invite import Invite
 
 CELL = "[cell]\nname = 'c'\nrig = 'rig.json'\njobs = 'jobs'\njob = 'a'\n[cameras]\nsource = 'virtual'\n"
 
 
-def invited(
-    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> tuple[int, str]:
+def invited(config: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     """Exit code, and what was printed or said."""
-    monkeypatch.setattr("sys.argv", ["edged", "web", "invite", str(config), "Anna"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    out, err = capsys.readouterr()
-    return int(ended.value.code or 0), out + err
+    code, (out, err) = exit_code("web", "invite", config, "Anna"), capsys.readouterr()
+    return code, out + err
 
 
-def test_a_code_is_printed_that_the_daemon_knows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_code_is_printed_that_the_daemon_knows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With the place where it is typed."""
     config = tmp_path / "cell.toml"
     config.write_text(CELL + "[web]\nport = 8081\ncommissioning = true\n")
-    code, said = invited(config, monkeypatch, capsys)
+    code, said = invited(config, capsys)
     assert 0 == code
     assert "http://127.0.0.1:8081/invite" in said
     assert Invite(state_folder(config)).take(said.split()[0], "Anna", is_new=True)
 
 
 def test_a_cell_that_nobody_sets_up_on_its_page_has_no_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It says which option is off."""
     config = tmp_path / "cell.toml"
     config.write_text(CELL + "[web]\n")
-    code, said = invited(config, monkeypatch, capsys)
+    code, said = invited(config, capsys)
     assert (2, True) == (code, "web.commissioning" in said)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
 from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
 
 import pytest
 from helpers.cellinuse import StillCell
-from helpers.smallcell import SmallCell
 
 from edged.adapters.web.routes import Problem
 from edged.config.chosenconnections import ChosenConnections
@@ -21,12 +19,6 @@ from edged.setup.releases.service import Activation, Mandate
 from edged.setup.settingsdraft import FILE, SettingsDraft
 
 ANNA = Mandate("Anna", "as the plant asked")
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files of a complete cell."""
-    return SmallCell(tmp_path_factory.mktemp("cell"), source="virtual-inprocess").config.parent
 
 
 class DraftedCell:
@@ -55,10 +47,9 @@ def run(work: Coroutine[Any, Any, None]) -> None:
 
 
 @pytest.fixture
-def drafted(template: Path, tmp_path: Path) -> DraftedCell:
+def drafted(own_cell: Path) -> DraftedCell:
     """Of one's own."""
-    shutil.copytree(template, tmp_path / "cell")
-    return DraftedCell(tmp_path / "cell")
+    return DraftedCell(own_cell)
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from helpers.cellinuse import StillCell
-from helpers.smallcell import SmallCell
 from helpers.webcell import HASH
 
 from edged.config.chosenconnections import ChosenConnections, connections_file
@@ -34,12 +33,6 @@ class ExaminedCell(StillCell):
     async def examine(self) -> Sequence[Mapping[str, str]]:
         """It."""
         return [{"name": "clock", "verdict": "warn", "finding": "not synchronised"}]
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files of a complete cell."""
-    return SmallCell(tmp_path_factory.mktemp("cell"), source="virtual-inprocess").config.parent
 
 
 def machine_of(template: Path, folder: Path) -> tuple[MachineService, ExaminedCell]:

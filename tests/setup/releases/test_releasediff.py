@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.smallcell import SmallCell
 
 from edged.files.jobs import load_job, save_job
 from edged.files.rig import load_rig, save_rig
@@ -22,12 +21,6 @@ from edged.setup.releases.differences import (
     moved_between,
 )
 from edged.vision.part.job import CircleFeature, Job, MeasurementSpec
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files of a complete cell."""
-    return SmallCell(tmp_path_factory.mktemp("cell"), source="virtual-inprocess").config.parent
 
 
 def told(template: Path, tmp_path: Path, change: Callable[[Path], None]) -> ReleaseDifference:

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from helpers.smallcell import SmallCell
 
 from edged.errors import ConfigError, FileFormatError
 from edged.files.rig import load_rig, rig_text
@@ -21,9 +20,9 @@ NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
-def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def config(template: Path) -> Path:
     """A complete cell."""
-    return SmallCell(tmp_path_factory.mktemp("cell"), source="virtual-inprocess").config
+    return template / "cell.toml"
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 from helpers.cellinuse import StillCell
 from helpers.powercuts import Record, cut
-from helpers.smallcell import SmallCell
 
 from edged.config.chosencameras import ChosenCamera
 from edged.config.chosenconnections import ChosenConnections
@@ -34,12 +33,6 @@ from edged.setup.releases.service import Activation, Mandate
 
 OLD_HASH = "$argon2id$v=19$m=8,t=1,p=1$c2FsdHNhbHQ$aGFzaGhhc2hoYXNoaGFzaA"
 NEW_HASH = OLD_HASH.replace("$aGFz", "$bmV3")
-
-
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files of a complete cell."""
-    return SmallCell(tmp_path_factory.mktemp("cell"), source="virtual-inprocess").config.parent
 
 
 def files_in(folder: Path) -> dict[str, bytes]:
@@ -72,10 +65,9 @@ class RunningCell:
 
 
 @pytest.fixture
-def cell(template: Path, tmp_path: Path) -> RunningCell:
+def cell(own_cell: Path) -> RunningCell:
     """Of one's own."""
-    shutil.copytree(template, tmp_path / "cell")
-    return RunningCell(tmp_path / "cell")
+    return RunningCell(own_cell)
 
 
 def activate(cell: RunningCell, rig: bytes) -> Release:

@@ -1,4 +1,4 @@
-"""The house: what stands where, what each file says of itself, and how far one reads to follow it."""
+"""The structure of the code: what stands where, what a file says of itself, how far one reads for it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import ast
 import pkgutil
 import re
 import socket
+import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -26,8 +27,8 @@ from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.vision.teaching.pair import teach
 
 ROOT = Path(__file__).parents[2]
-HOUSE = ROOT / "edged"
-SOURCES = sorted(HOUSE.rglob("*.py"))
+EDGED = ROOT / "edged"
+SOURCES = sorted(EDGED.rglob("*.py"))
 PACKAGES = sorted({source.parent for source in SOURCES})
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
 READ = sorted([*SOURCES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "tools").glob("*.py")])
@@ -86,7 +87,7 @@ def test_every_topic_of_setting_up_is_held_to_the_order_of_topics() -> None:
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     (held,) = [contract["containers"] for contract in contracts if "(work)" in contract.get("layers", ())]
     topics = {
-        path.parent.name for name in ("service", "work", "model") for path in HOUSE.glob(f"setup/*/{name}.py")
+        path.parent.name for name in ("service", "work", "model") for path in EDGED.glob(f"setup/*/{name}.py")
     }
 
     assert {f"edged.setup.{topic}" for topic in topics} == set(held)
@@ -96,7 +97,7 @@ def test_a_package_says_what_it_is_and_nothing_else() -> None:
     """One docstring: to import a module loads no neighbour. Faces hold more."""
     for package in PACKAGES:
         tree = ast.parse((package / "__init__.py").read_text())
-        is_face = FACES.fullmatch(str(package.relative_to(HOUSE)))
+        is_face = FACES.fullmatch(str(package.relative_to(EDGED)))
 
         assert ast.get_docstring(tree), package
         assert is_face or len(tree.body) == 1, package
@@ -156,7 +157,7 @@ class _Trace:
         sys.setprofile(self._note)
 
     def _note(self, frame: FrameType, event: str, _: object) -> None:
-        if event == "call" and frame.f_code.co_filename.startswith(str(HOUSE)):
+        if event == "call" and frame.f_code.co_filename.startswith(str(EDGED)):
             self.entered.add(_name(Path(frame.f_code.co_filename)))
 
     def end(self, what: str) -> set[str]:
@@ -216,3 +217,23 @@ def test_the_way_of_a_robots_request_is_short() -> None:
             entered = cell.call(lambda command=command: trace.end(command))
             assert {"edged/adapters/modbus/lines.py", "edged/plc/handshake.py"} <= entered
             assert len(entered) <= most
+
+
+def test_lines_arrows_and_signatures_are_counted_as_it_is_said(tmp_path: Path) -> None:
+    """By the tool of the table in CONTRIBUTING: a comment is no line, a loose module no folder."""
+    files = {
+        "edged/a/one.py": '"""Doc."""\n\nfrom edged.b import two  # why\nfrom edged.loose import it\n',
+        "edged/b/two.py": "X = [\n    1,\n]\n\ndef f(a, b, c, d, e, f, g, h, i): ...\n",
+        "edged/loose.py": "import edged.a.one\n",
+        "tools/bench": "#!/usr/bin/env python\nimport edged.b.two\n",
+        "tests/none.txt": "",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    ran = subprocess.run(
+        [sys.executable, ROOT / "tools/structure.py", tmp_path], capture_output=True, text=True, check=True
+    )
+    assert "folders of edged with tools: 3 on 2 floors, 2 arrows" in ran.stdout
+    assert "functions of edged: 1, with more than 8 parameters: 1" in ran.stdout
+    assert "edged: 3 files, 7 lines of code, 10 in all" in ran.stdout
