@@ -26,7 +26,7 @@ from edged.files.marks import marks_file, marks_of, read_marks
 from edged.files.outputs import check_outputs
 from edged.files.pairs import half_of
 from edged.files.rig import load_rig
-from edged.files.tables import number_of, read_table
+from edged.files.tables import numbers_of, read_named, read_table
 from edged.robot.errormap import error_map
 from edged.robot.handeye import HandEye, Mount
 from edged.robot.orientations import POSE_FIELDS, Brand, transform_of
@@ -225,7 +225,7 @@ def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
     Lines of `rig_x,rig_y,rig_z,robot_x,robot_y,robot_z`, or `FILE.json,robot_x,robot_y,robot_z` with what
     `edged locate --json` printed. Raises `FileFormatError` that names the line.
     """
-    names, rig, robot = [], [], []
+    names, rig, robot = list[str](), list[Sequence[float]](), list[Sequence[float]]()
     for line in read_table(path):
         cells = line.cells
         if not cells:
@@ -234,11 +234,11 @@ def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
         if len(cells) == 4:
             names.append(Path(cells[0]).stem)
             rig.append(_located(path.parent / cells[0], place))
-            robot.append(_floats(cells[1:], place))
+            robot.append(numbers_of(cells[1:], place))
         elif len(cells) == 6:
             names.append(f"line {line.number}")
-            rig.append(_floats(cells[:3], place))
-            robot.append(_floats(cells[3:], place))
+            rig.append(numbers_of(cells[:3], place))
+            robot.append(numbers_of(cells[3:], place))
         else:
             raise FileFormatError(
                 f"{place}: expected rig x,y,z and robot x,y,z, or FILE.json and robot x,y,z, in mm; "
@@ -249,25 +249,7 @@ def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
 
 def read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     """Poses by the name of their pair: lines of `NAME,x,y,z,` and three or four numbers of orientation."""
-    poses: dict[str, tuple[float, ...]] = {}
-    for line in read_table(path):
-        cells = line.cells
-        if not cells:
-            continue
-        place = f"{path}: line {line.number}"
-        if len(cells) not in (7, 8):
-            raise FileFormatError(f"{place}: expected NAME and six or seven numbers, got {len(cells)} values")
-        if cells[0] in poses:
-            raise FileFormatError(f"{place}: {cells[0]} is there twice")
-        poses[cells[0]] = tuple(_floats(cells[1:], place))
-    return poses
-
-
-def _floats(cells: Sequence[str], place: str) -> list[float]:
-    try:
-        return [number_of(cell) for cell in cells]
-    except ValueError as error:
-        raise FileFormatError(f"{place}: {error}") from None
+    return read_named(path, (6, 7), "NAME and six or seven numbers")
 
 
 def _located(path: Path, place: str) -> list[float]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,6 +65,32 @@ def read_table(path: Path, what: str = "a table") -> list[TableLine]:
     if not any(line.cells for line in found):
         raise FileFormatError(f"{path}: empty: no line with numbers in it")
     return found
+
+
+def read_named(path: Path, counts: tuple[int, ...], expected: str) -> dict[str, tuple[float, ...]]:
+    """Numbers by the name before them: as many as one of `counts`. expected : such a line, in words.
+
+    Raises `FileFormatError` that names the line.
+    """
+    found: dict[str, tuple[float, ...]] = {}
+    for line in read_table(path):
+        if not line.cells:
+            continue
+        place, (name, *cells) = f"{path}: line {line.number}", line.cells
+        if len(cells) not in counts:
+            raise FileFormatError(f"{place}: expected {expected}, got {len(line.cells)} values")
+        if name in found:
+            raise FileFormatError(f"{place}: {name} is there twice")
+        found[name] = numbers_of(cells, place)
+    return found
+
+
+def numbers_of(cells: Sequence[str], place: str) -> tuple[float, ...]:
+    """Cells as numbers. Raises `FileFormatError` that begins with the place."""
+    try:
+        return tuple(number_of(cell) for cell in cells)
+    except ValueError as error:
+        raise FileFormatError(f"{place}: {error}") from None
 
 
 def split(content: str) -> tuple[str, ...]:

@@ -373,22 +373,14 @@ def _load_jobs(folder: Path, active: str | None, files: dict[str, bytes], proble
         except UserError as error:
             problems.append(f"cell.jobs: {error}")
             continue
-        twin = next(
-            (other for other, known in zip(places, jobs, strict=True) if known.number == job.number), None
-        )
-        if twin is not None:
-            problems.append(
-                f"cell.jobs: {entry} and {twin.name} both have the number {job.number}: change `number` in "
-                "the job.toml of one of them"
-            )
-        namesake = next(
-            (other for other, known in zip(places, jobs, strict=True) if known.name == job.name), None
-        )
-        if namesake is not None:
-            problems.append(
-                f"cell.jobs: {entry} and {namesake.name} both have the name {job.name!r}: change `name` in "
-                "the job.toml of one of them"
-            )
+        for key in ("number", "name"):
+            mine = getattr(job, key)
+            twins = (place for place, other in zip(places, jobs, strict=True) if getattr(other, key) == mine)
+            if (twin := next(twins, None)) is not None:
+                problems.append(
+                    f"cell.jobs: {entry} and {twin.name} both have the {key} {mine!r}: change `{key}` in "
+                    "the job.toml of one of them"
+                )
         jobs.append(job)
         files |= {f"jobs/{entry.name}/{name}": data for name, data in read_files.items()}
         places.append(entry)

@@ -10,9 +10,9 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Target
-from edged.errors import FileFormatError, UserError
+from edged.errors import UserError
 from edged.files.pairs import ImagePair, find_pairs
-from edged.files.tables import number_of, read_table
+from edged.files.tables import read_named
 from edged.pipeline import PreparedRig, inspect, locate
 from edged.robot.golden import motion_of_points, own_and_points
 from edged.setup.acceptance.verdicts import PlacedPoses
@@ -51,16 +51,18 @@ def good_target(rig: PreparedRig, job: Job, pair: ImagePair) -> Target | str:
     return f"{len(good)} good parts, expected one" if good else f"no good part: {outcome.status}"
 
 
+def _good_targets(
+    rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]
+) -> tuple[dict[str, Target], dict[str, str]]:
+    """The good part of each pair that shows one, and why others do not count, by name."""
+    looked = {pair.name: good_target(rig, job, pair) for pair in pairs}
+    missing = {name: why for name, why in looked.items() if isinstance(why, str)}
+    return {name: found for name, found in looked.items() if not isinstance(found, str)}, missing
+
+
 def poses_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> tuple[PlacedPoses, dict[str, str]]:
     """The poses of the part in the pairs that show it well, and why others do not count, by name."""
-    found: dict[str, Target] = {}
-    missing: dict[str, str] = {}
-    for pair in pairs:
-        target = good_target(rig, job, pair)
-        if isinstance(target, str):
-            missing[pair.name] = target
-        else:
-            found[pair.name] = target
+    found, missing = _good_targets(rig, job, pairs)
     own, moved, circles = [], [], []
     names = [{circle.name for circle in target.circles} for target in found.values()]
     common = sorted(set.intersection(*names)) if names else []
@@ -87,20 +89,8 @@ def poses_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> tuple[Pl
 
 def read_truth(path: Path) -> dict[str, FloatArray]:
     """Places (3,) of a stage, mm, by the pair's name: lines of `NAME,x,y,z`. Raises `FileFormatError`."""
-    places: dict[str, FloatArray] = {}
-    for line in read_table(path):
-        if not line.cells:
-            continue
-        where = f"{path}: line {line.number}"
-        if len(line.cells) != 4:
-            raise FileFormatError(f"{where}: expected NAME,x,y,z in mm, got {len(line.cells)} values")
-        if line.cells[0] in places:
-            raise FileFormatError(f"{where}: {line.cells[0]} is there twice")
-        try:
-            places[line.cells[0]] = np.array([number_of(cell) for cell in line.cells[1:]])
-        except ValueError as error:
-            raise FileFormatError(f"{where}: {error}") from None
-    return places
+    rows = read_named(path, (3,), "NAME,x,y,z in mm")
+    return {name: np.array(numbers) for name, numbers in rows.items()}
 
 
 def sizes_in(
@@ -110,16 +100,9 @@ def sizes_in(
 
     size : a measurement of the job, a circle (its diameter), or two circles as A-B. Raises `UserError`.
     """
-    found: dict[str, tuple[float, float]] = {}
-    missing: dict[str, str] = {}
-    for pair in pairs:
-        target = good_target(rig, job, pair)
-        if isinstance(target, str):
-            missing[pair.name] = target
-            continue
-        length = length_of(target, size, 1.0)
-        found[pair.name] = length.measured_mm, length.sigma_mm
-    return found, missing
+    good, missing = _good_targets(rig, job, pairs)
+    lengths = {name: length_of(target, size, 1.0) for name, target in good.items()}
+    return {name: (length.measured_mm, length.sigma_mm) for name, length in lengths.items()}, missing
 
 
 def still_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> StillResult:

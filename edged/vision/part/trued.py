@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from edged.vision.geometry.uncertainty import levered_covariance
 from edged.vision.part.consistency import vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.part.points import points_of, rim_of
+
+Feature = TypeVar("Feature", Circle3D, Slot3D, Corner3D)
 
 
 def trued(job: Job, target: Target, rig: StereoRig, correction: RigCorrection) -> Target:
@@ -55,40 +58,25 @@ def moved(target: Target, to_from_rig: FloatArray) -> Target:
         covariance=_turned(target.covariance, R, 2),
         by_edges=None if target.by_edges is None else _turned(target.by_edges, R, 2),
         by_doubt=_turned(target.by_doubt, R, 2),
-        circles=tuple(
-            replace(
-                circle,
-                centre_mm=apply(to_from_rig, circle.centre_mm),
-                normal=R @ circle.normal,
-                covariance=_turned(circle.covariance, R),
-            )
-            for circle in target.circles
-        ),
+        circles=tuple(_placed(circle, to_from_rig, "centre_mm", "normal") for circle in target.circles),
         edges=tuple(
             replace(edge, start_mm=apply(to_from_rig, edge.start_mm), end_mm=apply(to_from_rig, edge.end_mm))
             for edge in target.edges
         ),
-        slots=tuple(
-            replace(
-                slot,
-                centre_mm=apply(to_from_rig, slot.centre_mm),
-                direction=R @ slot.direction,
-                covariance=_turned(slot.covariance, R),
-            )
-            for slot in target.slots
-        ),
-        corners=tuple(
-            replace(
-                corner,
-                position_mm=apply(to_from_rig, corner.position_mm),
-                covariance=_turned(corner.covariance, R),
-            )
-            for corner in target.corners
-        ),
+        slots=tuple(_placed(slot, to_from_rig, "centre_mm", "direction") for slot in target.slots),
+        corners=tuple(_placed(corner, to_from_rig, "position_mm") for corner in target.corners),
         free_axis=None if target.free_axis is None else R @ target.free_axis,
         rig_from_model=None if target.rig_from_model is None else to_from_rig @ target.rig_from_model,
         reported=reported,
     )
+
+
+def _placed(feature: Feature, to_from_rig: FloatArray, point: str, *directions: str) -> Feature:
+    """The feature in another frame, by the names of its place and directions."""
+    R = to_from_rig[:3, :3]
+    changed = {name: R @ getattr(feature, name) for name in directions}
+    changed[point] = apply(to_from_rig, getattr(feature, point))
+    return replace(feature, covariance=_turned(feature.covariance, R), **changed)
 
 
 def _turned(covariance: FloatArray, R: FloatArray, vectors: int = 1) -> FloatArray:
