@@ -31,7 +31,7 @@ ONE_WIRE = (
 NICE = 10
 
 
-class ByRoom(LoadScopeScheduling):
+class ByFile(LoadScopeScheduling):
     """Each file of tests is for one process; all that share the cameras' wire are for the same one."""
 
     def _split_scope(self, nodeid: str) -> str:
@@ -74,7 +74,7 @@ def pytest_runtest_setup(item):
 def pytest_xdist_make_scheduler(config, log):
     """How `-n` shares out the tests: in the order in which they are, not those files first that have most."""
     config.option.loadscopereorder = False
-    return ByRoom(config, log)
+    return ByFile(config, log)
 
 
 @pytest.hookimpl(wrapper=True)

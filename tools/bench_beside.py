@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What a PLC's read costs beside guests: nobody, two viewers, one who asks, floods, an OPC UA subscriber.
+"""What a PLC's read costs beside others: nobody, two viewers, one who asks, floods, an OPC UA subscriber.
 
 Run it with `tools/bench beside`; it prints Markdown. The cell is `edged run` with its page, in processes of
 their own; the PLC reads the status every 5 ms from this one. All phases are measured in turn, so that a busy
@@ -119,7 +119,7 @@ def measure(seconds: float, wanted: Sequence[str]) -> None:
             reads.during(2.0)
             phases: dict[str, list[float]] = {name: [] for name in PHASES if name in ("nobody", *wanted)}
             for name in ROUNDS * tuple(phases):
-                with guests(cell.web_port, opcua_port, cookie, name):
+                with others(cell.web_port, opcua_port, cookie, name):
                     phases[name] += reads.during(seconds)
         finally:
             daemon.stop()
@@ -145,8 +145,8 @@ def logged_in(port: int) -> str:
 
 
 @contextlib.contextmanager
-def guests(port: int, opcua_port: int, cookie: str, phase: str) -> Iterator[None]:
-    """Those of a phase; who is shown the door comes again."""
+def others(port: int, opcua_port: int, cookie: str, phase: str) -> Iterator[None]:
+    """Those of a phase; who is turned away comes again."""
     over = threading.Event()
     threads = []
     if phase == "one who asks all the time":
@@ -181,9 +181,9 @@ def _again(command: list[str], over: threading.Event) -> None:
             stderr=subprocess.DEVNULL,
             preexec_fn=lambda: os.nice(19),
         )
-        shown_the_door_s = time.monotonic() + 3.0
+        turned_away_s = time.monotonic() + 3.0
         while process.poll() is None and not over.wait(0.05):
-            if "flooder" in command[0] and time.monotonic() > shown_the_door_s:
+            if "flooder" in command[0] and time.monotonic() > turned_away_s:
                 break  # its connections are closed by now
         process.kill()
         process.wait()

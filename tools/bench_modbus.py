@@ -150,7 +150,7 @@ async def bench_trigger(folder: Path, count: int) -> None:
     show_triggers("", times_ms, cell)
 
 
-async def bench_full_house(folder: Path, count: int) -> None:
+async def bench_most_clients(folder: Path, count: int) -> None:
     """The times beside a recorder, a viewer of the page, and eight clients that read all the time."""
     cell, web_port = BenchCell(folder, mode="command"), free_port()
     with cell.config.open("a") as config:
@@ -195,5 +195,5 @@ if __name__ == "__main__":
         if not given.only_triggers:
             asyncio.run(bench_reading(Path(place) / "free", given.seconds))
         asyncio.run(bench_trigger(Path(place) / "command", given.triggers))
-        asyncio.run(bench_full_house(Path(place) / "full", given.triggers))
+        asyncio.run(bench_most_clients(Path(place) / "full", given.triggers))
     finish(given)

@@ -30,6 +30,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+from helpers.footprint import footprint
+
 GOOD_CLIENT = "127.0.0.9"  # has reserved connections, as a PLC should
 IDLE_S = 3.0
 MAX_CLIENTS = 32
@@ -86,16 +88,6 @@ class Server:
         line = socket.create_connection(place, timeout=10, source_address=(source, 0))
         line.setblocking(False)
         return line
-
-    def footprint(self) -> tuple[int, int, int]:
-        """Resident bytes, open files, bytes of log."""
-        place = Path(f"/proc/{self.process.pid}")
-        pages = int((place / "statm").read_text().split()[1])
-        return (
-            pages * os.sysconf("SC_PAGE_SIZE"),
-            len(list((place / "fd").iterdir())),
-            self.log.stat().st_size,
-        )
 
     def stop(self) -> int:
         """End it in order; its exit code."""
@@ -398,11 +390,11 @@ def main(frames: int, seed: int) -> int:
         fuzzer = Fuzzer(server, random.Random(seed))
         start_s = time.monotonic()
         attack(fuzzer, frames // 10)  # allocators and buffers reach their size
-        before = server.footprint()
+        before = footprint(server.process.pid, server.log)
         attack(fuzzer, frames - frames // 10)
         duration_s = time.monotonic() - start_s
         time.sleep(IDLE_S + 1.5)
-        after = server.footprint()
+        after = footprint(server.process.pid, server.log)
         for one in (good, robot):
             one.done.set()
             one.join()

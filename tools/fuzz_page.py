@@ -37,6 +37,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import numpy as np
+from helpers.footprint import footprint
 from helpers.linkmessages import EXAMPLES
 from helpers.mutations import mutated
 from helpers.smallcell import SmallCell
@@ -85,16 +86,6 @@ class Cell:
                 stderr=log,
                 env={**os.environ, "RUNTIME_DIRECTORY": str(folder)},
             )
-
-    def footprint(self) -> tuple[int, int, int]:
-        """Resident bytes, open files, bytes of the log."""
-        place = Path(f"/proc/{self.process.pid}")
-        pages = int((place / "statm").read_text().split()[1])
-        return (
-            pages * os.sysconf("SC_PAGE_SIZE"),
-            len(list((place / "fd").iterdir())),
-            self.log.stat().st_size,
-        )
 
     def stop(self) -> None:
         """End it."""
@@ -301,14 +292,17 @@ def tried(page: str, messages: int, seconds: float) -> tuple[Reads, Counter[str]
             hostile = HostilePage(cell.socket, 1)
             if page != "none":
                 hostile.haunt(50, 20.0)  # what is loaded at the first page counts as no growth
-            before, began_s = cell.footprint(), time.monotonic()
+            before, began_s = footprint(cell.process.pid, cell.log), time.monotonic()
             if page == "none":
                 time.sleep(seconds)
             else:
                 hostile.haunt(messages, seconds)
             took_s = time.monotonic() - began_s
             time.sleep(1.0)
-            growth = tuple(after - first for after, first in zip(cell.footprint(), before, strict=True))
+            growth = tuple(
+                after - first
+                for after, first in zip(footprint(cell.process.pid, cell.log), before, strict=True)
+            )
         finally:
             reads = plc.stop()
             cell.stop()

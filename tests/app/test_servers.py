@@ -19,7 +19,7 @@ from typing import Any, cast
 import pytest
 from helpers.certificates import make_certificates
 from helpers.ports import free_port
-from helpers.waiting import LIMIT_S, WHOLE_S
+from helpers.waiting import LIMIT_S, WHOLE_S, until
 from helpers.zenohcell import ask
 
 from edged.app.pageserver import PageServer
@@ -369,13 +369,6 @@ def writes(file: Path, content: str) -> Callable[[], None]:
 
 
 # --- servers that take their time ----------------------------------------------------------------------
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    """Wait for it, 30 s at most."""
-    async with asyncio.timeout(WHOLE_S):
-        while not condition():  # noqa: ASYNC110  (threads change it, and servers that know no event)
-            await asyncio.sleep(0.02)
 
 
 class Hanging:

@@ -139,7 +139,7 @@ def test_one_that_cannot_keep_an_address_says_so() -> None:
 def test_an_answer_that_is_none_is_no_camera(answer: bytes) -> None:
     """Whatever comes to the socket."""
     host = ipaddress.IPv4Interface("127.0.0.1/8")
-    assert addresses._heard(answer, "lo", host) is None  # noqa: SLF001  (the door for foreign bytes)
+    assert addresses._heard(answer, "lo", host) is None  # noqa: SLF001  (what reads foreign bytes)
 
 
 @needs_aravis

@@ -280,13 +280,13 @@ async def test_cameras_that_others_trigger_are_waited_for(monkeypatch: pytest.Mo
         assert made is await cycle.session.capture(token)
 
 
-class AnybodyAtTheDesk(RuleBasedStateMachine):
+class AnybodyWithTheLease(RuleBasedStateMachine):
     """People, a plant and time. The model: whose token is worth something, and for how long."""
 
     def __init__(self) -> None:
         super().__init__()
         self.now_s = 0.0
-        self.desk = SetupLease(lambda: None, lambda: self.now_s)
+        self.lease = SetupLease(lambda: None, lambda: self.now_s)
         self.tokens: list[str] = []
         self.holder = ""
         self.until_s = 0.0
@@ -300,7 +300,7 @@ class AnybodyAtTheDesk(RuleBasedStateMachine):
     def arrive(self, over: bool) -> None:
         may = not self.locked and (self.taken if over else not self.attended)
         try:
-            token = self.desk.take_over("Ben") if over else self.desk.enter("Anna")
+            token = self.lease.take_over("Ben") if over else self.lease.enter("Anna")
         except SetupRefused:
             assert not may
             return
@@ -314,7 +314,7 @@ class AnybodyAtTheDesk(RuleBasedStateMachine):
         token = data.draw(st.sampled_from([*self.tokens, ""]))
         may = self.taken and token == self.holder != ""
         try:
-            self.desk.leave(token) if leave else self.desk.renew(token)
+            self.lease.leave(token) if leave else self.lease.renew(token)
         except SetupRefused:
             assert not may
             return
@@ -325,7 +325,7 @@ class AnybodyAtTheDesk(RuleBasedStateMachine):
 
     @rule(locked=st.booleans())
     def the_plant_says(self, locked: bool) -> None:
-        self.desk.lock(locked)
+        self.lease.lock(locked)
         self.locked = locked
         if locked:
             self.taken, self.holder = False, ""
@@ -336,10 +336,10 @@ class AnybodyAtTheDesk(RuleBasedStateMachine):
 
     @invariant()
     def it_is_taken_until_somebody_says_otherwise(self) -> None:
-        assert self.taken == self.desk.taken
-        assert self.attended == bool(self.desk.name)
-        assert not (self.locked and self.desk.taken)
+        assert self.taken == self.lease.taken
+        assert self.attended == bool(self.lease.name)
+        assert not (self.locked and self.lease.taken)
 
 
-TestAnybodyAtTheDesk = AnybodyAtTheDesk.TestCase
-TestAnybodyAtTheDesk.settings = settings(max_examples=100, stateful_step_count=30, derandomize=True)
+TestAnybodyWithTheLease = AnybodyWithTheLease.TestCase
+TestAnybodyWithTheLease.settings = settings(max_examples=100, stateful_step_count=30, derandomize=True)

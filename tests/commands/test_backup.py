@@ -150,7 +150,7 @@ def test_nothing_is_overwritten_without_force(cell: Path, archive: Archive, tmp_
 
 
 @pytest.fixture
-def house(cell: Path, tmp_path: Path) -> Path:
+def used_folder(cell: Path, tmp_path: Path) -> Path:
     """A folder of two cells with rigs, jobs and keys of their own, and what else lies there."""
     etc = tmp_path / "edged"
     shutil.copytree(cell.parent, etc)
@@ -167,26 +167,26 @@ def house(cell: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_only_this_cells_files_make_room(archive: Archive, house: Path) -> None:
+def test_only_this_cells_files_make_room(archive: Archive, used_folder: Path) -> None:
     """Another cell of the folder, keys and links are the same files; jobs taught since are kept aside."""
-    shutil.copytree(house / "jobs" / "flange", house / "jobs" / "since")
-    (house / "rig.json").write_text("spoilt")
-    before = {file: file.lstat() for file in house.rglob("*")}
+    shutil.copytree(used_folder / "jobs" / "flange", used_folder / "jobs" / "since")
+    (used_folder / "rig.json").write_text("spoilt")
+    before = {file: file.lstat() for file in used_folder.rglob("*")}
 
-    assert 0 == restore(archive[0], house, QUIET, force=True)
+    assert 0 == restore(archive[0], used_folder, QUIET, force=True)
 
     others = [
         file
         for file in before
-        if file.relative_to(house).parts[0] in ("left.toml", "rig-left.json", "jobs-left", "tls", "now")
+        if file.relative_to(used_folder).parts[0] in ("left.toml", "rig-left.json", "jobs-left", "tls", "now")
     ]
     assert 8 <= len(others)
     for file in others:
         assert (before[file].st_mode, before[file].st_uid) == (file.lstat().st_mode, file.lstat().st_uid)
         assert file.is_dir() or before[file].st_ino == file.lstat().st_ino
-    assert 0o775 == house.stat().st_mode & 0o777
-    assert not (house / "jobs" / "since").exists()
-    kept = contents(house.with_name("edged.before-restore-1"))
+    assert 0o775 == used_folder.stat().st_mode & 0o777
+    assert not (used_folder / "jobs" / "since").exists()
+    kept = contents(used_folder.with_name("edged.before-restore-1"))
     assert b"spoilt" == kept["rig.json"]
     assert {"cell.toml", "rig.json", "jobs"} == {name.partition("/")[0] for name in kept}
     assert {"jobs/since/job.toml", "jobs/since/shape.npz"} <= kept.keys()
@@ -194,50 +194,50 @@ def test_only_this_cells_files_make_room(archive: Archive, house: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shared", ['rig = "rig.json"', 'jobs = "jobs"', 'jobs = "."'])
-def test_what_another_cell_stands_on_is_not_changed(archive: Archive, house: Path, shared: str) -> None:
+def test_what_another_cell_stands_on_is_not_changed(archive: Archive, used_folder: Path, shared: str) -> None:
     """Refused with its name; nothing has changed. The same content changes nothing, and is restored."""
     key = shared.partition(" ")[0]
-    left = (house / "left.toml").read_text()
-    (house / "left.toml").write_text(re.sub(rf'(?m)^{key} = "[^"]*"', shared, left))
-    assert 0 == restore(archive[0], house, QUIET, force=True)
+    left = (used_folder / "left.toml").read_text()
+    (used_folder / "left.toml").write_text(re.sub(rf'(?m)^{key} = "[^"]*"', shared, left))
+    assert 0 == restore(archive[0], used_folder, QUIET, force=True)
 
     for name in ("rig.json", "jobs/flange/job.toml"):
-        with (house / name).open("a") as file:
+        with (used_folder / name).open("a") as file:
             file.write("\n")
-    before = contents(house)
+    before = contents(used_folder)
     with pytest.raises(UserError, match=rf"cell\.{key} of left\.toml is .*another folder"):
-        restore(archive[0], house, QUIET, force=True)
-    assert before == contents(house)
+        restore(archive[0], used_folder, QUIET, force=True)
+    assert before == contents(used_folder)
 
 
 @pytest.mark.slow
-def test_a_link_to_elsewhere_makes_room_and_is_not_followed(archive: Archive, house: Path) -> None:
+def test_a_link_to_elsewhere_makes_room_and_is_not_followed(archive: Archive, used_folder: Path) -> None:
     """The folder that it leads to stays as it was."""
-    elsewhere = house.with_name("elsewhere")
-    (house / "jobs").rename(elsewhere)
-    (house / "jobs").symlink_to(elsewhere)
+    elsewhere = used_folder.with_name("elsewhere")
+    (used_folder / "jobs").rename(elsewhere)
+    (used_folder / "jobs").symlink_to(elsewhere)
     (elsewhere / "note").write_text("mine")
     before = contents(elsewhere)
 
-    assert 0 == restore(archive[0], house, QUIET, force=True)
+    assert 0 == restore(archive[0], used_folder, QUIET, force=True)
 
     assert before == contents(elsewhere)
-    assert not (house / "jobs").is_symlink()
-    assert (house.with_name("edged.before-restore-1") / "jobs").is_symlink()
+    assert not (used_folder / "jobs").is_symlink()
+    assert (used_folder.with_name("edged.before-restore-1") / "jobs").is_symlink()
 
 
 @pytest.mark.slow
-def test_a_backup_that_names_a_folder_outside_takes_nothing_away(archive: Archive, house: Path) -> None:
+def test_a_backup_that_names_a_folder_outside_takes_nothing_away(archive: Archive, used_folder: Path) -> None:
     """Its jobs may be said to be anywhere: only names of members count."""
     taken = unpack(archive[1], "there")
     toml = taken.files["cell.toml"].replace(b'jobs = "jobs"', b'jobs = "."')
-    hostile = house.with_name("hostile.tar.gz")
+    hostile = used_folder.with_name("hostile.tar.gz")
     hostile.write_bytes(pack(replace(taken, files={**taken.files, "cell.toml": toml})))
 
-    assert 1 == restore(hostile, house, QUIET, force=True)
+    assert 1 == restore(hostile, used_folder, QUIET, force=True)
 
-    assert (house / "tls" / "left.key").is_file()
-    assert (house / "left.toml").is_file()
+    assert (used_folder / "tls" / "left.key").is_file()
+    assert (used_folder / "left.toml").is_file()
 
 
 @pytest.mark.slow

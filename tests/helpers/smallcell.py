@@ -28,6 +28,7 @@ from edged.sim.render.scene import Disc, Part, Surface
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import StereoRig
 from helpers.cells import patient, shrunk
+from helpers.footprint import resident_bytes
 from helpers.ports import free_port
 from helpers.waiting import LIMIT_S
 
@@ -171,8 +172,7 @@ class DaemonProcess:
 
     def memory_mib(self) -> float:
         """Resident now."""
-        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+        return resident_bytes(self.process.pid) / 2**20
 
     def children(self) -> list[int]:
         """Processes that it started and that live."""

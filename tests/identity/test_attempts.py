@@ -19,7 +19,7 @@ from edged.identity.attempts import (
 )
 
 
-class Desk:
+class SlowChecks:
     """Checks that take as long as a test wants. seen : who was looked at, in order."""
 
     def __init__(self) -> None:
@@ -39,28 +39,28 @@ class Desk:
 
 async def test_who_guessed_least_is_next_and_takes_the_place_of_who_guessed_more() -> None:
     """Where nobody else fits in; who hangs up while waiting costs nothing."""
-    attempts, desk = Attempts(lambda: 0.0), Desk()
-    desk.may_end.release(2)
+    attempts, checks = Attempts(lambda: 0.0), SlowChecks()
+    checks.may_end.release(2)
     for _ in range(2):
-        assert not await attempts.check("10.0.0.9", "a", desk.check("guesser"))
-    asked = [asyncio.create_task(attempts.check("10.0.0.1", "a", desk.check("first")))]
-    await until(lambda: desk.seen[-1] == "first")
-    guesser = asyncio.create_task(attempts.check("10.0.0.9", "a", desk.check("guesser")))
+        assert not await attempts.check("10.0.0.9", "a", checks.check("guesser"))
+    asked = [asyncio.create_task(attempts.check("10.0.0.1", "a", checks.check("first")))]
+    await until(lambda: checks.seen[-1] == "first")
+    guesser = asyncio.create_task(attempts.check("10.0.0.9", "a", checks.check("guesser")))
     asked += [
-        asyncio.create_task(attempts.check(f"10.0.1.{n}", "a", desk.check(f"{n}")))
+        asyncio.create_task(attempts.check(f"10.0.1.{n}", "a", checks.check(f"{n}")))
         for n in range(MAX_WAITING - 1)
     ]
     await asyncio.sleep(0)
-    late = asyncio.create_task(attempts.check("10.0.2.1", "a", desk.check("late", right=True)))
+    late = asyncio.create_task(attempts.check("10.0.2.1", "a", checks.check("late", right=True)))
     with pytest.raises(TooManyAttempts):
         await guesser
     with pytest.raises(TooManyAttempts):
-        await attempts.check("10.0.2.2", "a", desk.check("too late"))
+        await attempts.check("10.0.2.2", "a", checks.check("too late"))
     asked[1].cancel()
-    desk.may_end.release(MAX_WAITING + 2)
+    checks.may_end.release(MAX_WAITING + 2)
     assert await late
     await asyncio.wait(asked)
-    assert ["guesser", "guesser", "first", *map(str, range(1, MAX_WAITING - 1)), "late"] == desk.seen
+    assert ["guesser", "guesser", "first", *map(str, range(1, MAX_WAITING - 1)), "late"] == checks.seen
 
 
 async def test_a_wait_doubles_up_to_a_limit_and_is_forgotten() -> None:

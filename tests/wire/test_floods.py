@@ -1,4 +1,4 @@
-"""Who sends to the page as fast as they can is shown the door, and the PLC beside it gets every answer."""
+"""Who sends to the page as fast as they can is turned away, and the PLC beside it gets every answer."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from rich.console import Console
 
-from edged import connections as door
+from edged import connections
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings, SerialSettings, TlsSettings, tcp
 from edged.adapters.modbus.rtu import split_frames
 from edged.adapters.modbus.security import certificate_role
@@ -862,7 +862,7 @@ async def served_tls(settings: ModbusSettings) -> AsyncIterator[ModbusPublisher]
     """A server whose clients may take an hour for their handshake."""
     server = ModbusPublisher(settings, Cell())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(door, "HANDSHAKE_S", 3600.0)
+        patch.setattr(connections, "HANDSHAKE_S", 3600.0)
         await server.start()
         try:
             yield server

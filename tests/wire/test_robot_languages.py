@@ -8,7 +8,6 @@ import math
 import select
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -36,7 +35,7 @@ from helpers.robotsides import (
     honest,
 )
 from helpers.snapshots import make_target, make_transform
-from helpers.waiting import LIMIT_S
+from helpers.waiting import LIMIT_S, wait_until
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.measurement import Target
@@ -72,7 +71,7 @@ def running(
     cell.setup = dataclasses.replace(cell.setup, **changes)
     golden_cell(cell)
     with cell:
-        until(lambda: bits(cell) & StatusBit.READY)
+        wait_until(lambda: bits(cell) & StatusBit.READY)
         side = make(Link(port or cell.server.line_port, piece))
         try:
             yield cell, side
@@ -97,15 +96,6 @@ def bits(cell: LiveCell) -> int:
     """STATUS_BITS of the cell."""
     values = cell.call(lambda: {register.name: value for register, value in cell.server.values()})
     return int(values["STATUS_BITS"])
-
-
-def until(condition: Callable[[], Any]) -> Any:
-    """Wait for something true."""
-    deadline_s = time.monotonic() + LIMIT_S
-    while not (value := condition()):
-        assert time.monotonic() < deadline_s, "not in time"
-        time.sleep(0.005)
-    return value
 
 
 def posed(generator: np.random.Generator) -> Target:
@@ -216,7 +206,7 @@ def test_a_program_moves_by_its_own_makers_pose_whatever_the_cell_is_set_to(conf
     cell.targets = (posed(np.random.default_rng(11)),)
     wrong = []
     with cell:
-        until(lambda: bits(cell) & StatusBit.READY)
+        wait_until(lambda: bits(cell) & StatusBit.READY)
         for make in SIDES:
             side = make(Link(cell.server.line_port))
             numbers = side.locate()
@@ -318,7 +308,7 @@ def test_karel_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> N
         beside = threading.Thread(target=side.beside)
         beside.start()
         try:
-            until(lambda: side.controller.registers.get(88) == 1)
+            wait_until(lambda: side.controller.registers.get(88) == 1)
             assert (Failure.LATE, {}) == (side.error(), side.controller.positions)
         finally:
             cell.may_end.set()
@@ -538,7 +528,7 @@ def test_what_is_no_result_gives_no_pose(make: type[Any]) -> None:
         assert (None, 6) == (side.locate(), side.error())
         cell.head.broken = False
         cell.targets = (make_target(),)
-        until(lambda: side.locate() is not None)
+        wait_until(lambda: side.locate() is not None)
         assert 0 == side.error()
 
 
@@ -598,7 +588,7 @@ def test_an_answer_that_came_too_late_is_never_used(make: type[Any]) -> None:
         side.link.is_done = lambda _: False
         cell.targets = (make_target(x_mm=20.0),)
         cell.may_end.set()
-        numbers = until(side.locate)
+        numbers = wait_until(side.locate)
         assert 20.0 == numbers[0]
 
 
@@ -608,12 +598,12 @@ def test_a_cell_that_was_started_anew_is_spoken_to_as_before(make: type[Any]) ->
     """While it is down a command fails; afterwards the same program goes on, also with a used sequence."""
     with running(make) as (cell, side):
         port = cell.server.line_port
-        assert until(side.locate)
+        assert wait_until(side.locate)
     if make is not Doosan:
         assert (None, Failure.NO_LINK) == (side.locate(), side.error())
     with running(make, line_port=port) as (cell, fresh):
         assert all(fresh.locate() is not None for _ in range(3))
         fresh.close()
-        assert until(side.locate)
+        assert wait_until(side.locate)
         assert 4 == cell.head.captures
         side.close()

@@ -182,7 +182,7 @@ def test_what_was_stored_for_a_renamed_class_is_compiled_anew(tmp_path: Path) ->
 
 
 def test_threads_may_call_a_kernel_first() -> None:
-    """Whoever is second waits for the code that the first one loads; nobody finds the door shut."""
+    """Whoever is second waits for the code that the first one loads; nobody is turned away."""
 
     @kernel("f8(f8[::1])")
     def total(values: Any) -> Any:
