@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import ipaddress
 import json
-import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,11 +15,12 @@ import pytest
 from helpers.browser import browser
 from helpers.browsersession import PASSWORD
 from helpers.gigecell import LEFT, NOBODY, RIGHT, Sensor, gige_camera
+from helpers.needs import needs, needs_aravis
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, go, log_in, press, said, take_over
 from helpers.stagecell import staged
 from rich.console import Console
 
-from edged.adapters.aravis import addresses, aravis_missing, give_address, list_cameras, with_addresses
+from edged.adapters.aravis import addresses, give_address, list_cameras, with_addresses
 from edged.adapters.aravis.addresses import HeardCamera, free_address, hear_cameras
 from edged.commands.cameras import address as give
 from edged.commands.cameras import cameras as list_them
@@ -32,8 +32,8 @@ from edged.sim.world import SERIALS
 
 FOREIGN = "198.51.100.77"
 SERIAL = "EDGED-LOST"
-needs_aravis = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
-needs_chromium = pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
+needs_camera = needs_aravis()
+needs_chromium = needs("chromium")
 
 
 @pytest.fixture(autouse=True)
@@ -142,7 +142,7 @@ def test_an_answer_that_is_none_is_no_camera(answer: bytes) -> None:
     assert addresses._heard(answer, "lo", host) is None  # noqa: SLF001  (what reads foreign bytes)
 
 
-@needs_aravis
+@needs_camera
 @pytest.mark.slow
 def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixture[str]) -> None:
     """`edged cameras` and its JSON; then the command itself."""
@@ -165,7 +165,7 @@ def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixt
         assert 1 == give("EDGED-NONE", "", Console(file=out, width=250))
 
 
-@needs_aravis
+@needs_camera
 @pytest.mark.slow
 async def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> None:
     """Named as lost, with how it got its address; and not where somebody else controls it."""
@@ -204,7 +204,7 @@ def test_no_socket_is_left() -> None:
         after.close()
 
 
-@needs_aravis
+@needs_camera
 @needs_chromium
 @pytest.mark.slow
 async def test_a_person_moves_it_by_the_button_beside_it(tmp_path: Path) -> None:

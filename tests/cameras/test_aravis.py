@@ -29,11 +29,12 @@ from helpers.gigecell import (
     settles,
     shoot,
 )
+from helpers.needs import needs_aravis
 from helpers.waiting import LIMIT_S, WHOLE_S
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
+from edged.adapters.aravis import AravisCamera, AravisSettings, list_cameras
 from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate, translated
 from edged.adapters.aravis.stream import BLOCK_IDS, Decoder, FrameCounter, pump
@@ -46,7 +47,7 @@ from edged.errors import (
     FrameTimeout,
 )
 
-pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+pytestmark = needs_aravis()
 
 
 @pytest.fixture

@@ -8,10 +8,11 @@ from collections.abc import Iterator
 
 import pytest
 from helpers.gigecell import Cell, closing, left_camera, running, shoot
+from helpers.needs import needs_aravis
 from helpers.scriptedhead import Ear, make_setup
 from helpers.waiting import until
 
-from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
+from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.cell.cycle import Cycle
 from edged.cell.stereohead import StereoHead
 from edged.config.chosencameras import ChosenCamera
@@ -21,7 +22,7 @@ from edged.errors import CameraSetupError, CaptureError
 from edged.sim.gige import genicam as g
 from edged.sim.gige.faults import Quirk
 
-pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+pytestmark = needs_aravis()
 
 
 @pytest.fixture

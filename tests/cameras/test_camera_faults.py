@@ -14,8 +14,9 @@ from typing import Any
 
 import pytest
 from helpers.gigecell import LEFT, RIGHT, Cell, Sensor, closing, gige_camera, running
+from helpers.needs import needs_aravis
 
-from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing
+from edged.adapters.aravis import AravisCamera, AravisSettings
 from edged.cell.stereohead import REOPEN_AFTER, HeadSettings, StereoHead
 from edged.errors import (
     CameraBusy,
@@ -31,7 +32,7 @@ from edged.errors import (
 )
 from edged.sim.gige.camera import GigeCamera
 
-pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+pytestmark = needs_aravis()
 
 TIMEOUT_S = 1.0
 ELSEWHERE = "127.0.40.7"

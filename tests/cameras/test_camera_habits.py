@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.gigecell import LEFT, RIGHT, Cell, closing, left_camera, opens, running, settles, shoot
+from helpers.needs import needs_aravis
 from helpers.scriptedhead import Head
 from helpers.waiting import LIMIT_S
 from rich.console import Console
 
-from edged.adapters.aravis import FreeRun, Output, Software, aravis_missing, library, link
+from edged.adapters.aravis import FreeRun, Output, Software, library, link
 from edged.app.camerareport import together
 from edged.commands.cameras import report
 from edged.domain.exposure import CameraValues
@@ -31,7 +32,7 @@ from edged.sim.gige.camera import GigeCamera, Make
 from edged.sim.gige.faults import BLOCKS_TO_RESTART, Quirk
 from edged.sim.gige.genicam import GenicamNode
 
-pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+pytestmark = needs_aravis()
 
 
 @contextmanager

@@ -21,10 +21,11 @@ from helpers.gigecell import (
     running,
     shoot,
 )
+from helpers.needs import needs_aravis
 from helpers.waiting import LIMIT_S
 from pydantic import ValidationError
 
-from edged.adapters.aravis import AravisCamera, LineTrigger, Output, aravis_missing
+from edged.adapters.aravis import AravisCamera, LineTrigger, Output
 from edged.adapters.aravis.clock import CLOCK_DRIFT
 from edged.app.cameras import head_of
 from edged.cell.pairing import Pairing
@@ -38,7 +39,7 @@ from edged.sim.gige.camera import ENCODER_NS
 from edged.sim.gige.clock import DeviceClock
 from edged.sim.gige.faults import Quirk
 
-pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+pytestmark = needs_aravis()
 
 MS = 1_000_000
 

@@ -23,8 +23,9 @@ from helpers.gigecell import (
     running,
     shoot,
 )
+from helpers.needs import needs_aravis
 
-from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun, aravis_missing
+from edged.adapters.aravis import AravisCamera, AravisSettings, FreeRun
 from edged.adapters.aravis.library import library
 from edged.app.cameras import camera_facts, camera_figures, head_of
 from edged.cell.stereohead import HeadSettings, StereoHead
@@ -34,7 +35,7 @@ from edged.errors import CameraSetupError, FrameIncomplete, FrameUnpaired, Wrong
 from edged.sim.gige import genicam as g
 from edged.vision.kernels.pixelformats import FORMATS
 
-pytestmark = pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+pytestmark = needs_aravis()
 
 
 @pytest.fixture

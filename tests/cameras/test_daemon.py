@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import pty
-import shutil
 import signal
 import socket
 import subprocess
@@ -18,11 +17,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.needs import needs, needs_aravis
 from helpers.ports import free_port
 from helpers.waiting import LIMIT_S, WHOLE_S, wait_until
 from pymodbus.client import ModbusTcpClient
 
-from edged.adapters.aravis import aravis_missing
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.config.reading import load
 from edged.plc.registers import ADDRESS, BLOCKS, Option, decode
@@ -33,7 +32,7 @@ pytestmark = pytest.mark.slow
 INVALID = -(2**31)
 VALID_BIT, CAM_FAULT_BIT, SIMULATED_BIT = 1 << 5, 1 << 12, 1 << 15
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
-needs_aravis = pytest.mark.skipif(bool(aravis_missing()), reason="Aravis is not installed")
+needs_camera = needs_aravis()
 
 
 class Cell:
@@ -138,7 +137,7 @@ def test_a_terminal_that_closes_ends_the_daemon(tmp_path: Path) -> None:
     assert any("the terminal was closed: the cell stops" in line for line in cell.log)
 
 
-@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+@needs("mbpoll")
 def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> None:
     """The same cycle reads the same over pymodbus and Zenoh; mbpoll, the outside witness, reads the block."""
     watch = subprocess.run(
@@ -256,7 +255,7 @@ class CameraProcess:
         self.process.stdout.close()
 
 
-@needs_aravis
+@needs_camera
 def test_a_killed_camera_invalidates_and_its_return_heals(tmp_path: Path) -> None:
     """kill -9 of a GigE Vision camera: RESULT_VALID 0, INT32_MIN, CAM_FAULT; then good again by itself."""
     cameras = {side: CameraProcess(side) for side in ("left", "right")}
@@ -303,7 +302,7 @@ def _valid(cell: Cell) -> dict[str, Any] | None:
     return result if result["X"] != INVALID else None
 
 
-@needs_aravis
+@needs_camera
 def test_the_demo_meets_its_accuracy_over_gige_vision() -> None:
     """Two GigE Vision cameras, the part anywhere at any rotation: below 0.05 mm rms."""
     ports = ("--modbus-port", str(free_port()), "--zenoh-port", str(free_port()), "--web-port", "0")

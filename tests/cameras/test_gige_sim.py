@@ -12,9 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from helpers.gigeclient import Client
+from helpers.needs import needs_aravis
 from helpers.waiting import LIMIT_S
 
-from edged.adapters.aravis import AravisCamera, AravisSettings, aravis_missing, list_cameras
+from edged.adapters.aravis import AravisCamera, AravisSettings, list_cameras
 from edged.domain.arrays import Image
 from edged.errors import CaptureError, ListenError
 from edged.sim.exposure import ExposureRequest
@@ -31,7 +32,7 @@ from edged.sim.gige.registers import (
 )
 
 ADDRESS, OTHER = "127.0.50.1", "127.0.50.2"
-needs_aravis = pytest.mark.skipif(bool(aravis_missing()), reason="Aravis is not installed")
+needs_camera = needs_aravis()
 
 
 class Sensor:
@@ -185,7 +186,7 @@ def test_stopping_leaves_nothing_behind() -> None:
 
 
 @pytest.mark.slow
-@needs_aravis
+@needs_camera
 def test_aravis_finds_two_cameras_of_one_process() -> None:
     """Broadcast discovery is answered by both."""
     with (
@@ -198,7 +199,7 @@ def test_aravis_finds_two_cameras_of_one_process() -> None:
 
 
 @pytest.mark.slow
-@needs_aravis
+@needs_camera
 @pytest.mark.parametrize("user_socket", [False, True])
 def test_lost_packets_are_sent_again_and_every_image_is_whole(user_socket: bool) -> None:
     """With 2 % of all packets lost, Aravis asks for them again; what arrives equals what was exposed."""

@@ -11,10 +11,10 @@ import pytest
 from helpers.browsersession import PASSWORD
 from helpers.cells import small_rig
 from helpers.firefox import BROWSERS, Opener
+from helpers.needs import needs_aravis
 from helpers.setuppage import log_in
 from helpers.stagecell import staged
 
-from edged.adapters.aravis import aravis_missing
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
 
@@ -23,10 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 from newcomerclicks import Clicks
 from secondclicks import bench, second_pass
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there"),
-]
+pytestmark = [pytest.mark.slow, needs_aravis()]
 GOAL_UM = 40.0
 """Of pictures of 640x480, soon reached: what is tested are the clicks."""
 PLACES = 1

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
 from helpers.browser import browser
 from helpers.browsersession import PASSWORD
+from helpers.needs import needs, needs_aravis
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
 from helpers.stagecell import staged
 
-from edged.adapters.aravis import aravis_missing
 from edged.commands.stage import USER
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there"),
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = [pytest.mark.slow, needs_aravis(), needs("chromium")]
 
 TILES = '[...document.querySelectorAll(".tile")].map((tile) => tile.innerText.replaceAll("\\n", " "))'
 PICTURE = 'document.querySelector(".view canvas:not([hidden])")'

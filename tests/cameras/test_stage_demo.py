@@ -11,11 +11,11 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 import pytest
+from helpers.needs import needs_aravis
 from helpers.ports import free_port
 from helpers.stagecell import staged
 from helpers.waiting import WHOLE_S, until
 
-from edged.adapters.aravis import aravis_missing
 from edged.domain.arrays import SIDES
 from edged.sim.gige import genicam as g
 from edged.sim.stage import stage_board
@@ -23,10 +23,7 @@ from edged.sim.world import SERIALS
 from edged.vision.boards.board import Chessboard, Detection
 from edged.vision.boards.detection import detect_board
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there"),
-]
+pytestmark = [pytest.mark.slow, needs_aravis()]
 BOARD = Chessboard(11, 8, 4.0)
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.gigecell import HEIGHT, LEFT, RIGHT, WIDTH, Cell, closing, running
+from helpers.needs import needs_aravis
 from pydantic import ValidationError
 
-from edged.adapters.aravis import aravis_missing
 from edged.app.cameras import camera_facts, head_of
 from edged.config.cameras import CamerasSection
 from edged.config.configuration import Config
@@ -41,7 +41,7 @@ def glint(request: ExposureRequest) -> Image:
     return np.clip(np.rint(255 * light * request.exposure_us / LONG_US + noise), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+@needs_aravis()
 @pytest.mark.slow
 @pytest.mark.parametrize("quirks", [(), (Quirk.LATE_EXPOSURE,)])
 async def test_a_glint_and_a_dark_table_are_seen_in_one_pair(quirks: tuple[Quirk, ...]) -> None:

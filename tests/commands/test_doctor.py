@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from helpers.cells import patient
 from helpers.certificates import make_certificates
+from helpers.needs import needs_aravis
 from helpers.plcmemories import S7Controller
 from helpers.ports import free_port
 from helpers.smallcell import DaemonProcess, SmallCell
@@ -130,7 +131,7 @@ def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folde
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing())
+@needs_aravis()
 def test_what_must_be_set_before_the_calibration_is_told_before_it(folder: Path) -> None:
     """Pictures of cameras that have no rig yet: how they fare, and a response that is bent."""
     (folder / "rig.json").unlink()
@@ -297,7 +298,7 @@ def test_pictures_of_another_size_are_named(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing())
+@needs_aravis()
 def test_a_response_that_is_not_linear_is_named(folder: Path) -> None:
     """A camera whose Gamma is 0.5, as it says itself: with the remedy, and of the other one not a word."""
     edit(folder, 'source = "virtual-inprocess"', 'source = "virtual"')
@@ -313,7 +314,7 @@ def test_a_response_that_is_not_linear_is_named(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing())
+@needs_aravis()
 def test_cameras_that_do_not_answer_are_named(folder: Path) -> None:
     """With those that do: it is mostly a mistyped serial number."""
     cameras = '[cameras.left]\ndevice = "NOT-THERE-1"\n[cameras.right]\ndevice = "NOT-THERE-2"\n\n[modbus]'

@@ -6,8 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from edged.adapters.aravis import aravis_missing
+from helpers.needs import needs_aravis
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
@@ -64,7 +63,7 @@ def test_every_model_of_the_table_becomes_a_camera() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(bool(aravis_missing()), reason=aravis_missing() or "Aravis is there")
+@needs_aravis()
 @pytest.mark.parametrize(
     "name", ["AVT_GC1350C", "Basler-acA2040-35gm", "PGR_Flea3_GE_28S4C", "Teledyne_ShadoBox"]
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from helpers.browser import Browser, browser
 from helpers.cells import flange, frame_pair
+from helpers.needs import needs
 from helpers.setuppage import TOO_WIDE, UNTRANSLATED, come_back, freeze, leave, thaw
 from helpers.snapshots import make_snapshot, make_target
 from wire.test_web import sources
@@ -24,7 +24,7 @@ from edged.payload import said
 from edged.plc.registers import BLOCKS
 from edged.vision.geometry.rectification import make_rectification
 
-pytestmark = pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
+pytestmark = needs("chromium")
 
 BOX = 'document.querySelector("#largeleft").getAttribute("viewBox").split(" ").map(Number)'
 FACTS = {

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import shutil
 
 import pytest
 from helpers.browser import browser
 from helpers.browsersession import PASSWORD
+from helpers.needs import needs
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, log_in
 from helpers.webcell import Cell, running
 
@@ -126,7 +126,7 @@ def words(text: str) -> set[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
+@needs("chromium")
 async def test_they_can_be_read_and_used_by_everybody() -> None:
     """In every language every word stands in the texts; nothing is cut off or too small for a finger, and axe
     finds nothing, also where something went wrong. The language that is chosen on a page is that of the form

@@ -32,6 +32,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.asymmetric.types import CertificatePublicKeyTypes
 from cryptography.x509.oid import NameOID
 from helpers.certificates import make_certificates
+from helpers.needs import needs
 from helpers.snapshots import make_snapshot
 from helpers.waiting import LIMIT_S, until
 from pymodbus.client import AsyncModbusTcpClient
@@ -810,7 +811,7 @@ def test_what_is_no_certificate_has_no_role() -> None:
     assert [None, None, None] == [certificate_role(der) for der in (b"", b"operator", whole[:-1])]
 
 
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+@needs("openssl")
 async def test_tls_needs_a_certificate_and_its_role_decides_about_writing(tmp_path: Path) -> None:
     """An operator writes, a viewer reads, and who shows no certificate of ours gets nothing."""
     make_certificates(tmp_path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
 import ssl
 import subprocess
 import time
@@ -15,6 +14,7 @@ from typing import Any, Protocol
 import pytest
 from helpers.certificates import make_certificates
 from helpers.livecell import LiveCell
+from helpers.needs import needs
 from helpers.serialline import SerialCable
 from helpers.snapshots import make_target
 from helpers.waiting import LIMIT_S, WHOLE_S
@@ -156,7 +156,7 @@ def test_part_after_part_by_pymodbus() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+@needs("mbpoll")
 def test_part_after_part_by_mbpoll_on_the_serial_line(cable: SerialCable) -> None:
     """The same by libmodbus; over TCP it connects for each request, and a list ends with its connection."""
     serial = SerialSettings(cable.ends[0], parity="none", gap_s=0.004)
@@ -171,7 +171,7 @@ def test_part_after_part_by_mbpoll_on_the_serial_line(cable: SerialCable) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+@needs("mbpoll")
 def test_tcp_and_rtu_at_once_by_mbpoll(cable: SerialCable) -> None:
     """The same by somebody else's implementation (libmodbus)."""
     serial = SerialSettings(cable.ends[0], parity="none", gap_s=0.004)
@@ -207,7 +207,7 @@ def test_parity_and_speed_reach_the_line(
     assert 1.75e-3 == SerialSettings("/dev/ttyUSB0", 115200).silence_s
 
 
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+@needs("openssl")
 def test_tls_by_pymodbus(tmp_path: Path) -> None:
     """Modbus/TCP Security: the operator's certificate drives the handshake."""
     make_certificates(tmp_path)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import shutil
 import socket
 from pathlib import Path
 
 import pytest
 from helpers.browser import Browser, browser
+from helpers.needs import needs
 from helpers.ports import free_port
 from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
 from helpers.stagecell import PASSWORD, Newcomer, run
@@ -52,7 +52,7 @@ async def put(page: Browser) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
+@needs("chromium")
 def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
     """Twice, in any order, and back; a brand that does not fit is asked about; what fails changes nothing."""
     first, second, lines = free_port(), free_port(), free_port()

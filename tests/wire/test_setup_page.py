@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
+from helpers.needs import needs
 from helpers.setuppage import (
     DIALOG,
     LEASE,
@@ -32,10 +32,7 @@ from helpers.webcell import Cell, running
 from edged.domain.cell import CellPhase
 from edged.identity.sessions import CONFIRMED_S
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = [pytest.mark.slow, needs("chromium")]
 
 
 @asynccontextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from helpers.boardpairs import SPEC
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
 from helpers.cells import small_rig
+from helpers.needs import needs
 from helpers.setuppage import (
     SMALL_TARGETS,
     TOO_WIDE,
@@ -30,10 +30,7 @@ from helpers.waiting import WHOLE_S
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = [pytest.mark.slow, needs("chromium")]
 
 VIEWS = 'document.querySelectorAll(".strip li").length'
 USED = 'document.querySelectorAll(".strip li:not(.unused)").length'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
+from helpers.needs import needs
 from helpers.recordedcell import RecordingCell, exposures, record
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
 from helpers.smallcell import SmallCell
@@ -26,10 +26,7 @@ from edged.files.rig import rig_text
 from edged.setup.calibration.drafts import Drafts, Solution
 from edged.setup.cellfiles import read_cell
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = [pytest.mark.slow, needs("chromium")]
 VIEWS = """[...document.querySelectorAll(".recorded")]
   .map((e) => e.getAttribute("viewBox").split(" ").map(Number))"""
 ROWS = """[...document.querySelectorAll(".features tbody tr")]

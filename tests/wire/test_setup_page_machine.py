@@ -12,6 +12,7 @@ from helpers.boardcell import BoardCell
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
 from helpers.firefox import BROWSERS, Opener
+from helpers.needs import needs
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
 from helpers.smallcell import SmallCell
 
@@ -91,7 +92,7 @@ def test_findings_are_mended_by_a_button(tmp_path: Path, opened: Opener) -> None
     complete(tmp_path).run(test)
 
 
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
+@needs("chromium")
 def test_a_backup_is_downloaded_and_another_one_restored(tmp_path: Path) -> None:
     """What comes is proven to be an archive; what goes is looked at first; the file for help comes, too."""
     cell = complete(tmp_path)

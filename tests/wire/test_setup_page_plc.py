@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 import struct
 import zipfile
 from collections.abc import AsyncIterator
@@ -13,6 +12,7 @@ from typing import Any
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
+from helpers.needs import needs
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
 from helpers.waiting import until
 from helpers.webcell import Cell, running
@@ -85,7 +85,7 @@ def swapped(value: int, words: bool, octets: bool) -> int:
     return int.from_bytes(struct.pack(">2H", *(pair[::-1] if words else pair)), "big")
 
 
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium")
+@needs("chromium")
 async def test_the_page_tells_what_is_swapped_shows_the_ladder_and_gives_the_cell_back() -> None:
     """Words, bytes, an address that is one off; READY; the last commands as they come; nothing is cut off."""
     async with beside() as (cell, modbus), browser() as page:

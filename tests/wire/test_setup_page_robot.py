@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -12,16 +11,14 @@ import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
 from helpers.cells import small_rig
+from helpers.needs import needs
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, discard, go, log_in, press, said
 from helpers.stagecell import Newcomer, staged
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig, save_rig
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = [pytest.mark.slow, needs("chromium")]
 
 OVERTAKEN = """{ const asked = fetch;
 window.fetch = async (path, request) => {

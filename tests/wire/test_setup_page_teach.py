@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
 from helpers.cells import small_rig
 from helpers.flangedrawing import flange_drawing
+from helpers.needs import needs
 from helpers.setuppage import (
     DIALOG,
     SMALL_TARGETS,
@@ -38,10 +38,7 @@ from edged.commands.stage import USER
 from edged.files.rig import save_rig
 from edged.files.statefolder import state_folder
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = [pytest.mark.slow, needs("chromium")]
 
 DIAMETERS_MM = [28.0, 8.0, 3.2, 3.2, 3.2, 3.2, 1.8]
 """Of the stage's flange, in the order of its features."""

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
+from helpers.needs import needs
 from helpers.setuppage import log_in, press, said
 from helpers.webcell import Cell, running
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = [pytest.mark.slow, needs("chromium")]
 APART_PX = 40
 """Between a button and what is said about it."""
 BESIDE = """(() => {

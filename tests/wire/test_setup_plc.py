@@ -19,6 +19,7 @@ from typing import Any
 
 import pytest
 from helpers.livecell import LiveCell
+from helpers.needs import needs
 from helpers.smallcell import DaemonProcess, SmallCell
 from helpers.waiting import LIMIT_S, WHOLE_S, wait_until
 from pymodbus.client import ModbusTcpClient
@@ -203,7 +204,7 @@ def _may_enter(cell: LiveCell) -> bool:
     return True
 
 
-@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+@needs("mbpoll")
 def test_mbpoll_sees_setup_and_ends_it(cell: LiveCell) -> None:
     """A program of other people reads STATE 5, WARNING bit 1 and SETUP_SOURCE 1, and writes word 119."""
 

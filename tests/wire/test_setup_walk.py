@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
 from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
@@ -11,6 +10,7 @@ from dataclasses import dataclass, replace
 import pytest
 from helpers.browser import Browser, browser
 from helpers.cells import small_rig
+from helpers.needs import needs
 from helpers.setuppage import (
     CUT_OFF,
     LEASE,
@@ -31,10 +31,7 @@ from helpers.stagecell import PASSWORD, Newcomer, staged
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium"),
-]
+pytestmark = [pytest.mark.slow, needs("chromium")]
 SCREENS = [(360, 740, 1.0), (800, 480, 1.0), (1024, 768, 1.0), (1920, 1080, 1.0), (1024, 768, 2.0)]
 """Width, height, and how much all is enlarged."""
 SPARE = 3

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.needs import needs
 from helpers.ports import free_port
 from helpers.snapshots import make_snapshot
 from helpers.waiting import LIMIT_S, WHOLE_S
@@ -17,7 +17,7 @@ from helpers.zenohcell import Cell, is_message, peer
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 
-pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is missing")
+pytestmark = needs("openssl")
 
 
 @pytest.fixture(scope="module")
