@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from edged.app.discovery import CameraInfo, aravis_missing, control_state, list_cameras
 from edged.config.cameras import CameraSection
+from edged.config.chosencameras import UNCHOSEN
 from edged.config.configuration import Config
 from edged.doctor.findings import Check, CheckResult
 from edged.doctor.firewall import look_at_firewall
@@ -138,6 +139,10 @@ def camera(
 def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence[Interface]) -> Check:
     """A camera that discovery did not find: by its address it may answer all the same."""
     others = ", ".join(f"{info.serial} at {info.address}" for info in found) or "none at all"
+    if device in UNCHOSEN.values():
+        finding = f"not chosen yet; cameras that answer: {others}"
+        consequence = "the cell starts in SETUP, and does not measure"
+        return Check(name, CheckResult.WARN, finding, consequence, "choose it on its page, /setup")
     consequence = "CAPTURE_FAULT in every cycle"
     try:
         address = ipaddress.ip_address(device)

@@ -22,6 +22,14 @@ STRIPED = """(() => { const canvas = document.querySelector(".stripes");
   let red = 0;
   for (let i = 0; i < data.length; i += 4) red += data[i] > 200 && data[i + 1] < 50 && data[i + 3] > 200;
   return red; })()"""
+UNREAD = """(() => { const whole = (window.whole = fetch);
+  window.fetch = (path, ...more) => {
+    if (!String(path).includes("cameras/settings")) return whole(path, ...more);
+    window.fetch = whole;
+    window.refused = true;
+    return Promise.resolve(new Response('{"code": "capture", "detail": ""}', { status: 503 }));
+  }; })()"""
+"""Settings of cameras cannot be read once, as where none is chosen yet."""
 LEFT_EXPOSURE = "document.querySelector('[name=left-exposure_us]').value"
 RIGHT_EXPOSURE = "document.querySelector('[name=right-exposure_us]').value"
 ADVICE = r"/px wide|Exposure is good|Set \d/.test(document.body.innerText)"  # "Set up" is a tab of the page
@@ -42,6 +50,11 @@ async def test_cameras_are_told_apart_by_a_wave_and_set_with_their_own_limits(tm
         assert "EDGED-VIRTUAL-L" in (await page.value(TILES))[0]
         assert "left camera" in (await page.value(TILES))[0]
         await page.until(PICTURE)
+        await page.value(UNREAD)
+        await press(page, "Search again")
+        await page.until("window.refused && fetch === window.whole")
+        await page.value("new Promise((done) => setTimeout(done, 2500))")
+        assert not await page.value('Boolean(document.querySelector(".trouble"))')
         await newcomer.ask("PUT", "stage", {"waving": "right"})
         await press(page, "I wave now")
         await page.until(said("left and right have been exchanged"))

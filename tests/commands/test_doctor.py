@@ -32,6 +32,7 @@ from edged.app.examiner import close_secrets
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.doctor import doctor as command
 from edged.config.cameras import CameraSection
+from edged.config.chosencameras import UNCHOSEN
 from edged.config.reading import load
 from edged.doctor import cameras, firewall, machine, network
 from edged.doctor.encrypted import look_at_certificates, look_at_opcua
@@ -41,6 +42,7 @@ from edged.doctor.firewall import Rules
 from edged.doctor.host import Interface
 from edged.doctor.ourdaemon import OurDaemon, our_daemon
 from edged.doctor.plc import look_at_plc
+from edged.domain.arrays import SIDES, Side
 from edged.files.private import can_close
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
@@ -326,6 +328,16 @@ def test_cameras_that_do_not_answer_are_named(folder: Path) -> None:
         check = found[f"{side} camera"]
         assert check.verdict is CheckResult.BAD
         assert check.finding.startswith(f"no camera with serial number {device} answers; cameras that do: ")
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_camera_that_nobody_has_chosen_is_no_fault(side: Side) -> None:
+    """Of a cell that knows nothing yet: it is said where one is chosen, and which answer."""
+    check = cameras.camera(side, CameraSection(device=UNCHOSEN[side]), None, [info("11", "10.0.0.2")])
+
+    assert check.verdict is CheckResult.WARN
+    assert "not chosen yet; cameras that answer: 11 at 10.0.0.2" == check.finding
+    assert "choose it on its page, /setup" == check.remedy
 
 
 def info(serial: str, address: str, control: str = "free") -> CameraInfo:

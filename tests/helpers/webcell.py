@@ -79,10 +79,12 @@ async def running(
     commissioning: bool = True,
     users: Mapping[str, RoleName] | None = USERS,
     modbus: ModbusSettings | None = None,
+    is_open: bool = False,
 ) -> AsyncIterator[Cell]:
     """A cell with a head in memory, its page on a free port, and a browser's session with it.
 
-    users : None: their file cannot be used. modbus : what it also serves, with the page of it.
+    users : None: their file cannot be used. modbus : what it also serves, with the page of it. is_open : no
+    password is asked for to look.
     """
     ear = Ear()
     with TemporaryDirectory() as folder:
@@ -99,7 +101,8 @@ async def running(
             overview=lambda: seen[0].plant if seen else Overview(),
             fingerprint=lambda: seen[0].runs_by if seen else "",
         )
-        settings = WebSettings(port=0, password_hash=HASH, commissioning=commissioning, state=state)
+        password_hash = "" if is_open else HASH
+        settings = WebSettings(port=0, password_hash=password_hash, commissioning=commissioning, state=state)
         asleep_s = [0.0]
         plc = None if modbus is None else ModbusPublisher(modbus, cycle)
         web = WebPublisher(

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 from helpers.browsersession import PASSWORD
-from helpers.webcell import HASH, Cell, running
+from helpers.webcell import HASH, USERS, Cell, running
 
 from edged.identity.access import Access
 from edged.identity.invite import Invite
 from edged.identity.sessions import IDLE_S
-from edged.identity.users import User, UserFile
+from edged.identity.users import RoleName, User, UserFile
 from edged.identity.visitors import Role
 
 NEW = "battery staple"
@@ -149,6 +150,18 @@ async def test_the_first_engineer_comes_in_by_the_code(caplog: pytest.LogCapture
         assert ("Erna", "engineer") == await me(cell)
         async with cell.session.get("/invite") as answer:
             assert 200 == answer.status
+
+
+@pytest.mark.parametrize(("users", "to"), [({}, "/invite"), (USERS, "/login?to=setup")])
+async def test_who_comes_to_set_up_a_cell_that_all_may_look_at_is_asked_who_they_are(
+    users: Mapping[str, RoleName], to: str
+) -> None:
+    """By the code as long as there is no engineer: without a session the page would be told nothing."""
+    async with (
+        running(users=users, is_open=True) as cell,
+        cell.session.get("/setup", allow_redirects=False) as answer,
+    ):
+        assert (303, to) == (answer.status, answer.headers.get("Location"))
 
 
 async def test_rights_of_an_engineer_end_without_a_sign_of_them(tmp_path: Path) -> None:

@@ -412,5 +412,7 @@ class WebPublisher:
         """The session that sent a request, if any."""
         return visitor_of(self._access, request)
 
-    async def _show_setup(self, _request: web.Request) -> web.Response:
+    async def _show_setup(self, request: web.Request) -> web.Response:
+        if self._users is not None and self._visitor(request) is None:  # its page is told nothing
+            raise web.HTTPSeeOther("/login?to=setup" if self._users.has_engineer else "/invite")
         return html(self._setup_page[is_built(self._manual)])

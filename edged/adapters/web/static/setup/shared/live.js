@@ -114,14 +114,15 @@ export async function lookAtCheck() {
   if (offers("checks")) checked.value = await ask("GET", "checks");
 }
 
-// Settings come only with a lease. A search takes a second: settings changed meanwhile are newer than its
-// answer.
+// Settings come only with a lease, from cameras that are chosen and answer: which there are is seen without.
+// A search takes a second: settings changed meanwhile are newer than its answer.
+const UNREAD = { settings: null, limits: null };
 let settings = 0;
 async function search() {
   const before = settings;
   const [found, read] = await Promise.all([
     ask("GET", "cameras"),
-    holds.value ? ask("POST", "cameras/settings", { token: token.value }) : { settings: null, limits: null },
+    holds.value ? ask("POST", "cameras/settings", { token: token.value }).catch(() => UNREAD) : UNREAD,
   ]);
   cameras.value = { ...found, ...read, ...(before === settings ? {} : { settings: cameras.value.settings }) };
 }
