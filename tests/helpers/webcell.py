@@ -80,11 +80,12 @@ async def running(
     users: Mapping[str, RoleName] | None = USERS,
     modbus: ModbusSettings | None = None,
     is_open: bool = False,
+    visitor: str | None = None,
 ) -> AsyncIterator[Cell]:
     """A cell with a head in memory, its page on a free port, and a browser's session with it.
 
     users : None: their file cannot be used. modbus : what it also serves, with the page of it. is_open : no
-    password is asked for to look.
+    password is asked for to look. visitor : who has logged in; "" by the page's password alone.
     """
     ear = Ear()
     with TemporaryDirectory() as folder:
@@ -122,6 +123,8 @@ async def running(
                 cell = Cell(cycle, web, head, ear, session, asleep_s, state)
                 cell.modbus = plc
                 seen.append(cell)
+                if visitor is not None:
+                    await cell.log_in(visitor)
                 yield cell
         finally:
             cycle.stop()

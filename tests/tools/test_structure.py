@@ -189,8 +189,7 @@ def test_the_way_of_a_measurement_is_short() -> None:
 async def test_the_way_of_a_click_is_short() -> None:
     """From a request that changes a user to the file that holds it no more files are entered than today."""
     trace = _Trace()
-    async with webcell.running() as cell:
-        await cell.log_in("Anna")
+    async with webcell.running(visitor="Anna") as cell:
         for language in ("de", "en"):  # the first one imports
             trace.begin()
             assert 200 == (await cell.ask("PUT", "/api/v1/me", {"language": language}))[0]

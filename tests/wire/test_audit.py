@@ -64,8 +64,7 @@ async def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.Log
 
 async def test_setup_that_the_plant_ends_is_noted() -> None:
     """And that which a person ends is noted once, as theirs."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         for ends in (lambda: cell.cycle.lock_setup(True), None):
             _, entered = await cell.ask("POST", "/api/v1/setup", {})
             if ends is None:
@@ -107,8 +106,7 @@ async def test_what_the_cell_runs_by_is_noted_however_it_was_changed() -> None:
 
 async def test_who_only_may_look_does_not_fill_the_disc() -> None:
     """What is refused again and again is in the journal alone; what is done is noted all the same."""
-    async with running() as cell:
-        await cell.log_in("Vera")
+    async with running(visitor="Vera") as cell:
         for _ in range(2 * int(REFUSED_BURST)):
             assert 403 == (await cell.ask("POST", "/api/v1/setup", {}))[0]
         await cell.log_in()

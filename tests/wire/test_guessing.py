@@ -61,8 +61,7 @@ async def test_an_own_password_buys_no_guesses_at_that_of_another(monkeypatch: p
 @pytest.mark.slow
 async def test_one_account_is_not_guessed_at_from_many_addresses() -> None:
     """After twenty it waits, wherever they come from; where its owner came in before, they come in now."""
-    async with running() as cell:
-        await cell.log_in("Anna")
+    async with running(visitor="Anna") as cell:
         statuses = list[int]()
         for n in range(2, 32):
             async with somebody_at(cell, f"127.0.0.{n}") as stranger:
@@ -105,8 +104,7 @@ async def test_nobody_waits_behind_one_who_floods_the_log_in(monkeypatch: pytest
 
 async def test_sessions_with_the_pages_password_displace_nobody() -> None:
     """Seventy of them end no engineer's; of one address eight stay."""
-    async with running() as cell:
-        await cell.log_in("Anna")
+    async with running(visitor="Anna") as cell:
         anna = cell.cookies()
         seen = list[dict[str, str]]()
         for _ in range(70):
@@ -124,8 +122,7 @@ async def test_sessions_with_the_pages_password_displace_nobody() -> None:
 
 async def test_a_persons_ninth_session_ends_their_own_first() -> None:
     """And no other person's."""
-    async with running() as cell:
-        await cell.log_in("Ben")
+    async with running(visitor="Ben") as cell:
         ben = cell.cookies()
         seen = list[dict[str, str]]()
         for _ in range(9):

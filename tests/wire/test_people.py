@@ -42,8 +42,7 @@ async def test_everybody_is_who_they_said() -> None:
 
 async def test_an_engineer_makes_changes_and_removes_users() -> None:
     """It holds at once; sessions end with the user, and with the password."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         anna = cell.cookies()
         new = {"name": "Jörg B.", "role": "operator", "password": NEW, "language": "de"}
         status, made = await cell.ask("POST", "/api/v1/users", new)
@@ -74,8 +73,7 @@ async def test_an_engineer_makes_changes_and_removes_users() -> None:
 
 async def test_there_is_always_an_engineer() -> None:
     """The last one can neither be taken out nor made less."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         assert (204, None) == await cell.ask("DELETE", "/api/v1/users/Ben", None)
         for method, document in (("DELETE", None), ("PUT", {"role": "viewer"})):
             status, problem = await cell.ask(method, "/api/v1/users/Anna", document)
@@ -85,8 +83,7 @@ async def test_there_is_always_an_engineer() -> None:
 
 async def test_everybody_changes_their_own_password() -> None:
     """With the old one; other sessions of theirs end, this one goes on; nobody's cannot be changed."""
-    async with running() as cell:
-        await cell.log_in("Vera")
+    async with running(visitor="Vera") as cell:
         other = cell.cookies()
         await cell.log_in("Vera")
         place = "/api/v1/me/password"
@@ -121,8 +118,7 @@ async def test_everybody_changes_their_own_password() -> None:
 )
 async def test_a_user_that_cannot_be_names_the_field(document: dict[str, Any], field: str) -> None:
     """And nobody is made."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         status, problem = await cell.ask("POST", "/api/v1/users", document)
         assert (400, "invalid", field) == (status, problem["code"], problem["field"])
         _, listed = await cell.ask("GET", "/api/v1/users", None)
@@ -201,8 +197,7 @@ async def test_rights_of_an_engineer_end_without_a_sign_of_them(tmp_path: Path) 
 
 async def test_who_is_idle_is_told_so_and_wakes() -> None:
     """403 with a code of its own, by which the page asks for the password; the lease goes on meanwhile."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         _, entered = await cell.ask("POST", "/api/v1/setup", {})
         cell.sleep(IDLE_S)
         _, told = await cell.ask("GET", "/api/v1/me", None)

@@ -79,8 +79,7 @@ async def test_a_form_that_does_not_come_keeps_no_place(monkeypatch: pytest.Monk
     who has logged in is served on a new connection.
     """
     monkeypatch.setattr(login, "FORM_S", 60.0)
-    async with running() as cell:
-        await cell.log_in("Anna")
+    async with running(visitor="Anna") as cell:
         lines = [await connect(cell, f"127.0.1.{n % 100 + 1}", SLOW_FORM) for n in range(200)]
         await until(lambda: len(clients(cell)) <= places.MAX_CONNECTIONS - places.KEPT)
         theirs = aiohttp.ClientSession(cell.origin, cookies=cell.cookies())
@@ -95,8 +94,7 @@ async def test_a_form_that_does_not_come_keeps_no_place(monkeypatch: pytest.Monk
 @pytest.mark.slow
 async def test_strangers_end_no_connection_of_people() -> None:
     """Ten idle ones of somebody who has logged in outlast two hundred of strangers at the same address."""
-    async with running() as cell:
-        await cell.log_in("Anna")
+    async with running(visitor="Anna") as cell:
         cookie = "; ".join(f"{name}={value}" for name, value in cell.cookies().items())
         asked = f"GET /api/v1/me HTTP/1.1\r\nHost: 127.0.0.1\r\nCookie: {cookie}\r\n\r\n".encode()
         mine = [await connect(cell, "127.0.0.1", asked) for _ in range(10)]
@@ -114,8 +112,7 @@ async def test_strangers_end_no_connection_of_people() -> None:
 
 async def test_a_session_has_four_sockets() -> None:
     """The fifth is refused; another session has its own."""
-    async with running() as cell:
-        await cell.log_in("Vera")
+    async with running(visitor="Vera") as cell:
         tabs = [await cell.session.ws_connect(PLACE, origin=cell.origin) for _ in range(4)]
         with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
             await cell.session.ws_connect(PLACE, origin=cell.origin)

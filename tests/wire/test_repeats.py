@@ -21,8 +21,7 @@ def again(key: str) -> dict[str, str]:
 @pytest.mark.slow
 async def test_what_is_sent_again_is_answered_as_before() -> None:
     """Also while the first is still being done; what else is sent with its key is refused."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         first, second = await asyncio.gather(
             *(cell.ask("POST", USERS, NEW, **again("erna")) for _ in range(2))
         )
@@ -39,8 +38,7 @@ async def test_what_is_sent_again_is_answered_as_before() -> None:
 
 async def test_what_was_refused_may_be_possible_later() -> None:
     """With the same key it is tried again."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         cell.cycle.lock_setup(True)
         assert 409 == (await cell.ask("POST", "/api/v1/setup", {}, **again("1")))[0]
         cell.cycle.lock_setup(False)
@@ -50,8 +48,7 @@ async def test_what_was_refused_may_be_possible_later() -> None:
 @pytest.mark.slow
 async def test_a_key_is_that_of_its_session_for_ten_minutes() -> None:
     """Others may use the same; what is old is forgotten, and what is too much; too long a key is none."""
-    async with running() as cell:
-        await cell.log_in("Ben")
+    async with running(visitor="Ben") as cell:
         tongue = "/api/v1/me", {"language": "de"}
         assert 200 == (await cell.ask("PUT", *tongue, **again("1")))[0]
         await cell.log_in()

@@ -95,8 +95,7 @@ async def test_only_names_of_this_machine_are_served(monkeypatch: pytest.MonkeyP
 
 async def test_a_page_elsewhere_logs_nobody_in_or_out() -> None:
     """Their own account into somebody's browser, for example."""
-    async with running() as cell:
-        await cell.log_in("Anna")
+    async with running(visitor="Anna") as cell:
         form = {"name": "Vera", "password": PASSWORD}
         for origin in ({"Origin": "http://evil.example"}, {"Origin": "null"}, {}):
             for path in ("/login", "/invite", "/logout"):
@@ -112,8 +111,7 @@ async def test_a_page_elsewhere_logs_nobody_in_or_out() -> None:
 
 async def test_a_token_is_of_use_to_its_session_alone() -> None:
     """Not to another engineer who has seen it, nor to another session of hers: they take the cell over."""
-    async with running() as cell:
-        await cell.log_in("Anna")
+    async with running(visitor="Anna") as cell:
         anna = cell.cookies()
         _, token = await cell.ask("POST", "/api/v1/setup", {})
         for name in ("Ben", "Anna"):
@@ -138,8 +136,7 @@ async def test_a_token_is_of_use_to_its_session_alone() -> None:
 async def test_people_are_changed_with_the_own_password_alone() -> None:
     """Said within the last minutes: to log in, or again. Looking, and setting up, go on without."""
     person = {"name": "Erna", "role": "operator", "password": NEW}
-    async with running() as cell:
-        await cell.log_in("Anna")
+    async with running(visitor="Anna") as cell:
         assert CONFIRMED_S < IDLE_S
         cell.sleep(CONFIRMED_S)
         for method, path, document in (
@@ -158,8 +155,7 @@ async def test_people_are_changed_with_the_own_password_alone() -> None:
 
 async def test_a_weak_password_is_refused() -> None:
     """Of the lists, of rows of keys, of one's own name: for somebody new, for oneself, and by a code."""
-    async with running() as cell:
-        await cell.log_in("Anna")
+    async with running(visitor="Anna") as cell:
         for password in ("Password1!", "qwertzuiop", "20252026", "abababab", "Erna1990", "P@ssw0rd"):
             person = {"name": "Erna", "role": "operator", "password": password}
             status, problem = await cell.ask("POST", "/api/v1/users", person)
@@ -196,8 +192,7 @@ async def test_an_invitation_makes_nobody_but_whom_it_was_made_for() -> None:
 
 async def test_nobody_gets_a_name_that_looks_like_anothers() -> None:
     """With a Cyrillic letter, or a digit for a letter; a name in another form logs in the same user."""
-    async with running() as cell:
-        await cell.log_in("Anna")
+    async with running(visitor="Anna") as cell:
         for name in ("\u0410nna", "Ann\u0430", "Anna\u3164", "\uff21nna", "0tto"):
             person = {"name": name, "role": "engineer", "password": NEW}
             status, problem = await cell.ask("POST", "/api/v1/users", person)
@@ -209,8 +204,7 @@ async def test_nobody_gets_a_name_that_looks_like_anothers() -> None:
 
 async def test_everybody_sees_their_sessions_and_ends_them_all() -> None:
     """Where they are logged in, and nobody else's; this one ends with the others."""
-    async with running() as cell:
-        await cell.log_in("Ben")
+    async with running(visitor="Ben") as cell:
         ben = cell.cookies()
         seen = list[Mapping[str, str]]()
         for _ in range(2):

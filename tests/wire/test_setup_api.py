@@ -23,8 +23,7 @@ CHANGING = (
 
 async def test_somebody_takes_the_cell_looks_and_gives_it_back() -> None:
     """The state changes before the answer; pictures are what the cameras gave, to the last grey value."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         status, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         assert (201, CellPhase.SETUP) == (status, cell.ear.state())
         async with cell.session.get("/ready") as answer:
@@ -44,8 +43,7 @@ async def test_somebody_takes_the_cell_looks_and_gives_it_back() -> None:
 
 async def test_two_people_are_told_of_each_other() -> None:
     """The second is refused with the first one's name, may take over, and the first one's token ends."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         _, first = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         status, refused = await cell.ask("POST", "/api/v1/setup", {"name": "Ben"})
         assert (409, "setup_refused", "Anna has the cell") == (status, refused["code"], refused["detail"])
@@ -61,8 +59,7 @@ async def test_two_people_are_told_of_each_other() -> None:
 
 async def test_a_dead_camera_and_an_old_picture_are_problems_with_a_code() -> None:
     """Of RFC 9457: what a program needs, and a sentence."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         for _ in range(5):
             _, taken = await cell.ask("POST", "/api/v1/captures", entered)
@@ -104,8 +101,7 @@ async def test_without_the_switch_there_is_no_such_route(
     method: str, path: str, document: dict[str, str]
 ) -> None:
     """A page that only shows has nothing that changes the cell."""
-    async with running(commissioning=False) as cell:
-        await cell.log_in("")
+    async with running(commissioning=False, visitor="") as cell:
         assert 404 == (await cell.ask(method, path, document))[0]
 
 
@@ -128,8 +124,7 @@ async def test_without_the_switch_there_is_no_such_route(
 )
 async def test_what_is_no_request_is_said(body: bytes, status: int, code: str, field: str | None) -> None:
     """By its place; and it takes no cell."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         headers = {"Origin": cell.origin, "Content-Type": "application/json"}
         async with cell.session.post("/api/v1/setup", data=body, headers=headers) as answer:
             assert status == answer.status
@@ -141,8 +136,7 @@ async def test_what_is_no_request_is_said(body: bytes, status: int, code: str, f
 
 async def test_the_plant_that_runs_is_named() -> None:
     """409 with AUTO_LOCK, and READY stays."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         cell.cycle.lock_setup(True)
         status, problem = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         assert 409 == status

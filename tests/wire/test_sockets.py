@@ -68,8 +68,7 @@ async def opened(cell: Cell) -> Tab:
 
 async def test_a_tab_hears_of_the_cell_as_it_changes() -> None:
     """At once after it was opened, and after each change; of who has the cell, too."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         await tab.hear("cell", state="READY", setup=None)
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
@@ -82,8 +81,7 @@ async def test_a_tab_hears_of_the_cell_as_it_changes() -> None:
 
 async def test_live_pictures_come_one_after_another_as_they_are_seen() -> None:
     """Left and right of one exposure; the next only after `seen`; a viewer sees the same; off is off."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         tab, other = await opened(cell), await opened(cell)
         await tab.socket.send_json({"live": True, **entered})
@@ -109,8 +107,7 @@ async def test_live_pictures_come_one_after_another_as_they_are_seen() -> None:
 
 async def test_closing_the_tab_ends_its_pictures() -> None:
     """The cameras rest, and the cell is still taken."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         tab, other = await opened(cell), await opened(cell)
         await tab.socket.send_json({"live": True, **entered})
@@ -123,8 +120,7 @@ async def test_closing_the_tab_ends_its_pictures() -> None:
 
 async def test_live_without_the_cell_is_refused() -> None:
     """It is said why, to who asked, and the tab stays."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         for said in ({"live": True}, {"live": True, "token": "of nobody"}):
             await tab.socket.send_json(said)
@@ -138,8 +134,7 @@ async def test_only_an_engineer_lets_cameras_run() -> None:
     """Who may look is told so, so is one who has somebody else's token, and one of whom there was no sign; a
     finger is one.
     """
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         anna = cell.cookies()
         _, entered = await cell.ask("POST", "/api/v1/setup", {})
         for name, code in (("Vera", "role"), ("Ben", "setup_refused")):
@@ -170,8 +165,7 @@ async def test_only_an_engineer_lets_cameras_run() -> None:
 async def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.MonkeyPatch) -> None:
     """AUTO_LOCK changes nothing of a cell that is ready: when it is idle it is looked at, too."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.05)
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         assert not (await tab.hear("cell", state="READY"))["plc"]["auto_lock"]
         cell.plant = Overview(auto_lock=True, plc_owner="10.0.0.5")
@@ -182,8 +176,7 @@ async def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.
 @pytest.mark.parametrize("said", ["{", "[]", '{"seen": -1}', '{"seen": 1.5}', '{"colour": 1}', "[" * 900])
 async def test_what_is_no_message_ends_the_socket(said: str) -> None:
     """A page that says such things is none of ours."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         await tab.socket.send_str(said)
         while not tab.socket.closed:
@@ -205,8 +198,7 @@ async def test_a_page_elsewhere_or_without_a_session_opens_no_socket() -> None:
 
 async def test_logging_out_ends_the_socket() -> None:
     """With a code by which the page asks for the password."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         await tab.hear("cell")
         async with cell.session.post(
@@ -222,8 +214,7 @@ async def test_logging_out_ends_the_socket() -> None:
 async def test_there_are_so_many_sockets_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that is closed makes room."""
     monkeypatch.setattr(sockets, "MAX_SOCKETS", 2)
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         tabs = [await opened(cell) for _ in range(2)]
         with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
             await opened(cell)
@@ -241,8 +232,7 @@ async def test_there_are_so_many_sockets_and_no_more(monkeypatch: pytest.MonkeyP
 
 async def test_stopping_ends_every_socket() -> None:
     """The browser is told, and the daemon does not wait for it."""
-    async with running() as cell:
-        await cell.log_in()
+    async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         await tab.hear("cell")
         closing = asyncio.create_task(cell.web.close())
@@ -255,8 +245,7 @@ async def test_stopping_ends_every_socket() -> None:
 async def test_a_ping_is_answered_and_too_many_end_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:
     """It says why; for a while whoever did it has no turn, on another connection, too; others have theirs."""
     monkeypatch.setattr(server, "FLOODED_S", 60.0)
-    async with running() as cell:
-        await cell.log_in("Vera")
+    async with running(visitor="Vera") as cell:
         socket = await cell.session.ws_connect(PLACE, origin=cell.origin, autoping=False)
         await socket.ping(b"here")
         while (message := await socket.receive()).type is not aiohttp.WSMsgType.PONG:
