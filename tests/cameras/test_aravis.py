@@ -25,6 +25,7 @@ from helpers.gigecell import (
     closing,
     gige_camera,
     left_camera,
+    opened,
     running,
     settles,
     shoot,
@@ -291,8 +292,7 @@ async def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> No
 @pytest.mark.parametrize("packet_size", [None, 1500], ids=["negotiated", "1500"])
 async def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet_size: int | None) -> None:
     """Twenty exposures are the pictures the sensor saw, in order, new each time, owned and writable."""
-    async with closing(left_camera(user_socket=user_socket, packet_size=packet_size)) as camera:
-        await camera.open()
+    async with opened(left_camera(user_socket=user_socket, packet_size=packet_size)) as camera:
         frames = [await shoot(camera) for _ in range(20)]
 
     for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
@@ -308,8 +308,7 @@ async def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet
 async def test_a_camera_is_found_by_its_serial_number(cell: Cell) -> None:
     """Discovery names both cameras, and each is reached by serial number."""
     listed = {info.serial: info.address for info in list_cameras()}
-    async with closing(AravisCamera("right", AravisSettings("EDGED-T2"))) as camera:
-        await camera.open()
+    async with opened(AravisCamera("right", AravisSettings("EDGED-T2"))) as camera:
         frame = await shoot(camera)
 
     assert (LEFT, RIGHT) == (listed["EDGED-T1"], listed["EDGED-T2"])

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Iterator
 
 import pytest
-from helpers.gigecell import Cell, closing, left_camera, running, shoot
+from helpers.gigecell import Cell, left_camera, opened, running, shoot
 from helpers.needs import needs_aravis
 from helpers.scriptedhead import Ear, make_setup
 from helpers.waiting import until
@@ -41,8 +41,7 @@ def held(cell: Cell) -> tuple[float, float]:
 @pytest.mark.slow
 async def test_the_next_picture_is_exposed_as_adjusted(cell: Cell) -> None:
     """Without a new connection; what is not stated stays; the bounds are the camera's."""
-    async with closing(left_camera()) as camera:
-        await camera.open()
+    async with opened(left_camera()) as camera:
         assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await camera.limits()
         await shoot(camera)
         assert CameraValues(750.0, 0.0) == await camera.adjust(CameraValues(exposure_us=750.0))
@@ -57,8 +56,7 @@ async def test_the_next_picture_is_exposed_as_adjusted(cell: Cell) -> None:
 @pytest.mark.slow
 async def test_what_the_camera_does_not_take_changes_nothing(cell: Cell) -> None:
     """Named with its bounds, before anything is written; the camera goes on."""
-    async with closing(left_camera()) as camera:
-        await camera.open()
+    async with opened(left_camera()) as camera:
         with pytest.raises(CameraSetupError, match="left: exposure_us: 5 is outside 10 to 1e\\+06"):
             await camera.adjust(CameraValues(exposure_us=5.0, gain_db=2.0))
         assert (2000.0, 0.0) == held(cell)
@@ -70,8 +68,7 @@ async def test_what_the_camera_does_not_take_changes_nothing(cell: Cell) -> None
 async def test_what_was_there_before_is_written_back(cell: Cell, configured: float | None) -> None:
     """What is configured; or, for a camera that is left as it is, what it was found with."""
     cell.left.registers.put(g.EXPOSURE_TIME, 1234.0)
-    async with closing(left_camera(exposure_us=configured)) as camera:
-        await camera.open()
+    async with opened(left_camera(exposure_us=configured)) as camera:
         await camera.adjust(CameraValues(500.0, 6.0))
         assert (500.0, 6.0) == held(cell)
         await camera.restore()
@@ -83,8 +80,7 @@ async def test_what_was_there_before_is_written_back(cell: Cell, configured: flo
 @pytest.mark.slow
 async def test_a_lost_connection_keeps_what_is_tried_and_a_lost_camera_gets_back_what_was(cell: Cell) -> None:
     """Opened again it has what was adjusted; another host's when all is undone, it gets it later."""
-    async with closing(left_camera()) as camera:
-        await camera.open()
+    async with opened(left_camera()) as camera:
         await camera.adjust(CameraValues(exposure_us=500.0))
         await camera.close()
         await camera.open()
@@ -107,8 +103,7 @@ async def test_firmware_that_locks_its_settings_is_opened_anew(
     quirks = (Quirk.LOCKED_EXPOSURE, *([Quirk.CLAMPED_EXPOSURE] if clamped else []))
     caplog.set_level(logging.INFO)
     with running(Cell(quirks=quirks)) as cell:
-        async with closing(left_camera()) as camera:
-            await camera.open()
+        async with opened(left_camera()) as camera:
             if clamped:
                 with pytest.raises(CameraSetupError, match=r"the camera made 10000\.0 of 20000"):
                     await camera.adjust(CameraValues(exposure_us=20_000.0))
@@ -127,8 +122,7 @@ async def test_firmware_that_locks_its_settings_is_opened_anew(
 @pytest.mark.slow
 async def test_each_picture_may_prove_the_exposure_that_is_tried(cell: Cell) -> None:
     """With chunk data a picture is compared with what is in force, not with what is configured."""
-    async with closing(left_camera(chunks=True, exposure_us=3000.0)) as camera:
-        await camera.open()
+    async with opened(left_camera(chunks=True, exposure_us=3000.0)) as camera:
         await camera.adjust(CameraValues(exposure_us=500.0))
         await shoot(camera)
         await camera.restore()

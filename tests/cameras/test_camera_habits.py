@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.gigecell import LEFT, RIGHT, Cell, closing, left_camera, opens, running, settles, shoot
+from helpers.gigecell import LEFT, RIGHT, Cell, left_camera, opened, opens, running, settles, shoot
 from helpers.needs import needs_aravis
 from helpers.scriptedhead import Head
 from helpers.waiting import LIMIT_S
@@ -51,8 +51,7 @@ async def test_a_picture_after_an_adjustment_has_the_new_exposure_and_one_after_
             number = cell.left_sensor.saw(frame.image)
             return cell.left_sensor.requests[number - 1].exposure_us
 
-        async with closing(left_camera(exposure_us=3000.0)) as camera:
-            await camera.open()
+        async with opened(left_camera(exposure_us=3000.0)) as camera:
             await shoot(camera)
             await camera.adjust(CameraValues(exposure_us=700.0))
             assert 700.0 == exposure_of(await shoot(camera))
@@ -65,8 +64,7 @@ async def test_a_picture_after_an_adjustment_has_the_new_exposure_and_one_after_
 async def test_a_trigger_during_an_abandoned_exposure_is_exposed_all_the_same(quirk: Quirk) -> None:
     """Acquisition begins anew: the camera is no longer busy, and its picture is of the new trigger."""
     with habit(quirk) as cell:
-        async with closing(left_camera()) as camera:
-            await camera.open()
+        async with opened(left_camera()) as camera:
             await shoot(camera)
             cell.left.faults.delay_s = 0.4
             await camera.trigger()
@@ -83,8 +81,7 @@ async def test_a_trigger_during_an_abandoned_exposure_is_exposed_all_the_same(qu
 async def test_a_refused_trigger_is_a_frame_that_did_not_come_and_no_lost_camera() -> None:
     """GEV_STATUS_BUSY: said so, and the next trigger is exposed without a new connection."""
     with habit(Quirk.BUSY_REFUSES) as cell:
-        async with closing(left_camera()) as camera:
-            await camera.open()
+        async with opened(left_camera()) as camera:
             await shoot(camera)
             cell.left._triggers.exposing = True  # noqa: SLF001  (as after a pulse that nobody knows of)
             with pytest.raises(FrameTimeout, match="still busy with an exposure"):
@@ -97,8 +94,7 @@ async def test_a_refused_trigger_is_a_frame_that_did_not_come_and_no_lost_camera
 async def test_pictures_are_new_though_the_camera_counts_from_one_again() -> None:
     """Its counter falls by 200: ids rise on, no picture is taken for one that was there before."""
     with habit(Quirk.COUNTER_RESTARTS):
-        async with closing(left_camera(trigger=FreeRun(100.0))) as camera:
-            await camera.open()
+        async with opened(left_camera(trigger=FreeRun(100.0))) as camera:
             ids = [(await camera.frame()).frame_id for _ in range(BLOCKS_TO_RESTART + 20)]
         assert np.all(np.diff(ids) > 0)
 
@@ -109,8 +105,7 @@ async def test_pictures_come_whatever_their_block_ids_are(quirk: Quirk) -> None:
     """From 0 on, or with 64 bits: each picture is the one that the sensor saw, packets sent again
     included."""
     with habit(quirk) as cell:
-        async with closing(left_camera(packet_size=1500)) as camera:
-            await camera.open()
+        async with opened(left_camera(packet_size=1500)) as camera:
             frames = [await settles(camera, lambda: shoot(camera), LIMIT_S)]
             cell.left.faults.lost_packets = (2,)
             frames += [await settles(camera, lambda: shoot(camera), LIMIT_S) for _ in range(2)]
@@ -123,8 +118,7 @@ async def test_pictures_come_whatever_their_block_ids_are(quirk: Quirk) -> None:
 async def test_a_payload_that_is_no_image_is_named() -> None:
     """A camera that was left sending JPEG: the fault says what came."""
     with habit(Quirk.JPEG_PAYLOAD):
-        async with closing(left_camera()) as camera:
-            await camera.open()
+        async with opened(left_camera()) as camera:
             with pytest.raises(FrameIncomplete, match="it carries jpeg"):
                 await shoot(camera)
 
@@ -133,8 +127,7 @@ async def test_a_payload_that_is_no_image_is_named() -> None:
 async def test_a_camera_with_a_short_heartbeat_stays_ours_while_idle() -> None:
     """It would give us up after half a second, and Aravis speaks once a second: it is told three."""
     with habit(Quirk.SHORT_HEARTBEAT) as cell:
-        async with closing(left_camera()) as camera:
-            await camera.open()
+        async with opened(left_camera()) as camera:
             assert 3000 == cell.left.registers.word(g.HEARTBEAT_MS)
             began_s = time.monotonic()
             while time.monotonic() - began_s < 2.0:
@@ -174,8 +167,7 @@ async def test_what_changes_pictures_is_switched_off_unless_it_is_configured() -
         return [camera.registers.word(address) for address in range(0x20000, 0x20500, 0x100)]
 
     with running(Cell(make=make)) as cell:
-        async with closing(left_camera(exposure_us=2000.0, features=({"LUTEnable": True},))) as camera:
-            await camera.open()
+        await opens(left_camera(exposure_us=2000.0, features=({"LUTEnable": True},)))
         assert [0, 0, 1, 0, 0] == left(cell.left)
 
 
@@ -197,8 +189,7 @@ async def test_a_gain_in_steps_that_nobody_explains_is_refused_in_the_words_of_t
     with running(Cell(make=make)) as cell:
         with pytest.raises(CameraSetupError, match=r'gain_db: "Gain \(Raw\)" \(GainRaw\) counts in steps'):
             await opens(left_camera(gain_db=6.0))
-        async with closing(left_camera(features=({"GainRaw": 200},))) as camera:
-            await camera.open()
+        async with opened(left_camera(features=({"GainRaw": 200},))) as camera:
             assert camera.health is not None
             lacks = [str(lack) for lack in camera.health.lacks]
         assert ['gain in dB ("Gain (Raw)" (GainRaw) in steps of its own)', "PTP"] == lacks
@@ -217,8 +208,7 @@ async def test_a_gain_in_steps_is_set_in_db_where_the_manual_says_how(
     high = 1023 if vendor == "Basler" else 24
     make = made(node("GainRaw", "integer", g.GAIN, 20 if vendor == "Basler" else 1, high), without=("Gain",))
     with running(Cell(make=Make(vendor, model, make.features))) as cell:
-        async with closing(left_camera()) as camera:
-            await camera.open()
+        async with opened(left_camera()) as camera:
             values = await camera.adjust(CameraValues(gain_db=6.0))
         assert raw == cell.left.registers.word(g.GAIN)
         assert values.gain_db == pytest.approx(6.0, abs=0.05)
@@ -231,8 +221,7 @@ async def test_two_cameras_that_pace_themselves_share_the_link(monkeypatch: pyte
     monkeypatch.setattr(link, "host_bps", lambda _device: 1e9)
     make = made(node("StreamBytesPerSecond", "integer", 0x20000, 115_000_000, 124_000_000))
     with running(Cell(make=make)) as cell:
-        async with closing(left_camera(packet_size=1500)) as camera:
-            await camera.open()
+        async with opened(left_camera(packet_size=1500)) as camera:
             delay_us = camera.health.packet_delay_us if camera.health is not None else None
         assert 62_500_000 == cell.left.registers.word(0x20000)
         assert delay_us == pytest.approx(8 * 1538 / 1e9 * 1e6, rel=1e-3)
@@ -249,8 +238,7 @@ async def test_lines_that_are_called_otherwise_show_the_exposure() -> None:
         without=("LineSelector", "LineMode", "LineInverter", "LineSource", "LineStatus", "LineDebouncerTime"),
     )
     with running(Cell(make=make)) as cell:
-        async with closing(left_camera(outputs=(Output("SyncOut2", inverted=True),))) as camera:
-            await camera.open()
+        await opens(left_camera(outputs=(Output("SyncOut2", inverted=True),)))
         assert [5, 1] == [cell.left.registers.word(bank + 4) for bank in (0x20100, 0x20200)]
 
 
@@ -261,8 +249,7 @@ async def test_a_camera_without_a_trigger_runs_freely_and_says_so() -> None:
     with running(Cell(make=make)):
         with pytest.raises(CameraSetupError, match=r'trigger\.mode = "free-run"'):
             await opens(left_camera(trigger=Software()))
-        async with closing(left_camera(trigger=FreeRun())) as camera:
-            await camera.open()
+        async with opened(left_camera(trigger=FreeRun())) as camera:
             await camera.frame()
 
 

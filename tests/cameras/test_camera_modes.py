@@ -17,6 +17,7 @@ from helpers.gigecell import (
     closing,
     gige_camera,
     left_camera,
+    opened,
     opens,
     running,
     shoot,
@@ -141,8 +142,7 @@ async def test_edge_delay_and_debounce_reach_the_camera(cell: Cell) -> None:
 @pytest.mark.slow
 async def test_a_pulse_before_the_command_is_not_its_exposure(cell: Cell) -> None:
     """What was exposed before somebody asked shows the part where it was before."""
-    async with closing(head_with({"mode": "line"})) as head:
-        await head.open()
+    async with opened(head_with({"mode": "line"})) as head:
         await armed(cell)
         pulse(cell)
         await asyncio.sleep(0.1)
@@ -165,8 +165,7 @@ async def test_no_pulse_is_a_time_out(cell: Cell) -> None:
 @pytest.mark.slow
 async def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
     """Nobody asks; five pulses 100 ms apart are five pairs."""
-    async with closing(head_with({"mode": "line"}, external=True)) as head:
-        await head.open()
+    async with opened(head_with({"mode": "line"}, external=True)) as head:
         await armed(cell)
         loop = asyncio.get_running_loop()
         for number_ in range(5):
@@ -181,8 +180,7 @@ async def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
 @pytest.mark.slow
 async def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pair(cell: Cell) -> None:
     """A loose contact: no result for that pulse, and no pair of two different ones afterwards."""
-    async with closing(head_with({"mode": "line"}, external=True, timeout_s=1.0)) as head:
-        await head.open()
+    async with opened(head_with({"mode": "line"}, external=True, timeout_s=1.0)) as head:
         await armed(cell)
         cell.left.line("Line1").pulse()
         with pytest.raises(FrameUnpaired, match="camera right: no partner for frame 1 of left"):
@@ -278,8 +276,7 @@ async def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
     """High while exposed, and only then."""
     edges: list[tuple[bool, int]] = []
     cell.left.line("Line2").listen(lambda level, at_ns: edges.append((level, at_ns)))
-    async with closing(left_camera(exposure_us=3000.0, outputs=(Output("Line2"),))) as camera:
-        await camera.open()
+    async with opened(left_camera(exposure_us=3000.0, outputs=(Output("Line2"),))) as camera:
         await shoot(camera)
 
     (up, up_ns), (down, down_ns) = edges
@@ -291,8 +288,7 @@ async def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
 @pytest.mark.parametrize("name", g.PIXEL_FORMATS)
 async def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) -> None:
     """Packed, transferred, unpacked: the same grey values; a mosaic as bright as the picture."""
-    async with closing(left_camera(features=({"PixelFormat": name},))) as camera:
-        await camera.open()
+    async with opened(left_camera(features=({"PixelFormat": name},))) as camera:
         frame = await shoot(camera)
 
     (shown,) = cell.left_sensor.shown.values()
@@ -309,8 +305,7 @@ async def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) 
 async def test_firmware_with_habits_is_triggered_all_the_same(quirk: Quirk) -> None:
     """Settings are written in an order that each of them stands."""
     with running(Cell(quirks=(quirk,))) as cell:
-        async with closing(left_camera(exposure_us=1500.0)) as camera:
-            await camera.open()
+        async with opened(left_camera(exposure_us=1500.0)) as camera:
             await shoot(camera)
         assert [1500.0] == [request.exposure_us for request in cell.left_sensor.requests]
 
@@ -328,8 +323,7 @@ async def test_a_clamped_exposure_is_named() -> None:
 async def test_a_camera_with_few_nodes_is_triggered_by_software() -> None:
     """No lines, no chunks, no PTP, no temperature: nothing of it is missed."""
     with running(Cell(quirks=(Quirk.FEW_NODES,))) as cell:
-        async with closing(left_camera(exposure_us=1500.0, gain_db=1.0)) as camera:
-            await camera.open()
+        async with opened(left_camera(exposure_us=1500.0, gain_db=1.0)) as camera:
             frame = await shoot(camera)
         assert 1 == cell.left_sensor.saw(frame.image)
 
@@ -337,8 +331,7 @@ async def test_a_camera_with_few_nodes_is_triggered_by_software() -> None:
 @pytest.mark.slow
 async def test_an_exposure_that_changed_behind_our_back_is_a_fault(cell: Cell) -> None:
     """With chunk data each image says how long it was exposed: another time is no result."""
-    async with closing(left_camera(exposure_us=2000.0, chunks=True)) as camera:
-        await camera.open()
+    async with opened(left_camera(exposure_us=2000.0, chunks=True)) as camera:
         await shoot(camera)
         cell.left.registers.put(g.EXPOSURE_TIME, 900.0)
         with pytest.raises(FrameIncomplete, match="exposed for 900 us, not 2000 us"):
@@ -420,8 +413,7 @@ async def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
         return await camera.frame()
 
     exposure = {"exposure_us": 1000.0} if configured else {}
-    async with closing(left_camera(trigger=LineTrigger("Line1"), **exposure)) as camera:
-        await camera.open()
+    async with opened(left_camera(trigger=LineTrigger("Line1"), **exposure)) as camera:
         if configured:
             await shot(camera)
         await camera.adjust(CameraValues(exposure_us=400_000.0))
@@ -439,8 +431,7 @@ async def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
 async def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None:
     """Ticks of 8 ns, and of a millisecond: the bound says so, the truth is within it."""
     with running(Cell(clock=DeviceClock(offset_s=5000.0, drift_ppm=90.0, tick_hz=tick_hz))) as cell:
-        async with closing(left_camera()) as camera:
-            await camera.open()
+        async with opened(left_camera()) as camera:
             frames = [await shoot(camera) for _ in range(6)]
         for frame, request in zip(frames, cell.left_sensor.requests, strict=True):
             assert frame.exposed_bound_ns is not None
@@ -453,8 +444,7 @@ async def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.
     """Ten times what a crystal may be off: it is mapped anew with each reading, and said once."""
     with running(Cell(clock=DeviceClock(drift_ppm=2e7 * CLOCK_DRIFT, tick_hz=10**9))) as cell:
         frames = []
-        async with closing(left_camera()) as camera:
-            await camera.open()
+        async with opened(left_camera()) as camera:
             for _ in range(6):
                 await asyncio.sleep(0.1)  # so far that the readings contradict each other
                 frames.append(await shoot(camera))
@@ -468,8 +458,7 @@ async def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.
 @pytest.mark.slow
 async def test_a_clock_that_jumps_is_mapped_anew(cell: Cell) -> None:
     """Set back by an hour between two images: the next one is timed as well as the one before."""
-    async with closing(left_camera()) as camera:
-        await camera.open()
+    async with opened(left_camera()) as camera:
         frames = [await shoot(camera)]
         cell.left.clock.jump(-500.0)
         frames += [await shoot(camera) for _ in range(3)]

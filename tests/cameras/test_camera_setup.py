@@ -19,6 +19,7 @@ from helpers.gigecell import (
     Cell,
     closing,
     left_camera,
+    opened,
     opens,
     running,
     shoot,
@@ -88,8 +89,7 @@ async def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
     cell: Cell, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Nobody answers where it was; the log says where it is now."""
-    async with closing(left_camera(NOBODY, serial="EDGED-T1")) as camera:
-        await camera.open()
+    async with opened(left_camera(NOBODY, serial="EDGED-T1")) as camera:
         frame = await shoot(camera)
 
     cell.left_sensor.saw(frame.image)
@@ -103,8 +103,7 @@ async def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
 async def test_a_region_is_put_back_in_its_place(cell: Cell) -> None:
     """The calibration is of the whole image: the region lies where the sensor saw it, black around."""
     region = {"Width": 160, "Height": 100, "OffsetX": 32, "OffsetY": 20}
-    async with closing(left_camera(calibrated=(WIDTH, HEIGHT), features=(region,))) as camera:
-        await camera.open()
+    async with opened(left_camera(calibrated=(WIDTH, HEIGHT), features=(region,))) as camera:
         frame = await shoot(camera)
 
     (shown,) = cell.left_sensor.shown.values()
@@ -208,8 +207,7 @@ async def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) 
 @pytest.mark.slow
 async def test_the_time_of_an_exposure_is_within_its_stated_bound(cell: Cell) -> None:
     """UTC by the camera's stamp: the simulator knows the truth."""
-    async with closing(left_camera()) as camera:
-        await camera.open()
+    async with opened(left_camera()) as camera:
         frames = [await shoot(camera) for _ in range(10)]
 
     for frame, request in zip(frames, cell.left_sensor.requests, strict=True):

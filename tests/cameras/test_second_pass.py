@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,14 +13,11 @@ from helpers.firefox import BROWSERS, Opener
 from helpers.needs import needs_aravis
 from helpers.setuppage import log_in
 from helpers.stagecell import staged
+from newcomerclicks import Clicks
+from secondclicks import bench, second_pass
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-from newcomerclicks import Clicks
-from secondclicks import bench, second_pass
 
 pytestmark = [pytest.mark.slow, needs_aravis()]
 GOAL_UM = 40.0

@@ -93,10 +93,18 @@ async def closing(camera: C) -> AsyncIterator[C]:
         await camera.close()
 
 
-async def opens(camera: Closes) -> None:
-    """Open it, and close it."""
+@asynccontextmanager
+async def opened(camera: C) -> AsyncIterator[C]:
+    """A camera (or a head) that is open, and closed afterwards."""
     async with closing(camera):
         await camera.open()
+        yield camera
+
+
+async def opens(camera: Closes) -> None:
+    """Open it, and close it."""
+    async with opened(camera):
+        pass
 
 
 async def shoot(camera: AravisCamera) -> Frame:

@@ -112,6 +112,12 @@ class Program:
             if not bits & OK or head == tail:
                 return bits, reason, x_mm
 
+    def locate(self) -> None:
+        """Ask for a part once the cell is READY, until it is OK."""
+        self.until(lambda bits: bits & READY)
+        self.write(CONTROL, 1)
+        self.until(lambda bits: bits & OK)
+
     def until(self, condition: Callable[[int], object]) -> tuple[int, int, float]:
         """Scans until BITS are so."""
         end_s = time.monotonic() + LIMIT_S

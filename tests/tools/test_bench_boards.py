@@ -9,6 +9,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import bench_boards
 import cv2
 import numpy as np
 import pytest
@@ -17,10 +18,6 @@ from helpers.cells import small_rig
 
 from edged.files.pairs import ImagePair
 from edged.vision.boards.board import Chessboard
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-import bench_boards
 
 REAL = Path(__file__).resolve().parents[1] / "data" / "stereo-chessboard"
 

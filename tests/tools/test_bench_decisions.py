@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from functools import cache
-from pathlib import Path
 
+import bench_decisions
 import numpy as np
 import pytest
 from helpers.cells import frame_pair, pose
@@ -13,10 +12,6 @@ from helpers.cells import frame_pair, pose
 from edged.domain.arrays import Image
 from edged.domain.measurement import Reject
 from edged.pipeline import locate
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-import bench_decisions
 
 LOOK = "plain"
 

@@ -1,13 +1,8 @@
 """Hand-eye on public pictures of real robots: tools/bench handeye."""
 
-import sys
-from pathlib import Path
-
+import bench_handeye
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-import bench_handeye
 
 
 def test_real_poses_of_a_robot_agree_within_a_millimetre() -> None:

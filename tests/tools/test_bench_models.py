@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-import pytest
-from helpers.needs import needs_aravis
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
 import bench_models
+import pytest
 from cameramodels import Feature, models, read_description
+from helpers.needs import needs_aravis
 from modelcamera import make_of
 
 WITHOUT_TRIGGER = {"FLIR_A35", "FLIR_SC6700", "Teledyne_ShadoBox"}

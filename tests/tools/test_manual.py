@@ -6,19 +6,15 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.parse import unquote, urlsplit
 
+import manuallinks
 import pytest
 
 from edged.adapters.web.manualfiles import Manual, read_manual
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-import manuallinks
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))

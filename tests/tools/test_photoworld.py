@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import photoworld
 import pytest
 from helpers.cells import shrunk
 from helpers.tilted import lying
-
-from edged.vision.geometry.rigid import apply, invert
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-import photoworld
 from photoworld import FINISHES, LIGHTS, SHEET_MM, Setting, irradiance, panel
 from solids import Design, Wall, circle, meshed, random_design
 from solidworld import world_rig
+
+from edged.vision.geometry.rigid import apply, invert
 
 SETTING = replace(
     Setting.drawn("cast", np.random.default_rng(1)),

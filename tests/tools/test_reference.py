@@ -6,7 +6,6 @@ import enum
 import json
 import re
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,8 @@ from typing import Any
 import pytest
 import typer
 from pydantic import BaseModel
+from referencepages.markdown import ROOT, member_docs
+from referencepages.pages import PAGES, current, main
 
 from edged import errors
 from edged.adapters.zenoh.keys import KEYS, TRIGGER_PARAMETERS
@@ -29,11 +30,6 @@ from edged.plc.answers import NackReason
 from edged.plc.registers import BLOCKS, ROWS, Flag, Option, ResultCode, StatusBit, Warn
 from edged.robot.orientations import Convention
 from edged.sim.cell import demo_rig
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-from referencepages.markdown import ROOT, member_docs
-from referencepages.pages import PAGES, current, main
 
 CODES: tuple[type[enum.Enum], ...] = (
     *(Status, Reject, CommandKind, CalibrationHealth, NackReason, Convention),

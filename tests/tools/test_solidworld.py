@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from benching import wilson
 from helpers.tilted import lying
+from solids import UP, Design, Wall, box, circle, flattened, meshed, polygon, random_design
+from solidstep import step_text
+from solidtruth import part_json
+from solidworld import BreakLook, Look, World, pictures, world_rig, write_set
 
 from edged.domain.arrays import FloatArray
 from edged.files.images import load_image
@@ -16,14 +20,6 @@ from edged.files.step import read_step
 from edged.sim.render.lens import project
 from edged.vision.geometry.rigid import apply
 from edged.vision.teaching.cadmodel import CadModel, RoundSurface, curves_towards, open_sides
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-from benching import wilson
-from solids import UP, Design, Wall, box, circle, flattened, meshed, polygon, random_design
-from solidstep import step_text
-from solidtruth import part_json
-from solidworld import BreakLook, Look, World, pictures, world_rig, write_set
 
 
 def volume(model: CadModel) -> float:

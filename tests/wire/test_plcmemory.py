@@ -113,9 +113,7 @@ def test_a_start_that_was_up_before_runs_nothing(controller: Controller) -> None
         wait_until(lambda: program.word(at.HEARTBEAT) not in (heartbeat, heartbeat + 1))
         assert (0, 0) == (cell.head.captures, program.word(at.BITS))
         program.write(at.CONTROL, 0)
-        program.until(lambda bits: bits & at.READY)
-        program.write(at.CONTROL, 1)
-        program.until(lambda bits: bits & at.OK)
+        program.locate()
     assert bytes(128) == controller.get(64, 128)
     with program_beside(LiveCell(), controller) as (program, _):
         assert 0 == program.word(at.BITS)
@@ -155,9 +153,7 @@ class Spy:
 def test_a_plc_that_comes_back_is_served_again_and_runs_nothing_old(controller: Controller) -> None:
     """Off while START is up: nobody holds the right to write; on again: START must fall first."""
     with program_beside(cell := LiveCell(), controller) as (program, publisher):
-        program.until(lambda bits: bits & at.READY)
-        program.write(at.CONTROL, 1)
-        program.until(lambda bits: bits & at.OK)
+        program.locate()
         controller.stop()
         wait_until(lambda: publisher.problem)
         wait_until(lambda: cell.call(lambda: cell.server.owner) == "")
@@ -170,9 +166,7 @@ def test_a_plc_that_comes_back_is_served_again_and_runs_nothing_old(controller: 
             wait_until(lambda: program.word(at.HEARTBEAT) not in (heartbeat, heartbeat + 1))
             assert (1, 0) == (cell.head.captures, program.word(at.BITS))
             program.write(at.CONTROL, 0)
-            program.until(lambda bits: bits & at.READY)
-            program.write(at.CONTROL, 1)
-            program.until(lambda bits: bits & at.OK)
+            program.locate()
         finally:
             again.stop()
 
@@ -203,9 +197,7 @@ def test_during_another_clients_turn_a_plc_waits_as_one_that_writes_for_ever(han
                 wait_until(lambda: cell.call(lambda: cell.server.owner))  # its writes are taken again
                 assert (0, 0) == (program.word(at.BITS), cell.head.captures)
                 program.write(at.CONTROL, 0)
-                program.until(lambda bits: bits & at.READY)
-                program.write(at.CONTROL, 1)
-                program.until(lambda bits: bits & at.OK)
+                program.locate()
                 assert 1 == cell.head.captures
             else:
                 wait_until(lambda: program.word(at.REASON + 6) == NackReason.BASELINE)
@@ -231,9 +223,7 @@ def test_registers_that_a_reload_exchanges_run_nothing_of_before() -> None:
 
             publisher = cell.run(start())
             program = Program(controller)
-            program.until(lambda bits: bits & at.READY)
-            program.write(at.CONTROL, 1)
-            program.until(lambda bits: bits & at.OK)
+            program.locate()
             served[0] = None
             wait_until(lambda: controller.get(64, 128) == bytes(128))
             other = ModbusPublisher(cell.settings, cell.cycle)
@@ -243,9 +233,7 @@ def test_registers_that_a_reload_exchanges_run_nothing_of_before() -> None:
             wait_until(lambda: program.word(at.MAGIC) == 0x4544)
             assert (1, 0) == (cell.head.captures, program.word(at.BITS))
             program.write(at.CONTROL, 0)
-            program.until(lambda bits: bits & at.READY)
-            program.write(at.CONTROL, 1)
-            program.until(lambda bits: bits & at.OK)
+            program.locate()
             cell.call(lambda: cell.cycle.set_publishers([cell.server]))
             cell.run(publisher.close())
             cell.run(other.close())
@@ -331,9 +319,7 @@ def test_mangled_answers_end_in_a_new_connection(
                     connections, heartbeat = mangler.connections, program.word(at.HEARTBEAT)
                     wait_until(lambda before=heartbeat: program.word(at.HEARTBEAT) > before + 4)
                 assert not publisher.problem
-                program.until(lambda bits: bits & at.READY)
-                program.write(at.CONTROL, 1)
-                program.until(lambda bits: bits & at.OK)
+                program.locate()
     finally:
         controller.stop()
     assert not [record for record in caplog.records if record.exc_info]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import cv2
@@ -10,16 +9,13 @@ import numpy as np
 import pytest
 from helpers.boards import board_poses, draw_board, right_pose
 from helpers.cells import pictures, pose, scene, small_rig
+from plainopencv import PlainCamera, PlainRig, calibrate_plain, measure_circle
 
 from edged.errors import CalibrationError
 from edged.sim.render.scene import Disc, Part, Surface
 from edged.vision.boards.board import Chessboard
 from edged.vision.curves.outlines import project_circle
 from edged.vision.geometry.camera import CameraModel, StereoRig
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
-
-from plainopencv import PlainCamera, PlainRig, calibrate_plain, measure_circle
 
 RADIUS_MM = 12.0
 ROUND = np.linspace(0, 2 * np.pi, 90, endpoint=False)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.tilted import lying
+from solids import random_design
+from solidworld import drawn, world_rig, write_drawing
 
 from edged.files.step import read_step
 from edged.pipeline import prepare
@@ -16,11 +17,6 @@ from edged.vision.geometry.rigid import invert, transform
 from edged.vision.solid.breaks import lay_with_breaks
 from edged.vision.solid.edgemodel import model_of
 from edged.vision.teaching.cadbody import body_of
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
-
-from solids import random_design
-from solidworld import drawn, world_rig, write_drawing
 
 DESIGN, BREAK_MM = 4, 0.394
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import functools
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.tilted import lying
+from solids import random_design
+from solidworld import drawn, world_rig
 
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
@@ -23,11 +24,6 @@ from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.teaching.furtherpairs import with_further_pairs
 from edged.vision.teaching.pair import teach
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
-
-from solids import random_design
-from solidworld import drawn, world_rig
 
 DESIGN, BREAK_MM = 4, 0.394
 """One whose teaching pair shows the lower edges of its breaks."""

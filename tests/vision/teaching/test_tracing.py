@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.cells import frame_pair
 from helpers.tilted import lying
+from solids import Design, Wall, box, circle, flattened
+from solidworld import BreakLook, Look, World, pictures, world_rig
 
 from edged.domain.measurement import Reject
 from edged.pipeline import PreparedRig, inspect, judge, prepare
@@ -22,11 +22,6 @@ from edged.vision.solid.curvemodel import curve_model, has_enough_curves
 from edged.vision.solid.edgemodel import sampled
 from edged.vision.teaching.pair import teach
 from edged.vision.teaching.tracing import above_table
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools"))
-
-from solids import Design, Wall, box, circle, flattened
-from solidworld import BreakLook, Look, World, pictures, world_rig
 
 BOSS_MM = 3.6
 PLATE = Design(
