@@ -7,12 +7,13 @@
 An empty folder, a hand that trembles and misses. It brings the board to the outline that the cell draws, and
 pictures are taken when it is still; when the goal is reached the calibration is solved and activated. Then a
 job is taught from one pair, and a part is laid at N places: each result beside the exact truth. Needs Aravis.
-With --browser all of it is done on the page, in chromium, by clicks and digits alone, and clicks are counted
-(also those of the stage's hands): left and right by a wave, light, the calibration by the drawn outline, a
-check, a job, a trial, the robot by touch, until a PLC reads a VALID result; without Aravis.
+With --browser all of it is done on the page, in Chromium or Firefox, by clicks and digits alone, and clicks
+are counted (also those of the stage's hands): left and right by a wave, light, the calibration by the drawn
+outline, a check, a job, a trial, the robot by touch, until a PLC reads a VALID result; without Aravis.
 With --second the same page then goes on, on virtual GigE cameras and without a restart: another camera,
 board and part, a robot of another brand by hand-eye, VALID, back to the first release, VALID, and forward
-again; with --losses every second picture of one camera is lost in all of that.
+again; with --losses every second picture of one camera is lost in all of that. What is done, and what is
+waited for, is told on standard error.
 """
 
 from __future__ import annotations

@@ -41,6 +41,10 @@ PICTURES = 'document.querySelector(".pair")?.scrollIntoView({ block: "center" })
 BORROWED = """document.querySelector("[name=pasted]").value"""
 
 
+TROUBLE = (
+    """[...document.querySelectorAll(".trouble, .wrong[role=alert]")].find((e) => e.checkVisibility())"""
+)
+"""What stands beside a button whose work failed."""
 WATCH = """window.spent = {}; new PerformanceObserver((list) => {
   for (const { interactionId, duration } of list.getEntries())
     if (interactionId) spent[interactionId] = Math.max(spent[interactionId] ?? 0, duration);
@@ -289,6 +293,21 @@ async def long(
         await (pause(page, 0.2) if meanwhile is None else meanwhile())
 
 
+async def done(page: Browser, text: str, expression: str) -> None:
+    """Press a button until something comes of it: the cameras of a busy machine may give no pair."""
+
+    async def again() -> None:
+        if await page.value(f"Boolean({TROUBLE})"):
+            print(f"again: {text}: {await page.value(f'{TROUBLE}?.innerText')}", file=sys.stderr)
+            if await page.value(said("Understood")):
+                await press(page, "Understood")
+            await press(page, text)
+        await pause(page, 0.2)
+
+    await press(page, text)
+    await long(page, expression, again)
+
+
 async def soon(page: Browser, expression: str) -> None:
     """Wait for what may not come."""
     begun_s = time.monotonic()
@@ -302,18 +321,9 @@ async def pause(page: Browser, least_s: float) -> None:
 
 
 async def check(page: Browser) -> None:
-    """This board once more; again where the cameras gave no pair, as on a busy machine."""
+    """This board once more."""
     await follow(page, "check")
-    trouble = 'document.querySelector(".trouble")'
-
-    async def again() -> None:
-        if await page.value(f"Boolean({trouble})"):
-            await press(page, "Understood")
-        await press(page, "Check now")
-        await long(page, f"!{said('Measuring')}")
-
-    await again()
-    await long(page, f"!{trouble}", again)
+    await done(page, "Check now", f"!{said('Measuring')} && !{TROUBLE}")
     if not await page.value(said("The calibration holds")):
         raise RuntimeError(await page.value('document.querySelector(".checked").innerText'))
 
@@ -322,8 +332,9 @@ async def teach(page: Browser, password: str) -> None:
     """One pair; what is proposed is taken."""
     await press(page, "Lay the part")
     await follow(page, "teach")
-    await press(page, "Take the pair")
-    await long(page, 'document.querySelectorAll("[data-side=left] .feature.taken").length > 3')
+    await done(
+        page, "Take the pair", 'document.querySelectorAll("[data-side=left] .feature.taken").length > 3'
+    )
     await press(page, "Where the part is")
     await press(page, "Tap")
     await page.click("[data-side=left] .feature[data-key=c0]")
@@ -343,8 +354,7 @@ async def try_out(page: Browser, tried: int) -> int:
         await press(page, "Lay the part somewhere else")
         await soon(page, f"{PLACES} !== {before}")
     good = int(await page.value(PLACES)) - 1
-    await press(page, "Hold still, 30 pictures")
-    await long(page, 'document.querySelector("main .verdict .shape")')
+    await done(page, "Hold still, 30 pictures", 'document.querySelector("main .verdict .shape")')
     return good
 
 
@@ -353,8 +363,7 @@ async def register(page: Browser, password: str) -> None:
     await press(page, "Hold the board")
     await follow(page, "robot")
     await press(page, "Begin")
-    await press(page, "Take a picture of it")
-    await long(page, 'document.querySelectorAll(".robot-look .place").length > 5')
+    await done(page, "Take a picture of it", 'document.querySelectorAll(".robot-look .place").length > 5')
     for count in range(1, TOUCHES + 1):
         await press(page, "Stage: what the virtual robot shows")
         await long(page, BORROWED)

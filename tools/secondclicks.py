@@ -24,6 +24,7 @@ from newcomerclicks import (
     Clicks,
     check,
     confirm,
+    done,
     follow,
     long,
     pause,
@@ -231,8 +232,7 @@ async def another_camera(page: Browser, beside: Bench) -> None:
 
     await long(page, said("left and right have been exchanged"), again)
     await long(page, f'{tile}?.innerText.includes("right camera")')
-    await press(page, "Take a test pair")
-    await long(page, said("ms between the two exposures"))
+    await done(page, "Take a test pair", said("ms between the two exposures"))
 
 
 async def check_again(page: Browser) -> None:
@@ -292,8 +292,8 @@ async def teach_another(page: Browser, beside: Bench, password: str) -> None:
     await follow(page, "teach")
     for is_kept in (False, True):
         await anew(page, "Another part", "Take the pair")
-        await press(page, "Take the pair")
-        await long(page, 'document.querySelectorAll("[data-side=left] .feature.taken").length > 2')
+        taken = 'document.querySelectorAll("[data-side=left] .feature.taken").length > 2'
+        await done(page, "Take the pair", taken)
         if not is_kept:
             await discard_here(page)
     await release(page, "Use this job", password)
@@ -315,8 +315,8 @@ async def another_robot(page: Browser, password: str) -> None:
         await press(page, "Stage: robot to its next pose")
         await press(page, "Stage: what the virtual robot shows")
         await long(page, BORROWED)
-        await press(page, "Take the picture at this pose")
-        await long(page, f"{BORROWED} === '' && {said(f'Points and poses ({count})')}")
+        taken = f"{BORROWED} === '' && {said(f'Points and poses ({count})')}"
+        await done(page, "Take the picture at this pose", taken)
     await long(page, said("All of them agree."))
     await press(page, "Keep this registration")
     await long(page, said("The check: go to this place"))

@@ -141,16 +141,19 @@ class Browser:
         self.clicks += 1
         if self.on_click is not None:
             await self.on_click(*await self._middle(element))
-        while True:
-            x, y = await self._middle(element)
-            await self.value(f"({GUARD})(document.elementFromPoint({x}, {y}))")
-            for kind in ("mousePressed", "mouseReleased"):
-                await self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
-            try:
-                if not await self.value(MISSED):
+        async with bounded(f"a click on {element}"):
+            while True:
+                x, y = await self._middle(element)
+                await self.value(f"({GUARD})(document.elementFromPoint({x}, {y}))")
+                for kind in ("mousePressed", "mouseReleased"):
+                    await self.ask(
+                        "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1
+                    )
+                try:
+                    if not await self.value(MISSED):
+                        return
+                except Gone:
                     return
-            except Gone:
-                return
 
     async def tap(self, selector: str) -> None:
         """The same with a finger."""
