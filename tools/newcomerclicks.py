@@ -228,14 +228,20 @@ async def confirm(page: Browser, password: str) -> None:
 async def wave(page: Browser) -> None:
     """Before the left camera, and only there."""
     await follow(page, "cameras")
-    await press(page, "I wave now")
-    await page.until('document.querySelector(".pulse")')
+    await waved(page, "The left picture moved")
+
+
+async def waved(page: Browser, seen: str) -> None:
+    """Wave until the page says what it has seen; begun again where that was nothing."""
+    begin = 'document.querySelector("#wave ~ .actions button")'
 
     async def again() -> None:
+        if await page.value(f"{begin}.disabled === false"):
+            await page.click_on(begin)
         await press(page, "Wave before the left camera")
         await pause(page, LEAST_S)
 
-    await long(page, said("The left picture moved"), again)
+    await long(page, said(seen), again)
 
 
 async def light(page: Browser) -> None:

@@ -19,7 +19,6 @@ from helpers.flatparts import DISC
 from helpers.setuppage import DIALOG, STATE, said
 from newcomerclicks import (
     BORROWED,
-    LEAST_S,
     VIEWS,
     Clicks,
     check,
@@ -27,12 +26,12 @@ from newcomerclicks import (
     done,
     follow,
     long,
-    pause,
     press,
     release,
     to_release,
     try_out,
     valid,
+    waved,
 )
 
 from edged.sim.exposure import ExposureRequest
@@ -222,15 +221,7 @@ async def another_camera(page: Browser, beside: Bench) -> None:
     await long(page, f'{tile}?.innerText.includes("right camera")')
     await page.click(f'[aria-label="Use as left camera: {SPARE[1]}"]')
     await long(page, f'{tile}?.innerText.includes("left camera")')
-    await press(page, "I wave now")
-
-    async def again() -> None:
-        await press(page, "Wave before the left camera")  # whose picture is the right one, by mistake
-        await pause(page, LEAST_S)
-        if await page.value(said("No hand was seen")):
-            await press(page, "Once more")
-
-    await long(page, said("left and right have been exchanged"), again)
+    await waved(page, "left and right have been exchanged")  # the left picture is the right one, by mistake
     await long(page, f'{tile}?.innerText.includes("right camera")')
     await done(page, "Take a test pair", said("ms between the two exposures"))
 

@@ -13,13 +13,14 @@ from helpers.firefox import BROWSERS, Opener
 from helpers.needs import needs_aravis
 from helpers.setuppage import log_in
 from helpers.stagecell import staged
+from helpers.waiting import WHOLE_S
 from newcomerclicks import Clicks
 from secondclicks import bench, second_pass
 
 from edged.commands.stage import USER
 from edged.files.rig import save_rig
 
-pytestmark = [pytest.mark.slow, needs_aravis()]
+pytestmark = [pytest.mark.slow, pytest.mark.takes(3 * WHOLE_S), needs_aravis()]
 GOAL_UM = 40.0
 """Of pictures of 640x480, soon reached: what is tested are the clicks."""
 PLACES = 1

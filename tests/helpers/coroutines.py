@@ -21,8 +21,10 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
         return None
     asked = {name: pyfuncitem.funcargs[name] for name in inspect.signature(test).parameters}
 
+    longer = pyfuncitem.get_closest_marker("takes")
+
     async def bounded() -> None:
-        async with asyncio.timeout(WHOLE_S):
+        async with asyncio.timeout(WHOLE_S if longer is None else longer.args[0]):
             await test(**asked)
 
     found = (getattr(fixture, "runner", None) for fixture in asked.values())
