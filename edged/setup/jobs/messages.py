@@ -16,6 +16,7 @@ MOST_BYTES = 256 << 20
 _KINDS = {
     "edged.domain.measurement": "Status",
     "edged.domain.picking": "Bounds Box Grasp Gripper Order Picking",
+    "edged.domain.robotmap": "RobotMap",
     "edged.files.recording": "Entry",
     "edged.robot.orientations": "Brand Convention",
     "edged.robot.readings": "PoseReading",
