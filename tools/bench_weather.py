@@ -285,13 +285,13 @@ def robots(seeds: int, each: int = 20, places: int = 50) -> list[dict[str, objec
     """Print how far robots land from parts, and from a taught path, with and without a map of their error."""
     print(
         f"\n{seeds * each} robots a line, off by about 0.5 mm, repeating to {1e3 * REPEATS_MM:g} um; rms of "
-        "all axes, um.\nPlay: of each axis, at half a metre. A golden part was taught in the same room\n\n"
-        "| room mm | play | points | degree | robot itself | registration | with map | golden part "
+        "all axes, um.\nPlay: of each axis, at half a metre. A golden part was taught in the same volume\n\n"
+        "| volume mm | play | points | degree | robot itself | registration | with map | golden part "
         "| with map | chi² | chi² with map | beyond, refused |\n" + "|---" * 12 + "|"
     )
     rows = []
     small, large = (60.0, 45.0, 30.0), (400.0, 300.0, 150.0)
-    for room, play_mm, count in (
+    for volume, play_mm, count in (
         (small, 0.0, 12),
         (small, 0.05, 12),
         (large, 0.0, 12),
@@ -299,7 +299,7 @@ def robots(seeds: int, each: int = 20, places: int = 50) -> list[dict[str, objec
         (large, 0.0, 48),
         (large, 0.05, 24),
     ):
-        found = [_one_robot(seed, room, play_mm, count, places) for seed in range(seeds * each)]
+        found = [_one_robot(seed, volume, play_mm, count, places) for seed in range(seeds * each)]
         off, alone, mapped, golden, golden_mapped = (
             1e3 * np.sqrt(np.mean(np.concatenate([getattr(one, name) for one in found]) ** 2))
             for name in ("off", "alone", "mapped", "golden", "golden_mapped")
@@ -308,13 +308,13 @@ def robots(seeds: int, each: int = 20, places: int = 50) -> list[dict[str, objec
         degrees = np.bincount([one.degree for one in found], minlength=4)
         beyond = f"{sum(one.refused for one in found)} of {sum(one.beyond for one in found)}"
         print(
-            f"| {' x '.join(f'{mm:g}' for mm in room)} | {play_mm:g} | {count} "
+            f"| {' x '.join(f'{mm:g}' for mm in volume)} | {play_mm:g} | {count} "
             f"| {' '.join(map(str, degrees))} "
             f"| {off:.0f} | {alone:.0f} | {mapped:.0f} | {golden:.0f} | {golden_mapped:.0f} "
             f"| {chi2s[0]:.2f} | {chi2s[1]:.2f} | {beyond} |"
         )
         rows.append(
-            {"room_mm": room, "play_mm": play_mm, "points": count, "alone_um": alone, "mapped_um": mapped}
+            {"volume_mm": volume, "play_mm": play_mm, "points": count, "alone_um": alone, "mapped_um": mapped}
         )
     print(
         "degree: robots that got none (the registration is as good), and a map of degree 1, 2, 3; "
@@ -339,9 +339,9 @@ class _Robot:
     beyond: int
 
 
-def _one_robot(seed: int, room: tuple[float, ...], play_mm: float, count: int, places: int) -> _Robot:
+def _one_robot(seed: int, volume: tuple[float, ...], play_mm: float, count: int, places: int) -> _Robot:
     rng = np.random.default_rng((seed, 78))
-    arm, half = ErringArm.drawn(seed, backlash_mm=play_mm), np.array(room) / 2
+    arm, half = ErringArm.drawn(seed, backlash_mm=play_mm), np.array(volume) / 2
     corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
     touched = np.concatenate([corners, rng.uniform(-1, 1, (count - 8, 3))]) * half + (0, 0, 200.0)
     parts = rng.uniform(-1, 1, (places, 3)) * half + (0, 0, 200.0)

@@ -21,8 +21,10 @@ from edged.domain.arrays import Side
 from edged.domain.events import Command, CommandFailed, CommandKind
 from edged.domain.exposure import CameraValues
 from edged.domain.golden import GoldenState
-from edged.errors import CommandRefused, SetupRefused, UserError
+from edged.errors import CommandRefused, LinkError, SetupRefused, UserError
+from edged.files.marks import MAX_MARKS_BYTES, exchange_marks, marks_file, put_marks_back
 from edged.link import requests as ask
+from edged.link.memory import sealed_bytes
 from edged.link.summary import CellSummary, FilesInUse, PageTask, PlcNow
 from edged.ports import Head
 from edged.setup.cellfiles import files_in_use
@@ -128,6 +130,8 @@ class CellService:
                 await session.try_head(request.token, head, request.changes)
             case ask.InstallRelease() if memory is not None:
                 await self._install(request, memory)
+            case ask.KeepMarks() if memory is not None:
+                await self._keep_marks(request.token, memory)
             case ask.TakeJob():
                 self._take_job(request.number)
             case ask.KeepGolden():
@@ -155,6 +159,24 @@ class CellService:
             raise SetupRefused(LOCKED)
         await self._installer.install(memory)
         log.info("%s has let the cell run by other files: %s", request.author, request.note)
+
+    async def _keep_marks(self, token: str, memory: int) -> None:
+        """Write them beside the rig, and correct by them; else the former ones stay. Raises `EdgedError`."""
+        await self._running.session.renew_setup(token)
+        if self._running.session.is_locked:
+            raise SetupRefused(LOCKED)
+        try:
+            data = sealed_bytes(memory, MAX_MARKS_BYTES)
+        except ValueError as error:
+            raise LinkError(str(error)) from error
+        rig, place = self._running.files.rig, marks_file(self._running.files.config.cell.rig)
+        if rig is None:
+            raise UserError("this cell has no calibration")
+        former = await asyncio.to_thread(exchange_marks, place, data, rig)
+        if refused := await self._running.reload():
+            await asyncio.to_thread(put_marks_back, place, former)
+            raise UserError(f"the cell cannot run with these marks, and goes on as before: {refused}")
+        log.info("the reference marks were taught anew")
 
     async def _mend(self, what: str) -> None:
         """Raises `SetupRefused`, `CommandRefused`, `UserError` for files that the cell cannot run by."""

@@ -163,9 +163,16 @@ class RemoteCell:
 
     async def install(self, archive: bytes, token: str | None, author: str, note: str) -> None:
         """Let it run by the files of an archive. Raises `EdgedError`, `OSError`."""
-        memory = await asyncio.to_thread(sealed, archive)
+        await self._hand_over(archive, ask.InstallRelease(token=token, author=author, note=note))
+
+    async def keep_marks(self, content: bytes, token: str) -> None:
+        """Let it correct by the marks of a file. Raises `EdgedError`, `OSError`."""
+        await self._hand_over(content, ask.KeepMarks(token=token))
+
+    async def _hand_over(self, data: bytes, request: ask.Asked) -> None:
+        memory = await asyncio.to_thread(sealed, data)
         try:
-            await self._link.ask(ask.InstallRelease(token=token, author=author, note=note), memory)
+            await self._link.ask(request, memory)
         finally:
             os.close(memory)
 

@@ -17,6 +17,8 @@ from edged.setup.inuse import CellInUse
 from edged.setup.jobs.tasks import Tasks
 from edged.setup.jobs.worker import Worker
 from edged.setup.machine.service import MachineService
+from edged.setup.marking import service as marking
+from edged.setup.marking.service import Marking
 from edged.setup.recordings import regressions
 from edged.setup.recordings import service as cycles
 from edged.setup.recordings.candidates import CandidateContents
@@ -49,7 +51,7 @@ class SetupServices:
         addresses: tuple[str, str] | None,
     ) -> None:
         self._running = running
-        services = calibrations, cycles, registrations, regressions, teachings, trials
+        services = calibrations, cycles, marking, registrations, regressions, teachings, trials
         functions = ChainMap(*(service.FUNCTIONS for service in services))
         # while the cell measures, one processor is left to it alone
         worker, tasks = Worker(functions, lambda: 2 if running.in_setup else 1), Tasks(notices)
@@ -61,6 +63,7 @@ class SetupServices:
         self._settings = SettingsDraft(cell, self._activation)
         self._checks = Checks(cell)
         self._cycles = Cycles(cell)
+        self._marking = Marking(cell)
         self._registrations = Registrations(cell)
         self.program = RobotProgram(self._registrations, cell)
         self._teachings = Teachings(cell, self._cycles.file)
@@ -79,6 +82,7 @@ class SetupServices:
         from edged.setup.cameras.routes import CameraRoutes
         from edged.setup.cellsettings import SettingsRoutes
         from edged.setup.machine.routes import MachineRoutes
+        from edged.setup.marking.routes import MarksRoutes
         from edged.setup.plcroutes import PlcRoutes
         from edged.setup.plcsettings import PlcSettingsRoutes
         from edged.setup.recordings.routes import CycleRoutes, RegressionRoutes
@@ -94,6 +98,7 @@ class SetupServices:
             ReleaseRoutes(self._activation, self.cell.worker),
             CheckRoutes(self._checks),
             CycleRoutes(self._cycles),
+            MarksRoutes(self._marking),
             RegistrationRoutes(self._registrations, self._activation),
             PlcRoutes(self._running),
             PlcSettingsRoutes(self.cell, self._settings),

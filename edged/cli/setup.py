@@ -495,7 +495,7 @@ def register_touch(
 ) -> None:
     """From three or more points that the robot touched. 0: saved; 1: over the limit.
 
-    With five or more a wrong point is named. The points of a map span the room that parts lie in.
+    With five or more a wrong point is named. The points of a map lie all around where parts may lie.
     """
     from rich.console import Console
 

@@ -3,51 +3,31 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.errors import CalibrationError, UserError
+from edged.domain.arrays import SIDES
+from edged.errors import UserError
 from edged.files.marks import keep_old_marks, marks_file, marks_of, read_marks, save_marks
 from edged.files.outputs import check_folder
-from edged.files.pairs import find_pairs
 from edged.files.rig import load_rig
 from edged.owners import as_owner
 from edged.payload import marks_to_json
+from edged.setup.marks import first_look, noise_px, sigma_um, taught_in
 from edged.setup.pairs import load_pair
-from edged.vision.geometry.correction import shift_by_displacement
-from edged.vision.geometry.rectification import linear_pair
 from edged.vision.marks.observing import DotsInPair
-from edged.vision.marks.params import MARKS
-from edged.vision.marks.taught import TaughtMarks, teach_marks
-from edged.vision.marks.tracking import MarksFilter, MarksSettings, correction_of
+from edged.vision.marks.taught import TaughtMarks
+from edged.vision.marks.tracking import MarksSettings
 
 
 def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
     """Teach the marks that all pairs of a folder show, beside the rig. 0: kept. Raises `UserError`."""
     loaded = load_rig(rig)
-    if loaded.flange_from_rig is not None:
-        raise UserError(f"--rig {rig}: the robot carries the cameras: marks hold those that stand still")
     check_folder(rig.resolve().parent)
-    pairs = find_pairs(directory)
-    if len(pairs) < MARKS.min_exposures:
-        raise UserError(
-            f"{directory}: {len(pairs)} pairs, at least {MARKS.min_exposures} are needed (edged grab)"
-        )
-
-    def pictures() -> Iterator[tuple[Image, Image]]:
-        for pair in pairs:
-            yield load_pair(loaded, pair.left, pair.right)
-
-    newest_ns = max(pair.left.stat().st_mtime_ns for pair in pairs)  # pictures say nothing of their own time
-    try:
-        taught = teach_marks(pictures(), loaded, newest_ns)
-    except CalibrationError as error:
-        raise UserError(f"{directory}: {error}") from error
+    taught = taught_in(directory, loaded)
     with as_owner(rig.resolve().parent) as folder:
         kept = keep_old_marks(marks_file(folder / rig.name), loaded.calibration_id)
         save_marks(marks_file(folder / rig.name), taught)
@@ -60,8 +40,8 @@ def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
         )
     sigma = sigma_um(taught, MarksSettings(material))
     console.print(
-        f"{marks_file(rig)}: {len(taught.codes)} marks taught of {len(pairs)} exposures, codes "
-        f"{', '.join(map(str, taught.codes))}; noise of a dot {_noise_px(taught):.3f} px",
+        f"{marks_file(rig)}: {len(taught.codes)} marks taught of {taught.exposures} exposures, codes "
+        f"{', '.join(map(str, taught.codes))}; noise of a dot {noise_px(taught):.3f} px",
         markup=False,
         soft_wrap=True,
     )
@@ -74,20 +54,6 @@ def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
     return 0
 
 
-def sigma_um(taught: TaughtMarks, settings: MarksSettings) -> FloatArray:
-    """(3,) sigma of X, Y, Z that the correction by one exposure leaves in the marks' middle, µm."""
-    marks = MarksFilter(taught, settings)
-    noise = taught.sigma_px * np.sqrt(taught.exposures) / taught.noise
-    track, _ = marks.updated(marks.begin(), DotsInPair(taught.pixels, noise))
-    correction = correction_of(track)
-    slopes = shift_by_displacement(taught.rig, correction, taught.world_from_marks[None, :3, 3])[0]
-    return np.asarray(1e3 * np.sqrt(np.diag(slopes @ correction.covariance @ slopes.T)))
-
-
-def _noise_px(taught: TaughtMarks) -> float:
-    return float(np.median(taught.sigma_px) * np.sqrt(taught.exposures))
-
-
 def status(
     rig: Path, left: Path, right: Path, settings: MarksSettings, console: Console, *, as_json: bool
 ) -> int:
@@ -96,11 +62,8 @@ def status(
     taught = marks_of(read_marks(place), place, loaded)
     if taught is None:
         raise UserError(f"{place}: taught with another calibration than {rig}: teach them again")
-    images = linear_pair(loaded, *load_pair(loaded, left, right))
-    marks = MarksFilter(taught, settings)
-    before = marks.predicted(marks.begin(), left.stat().st_mtime_ns)
-    dots, before = marks.look(before, *images)
-    track, report = marks.updated(before, dots)
+    images, exposed_ns = load_pair(loaded, left, right), left.stat().st_mtime_ns
+    dots, track, report = first_look(taught, settings, images, exposed_ns)
     if as_json:
         moved = dots.pixels - taught.pixels
         print(

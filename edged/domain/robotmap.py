@@ -37,7 +37,7 @@ class RobotShift:
 
     @property
     def variance_mm2(self) -> float:
-        """Of each coordinate."""
+        """Variance of each coordinate."""
         return float(self.row @ self.row) + self.noise_mm**2
 
     def moved(self, pose: FloatArray) -> FloatArray:

@@ -34,6 +34,11 @@ def marks_file(rig: Path) -> Path:
 
 def save_marks(path: Path, taught: TaughtMarks) -> None:
     """Write them; former ones are replaced in one step. Raises `FileFormatError` where the disc refuses."""
+    write_file(path, marks_text(taught))
+
+
+def marks_text(taught: TaughtMarks) -> bytes:
+    """The text of their file."""
     from edged.vision.marks.taught import places_in_own_frame
 
     placed = taught.placed
@@ -59,7 +64,7 @@ def save_marks(path: Path, taught: TaughtMarks) -> None:
         "places_in_own_frame_mm": places_in_own_frame(taught).tolist(),
         "covariance": taught.covariance.tolist(),
     }
-    write_file(path, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
 
 
 def keep_old_marks(path: Path, calibration_id: str) -> Path | None:
@@ -81,6 +86,24 @@ def keep_old_marks(path: Path, calibration_id: str) -> Path | None:
     kept = path.with_name(f"{path.stem}.{safe}{path.suffix}")
     write_file(kept, data)
     return kept
+
+
+def exchange_marks(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
+    """Write marks of this rig; returns what was there, for `put_marks_back`. Raises `FileFormatError`."""
+    if marks_of(data, path, rig) is None:
+        raise FileFormatError(f"{path}: the new marks are of another calibration")
+    former = read_marks(path) if path.is_file() else None
+    keep_old_marks(path, rig.calibration_id)
+    write_file(path, data)
+    return former
+
+
+def put_marks_back(path: Path, former: bytes | None) -> None:
+    """Undo `exchange_marks`."""
+    if former is None:
+        path.unlink(missing_ok=True)
+    else:
+        write_file(path, former)
 
 
 def read_marks(path: Path) -> bytes:

@@ -29,7 +29,7 @@ RIG_FORMAT = "edged-rig"
 RIG_VERSION = 1
 MAP_VERSION = 1
 FARTHEST_MM = 1e5
-"""Of a place that a robot touched."""
+"""No robot touches a place farther than this."""
 MIN_GAMMA, MAX_GAMMA = 0.2, 5.0
 
 

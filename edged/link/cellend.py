@@ -36,6 +36,7 @@ from edged.link.requests import (
     AskRegisters,
     Envelope,
     InstallRelease,
+    KeepMarks,
     TakePair,
     encoded,
     envelope_of,
@@ -332,8 +333,8 @@ class CellEnd:
         self._wake.set()
 
     async def _done(self, request: Asked, memory: int | None) -> object:
-        if isinstance(request, InstallRelease) and memory is None:
-            raise LinkError("a release without its archive")
+        if isinstance(request, InstallRelease | KeepMarks) and memory is None:
+            raise LinkError("a release without its archive, or marks without their file")
         if not isinstance(request, TakePair):
             return await self._view.answer(request, memory)
         waiting = sum(isinstance(answer["body"], FramePair) for answer in self._answers)

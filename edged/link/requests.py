@@ -118,6 +118,13 @@ class KeepGolden(Request):
     number: Annotated[int, Field(ge=1, le=65535)]
 
 
+class KeepMarks(Request):
+    """Correct by other reference marks: those of the file that comes with it as sealed memory."""
+
+    ask: Literal["keep_marks"] = "keep_marks"
+    token: Token
+
+
 class AskRegisters(Request):
     """Answered by the address and value of each register."""
 
@@ -172,6 +179,7 @@ Asked = (
     | InstallRelease
     | TakeJob
     | KeepGolden
+    | KeepMarks
     | AskRegisters
     | AskExchanges
     | AskMetrics

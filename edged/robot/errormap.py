@@ -1,7 +1,7 @@
 """A map of the robot's error: a low-order field over the places that its tip touched.
 
 A robot repeats itself to 0.02 to 0.05 mm and is off by 0.1 to 0.5 mm, by lengths and offsets of its axes that
-are not as its controller has them: smooth over its room. With e the place that the registration gives and s
+are not as its controller has them: smooth over its reach. With e the place that the registration gives and s
 what the robot shows there, s - e = f(e) + noise, f a polynomial in each coordinate. The map is part of the
 registration that it was fitted beside: it takes up what that one's few points left wrong, too.
 
@@ -133,9 +133,7 @@ def _hull(places: FloatArray) -> tuple[FloatArray, FloatArray]:
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     length = float(np.linalg.norm(np.ptp(places, axis=0)))
     if spread[2] < FLAT * spread[0] or not length:
-        raise Undetermined(
-            "the points of a map lie in one plane: touch some higher, over all of the room that parts lie in"
-        )
+        raise Undetermined("the points of a map lie in one plane: touch some higher, wherever parts may lie")
     normals, reach = [], []
     for first, second in itertools.combinations(range(len(places) - 1), 2):
         across = np.cross(places[second] - places[first], places[second + 1 :] - places[first])

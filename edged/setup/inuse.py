@@ -108,6 +108,9 @@ class RunningCell(Protocol):
     def summary(self) -> CellSummary:
         """What no event tells of it."""
 
+    async def keep_marks(self, content: bytes, token: str) -> None:
+        """Correct by the marks of a file. Raises `EdgedError`, `OSError`; then the former ones stay."""
+
     async def install(self, archive: bytes, token: str | None, author: str, note: str) -> None:
         """Run by the files of an archive (`edged.setup.releases.archive`). token : of the lease, if any.
 

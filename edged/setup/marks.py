@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
 from edged.config.cell import MarksSection
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.domain.marks import MarksReport, MarksTrack
 from edged.domain.measurement import Outcome
-from edged.errors import FileFormatError
+from edged.errors import CalibrationError, FileFormatError, UserError
+from edged.files.pairs import find_pairs
 from edged.pipeline import PreparedRig, corrected, locate
-from edged.vision.geometry.correction import RigCorrection
+from edged.setup.pairs import Progress, load_pair, silent
+from edged.vision.geometry.camera import StereoRig
+from edged.vision.geometry.correction import RigCorrection, shift_by_displacement
 from edged.vision.geometry.rectification import Rectification, linear_pair, make_rectification
-from edged.vision.marks.taught import TaughtMarks
+from edged.vision.marks.observing import DotsInPair
+from edged.vision.marks.params import MARKS
+from edged.vision.marks.taught import TaughtMarks, teach_marks
 from edged.vision.marks.tracking import MarksFilter, MarksSettings, correction_of
 from edged.vision.part.job import Job
 
@@ -79,6 +85,53 @@ def rig_marks(
     for array in numbers:
         whole.update(np.ascontiguousarray(array).tobytes())
     return RigMarks(prepared, MarksFilter(taught, settings), jobs or {}, whole.hexdigest())
+
+
+def taught_in(folder: Path, rig: StereoRig, progress: Progress = silent) -> TaughtMarks:
+    """The marks that all pairs of a folder show. Raises `UserError`."""
+    if rig.flange_from_rig is not None:
+        raise UserError("the robot carries the cameras: marks hold those that stand still")
+    pairs = find_pairs(folder)
+    if len(pairs) < MARKS.min_exposures:
+        raise UserError(
+            f"{folder}: {len(pairs)} pairs, at least {MARKS.min_exposures} are needed (edged grab)"
+        )
+
+    def pictures() -> Iterator[tuple[Image, Image]]:
+        for number, pair in enumerate(pairs):
+            progress("measure the marks", number, len(pairs))
+            yield load_pair(rig, pair.left, pair.right)
+
+    newest_ns = max(pair.left.stat().st_mtime_ns for pair in pairs)  # pictures say nothing of their own time
+    try:
+        return teach_marks(pictures(), rig, newest_ns)
+    except CalibrationError as error:
+        raise UserError(f"{folder}: {error}") from error
+
+
+def sigma_um(taught: TaughtMarks, settings: MarksSettings) -> FloatArray:
+    """(3,) sigma of X, Y, Z that the correction by one exposure leaves in the marks' middle, µm."""
+    marks = MarksFilter(taught, settings)
+    noise = taught.sigma_px * np.sqrt(taught.exposures) / taught.noise
+    track, _ = marks.updated(marks.begin(), DotsInPair(taught.pixels, noise))
+    correction = correction_of(track)
+    slopes = shift_by_displacement(taught.rig, correction, taught.world_from_marks[None, :3, 3])[0]
+    return np.asarray(1e3 * np.sqrt(np.diag(slopes @ correction.covariance @ slopes.T)))
+
+
+def noise_px(taught: TaughtMarks) -> float:
+    """One sigma of a dot in one exposure."""
+    return float(np.median(taught.sigma_px) * np.sqrt(taught.exposures))
+
+
+def first_look(
+    taught: TaughtMarks, settings: MarksSettings, images: tuple[Image, Image], exposed_ns: int
+) -> tuple[DotsInPair, MarksTrack, MarksReport]:
+    """What a pair says, as the first exposure after a start would. images : as the cameras gave them."""
+    marks = MarksFilter(taught, settings)
+    before = marks.predicted(marks.begin(), exposed_ns)
+    dots, before = marks.look(before, *linear_pair(taught.rig, *images))
+    return dots, *marks.updated(before, dots)
 
 
 @lru_cache(maxsize=2)  # cameras are knocked now and then; its maps are as large as eight pictures

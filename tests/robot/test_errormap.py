@@ -40,7 +40,7 @@ ROBOT_FROM_RIG = make_transform((3.1, 0.1, -0.1), (560.0, -90.0, 260.0))
 
 
 def spread(rng: np.random.Generator, count: int) -> FloatArray:
-    """(N, 3) in the rig's frame: corners of a room of 300 x 200 x 100 mm, and places in it."""
+    """(N, 3) in the rig's frame: corners of a box of 300 x 200 x 100 mm, and places in it."""
     corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
     inside = rng.uniform(-1, 1, (max(count - 8, 0), 3))
     return np.concatenate([corners, inside]) * (150.0, 100.0, 50.0) + (0.0, 0.0, 200.0)

@@ -7,6 +7,7 @@ nav-run = Betrieb
 nav-setup = Einrichten
 nav-jobs = Aufträge
 nav-cycles = Zyklen
+nav-marks = Marken
 nav-space = 3D
 nav-settings = Einstellungen
 nav-system = System

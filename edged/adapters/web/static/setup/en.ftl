@@ -7,6 +7,7 @@ nav-run = Run
 nav-setup = Set up
 nav-jobs = Jobs
 nav-cycles = Cycles
+nav-marks = Marks
 nav-space = 3D
 nav-settings = Settings
 nav-system = System

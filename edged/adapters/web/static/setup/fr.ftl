@@ -7,6 +7,7 @@ nav-run = Production
 nav-setup = Mise en service
 nav-jobs = Tâches
 nav-cycles = Cycles
+nav-marks = Repères
 nav-space = 3D
 nav-settings = Réglages
 nav-system = Système

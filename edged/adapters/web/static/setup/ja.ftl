@@ -7,6 +7,7 @@ nav-run = 運転
 nav-setup = セットアップ
 nav-jobs = ジョブ
 nav-cycles = サイクル
+nav-marks = マーク
 nav-space = 3D
 nav-settings = 設定
 nav-system = システム

@@ -7,6 +7,7 @@ nav-run = 运行
 nav-setup = 设置
 nav-jobs = 作业
 nav-cycles = 循环
+nav-marks = 标记
 nav-space = 3D
 nav-settings = 参数设置
 nav-system = 系统

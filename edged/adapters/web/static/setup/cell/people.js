@@ -214,6 +214,7 @@ const DID = [
   [/^POST regressions/, "test"],
   [/^POST jobs\/.*\/golden/, "golden"],
   [/^POST jobs\/.*\/use/, "use"],
+  [/^POST marks\/teach/, "marks"],
   [/^(PUT|POST) jobs\//, "job"],
   [/^POST me\/wake/, "wake"],
   [/^DELETE me\/sessions/, "leave"],

@@ -144,6 +144,7 @@ audit-did-check = prüfte die Kalibrierung
 audit-did-still = hielt die Streuung eines Teils gegen sein Sigma
 audit-did-test = versuchte es an aufgezeichneten Zyklen
 audit-did-golden = merkte sich ein Referenzteil
+audit-did-marks = lernte die Referenzmarken
 audit-did-use = wählte den Auftrag
 audit-did-job = änderte einen Auftrag
 audit-did-wake = gab das Passwort noch einmal ein

@@ -144,6 +144,7 @@ audit-did-check = 检查标定
 audit-did-still = 比较工件结果的离散度与 σ
 audit-did-test = 用已记录循环测试
 audit-did-golden = 记住标准样件
+audit-did-marks = 示教了参考标记
 audit-did-use = 选择作业
 audit-did-job = 更改作业
 audit-did-wake = 再次输入密码

@@ -1,0 +1,1 @@
+"""Reference marks on the page: looked at, and taught."""
