@@ -30,10 +30,11 @@ from benching import bench_parser, finish
 from computedmarks import views_at
 from rich.console import Console
 
-from edged.commands.accept import StatedTruth, accept
+from edged.commands.accept import accept
 from edged.domain.arrays import SIDES, FloatArray
 from edged.errors import CalibrationError
 from edged.library import load_job, save_job, save_rig, teach
+from edged.setup.acceptance.accepting import StatedTruth
 from edged.sim.cell import calibration_poses, demo_part, demo_rig, stereo_views
 from edged.sim.render.scene import (
     Disc,

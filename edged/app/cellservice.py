@@ -22,7 +22,9 @@ from edged.domain.events import Command, CommandFailed, CommandKind
 from edged.domain.exposure import CameraValues
 from edged.domain.golden import GoldenState
 from edged.errors import CommandRefused, LinkError, SetupRefused, UserError
-from edged.files.marks import MAX_MARKS_BYTES, exchange_marks, marks_file, put_marks_back
+from edged.files.acceptance import acceptance_file, exchange_acceptance
+from edged.files.atomic import put_back
+from edged.files.marks import MAX_MARKS_BYTES, exchange_marks, marks_file
 from edged.link import requests as ask
 from edged.link.memory import sealed_bytes
 from edged.link.summary import CellSummary, FilesInUse, PageTask, PlcNow
@@ -130,8 +132,8 @@ class CellService:
                 await session.try_head(request.token, head, request.changes)
             case ask.InstallRelease() if memory is not None:
                 await self._install(request, memory)
-            case ask.KeepMarks() if memory is not None:
-                await self._keep_marks(request.token, memory)
+            case ask.KeepBeside() if memory is not None:
+                await self._keep_beside(request, memory)
             case ask.TakeJob():
                 self._take_job(request.number)
             case ask.KeepGolden():
@@ -160,23 +162,25 @@ class CellService:
         await self._installer.install(memory)
         log.info("%s has let the cell run by other files: %s", request.author, request.note)
 
-    async def _keep_marks(self, token: str, memory: int) -> None:
-        """Write them beside the rig, and correct by them; else the former ones stay. Raises `EdgedError`."""
-        await self._running.session.renew_setup(token)
+    async def _keep_beside(self, request: ask.KeepBeside, memory: int) -> None:
+        """Write it beside the rig, and run with it; else what was there stays. Raises `EdgedError`."""
+        await self._running.session.renew_setup(request.token)
         if self._running.session.is_locked:
             raise SetupRefused(LOCKED)
         try:
             data = sealed_bytes(memory, MAX_MARKS_BYTES)
         except ValueError as error:
             raise LinkError(str(error)) from error
-        rig, place = self._running.files.rig, marks_file(self._running.files.config.cell.rig)
+        rig, path = self._running.files.rig, self._running.files.config.cell.rig
         if rig is None:
             raise UserError("this cell has no calibration")
-        former = await asyncio.to_thread(exchange_marks, place, data, rig)
+        exchange = exchange_marks if request.what == "marks" else exchange_acceptance
+        place = marks_file(path) if request.what == "marks" else acceptance_file(path)
+        former = await asyncio.to_thread(exchange, place, data, rig)
         if refused := await self._running.reload():
-            await asyncio.to_thread(put_marks_back, place, former)
-            raise UserError(f"the cell cannot run with these marks, and goes on as before: {refused}")
-        log.info("the reference marks were taught anew")
+            await asyncio.to_thread(put_back, place, former)
+            raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")
+        log.info("%s was exchanged", place.name)
 
     async def _mend(self, what: str) -> None:
         """Raises `SetupRefused`, `CommandRefused`, `UserError` for files that the cell cannot run by."""

@@ -165,9 +165,9 @@ class RemoteCell:
         """Let it run by the files of an archive. Raises `EdgedError`, `OSError`."""
         await self._hand_over(archive, ask.InstallRelease(token=token, author=author, note=note))
 
-    async def keep_marks(self, content: bytes, token: str) -> None:
-        """Let it correct by the marks of a file. Raises `EdgedError`, `OSError`."""
-        await self._hand_over(content, ask.KeepMarks(token=token))
+    async def keep_beside(self, what: ask.BesideRig, content: bytes, token: str) -> None:
+        """Let it have other marks, or an acceptance, beside the rig. Raises `EdgedError`, `OSError`."""
+        await self._hand_over(content, ask.KeepBeside(token=token, what=what))
 
     async def _hand_over(self, data: bytes, request: ask.Asked) -> None:
         memory = await asyncio.to_thread(sealed, data)

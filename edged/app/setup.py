@@ -9,6 +9,8 @@ from edged.app.remotecell import RemoteCell
 from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.domain.frames import FramePair
+from edged.setup.acceptance import service as acceptance
+from edged.setup.acceptance.service import Accepting
 from edged.setup.calibration import service as calibrations
 from edged.setup.calibration.checks import Checks
 from edged.setup.calibration.service import Calibrations
@@ -51,7 +53,7 @@ class SetupServices:
         addresses: tuple[str, str] | None,
     ) -> None:
         self._running = running
-        services = calibrations, cycles, marking, registrations, regressions, teachings, trials
+        services = acceptance, calibrations, cycles, marking, registrations, regressions, teachings, trials
         functions = ChainMap(*(service.FUNCTIONS for service in services))
         # while the cell measures, one processor is left to it alone
         worker, tasks = Worker(functions, lambda: 2 if running.in_setup else 1), Tasks(notices)
@@ -64,6 +66,7 @@ class SetupServices:
         self._checks = Checks(cell)
         self._cycles = Cycles(cell)
         self._marking = Marking(cell)
+        self._accepting = Accepting(cell)
         self._registrations = Registrations(cell)
         self.program = RobotProgram(self._registrations, cell)
         self._teachings = Teachings(cell, self._cycles.file)
@@ -78,6 +81,7 @@ class SetupServices:
 
     def routes(self) -> Sequence[object]:
         """Objects with the routes; aiohttp is imported only for a page."""
+        from edged.setup.acceptance.routes import AcceptanceRoutes
         from edged.setup.calibration.routes import CalibrationRoutes, CheckRoutes
         from edged.setup.cameras.routes import CameraRoutes
         from edged.setup.cellsettings import SettingsRoutes
@@ -99,6 +103,7 @@ class SetupServices:
             CheckRoutes(self._checks),
             CycleRoutes(self._cycles),
             MarksRoutes(self._marking),
+            AcceptanceRoutes(self._accepting),
             RegistrationRoutes(self._registrations, self._activation),
             PlcRoutes(self._running),
             PlcSettingsRoutes(self.cell, self._settings),

@@ -348,10 +348,13 @@ def accept(
     """Test a cell in its own place, and write a page to sign. 0: passed; 1: not, or not whole."""
     from rich.console import Console
 
-    from edged.commands.accept import Signed, StatedTruth
+    from edged.commands.accept import Signed
     from edged.commands.accept import accept as command
+    from edged.commands.verify import parse_length
+    from edged.setup.acceptance.accepting import StatedTruth
 
-    shown = StatedTruth(length, length_job, truth_um, robot_um, days)
+    known = None if length is None else parse_length(length)
+    shown = StatedTruth(known, length_job, truth_um, robot_um, days)
     console = Console(soft_wrap=True)
     raise typer.Exit(
         command(directory, rig, job, output, shown, console, signed=Signed(by, sign), as_json=as_json)

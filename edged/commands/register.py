@@ -17,16 +17,16 @@ from rich.table import Table
 from edged.commands.boardoption import naming_board_option
 from edged.commands.progress import shown_on
 from edged.domain.arrays import SIDES, FloatArray, Side
-from edged.domain.numerals import decimal, known
+from edged.domain.numerals import known
 from edged.domain.robotmap import RobotMap
 from edged.errors import CalibrationError, FileFormatError, UserError
-from edged.files.atomic import MAX_DOCUMENT_BYTES, read_bytes
 from edged.files.images import load_image
 from edged.files.marks import marks_file, marks_of, read_marks
 from edged.files.outputs import check_outputs
 from edged.files.pairs import half_of
 from edged.files.rig import load_rig
-from edged.files.tables import numbers_of, read_named, read_table
+from edged.files.tables import read_named
+from edged.files.touched import read_touched
 from edged.robot.errormap import error_map
 from edged.robot.handeye import HandEye, Mount
 from edged.robot.orientations import POSE_FIELDS, Brand, transform_of
@@ -219,50 +219,9 @@ def self_test(rig_path: Path, taken: FlangePoses, brand: str | None, as_json: bo
 # --- files --------------------------------------------------------------------------------------
 
 
-def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
-    """Names, rig and robot coordinates (N, 3) mm.
-
-    Lines of `rig_x,rig_y,rig_z,robot_x,robot_y,robot_z`, or `FILE.json,robot_x,robot_y,robot_z` with what
-    `edged locate --json` printed. Raises `FileFormatError` that names the line.
-    """
-    names, rig, robot = list[str](), list[Sequence[float]](), list[Sequence[float]]()
-    for line in read_table(path):
-        cells = line.cells
-        if not cells:
-            continue
-        place = f"{path}: line {line.number}"
-        if len(cells) == 4:
-            names.append(Path(cells[0]).stem)
-            rig.append(_located(path.parent / cells[0], place))
-            robot.append(numbers_of(cells[1:], place))
-        elif len(cells) == 6:
-            names.append(f"line {line.number}")
-            rig.append(numbers_of(cells[:3], place))
-            robot.append(numbers_of(cells[3:], place))
-        else:
-            raise FileFormatError(
-                f"{place}: expected rig x,y,z and robot x,y,z, or FILE.json and robot x,y,z, in mm; "
-                f"got {len(cells)} values"
-            )
-    return names, np.array(rig, np.float64).reshape(-1, 3), np.array(robot, np.float64).reshape(-1, 3)
-
-
 def read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     """Poses by the name of their pair: lines of `NAME,x,y,z,` and three or four numbers of orientation."""
     return read_named(path, (6, 7), "NAME and six or seven numbers")
-
-
-def _located(path: Path, place: str) -> list[float]:
-    """Position of the one good target in what `edged locate --json` printed."""
-    try:
-        document = json.loads(read_bytes(path, "a result of edged locate --json", MAX_DOCUMENT_BYTES))
-        good = [target for target in document["targets"] if not target["reject"]]
-        position = [decimal(str(value)) for value in good[0]["position_mm"]]
-    except (ValueError, TypeError, KeyError, IndexError) as error:
-        raise FileFormatError(f"{place}: {path}: no good target of edged locate --json in it") from error
-    if len(good) != 1 or len(position) != 3:
-        raise FileFormatError(f"{place}: {path}: {len(good)} good targets, expected one")
-    return position
 
 
 def _brand(name: str) -> Brand:

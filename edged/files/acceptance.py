@@ -11,6 +11,8 @@ from edged.domain.numerals import json_of
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes, write_file
 from edged.files.jsonfields import JsonFields
+from edged.robot.golden import registration_digest
+from edged.vision.geometry.camera import StereoRig
 
 ACCEPTANCE_FORMAT = "edged-acceptance"
 ACCEPTANCE_VERSION = 1
@@ -44,6 +46,16 @@ def save_acceptance(path: Path, document: bytes) -> None:
     write_file(path, document)
 
 
+def exchange_acceptance(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
+    """Write an acceptance of this rig; returns what was there. Raises `FileFormatError`."""
+    found = acceptance_in(data, path, rig.calibration_id, registration_digest(rig))
+    if found.wrong is not AcceptanceState.NONE:
+        raise FileFormatError(f"{path}: the new acceptance is of another rig")
+    former = read_bytes(path, "an acceptance", MAX_ACCEPTANCE_BYTES) if path.is_file() else None
+    write_file(path, data)
+    return former
+
+
 def load_acceptance(path: Path, calibration_id: str, registration: str) -> Acceptance:
     """The acceptance beside a rig of this identity; one without figures where there is none.
 
@@ -51,8 +63,14 @@ def load_acceptance(path: Path, calibration_id: str, registration: str) -> Accep
     """
     if not path.is_file():
         return Acceptance()
+    data = read_bytes(path, "an acceptance", MAX_ACCEPTANCE_BYTES)
+    return acceptance_in(data, path, calibration_id, registration)
+
+
+def acceptance_in(data: bytes, path: Path, calibration_id: str, registration: str) -> Acceptance:
+    """The acceptance in a file that was read; raises as `load_acceptance`."""
     try:
-        document = json_of(read_bytes(path, "an acceptance", MAX_ACCEPTANCE_BYTES))
+        document = json_of(data)
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not JSON: {error}") from error
     reader = JsonFields.of_document(document, path, "acceptance test", ACCEPTANCE_FORMAT, ACCEPTANCE_VERSION)

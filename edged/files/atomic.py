@@ -251,3 +251,11 @@ def _read(path: Path, what: str, folder: int | None, most: int = MAX_FILE_BYTES)
             return data
     except OSError as error:
         raise FileFormatError(f"{path}: cannot read {what}: {error.strerror or error}") from error
+
+
+def put_back(path: Path, former: bytes | None) -> None:
+    """Have a file as it was; None: there was none. Raises `FileFormatError`."""
+    if former is None:
+        path.unlink(missing_ok=True)
+    else:
+        write_file(path, former)

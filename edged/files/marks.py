@@ -89,21 +89,13 @@ def keep_old_marks(path: Path, calibration_id: str) -> Path | None:
 
 
 def exchange_marks(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
-    """Write marks of this rig; returns what was there, for `put_marks_back`. Raises `FileFormatError`."""
+    """Write marks of this rig; returns what was there, for `put_back`. Raises `FileFormatError`."""
     if marks_of(data, path, rig) is None:
         raise FileFormatError(f"{path}: the new marks are of another calibration")
     former = read_marks(path) if path.is_file() else None
     keep_old_marks(path, rig.calibration_id)
     write_file(path, data)
     return former
-
-
-def put_marks_back(path: Path, former: bytes | None) -> None:
-    """Undo `exchange_marks`."""
-    if former is None:
-        path.unlink(missing_ok=True)
-    else:
-        write_file(path, former)
 
 
 def read_marks(path: Path) -> bytes:

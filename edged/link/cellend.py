@@ -36,7 +36,7 @@ from edged.link.requests import (
     AskRegisters,
     Envelope,
     InstallRelease,
-    KeepMarks,
+    KeepBeside,
     TakePair,
     encoded,
     envelope_of,
@@ -333,8 +333,8 @@ class CellEnd:
         self._wake.set()
 
     async def _done(self, request: Asked, memory: int | None) -> object:
-        if isinstance(request, InstallRelease | KeepMarks) and memory is None:
-            raise LinkError("a release without its archive, or marks without their file")
+        if isinstance(request, InstallRelease | KeepBeside) and memory is None:
+            raise LinkError("a release without its archive, or a file without its text")
         if not isinstance(request, TakePair):
             return await self._view.answer(request, memory)
         waiting = sum(isinstance(answer["body"], FramePair) for answer in self._answers)

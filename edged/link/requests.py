@@ -17,6 +17,7 @@ MAX_BYTES = 64 * 1024
 """Size of a message of a page: the note of a release is the largest."""
 BOUNDS = CborBounds(MAX_BYTES, 2000, 32)
 
+BesideRig = Literal["marks", "acceptance"]
 Token = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 
@@ -118,11 +119,12 @@ class KeepGolden(Request):
     number: Annotated[int, Field(ge=1, le=65535)]
 
 
-class KeepMarks(Request):
-    """Correct by other reference marks: those of the file that comes with it as sealed memory."""
+class KeepBeside(Request):
+    """Have another file beside the rig, which comes with it as sealed memory: marks, or an acceptance."""
 
-    ask: Literal["keep_marks"] = "keep_marks"
+    ask: Literal["keep_beside"] = "keep_beside"
     token: Token
+    what: BesideRig
 
 
 class AskRegisters(Request):
@@ -179,7 +181,7 @@ Asked = (
     | InstallRelease
     | TakeJob
     | KeepGolden
-    | KeepMarks
+    | KeepBeside
     | AskRegisters
     | AskExchanges
     | AskMetrics

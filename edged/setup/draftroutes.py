@@ -21,6 +21,9 @@ Revision = Annotated[int, Field(ge=0, description="of the draft as it was seen: 
 T = TypeVar("T")
 B = TypeVar("B")
 
+REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+"""Content security policy of reports: they hold their own style and pictures, and run nothing."""
+
 
 class Nothing(Body):
     """All that is to be said is in the path."""

@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # the worker process knows rigs, and needs none of these
     from edged.config.chosencameras import ChosenCamera
     from edged.domain.arrays import Side
     from edged.domain.exposure import CameraLimits, CameraValues
+    from edged.link.requests import BesideRig
     from edged.link.summary import CellSummary
     from edged.setup.jobs.tasks import Tasks
     from edged.setup.jobs.worker import Worker
@@ -108,8 +109,8 @@ class RunningCell(Protocol):
     def summary(self) -> CellSummary:
         """What no event tells of it."""
 
-    async def keep_marks(self, content: bytes, token: str) -> None:
-        """Correct by the marks of a file. Raises `EdgedError`, `OSError`; then the former ones stay."""
+    async def keep_beside(self, what: BesideRig, content: bytes, token: str) -> None:
+        """Have other marks, or an acceptance. Raises `EdgedError`, `OSError`; then the former ones stay."""
 
     async def install(self, archive: bytes, token: str | None, author: str, note: str) -> None:
         """Run by the files of an archive (`edged.setup.releases.archive`). token : of the lease, if any.

@@ -60,7 +60,7 @@ def test_a_cell_is_accepted_only_by_all_of_its_tests(
 
     write_pairs(shown / "length", 1)
     assert 2 == exit_code("accept", shown, *given)
-    assert "--length NAME=MM says what is measured there" in printed(capsys)
+    assert "it is not stated what is measured there" in printed(capsys)
     assert 2 == exit_code("accept", shown, *given, "--length", "nothing=3")
     assert "length nothing: the job has" in printed(capsys)
     write_pairs(shown / "pose", 1)

@@ -15,7 +15,7 @@ EXAMPLES: tuple[ask.Asked, ...] = (
     ask.TryCameras(token="t", changes={}),
     ask.InstallRelease(author="Anna", note="another rig"),
     ask.TakeJob(number=1),
-    ask.KeepMarks(token="t"),
+    ask.KeepBeside(token="t", what="marks"),
     ask.AskRegisters(),
     ask.AskExchanges(),
     ask.AskMetrics(),

@@ -18,10 +18,11 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtri
 
-from edged.commands.register import FlangePoses, hand_eye_command, read_poses, read_touched, self_test, touch
+from edged.commands.register import FlangePoses, hand_eye_command, read_poses, self_test, touch
 from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.rig import load_rig, load_rig_quality, save_rig
+from edged.files.touched import read_touched
 from edged.robot.covariance import robot_covariance
 from edged.robot.handeye import Mount, hand_eye
 from edged.robot.orientations import (

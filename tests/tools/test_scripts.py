@@ -12,7 +12,17 @@ SCRIPTS = {
     for folder in ("run", "setup")
     for path in (STATIC / folder).rglob("*.js")
 }
-TOPICS = {"calibration", "cell", "marking", "recordings", "registration", "releases", "teaching", "trials"}
+TOPICS = {
+    "acceptance",
+    "calibration",
+    "cell",
+    "marking",
+    "recordings",
+    "registration",
+    "releases",
+    "teaching",
+    "trials",
+}
 KNOWN = {"recordings", "releases", "shared"}
 """Folders of setup/ that any topic may import."""
 

@@ -187,6 +187,7 @@ async def test_marks_are_taught_by_the_page_and_stand_in_the_audit(tmp_path: Pat
         assert not marks_file(cell.rig).exists()
         cell.world.shown = shown
         await press(page, "Take 50 pictures and teach")
+        await page.until("document.querySelector('progress')?.value > 0.5")  # twice: beside much else
         await page.until("document.querySelector('main').innerText.includes('8 marks taught')")
         await page.until("document.querySelector('main').innerText.includes('Results are corrected by')")
         found = marks_of(marks_file(cell.rig).read_bytes(), marks_file(cell.rig), demo_rig())

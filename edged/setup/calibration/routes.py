@@ -15,7 +15,7 @@ from edged.setup.calibration.checks import CheckDocument, Checked, Checks
 from edged.setup.calibration.documents import DraftDocument, DraftList
 from edged.setup.calibration.service import Calibrations
 from edged.setup.documents import DraftHead
-from edged.setup.draftroutes import Begun, DraftRoutes, Nothing, known, unknown
+from edged.setup.draftroutes import REPORT_POLICY, Begun, DraftRoutes, Nothing, known, unknown
 from edged.setup.jobs.tasks import TaskDocument, Tasks
 from edged.setup.releases.routes import Activating, ReleaseDocument, activated, add_activation
 from edged.setup.releases.service import Activation
@@ -24,8 +24,6 @@ from edged.vision.calibration.lenschoice import LensWish
 
 VIEW = "/views/{name:view_[0-9]{3}}"
 TASK = "/tasks/{id:[0-9a-f]{12}}"
-REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
-"""Content security policy of reports: they hold their own style and pictures, and run nothing."""
 Goal = Annotated[float, Field(gt=0, le=1e6, description="µm: none of the sigmas of X, Y, Z beyond it")]
 
 

@@ -130,7 +130,7 @@ class Marking:
         finally:
             await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
         content = found.pop("content")
-        await self._cell.running.keep_marks(content, token)
+        await self._cell.running.keep_beside("marks", content, token)
         x, y, z = found.pop("sigma_um")
         taught = TaughtDocument(
             at=datetime.now(UTC).isoformat(timespec="seconds"),

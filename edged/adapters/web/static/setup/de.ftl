@@ -8,6 +8,7 @@ nav-setup = Einrichten
 nav-jobs = Aufträge
 nav-cycles = Zyklen
 nav-marks = Marken
+nav-accept = Abnahme
 nav-space = 3D
 nav-settings = Einstellungen
 nav-system = System

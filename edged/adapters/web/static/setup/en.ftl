@@ -8,6 +8,7 @@ nav-setup = Set up
 nav-jobs = Jobs
 nav-cycles = Cycles
 nav-marks = Marks
+nav-accept = Acceptance
 nav-space = 3D
 nav-settings = Settings
 nav-system = System

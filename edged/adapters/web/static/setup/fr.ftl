@@ -8,6 +8,7 @@ nav-setup = Mise en service
 nav-jobs = Tâches
 nav-cycles = Cycles
 nav-marks = Repères
+nav-accept = Réception
 nav-space = 3D
 nav-settings = Réglages
 nav-system = Système

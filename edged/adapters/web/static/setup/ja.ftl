@@ -8,6 +8,7 @@ nav-setup = セットアップ
 nav-jobs = ジョブ
 nav-cycles = サイクル
 nav-marks = マーク
+nav-accept = 受入検査
 nav-space = 3D
 nav-settings = 設定
 nav-system = システム

@@ -79,6 +79,7 @@ export const BESIDE = [
   { id: "jobs", topic: "releases", needs: ["jobs"], state: none },
   { id: "cycles", topic: "recordings", needs: ["cycles"], state: none },
   { id: "marks", topic: "marking", needs: ["marks"], state: none },
+  { id: "accept", topic: "acceptance", needs: ["acceptance"], state: none },
   { id: "space", topic: "cell", needs: ["scene"], state: none },
   { id: "settings", topic: "cell", needs: ["settings"], state: none },
   { id: "system", topic: "cell", needs: ["releases", "users"], state: none },

@@ -8,6 +8,7 @@ nav-setup = 设置
 nav-jobs = 作业
 nav-cycles = 循环
 nav-marks = 标记
+nav-accept = 验收
 nav-space = 3D
 nav-settings = 参数设置
 nav-system = 系统

@@ -215,6 +215,7 @@ const DID = [
   [/^POST jobs\/.*\/golden/, "golden"],
   [/^POST jobs\/.*\/use/, "use"],
   [/^POST marks\/teach/, "marks"],
+  [/^POST acceptance\/accept/, "accept"],
   [/^(PUT|POST) jobs\//, "job"],
   [/^POST me\/wake/, "wake"],
   [/^DELETE me\/sessions/, "leave"],

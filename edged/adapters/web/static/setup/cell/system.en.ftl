@@ -145,6 +145,7 @@ audit-did-still = held the scatter of a part against its sigma
 audit-did-test = tested on recorded cycles
 audit-did-golden = kept a golden part
 audit-did-marks = taught the reference marks
+audit-did-accept = tested the cell for acceptance
 audit-did-use = chose the job
 audit-did-job = changed a job
 audit-did-wake = entered the password again

@@ -145,6 +145,7 @@ audit-did-still = ワークのばらつきを σ と比較
 audit-did-test = 記録済みサイクルで試験
 audit-did-golden = マスターワークを記憶
 audit-did-marks = 基準マークを学習
+audit-did-accept = 受入検査を実施
 audit-did-use = ジョブを選択
 audit-did-job = ジョブを変更
 audit-did-wake = パスワードを再入力

@@ -145,6 +145,7 @@ audit-did-still = 比较工件结果的离散度与 σ
 audit-did-test = 用已记录循环测试
 audit-did-golden = 记住标准样件
 audit-did-marks = 示教了参考标记
+audit-did-accept = 对单元进行了验收
 audit-did-use = 选择作业
 audit-did-job = 更改作业
 audit-did-wake = 再次输入密码

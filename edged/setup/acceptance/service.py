@@ -1,0 +1,167 @@
+"""An acceptance over the page: pictures of each test are taken for it, then the cell is judged by them."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from edged.domain.arrays import SIDES
+from edged.errors import SetupRefused, UserError
+from edged.files.atomic import make_folders, write_atomically
+from edged.pictures.encoding import png
+from edged.setup.acceptance.accepting import TOUCHED_NAME
+from edged.setup.acceptance.verdicts import LEAST_LENGTHS, LEAST_POSES, LEAST_STILL, LEAST_TOUCHED
+from edged.setup.documents import Frozen, LastDocument
+from edged.setup.inuse import CellInUse
+from edged.setup.pairs import Progress
+
+FUNCTIONS = {"accept_cell": "edged.setup.acceptance.work:accept_cell"}
+PicturedTest = Literal["still", "pose", "length"]
+TestName = Literal["still", "pose", "length", "robot"]
+NEEDED: dict[TestName, int] = {
+    "still": LEAST_STILL,
+    "pose": LEAST_POSES,
+    "length": LEAST_LENGTHS,
+    "robot": LEAST_TOUCHED,
+}
+MOST = 100
+"""Pictures of a test."""
+
+
+class TestedDocument(Frozen):
+    """One test. good : null: it cannot be said, and `why` says why not, in English. figures : by name."""
+
+    name: TestName
+    good: bool | None
+    why: str
+    figures: dict[str, str]
+
+
+class LastAcceptance(Frozen):
+    """The last acceptance by the page. due : until when it counts."""
+
+    at: str
+    by: str
+    calibration: str
+    passed: bool
+    due: str
+    tests: list[TestedDocument]
+
+
+class CountedTest(Frozen):
+    """Pictures, or lines, that there are of a test, and how many are needed."""
+
+    name: TestName
+    taken: int
+    needed: int
+
+
+class AcceptanceDocument(Frozen):
+    """How it stands. is_current : the last one was of the calibration in use."""
+
+    tests: list[CountedTest]
+    last: LastAcceptance | None
+    is_current: bool
+
+
+class Accepting:
+    """Used on the event loop only."""
+
+    def __init__(self, cell: CellInUse) -> None:
+        self._cell = cell
+        self._folder = cell.folder / "acceptance"
+        self._kept = LastDocument(cell.folder / "accepted.json", LastAcceptance, "the last acceptance")
+        self._task: str | None = None
+
+    async def document(self) -> AcceptanceDocument:
+        """How it stands."""
+        last = await asyncio.to_thread(self._kept.read)
+        counts = await asyncio.to_thread(self._counts)
+        tests = [CountedTest(name=name, taken=counts[name], needed=NEEDED[name]) for name in NEEDED]
+        is_current = last is not None and last.calibration == self._cell.calibration_id
+        return AcceptanceDocument(tests=tests, last=last, is_current=is_current)
+
+    def _counts(self) -> dict[TestName, int]:
+        counts: dict[TestName, int] = {
+            name: len(list((self._folder / name).glob("*_left.png"))) for name in NEEDED if name != "robot"
+        }
+        table = self._folder / "robot" / TOUCHED_NAME
+        lines = table.read_text("utf-8").splitlines() if table.is_file() else []
+        return {**counts, "robot": sum(bool(line.strip()) for line in lines)}
+
+    async def take(self, token: str, test: PicturedTest, count: int) -> str:
+        """Begin to take so many pictures of a test; returns the task. Raises `SetupRefused`."""
+        await self._begin(token)
+        self._cell.needed_rig("to accept")
+        self._task = self._cell.tasks.start("pictures", partial(self._take, token, test, count))
+        return self._task
+
+    async def _begin(self, token: str) -> None:
+        await self._cell.session.renew_setup(token)
+        if self._cell.tasks.is_running(self._task):
+            raise SetupRefused("an acceptance is at work")
+
+    async def _take(self, token: str, test: PicturedTest, count: int, progress: Progress) -> None:
+        folder = self._folder / test
+        await asyncio.to_thread(make_folders, folder)
+        for number in range(count):
+            progress("take pictures", number, count)
+            first = (await asyncio.to_thread(self._counts))[test]
+            if first >= MOST:
+                raise UserError(f"{MOST} pictures of a test are enough: begin it anew")
+            pair = await self._cell.session.capture(token)
+            for side in reversed(SIDES):  # the left one makes it a pair
+                data = await asyncio.to_thread(png, pair.side(side).image)
+                path = folder / f"view_{first:03d}_{side}.png"
+                await asyncio.to_thread(write_atomically, path, data)
+
+    async def touched(self, token: str, table: str) -> AcceptanceDocument:
+        """Keep what the robot touched: lines of rig x, y, z and robot x, y, z. Raises `SetupRefused`."""
+        await self._begin(token)
+        path = self._folder / "robot" / TOUCHED_NAME
+        await asyncio.to_thread(make_folders, path.parent)
+        await asyncio.to_thread(write_atomically, path, table.encode())
+        return await self.document()
+
+    async def clear(self, token: str, test: TestName) -> AcceptanceDocument:
+        """Throw the pictures of a test away. Raises `SetupRefused`."""
+        await self._begin(token)
+        await asyncio.to_thread(shutil.rmtree, self._folder / test, ignore_errors=True)
+        return await self.document()
+
+    async def accept(self, token: str, author: str, job: str, length: tuple[str, float] | None) -> str:
+        """Begin to judge the cell by what there is; returns the task. Raises `SetupRefused`, `UserError`."""
+        await self._begin(token)
+        if job not in self._cell.jobs():
+            raise UserError(f"there is no job {job}", "no_job", name=job)
+        self._task = self._cell.tasks.start("accept", partial(self._accept, token, author, job, length))
+        return self._task
+
+    async def _accept(
+        self, token: str, author: str, job: str, length: tuple[str, float] | None, progress: Progress
+    ) -> None:
+        rig, part = self._cell.needed_rig(), self._cell.jobs()[job]
+        await asyncio.to_thread(make_folders, self._folder)
+        found = await self._cell.worker.run(
+            "accept_cell", rig, self._folder, part, length, author, progress=progress
+        )
+        await self._cell.running.keep_beside("acceptance", found["document"], token)
+        await asyncio.to_thread(write_atomically, self.report, found["html"])
+        last = LastAcceptance(
+            at=datetime.now(UTC).isoformat(timespec="seconds"),
+            by=author,
+            calibration=rig.calibration_id,
+            passed=found["passed"],
+            due=datetime.fromtimestamp(found["due_ns"] / 1e9, UTC).isoformat(timespec="seconds"),
+            tests=[TestedDocument.model_validate(test) for test in found["tests"]],
+        )
+        await asyncio.to_thread(self._kept.write, last)
+
+    @property
+    def report(self) -> Path:
+        """The page to sign, of the last acceptance."""
+        return self._cell.folder / "accepted.html"
