@@ -306,9 +306,8 @@ class CellEnd:
 
     def _carry_out(self, envelope: Envelope) -> None:
         memory = None
-        if isinstance(
-            envelope.request, InstallRelease
-        ):  # it may have been read together with those before it
+        # it may have been read together with those before it
+        if isinstance(envelope.request, InstallRelease | KeepBeside):
             memory, self._memory = self._memory, None
         task = asyncio.get_running_loop().create_task(self._answer(envelope, memory), name="page's request")
         self._underway.add(task)
