@@ -18,7 +18,7 @@ from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
 from edged.vision.solid.edgemodel import EdgePoints
 from edged.vision.solid.params import LOCK
-from edged.vision.solid.visible import PartView, VisibleSamples, find_neighbours, find_visible, room_for
+from edged.vision.solid.visible import PartView, VisibleSamples, find_neighbours, find_visible, unfilled
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -125,7 +125,7 @@ def step(
     if not depth > 0.0:
         return False
     most = 2 * len(samples.points)
-    seen, offset, near = room_for(most), np.full((most, MOST), np.nan), np.empty((most, 4))
+    seen, offset, near = unfilled(most), np.full((most, MOST), np.nan), np.empty((most, 4))
     borders = np.zeros(3, np.int64)
     for camera in range(2):
         picture, first = left if camera == 0 else right, borders[camera]
@@ -186,29 +186,32 @@ def find_edges(
     count, half = len(pixels), int(np.ceil(reach / fine)) + 1
     size = 2 * half + 1
     height, width = slope_x.shape
-    profiles = np.empty((count, size))
+    # singles at unsigned places: the compiler then takes eight at once
+    flat_x, flat_y, right, below = slope_x.ravel(), slope_y.ravel(), np.uint32(1), np.uint32(width)
+    last_x, last_y, zero, one = (
+        np.float32(width - 1.001),
+        np.float32(height - 1.001),
+        np.float32(0),
+        np.float32(1),
+    )
+    step, profiles = np.float32(fine), np.empty((count, size), np.float32)
     for m in range(count):
-        nx, ny = normals[m, 0], normals[m, 1]
+        nx, ny = np.float32(normals[m, 0]), np.float32(normals[m, 1])
+        middle_x, middle_y, profile = np.float32(pixels[m, 0]), np.float32(pixels[m, 1]), profiles[m]
         for s in range(size):
-            x, y = pixels[m, 0] + nx * fine * (s - half), pixels[m, 1] + ny * fine * (s - half)
-            x, y = min(max(x, 0.0), width - 1.001), min(max(y, 0.0), height - 1.001)
-            i, j = int(x), int(y)
-            a, b = x - i, y - j
-            w00, w10, w01, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-            gx = (
-                w00 * slope_x[j, i]
-                + w10 * slope_x[j, i + 1]
-                + w01 * slope_x[j + 1, i]
-                + w11 * slope_x[j + 1, i + 1]
-            )
-            gy = (
-                w00 * slope_y[j, i]
-                + w10 * slope_y[j, i + 1]
-                + w01 * slope_y[j + 1, i]
-                + w11 * slope_y[j + 1, i + 1]
-            )
-            profiles[m, s] = gx * nx + gy * ny
-    mean, strength = np.empty(size), np.empty(MOST)
+            away = step * np.float32(s - half)
+            x = min(max(middle_x + away * nx, zero), last_x)
+            y = min(max(middle_y + away * ny, zero), last_y)
+            i, j = np.int32(x), np.int32(y)
+            a, b = x - np.float32(i), y - np.float32(j)
+            at = np.uint32(j * np.int32(width) + i)
+            w00, w10, w01, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
+            gx = w00 * flat_x[at] + w10 * flat_x[at + right]
+            gx += w01 * flat_x[at + below] + w11 * flat_x[at + below + right]
+            gy = w00 * flat_y[at] + w10 * flat_y[at + right]
+            gy += w01 * flat_y[at + below] + w11 * flat_y[at + below + right]
+            profile[s] = gx * nx + gy * ny
+    mean, strength = np.empty(size, np.float32), np.empty(MOST)
     for m in range(count):
         first, last = m, m
         while first > 0 and m - first < together and curve[first - 1] == curve[m]:

@@ -275,9 +275,11 @@ def _with_covariance(
     by_light = PROFILE.light_px * (response @ np.sign(profiles.height))
     block = _blocks(2 * profiles.seen.curve + profiles.camera)
     edges = _jackknife(design, weights, left, fit.inverse, block)[:6, :6] + np.outer(by_light, by_light)
-    for camera, axis in itertools.product((0, 1), (0, 1)):
-        by_teaching = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
-        edges += model.taught_px**2 * np.outer(by_teaching, by_teaching)
+    if model.taught_px:  # what single curves are off by, light may draw all of them by, as at teaching
+        drawn_px = math.hypot(model.taught_px, disagreement_px(profiles, left))
+        for camera, axis in itertools.product((0, 1), (0, 1)):
+            by_camera = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
+            edges += drawn_px**2 * np.outer(by_camera, by_camera)
     # how much more the edges scatter than their weights say, as the jackknife has seen it
     excess = max(float(np.trace(edges @ np.linalg.inv(inverse[:, :6]))) / 6, 1.0)
     by_breaks = model.sigma_break_mm * profiles.by_width[None]
@@ -334,6 +336,33 @@ def scatter_of(left: FloatArray, stretch: I64, good: npt.NDArray[np.bool_]) -> F
             np.sqrt((PRIOR_BLOCKS * common + blocks * square) / (PRIOR_BLOCKS + blocks)), MIN_SIGMA_PX
         )
     return sigma[stretch]
+
+
+def disagreement_px(profiles: Profiles, left: FloatArray) -> float:
+    """By how much the cameras see single curves elsewhere than the pose has it, along either axis, rms.
+
+    Where their views differ, light shows the upper end of a break to one of them and the lower one to the
+    other: a curve is then off in parallax as a whole. 0 where no curve is seen by both.
+
+    left (M,) : residuals of the fit.
+    """
+    chain, good = chains_of(profiles.seen.curve), profiles.weight > PROFILE.min_weight
+    squares, expected = (
+        np.zeros(2),
+        np.zeros(2),
+    )  # of differences, and what they are where a shift has sigma 1
+    for number in np.unique(chain[good]):
+        apart, shares = np.zeros(2), np.zeros(2)
+        for camera, sign in ((0, 1.0), (1, -1.0)):
+            own = good & (chain == number) & (profiles.camera == camera)
+            normals = profiles.seen.normals[own]
+            told = normals.T @ normals / PROFILE.correlated
+            known = np.linalg.inv(np.eye(2) + told)  # a straight edge tells of its shift across only
+            apart += sign * (known @ (normals.T @ left[own])) / PROFILE.correlated
+            shares += np.square(known @ told).sum(axis=1)
+        squares += apart**2
+        expected += shares
+    return math.sqrt(float((squares / np.maximum(expected, 1.0)).max()))
 
 
 def _blocks(curve: I64) -> I64:

@@ -113,7 +113,7 @@ def moved(model: EdgeModel, pose: FloatArray, twist: FloatArray) -> FloatArray:
 
 def see(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -> VisibleSamples:
     """The samples that a camera sees.  buffer_px : side of the z-buffer; the part fills it."""
-    seen = room_for(len(samples.points))
+    seen = unfilled(len(samples.points))
     count = find_visible(samples, hidden_from(model, samples.points, view.eye, buffer_px), view, seen)
     return VisibleSamples._make(field[:count] for field in seen)
 
@@ -132,7 +132,7 @@ def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> Edg
 
 
 @kernel("VisibleSamples(i8)", tuples=(VisibleSamples,))
-def room_for(count: int) -> VisibleSamples:
+def unfilled(count: int) -> VisibleSamples:
     """Samples to be filled."""
     return VisibleSamples(
         np.empty(count, np.int64), np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 6)),

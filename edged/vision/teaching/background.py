@@ -5,6 +5,9 @@ The table's texture lies deeper: the other camera sees it elsewhere, by many pix
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +52,25 @@ def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> npt.NDAr
     with np.errstate(invalid="ignore"):
         alike = (ratio < TEACHING.max_slope_ratio) & (ratio > 1 / TEACHING.max_slope_ratio)
         return np.asarray((np.abs(offsets) <= TEACHING.max_mismatch_px) & alike)
+
+
+def count_agreeing(view: TeachingView, face: Plane, contours: Sequence[Contour]) -> int:
+    """How many points of contours agree with a face."""
+    return sum(int(np.count_nonzero(agreeing_with(view, face, contour))) for contour in contours)
+
+
+def tells_apart(view: TeachingView, face: Plane, other: Plane, contours: Sequence[Contour]) -> bool:
+    """Whether contours agree with a face rather than with another one, by more than chance has it.
+
+    Source: Q. McNemar, "Note on the sampling error of the difference between correlated proportions or
+    percentages", Psychometrika 12, 1947.
+    """
+    mine, theirs = (
+        np.concatenate([agreeing_with(view, plane, contour) for contour in contours])
+        for plane in (face, other)
+    )
+    more, fewer = np.count_nonzero(mine & ~theirs), np.count_nonzero(theirs & ~mine)
+    return bool((more - fewer) > TEACHING.certain * math.sqrt((more + fewer) * TEACHING.alike_px))
 
 
 def edges_in_right(

@@ -73,15 +73,10 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
     depth_mm : range of the rectified depth.  x is the rig's x axis projected into the face.
     """
     contours = strong_contours(view)
-    if not contours:
-        return None
-    points = np.concatenate([contour.points for contour in contours])
-    normals = np.concatenate([contour.normals for contour in contours])
-    chosen = np.arange(0, len(points), max(1, len(points) // TEACHING.plane_points))
-    plane = find_plane(view.images, points[chosen], normals[chosen], 1, depth_mm)
+    plane = plane_of(view, contours, depth_mm)
     if plane is None:
         return None
-    space = plane.meet(view.images.rays("left", points[chosen]))
+    space = plane.meet(view.images.rays("left", np.concatenate([contour.points for contour in contours])))
     centre = np.median(space[np.isfinite(space).all(axis=1)], axis=0)
     start = part_frame(plane.normal, centre)
     fit = _fitted(view, Face(centre, start[:3, :3].T), ())
@@ -89,6 +84,19 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
         return None
     corners = np.concatenate([fitted.curve.outline(np.linspace(0, 1, 16)).points for fitted in fit.fits])
     return part_frame(-fit.face.normal, fit.face.to_rig(corners.mean(axis=0, keepdims=True))[0])
+
+
+def plane_of(view: TeachingView, contours: Sequence[Contour], depth_mm: tuple[float, float]) -> Plane | None:
+    """The plane that most points of some contours lie in; None where it is not seen.
+
+    depth_mm : range of the rectified depth.
+    """
+    if not contours:
+        return None
+    points = np.concatenate([contour.points for contour in contours])
+    normals = np.concatenate([contour.normals for contour in contours])
+    chosen = slice(None, None, max(1, len(points) // TEACHING.plane_points))
+    return find_plane(view.images, points[chosen], normals[chosen], 1, depth_mm)
 
 
 def outline_mask(view: TeachingView) -> Image:

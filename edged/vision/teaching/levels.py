@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.params import FitParams
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.edges.contours import find_contours
 from edged.vision.edges.ellipses import ImageEllipse
@@ -26,7 +27,7 @@ from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CircleFeature, CornerFeature, EdgeFeature, SlotFeature
 from edged.vision.part.pose import circle_curve, edge_curve, slot_curve
-from edged.vision.teaching.background import agreeing_with
+from edged.vision.teaching.background import count_agreeing, tells_apart
 from edged.vision.teaching.features import (
     FoundFeatures,
     TeachingView,
@@ -34,6 +35,7 @@ from edged.vision.teaching.features import (
     find_features,
     part_frame,
     slot_feature,
+    strong_contours,
 )
 from edged.vision.teaching.params import TEACHING
 
@@ -42,31 +44,34 @@ from edged.vision.teaching.params import TEACHING
 class Levels:
     """The circles of a part of several heights, in space, and the direction (3,) that all its faces have.
 
-    heights_mm : of the circles along the normal, those of one face equal.
+    heights_mm : of the circles along the normal, those of one face equal.  beside_mm : of a face without any.
     """
 
     circles: tuple[FoundCircle, ...]
     normal: FloatArray
     heights_mm: FloatArray
+    beside_mm: tuple[float, ...] = ()
 
     @property
     def faces_mm(self) -> list[float]:
         """The heights of the faces, nearest to the cameras first."""
-        return sorted({float(height) for height in self.heights_mm}, reverse=True)
+        return sorted({float(height) for height in (*self.heights_mm, *self.beside_mm)}, reverse=True)
 
 
 def find_levels(
-    images: StereoImages,
+    view: TeachingView,
     ellipses: Sequence[ImageEllipse],
     face: Plane,
     depth_mm: tuple[float, float],
     is_clear: Callable[[CurveFit], bool],
+    beside: Plane | None = None,
 ) -> Levels | None:
     """Circles on several heights; None where all that are seen lie in one face.
 
-    face : of the largest one.  depth_mm : range of the rectified depth.
+    face : of the largest one.  depth_mm : range of the rectified depth.  beside : what most contours lie in,
+    if that is not the face; it is one of the part's where it lies in front of all circles.
     """
-    found: list[FoundCircle] = []
+    images, found = view.images, list[FoundCircle]()
     for ellipse in ellipses:
         measured = _measured(images, ellipse, face.normal, depth_mm)
         if measured is not None and is_clear(measured.fit):
@@ -74,13 +79,33 @@ def find_levels(
     found = _without_breaks(found, face.normal)
     if not found:
         return None
-    normal, heights = turned_alike(found, face.normal)
-    if float(np.ptp(heights)) < TEACHING.apart_mm:
+    normal, heights = _turned(view, found, face)
+    if float(np.ptp([*heights, *in_front(beside, found, normal)])) < TEACHING.apart_mm:
         return None
-    again = [_anew(images, measured, normal) for measured in found]
+    again = [measured_anew(images, measured, normal) for measured in found]
     kept = [measured for measured in again if measured is not None]
-    normal, heights = turned_alike(kept, normal)
-    return Levels(tuple(kept), normal, heights)
+    normal, heights = _turned(view, kept, Plane(normal, face.offset))
+    return Levels(tuple(kept), normal, heights, in_front(beside, kept, normal))
+
+
+def _turned(view: TeachingView, found: Sequence[FoundCircle], face: Plane) -> tuple[FloatArray, FloatArray]:
+    """`turned_alike`, but as before where contours agree with that rather."""
+    normal, heights = turned_alike(found, face.normal)
+    largest = max(found, key=lambda measured: measured.circle.radius_mm).circle.centre_mm
+    now, before = (Plane(each, float(each @ largest)) for each in (normal, face.normal))
+    if tells_apart(view, before, now, strong_contours(view)):
+        return face.normal, _levelled(found, face.normal, TEACHING.level_mm)
+    return normal, heights
+
+
+def in_front(plane: Plane | None, found: Sequence[FoundCircle], normal: FloatArray) -> tuple[float, ...]:
+    """Height of a plane along the normal, if it lies nearer to the cameras than all circles."""
+    if plane is None:
+        return ()
+    centres = np.array([measured.circle.centre_mm for measured in found])
+    above = plane.offset - centres @ plane.normal
+    height = float((centres @ normal + above).mean())
+    return (height,) if above.min() > TEACHING.apart_mm else ()
 
 
 def _measured(
@@ -120,7 +145,7 @@ def circle_on(
     return None if fit is None else circle_in_rig(fit, "circle")
 
 
-def _anew(images: StereoImages, measured: FoundCircle, normal: FloatArray) -> FoundCircle | None:
+def measured_anew(images: StereoImages, measured: FoundCircle, normal: FloatArray) -> FoundCircle | None:
     """The circle measured again with a better normal."""
     circle = measured.circle
     fit = fit_circle(
@@ -171,9 +196,14 @@ def turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[Floa
         normal = _tilted(centres, sizes, _grouped(centres @ normal, apart_mm), normal)
     if math.acos(min(float(normal @ first), 1.0)) * float(sizes.max()) > TEACHING.face_tolerance_mm:
         normal, apart_mm = first, TEACHING.level_mm
-    along = centres @ normal
+    return normal, _levelled(found, normal, apart_mm)
+
+
+def _levelled(found: Sequence[FoundCircle], normal: FloatArray, apart_mm: float) -> FloatArray:
+    """(N,) height of each circle's face along the normal."""
+    along = np.array([measured.circle.centre_mm for measured in found]) @ normal
     faces = _grouped(along, apart_mm)
-    return normal, np.array([np.average(along[faces == face]) for face in faces])
+    return np.array([np.average(along[faces == face]) for face in faces])
 
 
 def _grouped(heights_mm: FloatArray, apart_mm: float) -> npt.NDArray[np.int64]:
@@ -263,11 +293,28 @@ def _together(
 ) -> SolidFeatures | None:
     curves = [*circles, *(edge_curve(edge, True) for edge in found.edges)]
     curves += [slot_curve(slot, True) for slot in found.slots]
-    images, face = view.images, Face(frame[:3, 3], frame[:3, :3].T)
-    fit = fit_plane(images.rig, images.raw, face, curves, TEACHING.together)
+    face = Face(frame[:3, 3], frame[:3, :3].T)
+    fit = fitted_as_contours_lie(view, face, curves, TEACHING.together)
     if fit is None or fit.fit_of(circles[0].name) is None:
         return None
     return _as_features(fit, found)
+
+
+def fitted_as_contours_lie(
+    view: TeachingView, face: Face, curves: Sequence[Curve], params: FitParams
+) -> PlaneFit | None:
+    """Curves measured together: their face leans as they say, or as before where contours agree with that.
+
+    The two edges of broken rims draw small holes askew, and what is near each other.
+    """
+    images = view.images
+    fit = fit_plane(images.rig, images.raw, face, curves, params)
+    if fit is None:
+        return None
+    before, now = (Plane(each.normal, float(each.normal @ each.origin)) for each in (face, fit.face))
+    if tells_apart(view, before, now, strong_contours(view)):
+        return fit_plane(images.rig, images.raw, face, curves, params, fixed_normal=True)
+    return fit
 
 
 def main_face_mask(view: TeachingView, circles: Sequence[CircleFeature], solid: SolidFeatures) -> Image:
@@ -302,7 +349,7 @@ def dominant_face(view: TeachingView, levels: Levels) -> float:
     seen = {}
     for face_mm in levels.faces_mm:
         plane = Plane(levels.normal, face_mm)
-        seen[face_mm] = sum(np.count_nonzero(agreeing_with(view, plane, contour)) for contour in contours)
+        seen[face_mm] = count_agreeing(view, plane, contours)
     largest = max(range(len(levels.circles)), key=lambda k: levels.circles[k].circle.radius_mm)
     own = float(levels.heights_mm[largest])
     most = max(seen, key=lambda face_mm: seen[face_mm])

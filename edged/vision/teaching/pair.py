@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from edged.domain.measurement import Circle3D
 from edged.errors import TeachError
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.params import FitParams
-from edged.vision.curves.planefit import CurveFit, fit_plane
+from edged.vision.curves.planefit import CurveFit
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, apply, invert, transform
@@ -34,7 +35,7 @@ from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
 from edged.vision.shape.search import SearchParams
 from edged.vision.solid.curvemodel import curve_points
-from edged.vision.teaching.background import without_background
+from edged.vision.teaching.background import tells_apart, without_background
 from edged.vision.teaching.features import (
     FoundFeatures,
     TeachingView,
@@ -42,13 +43,17 @@ from edged.vision.teaching.features import (
     find_features,
     outline_mask,
     part_frame,
+    plane_of,
+    strong_contours,
 )
 from edged.vision.teaching.levels import (
     SolidFeatures,
     circle_on,
     find_levels,
+    fitted_as_contours_lie,
     flat_features,
     main_face_mask,
+    measured_anew,
     solid_features,
 )
 from edged.vision.teaching.params import TEACHING
@@ -90,9 +95,11 @@ def _taught(view: TeachingView, name: str, number: int, params: ModelParams | No
     ellipses = without_pattern(view, shown)
     try:
         face, largest = _reference(view.images, ellipses)
-        levels = find_levels(
-            view.images, ellipses, face, _near_depths(view.images.rectification, largest), _is_clear
-        )
+        depths_mm = _near_depths(view.images.rectification, largest)
+        beside = _as_contours_lie(view, face, largest, depths_mm)
+        if beside is not None:
+            face, largest = _turned_as(view.images, beside, face, largest)
+        levels = find_levels(view, ellipses, face, depths_mm, _is_clear, beside)
         if levels is not None:
             solid = solid_features(view, levels)
             if solid is not None:
@@ -194,7 +201,7 @@ def _circles(
 ) -> list[FoundCircle]:
     """The circles of the reference's face, measured together, largest first."""
     found = _in_order([reference, *_others(view.images, ellipses, face, reference)])
-    together = fit_plane(view.images.rig, view.images.raw, *_laid_in_face(found), FitParams(reach_px=(2.0,)))
+    together = fitted_as_contours_lie(view, *_laid_in_face(found), FitParams(reach_px=(2.0,)))
     if together is None or together.fit_of("c0") is None:
         return [
             replace(measured, circle=replace(measured.circle, name=f"c{k}"))
@@ -346,6 +353,33 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
         "one_sided",
         count=len(ellipses),
     )
+
+
+def _as_contours_lie(
+    view: TeachingView, face: Plane, largest: FoundCircle, depths_mm: tuple[float, float]
+) -> Plane | None:
+    """The plane that contours agree with rather than with the face of the largest circle; None: none.
+
+    A hole whose two edges the cameras see at other sides leans by what these lie apart over its width; what
+    leans by more is no face of the same part.
+    """
+    contours = strong_contours(view)
+    plane = plane_of(view, contours, depths_mm)
+    if plane is None or not tells_apart(view, plane, face, contours):
+        return None
+    lean = math.acos(min(float(plane.normal @ face.normal), 1.0))
+    return plane if lean < 0.5 * TEACHING.break_mm / largest.circle.radius_mm else None
+
+
+def _turned_as(
+    images: StereoImages, plane: Plane, face: Plane, largest: FoundCircle
+) -> tuple[Plane, FoundCircle]:
+    """The face of the largest circle parallel to a plane, and the circle in it; as they are where it is not
+    seen there."""
+    again = measured_anew(images, largest, plane.normal)
+    if again is None:
+        return face, largest
+    return Plane(plane.normal, float(plane.normal @ again.circle.centre_mm)), again
 
 
 def _is_clear(fit: CurveFit) -> bool:

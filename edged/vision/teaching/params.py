@@ -66,6 +66,8 @@ class TeachingParams:
     """Two edges of one curve that differ by less in radius and height are a chamfer: one feature."""
     dominant: float = 1.2
     """Times the reference face's edges that another face must show to be searched for instead."""
+    certain: float = 3.0  # sigmas by which contours agree with one plane rather than with another one
+    alike_px: float = 12.0  # of a contour that agree as one: 12 px of texture
     level_fit: FitParams = FitParams(reach_px=(4.0, 3.0, 2.0))  # how circles of other faces are laid
     same_line_px: float = 4.0  # between two that are one edge
     level_band_px: int = 15  # around a circle of another face

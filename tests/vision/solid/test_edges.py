@@ -16,9 +16,9 @@ from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
 from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.kernels.jit import for_kernel
-from edged.vision.solid.edgemodel import EdgeModel, model_of, sampled, widths_of, with_open_forms
+from edged.vision.solid.edgemodel import EdgeModel, chains_of, model_of, sampled, widths_of, with_open_forms
 from edged.vision.solid.forms import with_breaks
-from edged.vision.solid.profiles import Profiles, adjusted_to, scatter_of
+from edged.vision.solid.profiles import Profiles, adjusted_to, disagreement_px, scatter_of
 from edged.vision.solid.shifts import find_shifts
 from edged.vision.solid.symmetry import like_turns
 from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, see
@@ -169,6 +169,20 @@ def test_each_curve_says_by_its_own_scatter_what_it_is_worth() -> None:
     sigma = [scatter_of(left, stretch, np.ones(len(left), bool))[stretch == k][0] for k in range(4)]
     assert sigma[1] > 0.7
     assert max(sigma[0], sigma[2], sigma[3]) < 0.1
+
+
+def test_curves_that_the_cameras_see_elsewhere_say_how_far_light_draws() -> None:
+    """Half of the curves 0.6 px to the right in the left camera, the others to the left: 0.4 px of either."""
+    where = lying(small_rig(), 20.0, 20.0, 40.0)
+    both = [seen(model(), where, camera) for camera in (0, 1)]
+    camera = np.repeat([0, 1], [len(each.row) for each in both])
+    samples = VisibleSamples._make(np.concatenate(field) for field in zip(*both, strict=True))
+    points, ones = sampled(model(), 0.5).points[samples.row], np.ones(len(camera))
+    profiles = Profiles(samples, camera, points, 0.0 * ones, 100 * ones, ones)
+    side = np.where(chains_of(samples.curve) % 2 == 0, 1.0, -1.0)
+    off = np.where(camera == 0, 0.6 * side, 0.0) * samples.normals[:, 0]
+    assert disagreement_px(profiles, off) == pytest.approx(0.6 / math.sqrt(2), rel=0.2)
+    assert disagreement_px(profiles, 0 * off) == 0.0
 
 
 @pytest.mark.slow

@@ -12,9 +12,10 @@ from helpers.cells import PLACE_MM, Flange, flange, pictures, pose, region_aroun
 from edged.domain.arrays import FloatArray
 from edged.sim.render.scene import Surface
 from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
+from edged.vision.geometry.rigid import Plane, rotation_matrix
 from edged.vision.shape.search import find_shapes
-from edged.vision.teaching.background import without_background
-from edged.vision.teaching.features import TeachingView
+from edged.vision.teaching.background import tells_apart, without_background
+from edged.vision.teaching.features import TeachingView, plane_of, strong_contours
 from edged.vision.teaching.pair import teach
 
 TABLE = Surface(albedo=0.3, contrast=0.9, feature_mm=0.8, seed=2)
@@ -79,3 +80,18 @@ def test_on_a_quiet_table_the_region_stays_as_it_is(flat: Flange, rectification:
     np.testing.assert_array_equal(without_background(view, pose(), mask), mask)
 
     np.testing.assert_array_equal(without_background(view, pose((8.0, 0.0, 260.0)), mask), mask)
+
+
+def test_contours_tell_the_face_from_one_that_leans(flat: Flange, rectification: Rectification) -> None:
+    """By a degree and a half about its middle: a hole of 4 mm leans so if its edges are 0.1 mm apart."""
+    mask = np.full_like(rectification.left_image(flat.left), 255)
+    view = TeachingView(StereoImages.of(rectification, flat.left, flat.right), mask)
+    contours, middle = strong_contours(view), pose()[:3, 3]
+    leant = pose()[:3, :3] @ rotation_matrix(np.array([0.0, math.radians(1.5), 0.0]))
+    face, leaning = (Plane(normal, float(normal @ middle)) for normal in (pose()[:3, 2], leant[:, 2]))
+    assert tells_apart(view, face, leaning, contours)
+    assert not tells_apart(view, leaning, face, contours)
+    assert not tells_apart(view, face, face, contours)
+    found = plane_of(view, contours, (150.0, 260.0))
+    assert found is not None
+    assert math.degrees(math.acos(min(abs(float(found.normal @ face.normal)), 1.0))) < 0.3

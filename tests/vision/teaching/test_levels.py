@@ -10,8 +10,9 @@ import pytest
 
 from edged.domain.measurement import Circle3D
 from edged.vision.curves.planefit import CurveFit
+from edged.vision.geometry.rigid import Plane
 from edged.vision.part.frames import FoundCircle
-from edged.vision.teaching.levels import turned_alike
+from edged.vision.teaching.levels import in_front, turned_alike
 
 UP = np.array([0.0, 0.0, -1.0])
 
@@ -45,3 +46,11 @@ def test_circles_of_one_face_tilt_it_where_the_largest_one_does_not_contradict()
     leaning = np.array([math.sin(math.radians(0.5)), 0.0, -math.cos(math.radians(0.5))])
     assert math.acos(float(normal @ leaning)) < math.radians(0.05)
     assert np.ptp(heights[:4]) < 1e-9
+
+
+def test_what_contours_lie_in_is_a_face_where_no_circle_is_nearer() -> None:
+    """A bore at the bottom of a counterbore 1.7 mm deep: its face has outlines only. A table is no face."""
+    found = [circle(0, 0, 0.0, 1.15), circle(9, 4, 0.0, 1.0)]
+    assert in_front(Plane(UP, -198.3), found, UP) == pytest.approx((-198.3,))
+    assert in_front(Plane(UP, -205.0), found, UP) == ()
+    assert in_front(None, found, UP) == ()
