@@ -188,24 +188,24 @@ def find_edges(
     height, width = slope_x.shape
     # singles at unsigned places: the compiler then takes eight at once
     flat_x, flat_y, right, below = slope_x.ravel(), slope_y.ravel(), np.uint32(1), np.uint32(width)
-    last_x, last_y, zero, one = (
+    last_x, last_y, zero, full = (
         np.float32(width - 1.001),
         np.float32(height - 1.001),
         np.float32(0),
         np.float32(1),
     )
-    step, profiles = np.float32(fine), np.empty((count, size), np.float32)
+    spacing, profiles = np.float32(fine), np.empty((count, size), np.float32)
     for m in range(count):
         nx, ny = np.float32(normals[m, 0]), np.float32(normals[m, 1])
         middle_x, middle_y, profile = np.float32(pixels[m, 0]), np.float32(pixels[m, 1]), profiles[m]
         for s in range(size):
-            away = step * np.float32(s - half)
+            away = spacing * np.float32(s - half)
             x = min(max(middle_x + away * nx, zero), last_x)
             y = min(max(middle_y + away * ny, zero), last_y)
             i, j = np.int32(x), np.int32(y)
             a, b = x - np.float32(i), y - np.float32(j)
             at = np.uint32(j * np.int32(width) + i)
-            w00, w10, w01, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
+            w00, w10, w01, w11 = (full - a) * (full - b), a * (full - b), (full - a) * b, a * b
             gx = w00 * flat_x[at] + w10 * flat_x[at + right]
             gx += w01 * flat_x[at + below] + w11 * flat_x[at + below + right]
             gy = w00 * flat_y[at] + w10 * flat_y[at + right]

@@ -356,10 +356,10 @@ def disagreement_px(profiles: Profiles, left: FloatArray) -> float:
         for camera, sign in ((0, 1.0), (1, -1.0)):
             own = good & (chain == number) & (profiles.camera == camera)
             normals = profiles.seen.normals[own]
-            told = normals.T @ normals / PROFILE.correlated
-            known = np.linalg.inv(np.eye(2) + told)  # a straight edge tells of its shift across only
+            information = normals.T @ normals / PROFILE.correlated
+            known = np.linalg.inv(np.eye(2) + information)  # a straight edge tells of its shift across only
             apart += sign * (known @ (normals.T @ left[own])) / PROFILE.correlated
-            shares += np.square(known @ told).sum(axis=1)
+            shares += np.square(known @ information).sum(axis=1)
         squares += apart**2
         expected += shares
     return math.sqrt(float((squares / np.maximum(expected, 1.0)).max()))
