@@ -29,6 +29,9 @@ F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 U8 = npt.NDArray[np.uint8]
 
+# numba freezes globals when it compiles: kernels read these by name
+ALIKE, ALIKE_COS = SCAN.alike, math.cos(SCAN.alike_rad)
+SAME_PLACE, PLACES = SCAN.same_place, SCAN.places
 BINS = 8
 """Directions of an edge, sign aside."""
 BYTE_SUMS = 255 // FULL
@@ -173,32 +176,50 @@ def scan(
     return views, numbers, np.ascontiguousarray(rig_from_camera @ poses)
 
 
-def _unlike(model: EdgeModel, poses: FloatArray, most: int, elsewhere: int) -> list[int]:
+def _unlike(model: EdgeModel, poses: FloatArray, most: int, elsewhere: int) -> I64:
     """Which poses (K, 4, 4), best first, differ from each other: many at the best place, some at others."""
     centres = poses[:, :3, :3] @ model.centre + poses[:, :3, 3]
-    rotations = poses[:, :3, :3]
-    kept: list[int] = []
-    places: list[int] = []
-    many: list[int] = []
+    kept = np.empty(len(poses), np.int64)
+    poses = np.ascontiguousarray(poses)
+    return kept[: keep_unlike(centres, poses, model.size_mm, most, elsewhere, kept)]
+
+
+@kernel("i8(f8[:, ::1], f8[:, :, ::1], f8, i8, i8, i8[::1])")
+def keep_unlike(centres: F64, poses: F64, size_mm: float, most: int, elsewhere: int, kept: I64) -> int:
+    """Fill the first of kept as `_unlike`, and say how many.  centres (K, 3) : of the part."""
+    count = places = 0
+    first, many = np.empty(PLACES, np.int64), np.empty(PLACES, np.int64)
     for k in range(len(poses)):
-        apart = np.linalg.norm(centres[kept] - centres[k], axis=1)
-        cosines = 0.5 * (np.einsum("nij,ij->n", rotations[kept], rotations[k]) - 1.0)
-        if ((apart < SCAN.alike * model.size_mm) & (cosines > math.cos(SCAN.alike_rad))).any():
+        alike = False
+        for n in range(count):
+            other, apart, trace = kept[n], 0.0, 0.0
+            for i in range(3):
+                apart += (centres[other, i] - centres[k, i]) ** 2
+                for j in range(3):
+                    trace += poses[other, i, j] * poses[k, i, j]
+            if apart < (ALIKE * size_mm) ** 2 and 0.5 * (trace - 1.0) > ALIKE_COS:
+                alike = True
+                break
+        if alike:
             continue
-        here = np.flatnonzero(
-            np.linalg.norm(centres[places] - centres[k], axis=1) < SCAN.same_place * model.size_mm
-        )
-        if not len(here):
-            if len(places) == SCAN.places:
+        place = 0
+        while place < places:
+            apart = 0.0
+            for i in range(3):
+                apart += (centres[first[place], i] - centres[k, i]) ** 2
+            if apart < (SAME_PLACE * size_mm) ** 2:
+                break
+            place += 1
+        if place == places:
+            if places == PLACES:
                 continue
-            places.append(k)
-            many.append(1)
-        elif many[here[0]] == (most if here[0] == 0 else elsewhere):
+            first[place], many[place], places = k, 0, places + 1
+        elif many[place] == (most if place == 0 else elsewhere):
             continue
-        else:
-            many[here[0]] += 1
-        kept.append(k)
-    return kept
+        many[place] += 1
+        kept[count] = k
+        count += 1
+    return count
 
 
 def _from_axis_onto(rays: FloatArray) -> FloatArray:
