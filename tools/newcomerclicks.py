@@ -208,8 +208,11 @@ async def release(page: Browser, text: str, password: str) -> None:
     await confirm(page, password)
 
 
-async def confirm(page: Browser, password: str) -> None:
-    """Answer what else a dialog asks: who is there, and a signature, in any order."""
+async def confirm(page: Browser, password: str, until: str = "true") -> None:
+    """Answer what else dialogs ask: who is there, and a signature, in any order.
+
+    until : what becomes of it. The password is asked for some time after a dialog has closed.
+    """
     signed = 'document.querySelector("dialog[open] [name=signed]")'
 
     async def answer() -> None:
@@ -222,7 +225,7 @@ async def confirm(page: Browser, password: str) -> None:
             await page.click("dialog[open] .primary")
         await pause(page, 0.1)
 
-    await long(page, f"!{DIALOG}", answer)
+    await long(page, f"!{DIALOG} && {until}", answer)
 
 
 async def wave(page: Browser) -> None:

@@ -366,5 +366,4 @@ async def go_back(page: Browser, number: int, password: str) -> None:
     await page.until(DIALOG)
     await page.type("dialog[open] input", "back")
     await page.click("dialog[open] .primary")
-    await confirm(page, password)
-    await long(page, f"{RELEASES}.some(([count, isUsed]) => isUsed && count === {number})")
+    await confirm(page, password, f"{RELEASES}.some(([count, isUsed]) => isUsed && count === {number})")
