@@ -43,7 +43,7 @@ class Taught:
 
     rectified_left (h, w) uint8 : the picture, real or painted from a drawing.
     region (h, w) uint8 : where in it the part is; None: anywhere.  cuts : what of the part goes on outside.
-    settled : what came of its CAD model, a line each; none where it was taught without one.
+    settled : what came of its CAD model and further pairs, or is open without, a line each.
     """
 
     rectified_left: Image

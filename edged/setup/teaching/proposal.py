@@ -7,11 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError, UserError
 from edged.files.jobs import job_folders, load_job, save_job
 from edged.report.teaching import Taught
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import invert, unit
 from edged.vision.part.job import MAX_TILT_DEG, Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.inspection import ModelInspection, inspect_model
@@ -97,9 +101,23 @@ def propose_from_pair(
     if further:
         job, said = with_further_pairs(job, (left, right), further, rectification)
         settled = (*settled, *said)
+    elif model is None and job.solid:
+        settled = (_of_one_pair(job, rectification.rig),)
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
     return _proposal(job, Taught(picture, None if region is None else mask, cuts, settled), wanted)
+
+
+def _of_one_pair(job: Job, rig: StereoRig) -> str:
+    """What one pair leaves open of a part of several heights."""
+    place = job.rig_from_part[:3, 3]
+    left, right = (unit(place - eye) for eye in (np.zeros(3), invert(rig.right_from_left)[:3, 3]))
+    widths = 0.5 / math.tan(0.5 * math.acos(float(left @ right)))
+    return (
+        "edge breaks: no other pair has shown them. Where they are rounded, each camera may see another end "
+        f"of them, other light another one, and by up to {widths:.1f} times their width across the face. Add "
+        "a pair of the part tilted, or its STEP file"
+    )
 
 
 def propose_from_drawing(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.blockpart import block
 from helpers.cells import pictures, pose, scene, small_rig
 from helpers.flatparts import DISC, PLATE
 
@@ -17,8 +18,10 @@ from edged.files.rig import rig_text
 from edged.setup.inuse import RigInUse
 from edged.setup.teaching.drafts import KeptPair, TeachingDraft, TeachingDrafts
 from edged.setup.teaching.model import Content
+from edged.setup.teaching.proposal import WantedJob, propose_from_pair
 from edged.setup.teaching.proposing import JobSeen, LearningOrder, propose_region, see
 from edged.sim.render.scene import Part
+from edged.vision.geometry.rectification import make_rectification
 
 NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 WHERE = pose()
@@ -104,3 +107,15 @@ def test_a_part_of_edges_alone_has_corners_for_a_reference(tmp_path: Path) -> No
     assert (4, 3) == (len(fewer.job.edges), len(fewer.job.corners))
     assert first.job.reference != fewer.job.reference
     assert fewer.job.kind_of(fewer.job.reference) == "corner"
+
+
+def test_what_one_pair_leaves_open_of_a_part_of_several_heights_is_said() -> None:
+    """By the angle between both cameras, which may see other ends of a rounding; of a flat part nothing."""
+    images = make_rectification(small_rig())
+    seen = [block(pose()), scene((DISC, WHERE))]
+    said = [
+        propose_from_pair(*pictures(small_rig(), shown), images, WantedJob("p", 1)).taught.settled
+        for shown in seen
+    ]
+    assert "up to 2.0 times their width" in said[0][0]
+    assert said[1] == ()
