@@ -171,7 +171,7 @@ def test_no_plate_is_no_verdict(images: tuple[str, str], folder: Path) -> None:
         ({"board": SPEC, "limits": Limits(float("nan"), 0.1)}, "expected finite numbers"),
         (
             {"board": SPEC, "images": ("small.png", "right.png")},
-            "small.png: 320 x 240, the rig's left camera",
+            "small.png: left image: 320x240, the rig was calibrated for 640x480",
         ),
         ({"board": SPEC, "rig": "left.png"}, "not JSON"),
         ({"board": SPEC, "images": ("nothing.png", "right.png")}, "no such file"),
@@ -307,5 +307,5 @@ def test_the_verdict_leaves_room_for_the_uncertainty(error: float, sigma: float,
 @pytest.mark.slow
 def test_images_of_another_size_are_refused(folder: Path) -> None:
     """The error is an ImageError that names both sizes."""
-    with pytest.raises(ImageError, match="640 x 480"):
+    with pytest.raises(ImageError, match="640x480"):
         run(folder, images=("small.png", "small.png"), board=SPEC)

@@ -50,7 +50,10 @@ def hide(vertices: F64, points: F64, eye: F64, triangles: I64, size: int, hidden
     middle, towards, frame = np.empty(3), np.empty(3), np.empty((3, 3))
     reach = distance = 0.0
     for i in range(3):
-        middle[i] = 0.5 * (vertices[:, i].min() + vertices[:, i].max())
+        low = high = vertices[0, i]
+        for n in range(1, len(vertices)):
+            low, high = min(low, vertices[n, i]), max(high, vertices[n, i])
+        middle[i] = 0.5 * (low + high)
         towards[i] = middle[i] - eye[i]
         distance += towards[i] * towards[i]
     distance = np.sqrt(distance)

@@ -313,7 +313,9 @@ def scatter_of(left: FloatArray, stretch: I64, good: npt.NDArray[np.bool_]) -> F
 
     stretch (M,) : numbers from 0 on.  good (M,) : which residuals count, one at least.
     """
-    count, numbers = len(left), int(stretch.max()) + 1
+    count, numbers = len(left), 0
+    for m in range(count):
+        numbers = max(numbers, stretch[m] + 1)
     # all good residuals, those of one stretch behind each other
     ends = np.zeros(numbers + 1, np.int64)
     for m in range(count):
