@@ -25,6 +25,12 @@ REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; s
 """Content security policy of reports: they hold their own style and pictures, and run nothing."""
 
 
+def report_answer(page: bytes) -> web.Response:
+    """A report, as a page."""
+    headers = {"Content-Security-Policy": REPORT_POLICY}
+    return web.Response(body=page, content_type="text/html", charset="utf-8", headers=headers)
+
+
 class Nothing(Body):
     """All that is to be said is in the path."""
 

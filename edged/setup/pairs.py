@@ -104,14 +104,23 @@ def _pool() -> Iterator[ThreadPoolExecutor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
+def write_pictures(folder: Path, name: str, images: tuple[Image, Image]) -> None:
+    """Write a pair, every grey value, as NAME_left.png and NAME_right.png; the left one makes it a pair.
+
+    Raises `OSError`.
+    """
+    for side, image in reversed(list(zip(SIDES, images, strict=True))):
+        write_atomically(folder / f"{name}_{side}.png", png(image))
+
+
 def write_pair(folder: Path, name: str, images: tuple[Image, Image], small: tuple[Image, Image]) -> None:
     """Write a pair to a draft's folder, every grey value, and small JPEGs of it.
 
     Raises `CalibrationError` for a disc that refuses.
     """
     try:
-        for side, image, thumbnail in zip(SIDES, images, small, strict=True):
-            write_atomically(folder / "pictures" / f"{name}_{side}.png", png(image))
+        write_pictures(folder / "pictures", name, images)
+        for side, thumbnail in zip(SIDES, small, strict=True):
             write_atomically(folder / "small" / f"{name}_{side}.jpg", jpeg(thumbnail, THUMBNAIL_QUALITY))
     except OSError as error:
         raise CalibrationError(f"{folder}: the pair cannot be kept: {error.strerror or error}") from error

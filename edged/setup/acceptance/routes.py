@@ -11,7 +11,7 @@ from pydantic import Field
 from edged.adapters.web.routes import Body, Call, Leased, Name, route
 from edged.identity.visitors import Role
 from edged.setup.acceptance.service import MOST, AcceptanceDocument, Accepting, PicturedTest, TestName
-from edged.setup.draftroutes import REPORT_POLICY, Begun, unknown
+from edged.setup.draftroutes import Begun, report_answer, unknown
 
 Millimetres = Annotated[float, Field(ge=0.001, le=100_000)]
 
@@ -92,5 +92,4 @@ class AcceptanceRoutes:
             page = await asyncio.to_thread(self._accepting.report.read_bytes)
         except FileNotFoundError:
             raise unknown() from None
-        headers = {"Content-Security-Policy": REPORT_POLICY}
-        return web.Response(body=page, content_type="text/html", charset="utf-8", headers=headers)
+        return report_answer(page)

@@ -9,15 +9,13 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from edged.domain.arrays import SIDES
 from edged.errors import SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
-from edged.pictures.encoding import png
 from edged.setup.acceptance.accepting import TOUCHED_NAME
 from edged.setup.acceptance.verdicts import LEAST_LENGTHS, LEAST_POSES, LEAST_STILL, LEAST_TOUCHED
 from edged.setup.documents import Frozen, LastDocument
 from edged.setup.inuse import CellInUse
-from edged.setup.pairs import Progress
+from edged.setup.pairs import Progress, write_pictures
 
 FUNCTIONS = {"accept_cell": "edged.setup.acceptance.work:accept_cell"}
 PicturedTest = Literal["still", "pose", "length"]
@@ -114,10 +112,8 @@ class Accepting:
             if first >= MOST:
                 raise UserError(f"{MOST} pictures of a test are enough: begin it anew")
             pair = await self._cell.session.capture(token)
-            for side in reversed(SIDES):  # the left one makes it a pair
-                data = await asyncio.to_thread(png, pair.side(side).image)
-                path = folder / f"view_{first:03d}_{side}.png"
-                await asyncio.to_thread(write_atomically, path, data)
+            images = pair.left.image, pair.right.image
+            await asyncio.to_thread(write_pictures, folder, f"view_{first:03d}", images)
 
     async def touched(self, token: str, table: str) -> AcceptanceDocument:
         """Keep what the robot touched: lines of rig x, y, z and robot x, y, z. Raises `SetupRefused`."""

@@ -15,7 +15,7 @@ from edged.setup.calibration.checks import CheckDocument, Checked, Checks
 from edged.setup.calibration.documents import DraftDocument, DraftList
 from edged.setup.calibration.service import Calibrations
 from edged.setup.documents import DraftHead
-from edged.setup.draftroutes import REPORT_POLICY, Begun, DraftRoutes, Nothing, known, unknown
+from edged.setup.draftroutes import Begun, DraftRoutes, Nothing, known, report_answer, unknown
 from edged.setup.jobs.tasks import TaskDocument, Tasks
 from edged.setup.releases.routes import Activating, ReleaseDocument, activated, add_activation
 from edged.setup.releases.service import Activation
@@ -121,8 +121,7 @@ class CalibrationRoutes:
 
     async def _report(self, draft: str, _: Call[None]) -> web.Response:
         page = await asyncio.to_thread((await self._calibrations.drafts.get(draft)).draft.report)
-        headers = {"Content-Security-Policy": REPORT_POLICY}
-        return web.Response(body=page, content_type="text/html", charset="utf-8", headers=headers)
+        return report_answer(page)
 
     @route("GET", TASK, "How far long work is", role=Role.VIEWER)
     async def _task(self, call: Call[None]) -> TaskDocument:

@@ -7,14 +7,12 @@ import shutil
 from datetime import UTC, datetime
 from functools import partial
 
-from edged.domain.arrays import SIDES
 from edged.errors import SetupRefused, UserError
-from edged.files.atomic import make_folders, write_atomically
+from edged.files.atomic import make_folders
 from edged.files.marks import MARKS_NAME
-from edged.pictures.encoding import png
 from edged.setup.documents import Frozen, LastDocument, SigmaXyz
 from edged.setup.inuse import CellInUse
-from edged.setup.pairs import Progress
+from edged.setup.pairs import Progress, write_pictures
 from edged.vision.marks.params import MARKS
 
 FUNCTIONS = {name: f"edged.setup.marking.work:{name}" for name in ("look_at_marks", "teach_marks")}
@@ -122,10 +120,8 @@ class Marking:
             for number in range(count):
                 progress("take pairs", number, count)
                 pair = await self._cell.session.capture(token)
-                for side in SIDES:
-                    path = folder / f"view_{number:03d}_{side}.png"
-                    data = await asyncio.to_thread(png, pair.side(side).image)
-                    await asyncio.to_thread(write_atomically, path, data)
+                images = pair.left.image, pair.right.image
+                await asyncio.to_thread(write_pictures, folder, f"view_{number:03d}", images)
             found = await self._cell.worker.run("teach_marks", rig, folder, material, progress=progress)
         finally:
             await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)

@@ -72,8 +72,8 @@ class PoseEvidence:
 def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseEvidence:
     """What both pictures show of a part at a pose, rig_from_part (4, 4)."""
     hits, chances, curves, pixels, cameras, walled = [], [], [], [], [], []
-    for k, seen in enumerate(seen_by(model, pyramids, pose, 0, EVIDENCE.spacing_px)):
-        offsets = edges_beside(pyramids, 0, k, seen, EVIDENCE.reach_px, EVIDENCE.together)
+    for k, seen in enumerate(seen_by(model, pyramids, pose, EVIDENCE.spacing_px)):
+        offsets = edges_beside(pyramids, k, seen, EVIDENCE.reach_px, EVIDENCE.together)
         away = np.abs(offsets)
         hits.append(np.nanmin(np.where(np.isfinite(away), away, np.inf), axis=1) < EVIDENCE.agree_px)
         # edges per px, without the own one and the part's others there, over a stretch of the curve

@@ -89,28 +89,23 @@ def scale_at(rig: StereoRig, pose: FloatArray, model: EdgeModel) -> float:
 
 
 def seen_by(
-    model: EdgeModel, pyramids: Pyramids, pose: FloatArray, level: int, spacing_px: float
+    model: EdgeModel, pyramids: Pyramids, pose: FloatArray, spacing_px: float
 ) -> list[VisibleSamples]:
-    """What each camera sees of the model at a level of the pyramids."""
-    samples = samples_at(model, scale_at(pyramids.rig, pose, model) / 2**level, spacing_px)
-    views = (pyramids.cameras[level].view(k, model, pose) for k in (0, 1))
-    return [see(model, samples, view, _buffer_px(level)) for view in views]
-
-
-def _buffer_px(level: int) -> int:
-    return VISIBILITY.buffer_px[min(level, len(VISIBILITY.buffer_px) - 1)]
+    """What each camera sees of the model in the pictures as they are."""
+    samples = samples_at(model, scale_at(pyramids.rig, pose, model), spacing_px)
+    views = (pyramids.cameras[0].view(k, model, pose) for k in (0, 1))
+    return [see(model, samples, view, VISIBILITY.buffer_px[0]) for view in views]
 
 
 def edges_beside(
-    pyramids: Pyramids, level: int, camera: int, seen: VisibleSamples, reach_px: float, together: int,
-    fine_px: float = LOCK.fine_px,
-) -> FloatArray:  # fmt: skip
+    pyramids: Pyramids, camera: int, seen: VisibleSamples, reach_px: float, together: int
+) -> FloatArray:
     """(M, MOST) edges about what a camera sees, px along the normals; arguments as of `find_edges`."""
     found = np.full((len(seen.row), MOST), np.nan)
-    picture = pyramids.pictures[level][camera]
+    picture = pyramids.pictures[0][camera]
     find_edges(
-        picture.slope_x, picture.slope_y, seen.pixels, seen.normals, seen.curve, reach_px, together, fine_px,
-        found,
+        picture.slope_x, picture.slope_y, seen.pixels, seen.normals, seen.curve, reach_px, together,
+        LOCK.fine_px, found,
     )  # fmt: skip
     return found
 
@@ -128,7 +123,8 @@ def lay(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[
         if samples is not before or how.level != level:
             level, before = how.level, samples
             eyes = [invert(from_rig @ pose)[:3, 3] for from_rig in pyramids.cameras[level].from_rig]
-            hidden = np.stack([hidden_from(model, samples.points, eye, _buffer_px(level)) for eye in eyes])
+            size_px = VISIBILITY.buffer_px[min(level, len(VISIBILITY.buffer_px) - 1)]
+            hidden = np.stack([hidden_from(model, samples.points, eye, size_px) for eye in eyes])
         fine = LOCK.fine_px if how.reach_px <= LOCK.coarse_reach_px else LOCK.coarse_px
         together = max(0, round(how.along_px / how.spacing_px / 2))
         if not step(

@@ -54,11 +54,6 @@ def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> npt.NDAr
         return np.asarray((np.abs(offsets) <= TEACHING.max_mismatch_px) & alike)
 
 
-def count_agreeing(view: TeachingView, face: Plane, contours: Sequence[Contour]) -> int:
-    """How many points of contours agree with a face."""
-    return sum(int(np.count_nonzero(agreeing_with(view, face, contour))) for contour in contours)
-
-
 def tells_apart(view: TeachingView, face: Plane, other: Plane, contours: Sequence[Contour]) -> bool:
     """Whether contours agree with a face rather than with another one, by more than chance has it.
 

@@ -45,9 +45,9 @@ def moved_circle(
     px_per_mm = scale_at(images.rig, rig_from_part, model)
     pyramids = Pyramids(images.rig, images.raw, 1)
     samples = samples_at(model, px_per_mm, EVIDENCE.spacing_px)
-    both = seen_by(model, pyramids, rig_from_part, 0, EVIDENCE.spacing_px)
+    both = seen_by(model, pyramids, rig_from_part, EVIDENCE.spacing_px)
     reach_px = CAD.near_mm * px_per_mm
-    offsets = [edges_beside(pyramids, 0, k, seen, reach_px, EVIDENCE.together) for k, seen in enumerate(both)]
+    offsets = [edges_beside(pyramids, k, seen, reach_px, EVIDENCE.together) for k, seen in enumerate(both)]
     for circle in curves.circles:
         if circle.span < CAD.min_span:
             continue

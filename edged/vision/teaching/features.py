@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -118,7 +119,9 @@ def part_frame(normal: FloatArray, origin: FloatArray) -> FloatArray:
 
 def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFit | None:
     """The circles and all candidates that both images agree on, in one fit."""
-    contours = _strong(view, find_contours(view.images.rectified_left, _without(view, face, circles)))
+    left = view.images.rectified_left
+    everything = find_contours(left, view.mask)
+    contours = _strong(view, find_contours(left, _without(view, face, circles)), everything)
     candidates = _slots(view, face, contours)
     beside = [contour for contour in contours if not _within(view, face, contour, candidates)]
     candidates += _edges(view, face, beside)
@@ -144,14 +147,15 @@ def _is_clear(fit: CurveFit) -> bool:
     )
 
 
+@lru_cache(maxsize=1)  # by identity: each fit of a teaching asks for them
 def strong_contours(view: TeachingView) -> list[Contour]:
     """The contours of the region that outline something, longest first."""
-    return _strong(view, find_contours(view.images.rectified_left, view.mask))
+    contours = find_contours(view.images.rectified_left, view.mask)
+    return _strong(view, contours, contours)
 
 
-def _strong(view: TeachingView, contours: list[Contour]) -> list[Contour]:
+def _strong(view: TeachingView, contours: list[Contour], everything: list[Contour]) -> list[Contour]:
     """The contours that outline something: a step between two plateaus, as strong as most in the region."""
-    everything = find_contours(view.images.rectified_left, view.mask)
     if not everything:
         return []
     needed = TEACHING.min_step_share * float(

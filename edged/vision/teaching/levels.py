@@ -27,7 +27,7 @@ from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CircleFeature, CornerFeature, EdgeFeature, SlotFeature
 from edged.vision.part.pose import circle_curve, edge_curve, slot_curve
-from edged.vision.teaching.background import count_agreeing, tells_apart
+from edged.vision.teaching.background import agreeing_with, tells_apart
 from edged.vision.teaching.features import (
     FoundFeatures,
     TeachingView,
@@ -349,7 +349,7 @@ def dominant_face(view: TeachingView, levels: Levels) -> float:
     seen = {}
     for face_mm in levels.faces_mm:
         plane = Plane(levels.normal, face_mm)
-        seen[face_mm] = count_agreeing(view, plane, contours)
+        seen[face_mm] = sum(np.count_nonzero(agreeing_with(view, plane, contour)) for contour in contours)
     largest = max(range(len(levels.circles)), key=lambda k: levels.circles[k].circle.radius_mm)
     own = float(levels.heights_mm[largest])
     most = max(seen, key=lambda face_mm: seen[face_mm])
