@@ -17,8 +17,8 @@ from benching import bench_parser, finish
 from computedmarks import Compared, compared, is_whole, seen_by, views_at
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.setup.calibration.guidance import Ghost, first_ghosts, guide, held_share, nearness
-from edged.setup.calibration.shown import IN_GHOST, Seen, Watched, is_same
+from edged.setup.calibration.guidance import Ghost, first_ghosts, guide, held_share, waits_for
+from edged.setup.calibration.shown import Seen, Watched
 from edged.setup.calibration.views import Looked, Views
 from edged.setup.pairs import Pair, Picture
 from edged.sim.cell import VirtualCell, calibration_poses, demo_part, demo_rig
@@ -94,9 +94,8 @@ def brought(
         stage.follow(drawn)
         clock.now_ns += MOVE_NS
         pose, watched = held(stage)
-        near = nearness(watched, ghost)
         whole = is_whole(demo_rig(), apply(pose, BOARD_MODEL.points_mm))
-        if near >= IN_GHOST and whole and not is_same(watched.outlines, taken):
+        if whole and not waits_for(watched, still=True, ghost=ghost, others=taken):
             return pose, watched.outlines
     return None
 

@@ -113,8 +113,8 @@ class DraftList(Frozen):
     calibrations: list[DraftLine]
 
 
-def guided_in(state: DraftState, guided: Guided | None) -> dict[str, Any]:
-    """The fields of a `DraftDocument` that the views in use tell."""
+def guided_in(state: DraftState, guided: Guided | None, ghost: Ghost | None) -> dict[str, Any]:
+    """The fields of a `DraftDocument` that the views in use tell. ghost : that is offered."""
     known = guided or Guided(None, ())
     suggestions = [_suggestion(ghost) for ghost in known.ghosts]
     return {
@@ -123,7 +123,7 @@ def guided_in(state: DraftState, guided: Guided | None) -> dict[str, Any]:
         "views": [_view(state, name, known) for name in state.taken],
         "solved": _solved(state),
         "sigma_um": _sigma(known.sigma_um),
-        "suggestion": suggestions[0] if suggestions else None,
+        "suggestion": None if ghost is None else _suggestion(ghost),
         "suggestions": suggestions,
         "more_views": known.more_views,
     }

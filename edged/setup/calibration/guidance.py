@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError, EdgedError
-from edged.setup.calibration.shown import IN_GHOST, Watched, in_ghost, is_new, is_same
+from edged.setup.calibration.shown import IN_GHOST, Watched, in_ghost, is_new, is_same, least_off_px
 from edged.setup.calibration.views import Views
 from edged.setup.pairs import Progress, silent
 from edged.vision.boards.board import Board, Detection, NotDetected, outline_mm
@@ -19,7 +20,9 @@ from edged.vision.calibration.nextbestview import TILT_DEG, TILTS, Suggestion, p
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
-SUGGESTED, LOOKED_AT = 3, 12
+SUGGESTED = 3
+IN_PLACE_S, ANYWHERE_S = 4.0, 20.0
+"""So long a ghost is offered while the board rests in it, and elsewhere or unseen, without a new view."""
 FLOOR_PX, FLOOR_VIEWS = 0.01, 3
 """Least sigma of a mark, since few boards are printed, and few lenses follow their model, any closer; and the
 views that count for it: residuals are believed the more of them there are, and sigma falls with each."""
@@ -92,17 +95,17 @@ def guide(
     except CalibrationError as error:
         return Guided(error, first_ghosts(views.boards[0], sizes[0], len(views.pairs), share))
     progress("the next view", 0, 0)
-    plan = plan_views(calibration, LOOKED_AT, None if goal_um is None else 1e-3 * goal_um)
+    plan = plan_views(calibration, None, None if goal_um is None else 1e-3 * goal_um)
     rms = {fit.name: fit.rms_px for fit in calibration.views}
     if plan is None:
         return Guided(None, (), rms, dict(calibration.excluded))
-    ghosts = [
+    ghosts = (
         _ghost(calibration, suggestion, 1e3 * sigma_mm)
         for suggestion, sigma_mm in zip(plan.suggestions, plan.sigmas_mm, strict=True)
-    ]
+    )
     # where a view is already, though the solution left it out, another one would fare no better
-    ghosts = [ghost for ghost in ghosts if not is_same(ghost.outlines, taken)][:SUGGESTED]
-    return Guided(None, ghosts, rms, dict(calibration.excluded), 1e3 * plan.sigma_mm, plan.more_views)
+    fresh = list(islice((ghost for ghost in ghosts if not is_same(ghost.outlines, taken)), SUGGESTED))
+    return Guided(None, fresh, rms, dict(calibration.excluded), 1e3 * plan.sigma_mm, plan.more_views)
 
 
 def waits_for(
@@ -117,12 +120,53 @@ def waits_for(
     if not watched.is_seen:
         return "no_board_left" if watched.left.outline is None else "no_board_right"
     # first where it has to be: who is told to hold it still there would wait for nothing
-    if is_same(watched.outlines, others):
-        return "same"
-    near = 0.0 if ghost is None else nearness(watched, ghost)
-    if near < IN_GHOST and not is_new(watched.outlines, others):
-        return "elsewhere"
-    return "" if still else "moving"
+    if ghost is not None and nearness(watched, ghost) >= IN_GHOST:
+        waits = "" if _is_nearer(watched, ghost, others) else "same"
+    elif is_same(watched.outlines, others):
+        waits = "same"
+    else:
+        waits = "" if is_new(watched.outlines, others) else "elsewhere"
+    return waits or ("" if still else "moving")
+
+
+def _is_nearer(watched: Watched, ghost: Ghost, others: Sequence[FloatArray]) -> bool:
+    """Whether a board in the ghost is nearer to it than to a view, or repeats none.
+
+    A ghost may be about as far from a view as a hand misses it by: in it the board would look like that view.
+    """
+    if not is_same(watched.outlines, others):
+        return True
+    count = len(ghost.outlines)
+    known, views = watched.outlines[:count], [other[:count] for other in others]
+    off = least_off_px(known, [ghost.outlines])
+    return not is_same(ghost.outlines, views) and off < least_off_px(known, views)
+
+
+class Patience:
+    """Which ghost is offered: another one where the board has rested, or was not seen, and no view came."""
+
+    def __init__(self) -> None:
+        self._ghosts: Sequence[Ghost] = ()
+        self._passed = 0
+        self._rests: tuple[bool, float] | None = None
+
+    def offered(self, ghosts: Sequence[Ghost]) -> Ghost | None:
+        """One of them; the best until `look` has passed it over. None without any."""
+        if ghosts is not self._ghosts:
+            self._ghosts, self._passed, self._rests = ghosts, 0, None
+        return ghosts[self._passed % len(ghosts)] if ghosts else None
+
+    def look(self, at_s: float, ghosts: Sequence[Ghost], watched: Watched, *, still: bool) -> None:
+        """Add a look at a time."""
+        ghost = self.offered(ghosts)
+        if ghost is None or (watched.is_seen and not still):
+            self._rests = None
+            return
+        is_in = nearness(watched, ghost) >= IN_GHOST
+        if self._rests is None or self._rests[0] != is_in:
+            self._rests = is_in, at_s
+        elif at_s - self._rests[1] >= (IN_PLACE_S if is_in else ANYWHERE_S):
+            self._passed, self._rests = self._passed + 1, None
 
 
 def nearness(watched: Watched, ghost: Ghost) -> float:

@@ -28,6 +28,7 @@ from edged.setup.calibration.guidance import (
     FIRST_SHARE,
     Ghost,
     Guided,
+    Patience,
     first_ghosts,
     held_share,
     nearness,
@@ -70,6 +71,7 @@ class OpenCalibration:
     still: bool = False
     waits: str = "no_board"
     stillness: Stillness = field(default_factory=Stillness)
+    patience: Patience = field(default_factory=Patience)
     recognised: list[NominalBoard] = field(default_factory=list)
     task: str | None = None
     fault: Exception | None = None
@@ -92,7 +94,7 @@ class OpenCalibration:
     def ghost(self) -> Ghost | None:
         """Where the board is wanted."""
         guided = self.guide.value
-        return guided.ghosts[0] if guided is not None and guided.ghosts else None
+        return None if guided is None else self.patience.offered(guided.ghosts)
 
     @property
     def outlines(self) -> list[FloatArray]:
@@ -235,6 +237,8 @@ class Calibrations:
                 board, share = opened.draft.state.board_models[0], opened.share or FIRST_SHARE
                 opened.guide.set(Guided(None, first_ghosts(board, watched.size, 0, share)))
         opened.waits = self._waits(opened)
+        if opened.guide.value is not None and opened.waits != "busy":
+            opened.patience.look(now_s, opened.guide.value.ghosts, watched, still=opened.still)
         if opened.auto is not None and not opened.waits:
             await self._cell.session.renew_setup(opened.auto)
             await self._take(opened, left, right)
@@ -339,7 +343,7 @@ class Calibrations:
         state, guided, watched, ghost = opened.draft.state, opened.guide.value, opened.watched, opened.ghost
         return DraftDocument(
             **state.head,
-            **guided_in(state, guided),
+            **guided_in(state, guided, ghost),
             auto=opened.auto is not None,
             waits=opened.waits or None,
             shown=shown_in(watched),

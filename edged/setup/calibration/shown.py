@@ -145,6 +145,11 @@ def corners_in_space(rig: StereoRig, outlines: FloatArray) -> FloatArray:
     return found
 
 
+def least_off_px(outlines: FloatArray, others: Sequence[FloatArray]) -> float:
+    """Distance, as `off_px`, from the nearest of others; infinite without any."""
+    return min((off_px(outlines, other) for other in others), default=np.inf)
+
+
 def diagonal_px(outlines: FloatArray) -> float:
     """Diagonal of the smaller outline; outlines (S, 4, 2)."""
     return float(np.linalg.norm(outlines[:, 2] - outlines[:, 0], axis=1).min())
@@ -157,14 +162,12 @@ def in_ghost(outlines: FloatArray, ghost: FloatArray) -> float:
 
 def is_same(outlines: FloatArray, others: Sequence[FloatArray]) -> bool:
     """Whether a view of these shows the board just there: once more it would tell nothing."""
-    most = SAME_SHARE * diagonal_px(outlines)
-    return any(off_px(outlines, other) < most for other in others)
+    return least_off_px(outlines, others) < SAME_SHARE * diagonal_px(outlines)
 
 
 def is_new(outlines: FloatArray, others: Sequence[FloatArray]) -> bool:
     """Whether no view of these shows the board about there."""
-    least = NEW_SHARE * diagonal_px(outlines)
-    return all(off_px(outlines, other) >= least for other in others)
+    return least_off_px(outlines, others) >= NEW_SHARE * diagonal_px(outlines)
 
 
 class Stillness:

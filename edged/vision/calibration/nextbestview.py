@@ -91,8 +91,11 @@ def best_next_view(calibration: Calibration) -> Suggestion | None:
     return plan.suggestions[0] if plan is not None and plan.suggestions else None
 
 
-def plan_views(calibration: Calibration, count: int = 3, goal_mm: float | None = None) -> Plan | None:
-    """The `count` candidates that help most, and how many it takes to the goal; None without a covariance."""
+def plan_views(calibration: Calibration, count: int | None = 3, goal_mm: float | None = None) -> Plan | None:
+    """The `count` candidates that help most, and how many it takes to the goal; None without a covariance.
+
+    count : None gives all of them.
+    """
     design = _design(calibration)
     if design is None:
         return None

@@ -12,8 +12,11 @@ from helpers.rigs import make_rig
 
 from edged.domain.arrays import FloatArray
 from edged.setup.calibration.guidance import (
+    ANYWHERE_S,
     FIRST_SHARE,
+    IN_PLACE_S,
     Ghost,
+    Patience,
     first_ghosts,
     held_share,
     nearness,
@@ -30,6 +33,7 @@ from edged.setup.calibration.shown import (
     Watched,
     corners_in_space,
     diagonal_px,
+    is_same,
     off_px,
     watch,
 )
@@ -185,6 +189,54 @@ def test_a_pair_is_taken_in_the_ghost_or_where_none_was() -> None:
     assert "elsewhere" == waits(ghost=ghost(far))
     assert "" == waits(ghost=ghost(far), others=[far])
     assert "" == waits(ghost=None, others=[])
+
+
+def test_a_ghost_beside_a_view_is_no_trap() -> None:
+    """Within a hand's miss of both, a board is taken where it is nearer to the ghost than to the view."""
+    step = 0.08 * diagonal_px(TRUE) / np.sqrt(2.0)
+    wanted, nearer = ghost(TRUE + step), watched(TRUE + 0.55 * step)
+
+    def waits(share: float, offered: Ghost = wanted) -> str:
+        return waits_for(watched(TRUE + share * step), still=True, ghost=offered, others=[TRUE])
+
+    assert not is_same(wanted.outlines, [TRUE])
+    assert is_same(nearer.outlines, [TRUE])
+    assert ("same", "same", "", "") == (waits(0.0), waits(0.45), waits(0.55), waits(1.0))
+    assert "same" == waits(0.55, ghost(TRUE + 0.6 * step)), "a view may be taken of a place that repeats one"
+
+
+@pytest.mark.parametrize(
+    ("seen", "still", "expected_s"),
+    [
+        (TRUE, True, IN_PLACE_S),
+        (TRUE + 200.0, True, ANYWHERE_S),
+        (None, False, ANYWHERE_S),
+        (TRUE, False, None),
+    ],
+)
+def test_another_ghost_is_offered_where_no_view_comes_of_one(
+    seen: FloatArray | None, still: bool, expected_s: float | None
+) -> None:
+    """Soon where the board rests in it, later where it rests elsewhere or is not seen; never while it moves.
+
+    Each in its turn, and the best first once other ghosts are known."""
+    patience, ghosts = Patience(), [ghost(TRUE), ghost(TRUE + 1.0)]
+    look = watched() if seen is None else watched(seen)
+    if seen is None:
+        look = replace(look, right=Seen(None, "not_found", "", clipped=False))
+    offered = {}
+    for at_s in np.arange(0.0, 2.5 * ANYWHERE_S, 0.5):
+        patience.look(at_s, ghosts, look, still=still)
+        offered[float(at_s)] = patience.offered(ghosts)
+
+    changes = [at_s for at_s in list(offered)[1:] if offered[at_s] is not offered[at_s - 0.5]]
+    assert (expected_s is None) == (not changes)
+    if expected_s is not None:
+        assert expected_s == changes[0]
+        assert len(changes) > 1
+        assert {id(one) for one in ghosts} == {id(one) for one in offered.values()}
+    others = [ghost(TRUE + 2.0), *ghosts]
+    assert others[0] is patience.offered(others)
 
 
 def test_before_any_calibration_there_is_a_ghost_in_the_left_picture() -> None:
