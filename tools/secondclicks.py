@@ -155,7 +155,7 @@ async def second_pass(
     for name in reversed(steps) if backward else steps:
         await steps[name]()
         clicks.end(name)
-    await give_back(page, beside)
+    await give_back(page)
     await use_job(page, 2)
     beside.lose(False)
     second = await now_valid(page, modbus)
@@ -335,20 +335,14 @@ async def other_settings(page: Browser, password: str) -> None:
     await long(page, f"{picture}.toDataURL() !== globalThis.earlier")
 
 
-async def give_back(page: Browser, beside: Bench) -> None:
-    """With the part before the cameras. A cell that loses its first pictures says so, and heals by itself.
-
-    Of every second picture it may lose each that it measures, as others of it are thrown away.
-    """
+async def give_back(page: Browser) -> None:
+    """With the part before the cameras. A cell that loses pictures is seen to measure all the same."""
     await press(page, "Lay the part")
     await follow(page, "plc")
     await page.click("main .primary.big")
     await page.until(DIALOG)
     await page.click("dialog[open] .primary")
-    await long(page, f'["READY", "BUSY", "FAULT"].includes({STATE})')
-    beside.lose(False)
     await long(page, f'["READY", "BUSY"].includes({STATE})')
-    beside.lose(True)
 
 
 async def use_job(page: Browser, number: int) -> None:

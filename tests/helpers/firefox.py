@@ -19,6 +19,8 @@ from helpers.browser import Browser, Gone, browser
 from helpers.waiting import WHOLE_S
 
 PROGRAM = "firefox-esr"
+LEFT = re.compile(r"The connection to \S+ was interrupted while the page was loading\.")
+"""Firefox's own word for a socket or a stream of events that ends with its page: no error of the page."""
 AT = re.compile(rb"WebDriver BiDi listening on (ws://\S+)")
 
 
@@ -87,7 +89,8 @@ class Firefox(Browser):
         while True:
             message = json.loads((await self._socket.receive()).data)
             if message.get("method") == "log.entryAdded" and message["params"]["level"] == "error":
-                self.complaints.append(str(message["params"]["text"]))
+                text = str(message["params"]["text"])
+                self.complaints += [] if LEFT.fullmatch(text) else [text]
             elif message.get("id") == self._count:
                 if message["type"] == "error":
                     raise Gone(f"{method}: {message['message']}")

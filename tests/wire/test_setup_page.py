@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 
 import pytest
 from helpers.browser import Browser, browser
@@ -29,7 +30,7 @@ from helpers.setuppage import (
 from helpers.waiting import until
 from helpers.webcell import Cell, running
 
-from edged.domain.cell import CellPhase
+from edged.domain.cell import CellPhase, CellState
 from edged.identity.sessions import CONFIRMED_S
 
 pytestmark = [pytest.mark.slow, needs("chromium")]
@@ -341,6 +342,35 @@ async def test_a_page_that_does_not_come_says_so() -> None:
         await page.until(said("This page could not be loaded."))
         await go(page, "welcome")
         page.complaints.clear()  # of the page that was kept away
+
+
+async def test_what_cannot_be_fetched_is_no_uncaught_error() -> None:
+    """As where a page is left, or the cell is out of reach: that is said, and the language changes."""
+    async with on_the_page() as (page, _):
+        await page.value("globalThis.fetch = () => Promise.reject(new TypeError('NetworkError')), 0")
+        await page.value('location.hash = "#/system"')
+        await page.until(said("This page could not be loaded."))
+        await page.value(
+            """(() => { const list = document.querySelector(".language select"); list.value = "de";
+            list.dispatchEvent(new Event("change", {bubbles: true})); })()"""
+        )
+        await page.until('document.documentElement.lang === "de"')
+
+
+async def test_a_fault_is_said_in_words_with_what_ends_it() -> None:
+    """On every page; it stays while the cell fails in a beat, and goes soon after it is over."""
+    async with on_the_page() as (page, cell):
+        await page.until(f'{STATE} === "READY"')
+        well = next(event for event in reversed(cell.ear.events) if isinstance(event, CellState))
+        fault = {"error": "camera left: frame 4: incomplete: timeout", "error_code": 105}
+        for _ in range(3):
+            cell.web.announce(replace(well, state=CellPhase.FAULT, ready=False, **fault))
+            await page.until(said("Left: An image came damaged: packets were lost on the network."))
+            assert await page.value(said("with the next good pair it measures again"))
+            cell.web.announce(well)
+            await page.until(f'{STATE} === "READY"')
+            assert await page.value('Boolean(document.querySelector(".fault"))')
+        await page.until('!document.querySelector(".fault")')
 
 
 async def test_a_page_without_its_cell_says_so() -> None:

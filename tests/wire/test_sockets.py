@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+from dataclasses import replace
 from typing import Any
 
 import aiohttp
@@ -15,6 +16,7 @@ from helpers.waiting import LIMIT_S, until
 from helpers.webcell import Cell, running
 
 from edged.adapters.web import server, sockets
+from edged.domain.cell import CellPhase, CellState
 from edged.domain.overview import Overview
 from edged.identity.sessions import IDLE_S
 
@@ -264,3 +266,33 @@ async def test_a_ping_is_answered_and_too_many_end_the_socket(monkeypatch: pytes
         cell.session.cookie_jar.clear()
         await cell.log_in("Anna")
         assert 200 == (await cell.ask("GET", "/api/v1/me"))[0]
+
+
+async def test_a_cell_that_fails_in_a_beat_is_not_only_seen_failing() -> None:
+    """Every second picture is lost, a fifth of a second after each result: both are told, with the code."""
+    async with running(visitor="Vera") as cell:
+        await until(lambda: cell.ear.state() is CellPhase.READY)
+        well = next(event for event in reversed(cell.ear.events) if isinstance(event, CellState))
+        fault = {"error": "camera left: frame 4: incomplete: timeout", "error_code": 105}
+        tab = await cell.session.ws_connect(PLACE, origin=cell.origin)
+        heard = list[tuple[str, int]]()
+
+        async def listen() -> None:
+            async for message in tab:
+                told = json.loads(message.data)
+                if told["type"] == "cell":
+                    heard.append((told["error"], told["error_code"]))
+
+        listening = asyncio.create_task(listen())
+        for _ in range(4):
+            cell.web.announce(well)
+            cell.web.announce(replace(well, state=CellPhase.BUSY))
+            await asyncio.sleep(0.15)
+            cell.web.announce(replace(well, state=CellPhase.FAULT, ready=False, **fault))
+            await asyncio.sleep(0.1)
+            cell.web.announce(replace(well, state=CellPhase.BUSY, ready=False, **fault))
+            await asyncio.sleep(0.35)
+        await tab.close()
+        await listening
+    assert heard.count(("", 0)) >= 3
+    assert heard.count((fault["error"], fault["error_code"])) >= 3

@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".ftl": "text/plain"}
 """Media types by suffix; files with others (licences, check sums) are not served."""
-SHARED = ("setup/shared/api.js", "setup/shared/texts.js", "vendor/ui.js")
+SHARED = ("setup/shared/api.js", "setup/shared/fetched.js", "setup/shared/texts.js", "vendor/ui.js")
 """Scripts that the Run page shares with the set-up pages."""
 
 

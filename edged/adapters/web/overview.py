@@ -68,6 +68,7 @@ class CellNow(Answer):
     state: str | None
     why: str = Field(description="why it does not measure, in English; empty: it does")
     error: str
+    error_code: int = Field(description="of a camera's fault; 0: none")
     setup: SetupNow | None
     plc: Plc
     missing: list[str]
@@ -129,6 +130,7 @@ class OverviewRoutes:
             state=None if state is None else str(state.state),
             why="" if state is None else state.why,
             error="" if state is None else state.error,
+            error_code=0 if state is None else state.error_code,
             setup=setup,
             plc=Plc(owner=asked.plc_owner or None, auto_lock=asked.auto_lock),
             missing=list(asked.missing),

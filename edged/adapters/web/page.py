@@ -158,6 +158,11 @@ class StatusPage:
     # --- answers -----------------------------------------------------------------------------
 
     @property
+    def has_error(self) -> bool:
+        """Whether a fault of the cameras holds."""
+        return self._state is not None and self._state.error != ""
+
+    @property
     def state(self) -> CellState | None:
         """The newest state of the cell."""
         return self._state

@@ -263,6 +263,7 @@ class WebPublisher:
 
     def announce(self, event: Event) -> None:
         """Note the event and wake the viewers."""
+        had_error = self._page.has_error
         is_new = self._page.take(event)
         if is_new:
             self._viewers.wake()
@@ -274,7 +275,7 @@ class WebPublisher:
             self._auditor.note_run(self._sources.fingerprint())
         # each second, too: who owns the PLC's write right, and AUTO_LOCK, change without an event
         if self._sockets is not None and (is_new or isinstance(event, Idle)):
-            self._sockets.cell_changed()
+            self._sockets.cell_changed(at_once=self._page.has_error is not had_error)
 
     async def close(self) -> None:
         """End every viewer and leave nothing behind."""

@@ -125,10 +125,12 @@ class Sockets:
         self._closing = False
         self._stops = (live.listen(self._take), notices.listen(self._note))
 
-    def cell_changed(self) -> None:
-        """Tell every tab, soon."""
+    def cell_changed(self, *, at_once: bool) -> None:
+        """Tell every tab, soon; at_once now, too, or of a cell that fails in a beat only faults are seen."""
+        if at_once:
+            self._tell_cell()
         if self._tabs and self._telling is None:
-            self._telling = asyncio.get_running_loop().call_later(PERIOD_S, self._tell_cell)
+            self._telling = asyncio.get_running_loop().call_later(PERIOD_S, self._tell_later)
 
     async def close(self) -> None:
         """End every socket, and take no further events."""
@@ -149,8 +151,11 @@ class Sockets:
 
     # --- what is sent ------------------------------------------------------------------------
 
-    def _tell_cell(self) -> None:
+    def _tell_later(self) -> None:
         self._telling = None
+        self._tell_cell()
+
+    def _tell_cell(self) -> None:
         for tab in self._tabs:
             tab.is_cell_due = True
             tab.wake.set()

@@ -1,5 +1,6 @@
 // The Modbus map, live while it is open. Its texts are loaded with it.
 
+import { fetched } from "../setup/shared/fetched.js";
 import { dashed, has, learn, t } from "../setup/shared/texts.js";
 import { $, data, detail, element, muted } from "./dom.js";
 import { figure } from "./sentences.js";
@@ -8,14 +9,14 @@ const MEANINGS = { "no value": "register-no-value", none: "register-none", unkno
 const NAMES = /^[\dA-Z_, ]+$/;
 const CODES = /\d+ [A-Z][A-Z0-9_]+(?:, \d+ [A-Z][A-Z0-9_]+)*/; // names, not translated
 let timer = 0;
-let texts = null;
+let texts = null; // or false: asked for again
 
 export async function loadRegisters() {
-  texts ??= learn("run/registers");
-  const [answer] = await Promise.all([fetch("/registers.json"), texts]);
-  if (!answer.ok) return;
+  texts ||= learn("run/registers").then((isKnown) => (texts = isKnown));
+  const [all] = await Promise.all([fetched("/registers.json"), texts]);
+  if (!all) return;
   const wanted = $("find").value.trim().toLowerCase();
-  const rows = (await answer.json()).filter(
+  const rows = all.filter(
     (r) => !wanted || r.name.toLowerCase().includes(wanted) || String(r.address) === wanted,
   );
   $("words").replaceChildren(...rows.map(registerRow));

@@ -1,6 +1,7 @@
 // Shows the events of /events. The page loads from the cell PC alone.
 
 import { ask } from "../setup/shared/api.js";
+import { fetched } from "../setup/shared/fetched.js";
 import { choose, LANGUAGES, language, learn, preferred, speak, t } from "../setup/shared/texts.js";
 import { $, data, drawing, element, muted, SIDES } from "./dom.js";
 import { loadRegisters } from "./registers.js";
@@ -36,7 +37,7 @@ function showHead(status) {
       clock(result.exposed_ns || result.published_ns),
     );
   if (result?.simulated) parts.push(t("run-simulated"));
-  if (state?.error) parts.push(fault(state.error_code));
+  if (state?.error) parts.push(`${fault(state.error_code)} ${t("measures-again")}`);
   $("headline").textContent = parts.join(" · ");
 }
 
@@ -241,10 +242,7 @@ function speakAnew() {
   if (isLost) showLoss();
 }
 
-async function whoLooks() {
-  const answer = hasUsers && (await fetch("/api/v1/me").catch(() => null));
-  return answer?.ok ? answer.json() : {};
-}
+const whoLooks = async () => (hasUsers && (await fetched("/api/v1/me"))) || {};
 
 $("language").append(
   ...Object.entries(LANGUAGES).map(([tag, name]) =>

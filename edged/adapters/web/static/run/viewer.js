@@ -1,5 +1,6 @@
 // A cycle enlarged: both pictures with the measured features, at the same zoom.
 
+import { fetched } from "../setup/shared/fetched.js";
 import { t } from "../setup/shared/texts.js";
 import { $, drawing, SIDES } from "./dom.js";
 import { causes, clock, statusOf } from "./sentences.js";
@@ -10,8 +11,7 @@ let enlarged = null;
 let view = { scale: 1, x: 0, y: 0 };
 
 export async function enlarge(cycle) {
-  const answer = await fetch(`/cycle/${cycle}.json`);
-  const shown = answer.ok ? await answer.json() : null;
+  const shown = await fetched(`/cycle/${cycle}.json`);
   if (!shown && $("viewer").open) $("viewedwhy").textContent = t("run-forgotten", { cycle: String(cycle) });
   if (!shown) return;
   const { width, height } = shown.picture;

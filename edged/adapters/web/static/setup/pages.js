@@ -26,13 +26,15 @@ export async function enter({ id, topic }) {
   const place = `setup/${topic}/${id}`;
   let page;
   try {
-    [{ default: page }] = await Promise.all([
+    const [script, isSpoken] = await Promise.all([
       import(`/static/${place}.js`),
       learn(place),
       styles(id, `/static/${place}.css`),
     ]);
+    page = isSpoken && script.default;
   } catch {
-    throw new Problem({ code: "page" });
+    page = null;
   }
+  if (!page) throw new Problem({ code: "page" });
   loaded.value = { ...loaded.value, [id]: page };
 }

@@ -178,8 +178,25 @@ function Confirm() {
   <//>`;
 }
 
-// Who has the cell, and the buttons to take or leave it.
+// A camera's fault in words, and what ends it. It stays for a while: pictures may be lost every other time.
+const FAULT_STAYS_MS = 3000;
+function Fault() {
+  const { error, error_code } = cell.value;
+  const [shown, show] = useState(null);
+  useEffect(() => {
+    if (error) {
+      const [, camera] = error.match(/^camera (\w+)/) ?? [];
+      show(sentence({ code: `camera_${error_code}`, detail: error, params: { camera } }));
+      return undefined;
+    }
+    const timer = setTimeout(() => show(null), FAULT_STAYS_MS);
+    return () => clearTimeout(timer);
+  }, [error, language.value]);
+  if (!shown) return null;
+  return html`<p class="fault" role="status"><${Shape} is="gap" /> ${shown} ${t("measures-again")}</p>`;
+}
 
+// Who has the cell, and the buttons to take or leave it.
 function Lease() {
   const [isAsked, setAsked] = useState("");
   const { setup, plc, state } = cell.value;
@@ -352,6 +369,7 @@ export function Shell() {
       ${!BESIDE.includes(step) && html`<${Steps} />`}
       <div class="column">
         <${Lease} />
+        <${Fault} />
         <${Trouble} />
         <main id="main" ref=${main} tabindex="-1" data-page=${page ? step.id : undefined} aria-busy=${!page}>
           ${page && html`<${page} key=${step.id} />`}

@@ -2,6 +2,7 @@
 // Plain SVG: it is sharp on every screen, needs no WebGL, and no library for a few hundred lines.
 import { html, useEffect, useRef, useState } from "../../vendor/ui.js";
 import { ask, glance } from "../shared/api.js";
+import { fetched } from "../shared/fetched.js";
 import { useFresh } from "../shared/live.js";
 import { Shape } from "../shared/pieces.js";
 import { number, t } from "../shared/texts.js";
@@ -246,9 +247,8 @@ export default function Space() {
   useEffect(() => {
     const look = async () => {
       if (document.visibilityState !== "visible") return;
-      const answer = await fetch("/status.json").catch(() => null);
-      const { result } = answer?.ok ? await answer.json() : {};
-      if (result?.targets?.length) setPart(result.targets[0]);
+      const [target] = (await fetched("/status.json"))?.result?.targets ?? [];
+      if (target) setPart(target);
     };
     look();
     const timer = setInterval(look, EVERY_MS);

@@ -68,11 +68,11 @@ export async function ask(method, path, body) {
   }
   const answer = await send(path, request);
   const [, name] = answer.headers.get("Content-Disposition")?.split('"') ?? [];
-  if (name) return new File([await answer.blob()], name);
-  const isJson = /json/.test(answer.headers.get("Content-Type") ?? "");
   const cutOff = () => {
     throw new Problem({ code: "unreachable" }); // or the page is being left
   };
+  if (name) return new File([await answer.blob().catch(cutOff)], name);
+  const isJson = /json/.test(answer.headers.get("Content-Type") ?? "");
   const document = isJson ? await answer.json().catch(cutOff) : {};
   if (answer.ok) return document;
   if (answer.status === 401) logIn();

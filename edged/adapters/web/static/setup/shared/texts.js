@@ -1,5 +1,6 @@
 // Texts and numbers in the chosen language. All texts are in the .ftl files.
 import { computed, FluentBundle, FluentResource, signal } from "../../vendor/ui.js";
+import { fetched } from "./fetched.js";
 
 export const LANGUAGES = { en: "English", de: "Deutsch", fr: "Français", ja: "日本語", zh: "简体中文" };
 const PSEUDO = new URLSearchParams(location.search).has("pseudo");
@@ -48,16 +49,17 @@ function stretched(text) {
 
 async function load(part, tag) {
   if (resources.has(path(part, tag))) return;
-  const answer = await fetch(path(part, tag));
-  if (answer.ok) resources.set(path(part, tag), new FluentResource(await answer.text()));
+  const text = await fetched(path(part, tag), "text");
+  if (text !== null) resources.set(path(part, tag), new FluentResource(text));
 }
 
-// Loads the texts of a page, such as "setup/teaching/teach".
+// Loads the texts of a page, such as "setup/teaching/teach"; whether they are there.
 export async function learn(part) {
   parts.add(part);
   // the language may change meanwhile
   for (let tag = ""; tag !== language.value; await load(part, tag)) tag = language.value;
   heard.value += 1;
+  return resources.has(path(part, language.value));
 }
 
 export async function speak(tag) {
