@@ -346,17 +346,17 @@ async def give_back(page: Browser) -> None:
 
 
 async def use_job(page: Browser, number: int) -> None:
-    """By its tile, unless it is in use."""
+    """By its tile, unless it is in use, or becomes so by itself where the other one is gone."""
     await page.click('a[href="#/jobs"]')
     tile = f"""[...document.querySelectorAll(".tile.job")].find((one) =>
       one.querySelector(".count").innerText === "{number}")"""
     await long(page, tile)
-    if await page.value(f"{tile}.innerText.includes('in use now')"):
-        return
     button = f"""[...{tile}.querySelectorAll("button")].find((b) => b.innerText === "Use now")"""
-    await long(page, f"{button}?.disabled === false")
-    await page.click_on(button)
-    await long(page, f"{tile}.innerText.includes('in use now')")
+    is_used = f"{tile}.innerText.includes('in use now')"
+    await long(page, f"{is_used} || {button}?.disabled === false")
+    if not await page.value(is_used):
+        await page.click_on(button)
+    await long(page, is_used)
 
 
 async def go_back(page: Browser, number: int, password: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -33,6 +34,8 @@ ROWS = """[...document.querySelectorAll(".features tbody tr")]
   .map((e) => e.innerText.replaceAll(/\\s+/g, " "))"""
 VERDICTS = """[...document.querySelectorAll(".scroll.wide .status")].map((e) => e.innerText.trim())"""
 LINES = """[...document.querySelectorAll(".cycles .status")].map((e) => e.innerText.trim())"""
+THUMBNAILS = """[...document.querySelectorAll(".cycle .small")]
+  .map((e) => e.querySelector("img")?.naturalWidth ?? 0)"""
 GOOD = 3
 """Good cycles, and after them one of too much sigma, a table without a part, and no pictures."""
 
@@ -122,6 +125,9 @@ async def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
     """
     async with on_the_page(cell) as (page, cell):
         assert ["No pictures", "No part", "Not good", "OK", "OK", "OK"] == await page.value(LINES)
+        await page.until(f"({THUMBNAILS}).join() === '0,160,160,160,160,160'")
+        when = await page.value('[...document.querySelectorAll(".cycle .figure")].map((e) => e.innerText)')
+        assert all(re.search(r"\d:\d\d:\d\d", one) for one in when), when
         await choose(page, "reason", "SIGMA_LIMIT")
         await page.until(f"({LINES}).length === 1")
         await look(page, "Not good")

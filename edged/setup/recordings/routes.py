@@ -24,6 +24,7 @@ from edged.setup.recordings.setups import Contents
 from edged.setup.recordings.whatif import Change, Features, JobChange, LimitChange, WhatIf
 
 CYCLE = "/cycles/{number:[0-9]{1,9}}"
+SMALL_PX = 160
 WHAT_IF_BYTES = 32 * 1024
 """A job may have hundreds of features."""
 
@@ -76,6 +77,10 @@ class CycleRoutes:
     )
     async def _picture(self, call: Call[None]) -> web.Response:
         return await _jpeg(self._cycles.picture(int(call.part("number")), call.side))
+
+    @route("GET", f"{CYCLE}/small.jpg", "Its left picture, small", role=Role.VIEWER, answer="image/jpeg")
+    async def _small(self, call: Call[None]) -> web.Response:
+        return await _jpeg(self._cycles.picture(int(call.part("number")), "left", SMALL_PX))
 
     @route(
         "GET",

@@ -99,9 +99,9 @@ class Cycles:
         """A recording with its features. Raises `KeyError`, `FileFormatError`."""
         return await self._on_disc(self._document)(number)
 
-    async def picture(self, number: int, side: Side) -> bytes:
-        """A picture of it, JPEG. Raises `KeyError`, `FileFormatError`."""
-        return await self._on_disc(self._picture)(number, side)
+    async def picture(self, number: int, side: Side, width_px: int | None = None) -> bytes:
+        """A picture of it, JPEG, so wide at most. Raises `KeyError`, `FileFormatError`."""
+        return await self._on_disc(self._picture)(number, side, width_px)
 
     async def taught_picture(self, number: int, side: Side) -> bytes:
         """A picture of the pair that the job of a cycle was taught from. Raises as `picture`."""
@@ -201,8 +201,9 @@ class Cycles:
     def _taught_file(self, folder: str, side: Side) -> Path:
         return self._cell.files.config.cell.jobs / folder / TAUGHT / f"{side}.png"
 
-    def _picture(self, number: int, side: Side) -> bytes:
-        return jpeg(recording.load_picture(self._known().entry(number).path, side), JPEG_QUALITY)
+    def _picture(self, number: int, side: Side, width_px: int | None) -> bytes:
+        image = recording.load_picture(self._known().entry(number).path, side)
+        return jpeg(image, JPEG_QUALITY, width_px)
 
     def _taught_picture(self, number: int, side: Side) -> bytes:
         line, folder = self._known().line(self._known().entry(number)), None

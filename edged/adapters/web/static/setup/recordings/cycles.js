@@ -52,11 +52,14 @@ function Choice({ name, values, word }) {
 }
 
 function Line({ line }) {
-  const { number: count, at, status, job, reasons, sigma_um, kind } = line;
+  const { number: count, at, status, job, reasons, sigma_um, kind, has_pictures } = line;
   const isOpen = shown.value?.number === count;
   return html`<li>
     <button class="cycle" aria-pressed=${isOpen} onClick=${() => open(count)}>
-      <span class="figure" translate=${false}>${moment(at)} · ${count}</span>
+      <span class="small">
+        ${has_pictures && html`<img src="/api/v1/cycles/${count}/small.jpg" alt="" loading="lazy" />`}
+      </span>
+      <span class="figure" translate=${false}>${moment(at, "medium")} · ${count}</span>
       ${statusOf(status)} <span translate=${false}>${job}</span>
       <span class="muted">
         ${
@@ -138,7 +141,7 @@ function Cycle() {
     <p class="verdict-line">
       ${statusOf(status)} ${reasons.length > 0 && html`<strong>${reasonsOf(reasons)}</strong>`}
     </p>
-    <p class="muted" translate=${false}>${moment(at)} · ${job} · ${calibration}</p>
+    <p class="muted" translate=${false}>${moment(at, "medium")} · ${job} · ${calibration}</p>
     ${error && html`<p class="hint" translate=${false} lang="en">${error}</p>`}
     ${
       trouble &&

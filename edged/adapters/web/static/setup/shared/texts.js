@@ -115,8 +115,9 @@ export function number(value, digits = 0) {
 }
 export const sign = (value, digits) => `${value < 0 ? "−" : "+"}${number(Math.abs(value), digits)}`;
 
-export const moment = (iso) =>
-  new Intl.DateTimeFormat(language.value, { dateStyle: "medium", timeStyle: "short" }).format(new Date(iso));
+/** @param {string} iso @param {"short" | "medium"} timeStyle medium: with seconds */
+export const moment = (iso, timeStyle = "short") =>
+  new Intl.DateTimeFormat(language.value, { dateStyle: "medium", timeStyle }).format(new Date(iso));
 
 // Parses 0,5 and 0.5 alike; NaN for everything else, also for 1.000,5.
 export function parseNumber(text) {
