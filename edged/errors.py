@@ -38,6 +38,19 @@ An expected miss (no target, low quality) is a `domain.Status`, never an excepti
 
 from __future__ import annotations
 
+import re
+
+_FOLDERS = re.compile(r"(?<![\w/.:~-])/(?:[^\s/:;,'\"<>()|]+/)+")
+
+
+def without_folders(text: str) -> str:
+    """A message for who need not know this machine: of each absolute path the last part alone.
+
+    >>> without_folders("/var/lib/edged/rig.json: not JSON; see /setup")
+    'rig.json: not JSON; see /setup'
+    """
+    return _FOLDERS.sub("", text)
+
 
 def printable(text: str) -> str:
     """A text from anywhere as a terminal may get it: what would steer it is replaced, line ends too.

@@ -38,6 +38,7 @@ from edged.domain.measurement import (
 )
 from edged.domain.numerals import known
 from edged.domain.picking import GraspPose
+from edged.domain.robotmap import MapFigures
 from edged.robot.budget import Budget, budget_of
 from edged.robot.covariance import robot_covariance, robot_pose
 from edged.robot.grasping import held
@@ -188,6 +189,20 @@ def state_to_json(state: CellState) -> Json:
         else {"source": state.setup.name, "by": state.setup_by},
         **({} if state.marks.state is MarksState.NONE else {"marks": state.marks.state.name}),
         **({} if state.acceptance == Acceptance() else {"acceptance": acceptance_to_json(state.acceptance)}),
+        **({"robot_map": map_to_json(state.robot_map)} if state.robot_map.degree else {}),
+    }
+
+
+def map_to_json(found: MapFigures) -> Json:
+    """How the map of the robot's error does: `edged.domain.robotmap.MapFigures`."""
+    return {
+        "degree": found.degree,
+        "points": found.points,
+        "alone_mm": found.alone_mm,
+        "held_out_mm": found.held_out_mm,
+        "noise_mm": found.noise_mm,
+        "least_mm": list(found.least_mm),
+        "most_mm": list(found.most_mm),
     }
 
 

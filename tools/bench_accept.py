@@ -163,8 +163,7 @@ def accepted(case: str, shown: Path, work: Path) -> dict[str, object]:
             save_job(work / name, teach(*images, rig, name=name, number=1))
     write_touched(shown, rig, 0.3 if case == "backlash" else 0.0)
     ends = [circle.name for circle in load_job(work / "bar").circles if 2.0 < circle.radius_mm < 3.0]
-    length = f"{'-'.join(ends)}={BAR_MM:g}"
-    known = StatedTruth(length, work / "bar", 0.0, TOUCH_UM)
+    known = StatedTruth(("-".join(ends), BAR_MM), work / "bar", 0.0, TOUCH_UM)
     accept(shown, work / "rig.json", work / "flange", work / "out", known, Console(quiet=True))
     return json.loads((work / "out/acceptance.json").read_text())
 

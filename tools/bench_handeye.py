@@ -1,12 +1,17 @@
 #!/usr/bin/env python3
 """Solve hand-eye calibrations of real robots from public pictures, and hold the stated sigma against scatter.
 
-    tools/bench handeye [--pictures DIR [--write]] [--json FILE]
+    tools/bench handeye [--pictures DIR [--write]] [--kuka DIR] [--json FILE]
 
 The sets are of robot_cal_tools (github.com/Jmeyer1292/robot_cal_tools, Apache-2.0): a board on an industrial
 robot's flange before a fixed camera, and a camera on a flange above a plate of dots. Marks and poses are in
 tests/data/hand-eye. With --pictures the marks are measured anew, DIR being rct_examples/data of that
 repository; --write keeps them in tests/data/hand-eye.
+
+Three more are of I. Ali et al., "Methods for Simultaneous Robot-World-Hand-Eye Calibration: A Comparative
+Study", Sensors 19, 2837, 2019 (github.com/ihtishamaliktk/RWHE-Calib): cameras on the flange of a KUKA and a
+board that stands still. Their repository states no licence, so nothing of them is kept here: --kuka is its
+folder Datasets.
 
 One camera each, so the board is placed by its plane alone. The lens is calibrated from the same pictures.
 Nobody knows where camera and board truly were. What can be asked: rms and held out, how far the marks of a
@@ -31,9 +36,9 @@ from edged.files.images import load_image
 from edged.files.tables import number_of, read_table
 from edged.robot.handeye import Mount, hand_eye
 from edged.robot.orientations import matrix_quaternion
-from edged.vision.boards.board import Charuco, Detection, DotBoard, NotDetected
-from edged.vision.boards.charuco import detect_charuco
+from edged.vision.boards.board import Charuco, Chessboard, Detection, DotBoard, NotDetected
 from edged.vision.boards.circlegrid import remeasure_dots
+from edged.vision.boards.detection import detect_board
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import (
     invert,
@@ -49,11 +54,11 @@ GOLDEN = (np.sqrt(5) - 1) / 2
 
 @dataclass(frozen=True, slots=True)
 class PublicSet:
-    """A set: its folder below rct_examples/data, its board, how the camera is mounted, its pictures' size."""
+    """A set: its folder, its board, how the camera is mounted, its pictures' size."""
 
     name: str
     folder: str
-    board: Charuco | DotBoard
+    board: Chessboard | Charuco | DotBoard
     mount: Mount
     size: tuple[int, int]
 
@@ -65,6 +70,12 @@ SETS = (
     PublicSet("dots", "test_set_10x10", DotBoard(10, 10, 25.4, 12.7), "eye-in-hand", (640, 480)),
 )
 """Board sizes as in the sets' target.yaml; the diameter of the dots is seen in the pictures."""
+KUKA_SETS = (
+    PublicSet("kuka 1", "kuka_1", Chessboard(28, 17, 20.0), "eye-in-hand", (1928, 1208)),
+    PublicSet("kuka 2", "kuka_2", Chessboard(24, 17, 15.0), "eye-in-hand", (1920, 1200)),
+    PublicSet("kuka 3", "kuka_3", Charuco(12, 9, 60.0, 45.0, "5X5_1000"), "eye-in-hand", (1928, 1208)),
+)
+"""Squares as their squaresize.txt says; how many, and the markers, are seen in the pictures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,6 +114,7 @@ def main() -> int:
     parser = bench_parser(__doc__)
     parser.add_argument("--pictures", type=Path, help="rct_examples/data: measure the marks in the pictures")
     parser.add_argument("--write", action="store_true", help="keep what was measured in tests/data/hand-eye")
+    parser.add_argument("--kuka", type=Path, help="Datasets of RWHE-Calib: its three sets of a KUKA as well")
     options = parser.parse_args()
     rows = []
     print(
@@ -110,8 +122,10 @@ def main() -> int:
         "| sigma ° | jackknife ° |"
     )
     print("|---|--:|--:|---|--:|--:|--:|--:|--:|--:|--:|")
-    for dataset in SETS:
-        if options.pictures is None:
+    for dataset in (*SETS, *(KUKA_SETS if options.kuka else ())):
+        if dataset in KUKA_SETS:
+            views = seen_views(dataset, kuka_pictures(options.kuka / dataset.folder))
+        elif options.pictures is None:
             views = kept_views(dataset)
         else:
             views = measured_views(dataset, options.pictures / dataset.folder)
@@ -264,27 +278,44 @@ def raw_pose(pose: FloatArray) -> tuple[float, ...]:
 
 
 def measured_views(dataset: PublicSet, folder: Path) -> list[PosedMarks]:
-    """The pictures of a set in which the board is found, with their poses."""
-    views = []
+    """The pictures of a set of robot_cal_tools in which the board is found, with their poses."""
+    posed_pictures = []
     for path in sorted((folder / "images").glob("*.png"), key=lambda path: int(path.stem)):
-        found = detected(dataset, load_image(path))
-        if found is None:
-            print(f"{dataset.name} {path.name}: the board is not found", file=sys.stderr)
-            continue
         text = (folder / "poses" / f"{path.stem}.yaml").read_text()
         numbers = dict(re.findall(r"(\w+):\s*(\S+)", text))
         place = [1e3 * float(numbers[axis]) for axis in "xyz"]
         turn = [float(numbers[f"q{axis}"]) for axis in "xyzw"]
-        views.append(PosedMarks(path.stem, found.ids.astype(float), found.pixels, posed(*place, *turn)))
+        posed_pictures.append((path, posed(*place, *turn)))
+    return seen_views(dataset, posed_pictures)
+
+
+def kuka_pictures(folder: Path) -> list[tuple[Path, FloatArray]]:
+    """Pictures, and robot_from_flange of each: a line of 16 numbers in metres."""
+    pictures = sorted((*folder.glob("*.png"), *folder.glob("*.bmp")))
+    lines = (folder / "RobotPosesVec.txt").read_text().splitlines()
+    poses = np.array([line.split() for line in lines], float).reshape(-1, 4, 4)
+    poses[:, :3, 3] *= 1e3
+    return list(zip(pictures, poses, strict=True))
+
+
+def seen_views(dataset: PublicSet, posed_pictures: list[tuple[Path, FloatArray]]) -> list[PosedMarks]:
+    """The pictures in which the board is found."""
+    views = []
+    for path, pose in posed_pictures:
+        found = detected(dataset, load_image(path))
+        if found is None:
+            print(f"{dataset.name} {path.name}: the board is not found", file=sys.stderr)
+            continue
+        views.append(PosedMarks(path.stem, found.ids.astype(float), found.pixels, pose))
     if not views:
-        raise SystemExit(f"{folder}: no picture that shows the board")
+        raise SystemExit(f"{dataset.name}: no picture that shows the board")
     return views
 
 
 def detected(dataset: PublicSet, image: Image) -> Detection | None:
     """The marks of a picture; of the plate, whose first dot is larger, OpenCV says which is which."""
-    if isinstance(dataset.board, Charuco):
-        found = detect_charuco(image, dataset.board)
+    if not isinstance(dataset.board, DotBoard):
+        found = detect_board(image, dataset.board)
         return None if isinstance(found, NotDetected) else found
     columns, rows = dataset.board.columns, dataset.board.rows
     known, centres = cv2.findCirclesGrid(image, (columns, rows), None, flags=cv2.CALIB_CB_SYMMETRIC_GRID)

@@ -200,6 +200,17 @@ class Running:
                     accepted.due_ns / 1e9,
                 ),
             }
+        if (mapped := self.cycle.robot_map).degree:
+            result |= {
+                "robot_map_degree": ("of the map of the robot's error", mapped.degree),
+                "robot_map_points": ("places that were touched for it", mapped.points),
+                "robot_map_alone_metres": (
+                    "rms of places that were left out, by the registration alone",
+                    mapped.alone_mm / 1000,
+                ),
+                "robot_map_held_out_metres": ("the same with the map", mapped.held_out_mm / 1000),
+                "robot_map_noise_metres": ("one sigma of what it does not tell", mapped.noise_mm / 1000),
+            }
         recorder = self.servers.get("recorder")
         if (modbus := self.modbus()) is not None:
             result["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)

@@ -205,6 +205,7 @@ class CellContext:
             setup_by=self.lease.name if in_setup else "",
             marks=self.announced_marks,
             acceptance=self.setup.acceptance,
+            robot_map=self.setup.map_figures,
         )
         out.tell_state(state, drift, self.setup.calibration_id)
 

@@ -39,6 +39,7 @@ from edged.domain.frames import FramePair
 from edged.domain.golden import GoldenState
 from edged.domain.marks import MarksReport
 from edged.domain.measurement import Status
+from edged.domain.robotmap import MapFigures
 from edged.errors import (
     BeingSetUp,
     CameraBusy,
@@ -153,6 +154,11 @@ class Cycle:
     def acceptance(self) -> Acceptance:
         """The last acceptance test of the cell."""
         return self._cell.setup.acceptance
+
+    @property
+    def robot_map(self) -> MapFigures:
+        """How the map of the robot's error does."""
+        return self._cell.setup.map_figures
 
     @property
     def marks(self) -> MarksReport:

@@ -17,6 +17,7 @@ from edged.domain.frames import FramePair
 from edged.domain.marks import MarksReport, MarksState, MarksTrack
 from edged.domain.measurement import Outcome
 from edged.domain.picking import Bounds, Picking
+from edged.domain.robotmap import MapFigures
 from edged.robot.covariance import moved_frame
 from edged.robot.errormap import ErrorMap
 from edged.robot.golden import GoldenPart
@@ -100,6 +101,11 @@ class Setup:
     error_map: ErrorMap | None = None
     others: MarksState = MarksState.NONE
     acceptance: Acceptance = field(default_factory=Acceptance)
+
+    @property
+    def map_figures(self) -> MapFigures:
+        """How the map of the robot's error does."""
+        return MapFigures() if self.error_map is None else self.error_map.figures
 
     def problem(self, command: Command) -> str:
         """Why a command cannot be carried out; "" when it can."""

@@ -12,8 +12,9 @@ from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
 from edged.doctor.ourdaemon import our_daemon
 from edged.doctor.pictures import take_pictures
 from edged.doctor.plc import look_at_plc
+from edged.doctor.robotmap import look_at_map
 from edged.errors import ConfigError
-from edged.setup.cellfiles import UnfinishedCell, doubts, exposed_secrets, read_any_cell
+from edged.setup.cellfiles import CellFiles, UnfinishedCell, doubts, exposed_secrets, read_any_cell
 from edged.vision.geometry.camera import StereoRig
 
 
@@ -73,6 +74,8 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
     daemon = our_daemon(path, config, process)
     if daemon is not None:
         yield daemon.look(fingerprint)
+    if isinstance(cell, CellFiles):
+        yield from look_at_map(cell, is_used=daemon is None or daemon.loaded in ("", fingerprint))
     yield from look_at_ports(config, daemon)
     if config.plc is not None:
         yield look_at_plc(config.plc)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 Image = npt.NDArray[np.uint8]
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from edged.domain.acceptance import Acceptance
 from edged.domain.marks import MarksReport
+from edged.domain.robotmap import MapFigures
 
 
 class CalibrationHealth(enum.IntEnum):
@@ -61,7 +62,8 @@ class CellState:
     """The daemon's own state, published on change.
 
     marks : what the reference marks said when that changed last. acceptance : the last test of
-    the cell. setup : why it is in SETUP. setup_by : holder of the cell; "" when no lease is held.
+    the cell. robot_map : of its robot's error. setup : why it is in SETUP. setup_by : holder of the cell; ""
+    when no lease is held.
     """
 
     state: CellPhase
@@ -77,6 +79,7 @@ class CellState:
     setup_by: str = ""
     marks: MarksReport = field(default_factory=MarksReport)
     acceptance: Acceptance = field(default_factory=Acceptance)
+    robot_map: MapFigures = field(default_factory=MapFigures)
 
     @property
     def why(self) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -14,12 +14,31 @@ class RobotMap:
     """What the map is computed from; see `edged.robot.errormap`.
 
     expected_mm (N, 3) : places by the registration, robot's frame. shown_mm (N, 3) : what the robot showed
-    with its tip there. degree : of the polynomial, from 1.
+    with its tip there. degree : of the polynomial, from 1. hull (F, 3) : triangles around all places, their
+    corners by number, anticlockwise as seen from outside.
     """
 
     expected_mm: FloatArray
     shown_mm: FloatArray
     degree: int
+    hull: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class MapFigures:
+    """How a cell's map of its robot's error does. degree : 0 where there is none.
+
+    alone_mm, held_out_mm : rms of points that were left out, by the registration alone and with the map.
+    noise_mm : one sigma of what no smooth map tells. least_mm, most_mm : of the places, robot's frame.
+    """
+
+    degree: int = 0
+    points: int = 0
+    alone_mm: float = 0.0
+    held_out_mm: float = 0.0
+    noise_mm: float = 0.0
+    least_mm: tuple[float, ...] = ()
+    most_mm: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

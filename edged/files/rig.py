@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from edged.domain.arrays import IntArray
 from edged.domain.robotmap import RobotMap
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.atomic import (
@@ -27,7 +28,8 @@ from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel, StereoRi
 
 RIG_FORMAT = "edged-rig"
 RIG_VERSION = 1
-MAP_VERSION = 1
+MAP_VERSION = 2
+MIN_TRIANGLES = 4
 FARTHEST_MM = 1e5
 """No robot touches a place farther than this."""
 MIN_GAMMA, MAX_GAMMA = 0.2, 5.0
@@ -54,7 +56,7 @@ def rig_text(rig: StereoRig, quality: Mapping[str, Any] | None = None) -> bytes:
         "registration_covariance": None
         if rig.registration_covariance is None
         else rig.registration_covariance.tolist(),
-        **({} if rig.robot_map is None else {"robot_map": _map_to_json(rig.robot_map)}),
+        **({} if rig.robot_map is None else {"robot_map": _map_to_json(rig.robot_map, rig)}),
         "covariance": None
         if rig.covariance is None
         else {"parameters": list(rig.parameter_names), "matrix": rig.covariance.tolist()},
@@ -128,10 +130,13 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
     return replace(rig, covariance=covariance)
 
 
-def _map_to_json(made: RobotMap) -> dict[str, Any]:
+def _map_to_json(made: RobotMap, rig: StereoRig) -> dict[str, Any]:
+    beside = None if rig.robot_from_rig is None else rig.robot_from_rig.tolist()
     return {
         "version": MAP_VERSION,
+        "beside": {"calibration_id": rig.calibration_id, "robot_from_rig": beside},
         "degree": made.degree,
+        "hull": made.hull.tolist(),
         "expected_mm": made.expected_mm.tolist(),
         "shown_mm": made.shown_mm.tolist(),
     }
@@ -145,7 +150,10 @@ def _map(reader: JsonFields) -> RobotMap | None:
         raise reader.error("robot_map", "expected none in a rig without robot_from_rig")
     of_map = reader.sub("robot_map")
     if of_map.whole("version", 0xFFFF) != MAP_VERSION:
-        raise of_map.error("version", f"this edged reads {MAP_VERSION}")
+        raise of_map.error("version", f"this edged reads {MAP_VERSION}: register by the points again")
+    beside = {name: reader.document.get(name) for name in ("calibration_id", "robot_from_rig")}
+    if of_map.document.get("beside") != beside:
+        raise of_map.error("beside", "the map was made beside another calibration or registration")
     found = of_map.document.get("expected_mm")
     count = len(found) if isinstance(found, list) else 0
     if not LEAST_POINTS <= count <= MOST_POINTS:
@@ -153,12 +161,23 @@ def _map(reader: JsonFields) -> RobotMap | None:
     expected, shown = (of_map.array(name, (count, 3)) for name in ("expected_mm", "shown_mm"))
     if max(np.abs(expected).max(), np.abs(shown).max()) > FARTHEST_MM:
         raise of_map.error("expected_mm", f"expected places within {FARTHEST_MM:g} mm of the robot")
-    made = RobotMap(expected, shown, of_map.whole("degree", max(DEGREES), min(DEGREES)))
+    made = RobotMap(expected, shown, of_map.whole("degree", max(DEGREES), min(DEGREES)), _hull(of_map, count))
     try:
         error_map(made)
     except CalibrationError as error:
         raise of_map.error("expected_mm", str(error)) from error
     return made
+
+
+def _hull(of_map: JsonFields, count: int) -> IntArray:
+    found = of_map.document.get("hull")
+    rows = len(found) if isinstance(found, list) else 0
+    if not MIN_TRIANGLES <= rows <= 2 * count - 4:  # Euler: a closed surface of triangles has no more
+        raise of_map.error("hull", f"{rows} triangles: expected {MIN_TRIANGLES} to {2 * count - 4}")
+    numbers = of_map.array("hull", (rows, 3))
+    if not ((numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))).all():
+        raise of_map.error("hull", "expected numbers of places")
+    return numbers.astype(np.int64)
 
 
 def load_rig_quality(path: Path) -> dict[str, Any]:

@@ -80,6 +80,7 @@ TYPES: tuple[type, ...] = (
     registration.Method,
     registration.Obstacle,
     registration.Registration,
+    robotmap.MapFigures,
     robotmap.RobotShift,
     summary.CellSummary,
     summary.FilesInUse,

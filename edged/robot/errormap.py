@@ -13,23 +13,28 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray
-from edged.domain.robotmap import RobotMap, RobotShift
+from edged.domain.arrays import FloatArray, IntArray
+from edged.domain.robotmap import MapFigures, RobotMap, RobotShift
 from edged.errors import CalibrationError, Undetermined
+from edged.robot.touch import register_points
 
 LEAST_POINTS = 12
 MOST_POINTS = 100
-"""The hull of more takes seconds."""
 DEGREES = (1, 2, 3)
 POINTS_PER_TERM = 2
 """Half of what was touched is left to tell the noise."""
 GROWN = 0.05
 """Share of its length by which the hull counts as larger: parts lie in the plane of the touched ones."""
+SHAKEN = 1e-6  # of the places' length
+THIN = 1e-4
+"""Size of triangles, of the square of the places' length, below which their neighbours' planes stand for
+them: shaking turns those of thin ones."""
 FLAT = 0.05
 """Least thickness of the touched places, of their length: across it nothing would be known."""
 
@@ -48,7 +53,8 @@ class ErrorMap:
 
     def __init__(self, made: RobotMap) -> None:
         places = np.asarray(made.expected_mm, np.float64)
-        self._normals, self._reach = _hull(places)
+        self._made = made
+        self._normals, self._reach = _planes(places, made.hull)
         self._middle, self._scale = places.mean(axis=0), float(np.ptp(places, axis=0).max())
         self._degree = made.degree
         rows = self._rows(places)
@@ -79,6 +85,21 @@ class ErrorMap:
         row = self._rows(place_mm[None])[0]
         return RobotShift(row @ self._terms, self.noise_mm * (row @ self._to_terms), self.noise_mm)
 
+    @cached_property
+    def figures(self) -> MapFigures:
+        """How it does."""
+        places = self._made.expected_mm
+        alone = register_points(places, self._made.shown_mm).held_out_mm
+        return MapFigures(
+            self._degree,
+            len(places),
+            _rms(alone),
+            self.trial.held_out_mm,
+            self.noise_mm,
+            tuple(places.min(axis=0).tolist()),
+            tuple(places.max(axis=0).tolist()),
+        )
+
     def _rows(self, places: FloatArray) -> FloatArray:
         """(N, M) products of coordinates up to the degree."""
         own = (places - self._middle) / self._scale
@@ -107,15 +128,16 @@ def map_of(
         raise CalibrationError(
             f"{count} points: a map of the robot's error needs {LEAST_POINTS} to {MOST_POINTS}"
         )
+    hull = hull_of(expected_mm)
     left = shown_mm - expected_mm
     alone = MapTrial(0, _rms(alone_mm), _bic(float(np.sum(left**2)), left.size, 6))
     tried = {0: alone}
     for degree in DEGREES:
         if count >= POINTS_PER_TERM * math.comb(3 + degree, 3):
-            tried[degree] = ErrorMap(RobotMap(expected_mm, shown_mm, degree)).trial
+            tried[degree] = ErrorMap(RobotMap(expected_mm, shown_mm, degree, hull)).trial
     best = min(tried.values(), key=lambda trial: trial.bic)
     if best.degree and best.held_out_mm < alone.held_out_mm:
-        return RobotMap(expected_mm, shown_mm, best.degree), tuple(tried.values())
+        return RobotMap(expected_mm, shown_mm, best.degree, hull), tuple(tried.values())
     return None, tuple(tried.values())
 
 
@@ -128,21 +150,63 @@ def _bic(squares: float, numbers: int, parameters: int) -> float:
     return numbers * math.log(squares / numbers + 1e-12) + parameters * math.log(numbers)
 
 
-def _hull(places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Planes around all places, grown by `GROWN`: normals (F, 3) outwards, and how far along them; mm."""
-    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+def hull_of(places: FloatArray) -> IntArray:
+    """Triangles around all places (N, 3), as of `RobotMap`. Raises `Undetermined` for places in one plane.
+
+    Place by place: the triangles that see it give way to others, from their rim to it. Places are shaken by a
+    millionth of their length, so that no four lie in one plane (C. B. Barber et al., "The Quickhull Algorithm
+    for Convex Hulls", 1996: joggled input).
+    """
+    shaken = places + SHAKEN * _length(places) * np.random.default_rng(0).uniform(-1, 1, places.shape)
+    first, second, third = 0, 1, 2
+    across = np.cross(shaken[second] - shaken[first], shaken[third] - shaken[first])
+    if across @ (shaken[3] - shaken[first]) < 0.0:
+        first, second = second, first
+    triangles = [(first, third, second), (first, second, 3), (second, third, 3), (third, first, 3)]
+    for place in range(4, len(places)):
+        normals, at = _normals(shaken, np.array(triangles))
+        sees = np.sum(normals * (shaken[place] - at), axis=1) > 0.0
+        seen = [triangles[index] for index in np.flatnonzero(sees)]
+        edges = {edge for corners in seen for edge in _edges(corners)}
+        triangles = [triangles[index] for index in np.flatnonzero(~sees)]
+        triangles += [(begin, end, place) for begin, end in sorted(edges) if (end, begin) not in edges]
+    return np.array(triangles)
+
+
+def _length(places: FloatArray) -> float:
+    """The diagonal of the places. Raises `Undetermined` where they lie in one plane."""
     length = float(np.linalg.norm(np.ptp(places, axis=0)))
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     if spread[2] < FLAT * spread[0] or not length:
         raise Undetermined("the points of a map lie in one plane: touch some higher, wherever parts may lie")
-    normals, reach = [], []
-    for first, second in itertools.combinations(range(len(places) - 1), 2):
-        across = np.cross(places[second] - places[first], places[second + 1 :] - places[first])
-        size = np.linalg.norm(across, axis=1)
-        across = across[size > 1e-9 * length**2] / size[size > 1e-9 * length**2, None]
-        along = across @ (places - places[first]).T
-        for sign in (1.0, -1.0):
-            outer = (sign * along <= 1e-9 * length).all(axis=1)
-            normals.extend(sign * across[outer])
-            reach.extend(sign * across[outer] @ places[first])
-    planes = np.unique(np.round(np.column_stack([normals, reach]), 9), axis=0)
-    return planes[:, :3], planes[:, 3] + GROWN * length
+    return length
+
+
+def _edges(corners: tuple[int, ...]) -> Iterator[tuple[int, int]]:
+    yield from zip(corners, (*corners[1:], corners[0]), strict=True)
+
+
+def _normals(places: FloatArray, hull: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Normals (F, 3) of triangles, outwards, twice as long as each is large, and a corner of each."""
+    first, second, third = places[hull].transpose(1, 0, 2)
+    return np.cross(second - first, third - first), first
+
+
+def _planes(places: FloatArray, hull: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Planes of a hull, grown by `GROWN`: normals (F, 3) outwards, and how far along them; mm.
+
+    Each plane touches the places from outside; that they enclose them all around is asked for: each side of a
+    triangle once in either sense, and no triangle within. Raises `Undetermined`.
+    """
+    length = _length(places)
+    edges = [edge for corners in hull.tolist() for edge in _edges(tuple(corners))]
+    if len(set(edges)) < len(edges) or {edge[::-1] for edge in edges} != set(edges):
+        raise Undetermined("the triangles of the hull do not close around the places")
+    normals, at = _normals(places, hull)
+    size = np.linalg.norm(normals, axis=1)
+    is_wide = size > THIN * length**2
+    normals, at = normals[is_wide] / size[is_wide, None], at[is_wide]
+    reach = (normals @ places.T).max(axis=1)
+    if not len(normals) or float((reach - np.sum(normals * at, axis=1)).max()) > 0.1 * GROWN * length:
+        raise Undetermined("places lie outside of the hull")
+    return normals, reach + GROWN * length

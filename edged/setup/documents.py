@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Generic, Self, TypeVar
+from typing import Annotated, Generic, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from edged.errors import without_folders
 from edged.files.atomic import make_folders, write_atomically
 
 log = logging.getLogger(__name__)
@@ -21,6 +22,8 @@ class Frozen(BaseModel):
     )
 
 
+Message = Annotated[str, AfterValidator(without_folders)]
+"""Text of an error: a page names files, and not where they lie on this machine."""
 M = TypeVar("M", bound=Frozen)
 
 
@@ -52,7 +55,7 @@ class Trouble(Frozen):
     """What keeps something from being done. code, params : as of a problem.  text : in English."""
 
     code: str
-    text: str
+    text: Message
     params: dict[str, str | float] = Field(default={})
 
 
@@ -114,4 +117,4 @@ class DraftSummary(Frozen):
     created: str = ""
     author: str = ""
     active: bool = False
-    trouble: str | None = None
+    trouble: Message | None = None

@@ -104,7 +104,11 @@ class DraftRoutes:
         )
 
     def add_usual(
-        self, listed: type[Answer] | type[Any], field: str, words: Mapping[str, str], **about: Any
+        self,
+        listed: type[Answer] | type[Any],
+        field: str,
+        words: Mapping[str, str],
+        about: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         """List, see, discard, undo, redo. field : of the list.  words : by "GET all", "GET", "DELETE".
 
@@ -112,7 +116,7 @@ class DraftRoutes:
         """
 
         async def listing(_call: Call[None]) -> Given:
-            return listed.model_validate({field: await self._drafts.summaries(), **about})
+            return listed.model_validate({field: await self._drafts.summaries(), **about()})
 
         async def discard(identity: str, call: Call[Any]) -> None:
             await self._drafts.remove(identity, getattr(call.body, "revision", None))

@@ -16,6 +16,8 @@ from helpers.snapshots import make_snapshot, make_target, make_transform
 
 from edged.app.cell import LoadedCell, load_cell, with_golden, with_registration
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.doctor.findings import CheckResult
+from edged.doctor.robotmap import look_at_map
 from edged.domain.events import Snapshot
 from edged.domain.golden import GoldenState
 from edged.domain.measurement import Outcome, Status
@@ -23,7 +25,8 @@ from edged.domain.robotmap import RobotMap
 from edged.errors import UserError
 from edged.files.golden import golden_file, load_golden
 from edged.files.rig import load_rig, save_rig
-from edged.setup.cellfiles import doubts
+from edged.robot.errormap import hull_of
+from edged.setup.cellfiles import doubts, read_cell
 from edged.setup.releases.archive import make
 from edged.sim.cell import VirtualCell
 
@@ -188,10 +191,11 @@ def test_a_map_of_the_robots_error_is_in_force_with_its_registration(cell: Path)
     places = np.random.default_rng(1).uniform(50, 150, (16, 3))
     rig = cell.with_name("rig.json")
     plain = load_rig(rig)
-    save_rig(rig, replace(plain, robot_map=RobotMap(places, places + 0.2, 1)))
+    save_rig(rig, replace(plain, robot_map=RobotMap(places, places + 0.2, 1, hull_of(places))))
     for loaded in (with_registration(before), load_cell(cell)):
         error_map = loaded.setup.frame(None)[0].error_map
         assert error_map is not None
+        assert (1, 16) == (loaded.setup.map_figures.degree, loaded.setup.map_figures.points)
         shift = error_map.at(np.full(3, 100.0))
         assert shift is not None
         np.testing.assert_allclose(shift.shift_mm, 0.2, atol=1e-9)
@@ -199,5 +203,17 @@ def test_a_map_of_the_robots_error_is_in_force_with_its_registration(cell: Path)
         golden = loaded.setup.jobs[1].golden
         assert golden is not None
         assert GoldenState.OTHER_REGISTRATION is golden.state
+    (found,) = look_at_map(read_cell(cell), is_used=True)
+    assert "a map of degree 1 by 16 points" in found.finding
+    assert (CheckResult.WARN, "OUT_OF_MAP there") == (found.verdict, found.consequence), (
+        "the part lies elsewhere"
+    )
+    at = replace(plain, robot_map=None).robot_from_rig @ load_cell(cell).cell.jobs[0].rig_from_part
+    around = at[:3, 3] + places - 100.0
+    save_rig(rig, replace(plain, robot_map=RobotMap(around, around + 0.2, 1, hull_of(around))))
+    for is_used, verdict in ((True, CheckResult.OK), (False, CheckResult.WARN)):
+        (found,) = look_at_map(read_cell(cell), is_used=is_used)
+        assert verdict is found.verdict
     save_rig(rig, plain)
+    assert [] == list(look_at_map(read_cell(cell), is_used=True))
     assert with_registration(load_cell(cell)).setup.frame(None)[0].error_map is None

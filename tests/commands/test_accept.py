@@ -46,7 +46,7 @@ def test_a_cell_is_accepted_only_by_all_of_its_tests(
     assert 1 == exit_code("accept", shown, *given, "--sign", key, "--by", "A. Tester", "--days", 30)
     words = printed(capsys)
     assert "still: passed" in words
-    assert "pose: cannot be said - not made: no folder pose/" in words
+    assert "pose: cannot be said - not made: nothing is in pose/" in words
     assert "the cell has not passed" in words
     kept = (tmp_path / "acceptance.json").read_bytes()
     assert kept == (out / "acceptance.json").read_bytes()

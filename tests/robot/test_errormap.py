@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from helpers.rigs import make_rig
 from helpers.snapshots import make_snapshot, make_target, make_transform
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rich.console import Console
 from scipy.spatial import ConvexHull
 
@@ -22,11 +24,11 @@ from edged.domain.golden import Golden
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.picking import Grasp, Picking
 from edged.domain.robotmap import RobotMap
-from edged.errors import CalibrationError, FileFormatError
+from edged.errors import CalibrationError, FileFormatError, Undetermined
 from edged.files.rig import load_rig, rig_text, save_rig
 from edged.payload import target_to_json
 from edged.robot.budget import budget_of
-from edged.robot.errormap import GROWN, ErrorMap, map_of
+from edged.robot.errormap import GROWN, ErrorMap, hull_of, map_of
 from edged.robot.golden import held, offset_of, registration_digest
 from edged.robot.orientations import Convention
 from edged.robot.picking import frame_of, picked
@@ -82,12 +84,41 @@ def test_a_smooth_error_is_found_again_between_the_points_and_nowhere_else() -> 
     assert 100 < answers < 250
 
 
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-12, 1e-6, None]), st.integers(12, 60))
+@settings(deadline=None, max_examples=60)
+def test_the_hull_is_that_of_all_places(seed: int, noise_mm: float | None, count: int) -> None:
+    """Of free places as SciPy's; of those on a grid, many on its sides and edges, the box. Without a
+    triangle, or with one turned round, it is refused."""
+    rng, size = np.random.default_rng(seed), np.array([270.0, 210.0, 90.0])
+    corners = np.array(np.meshgrid([0, 3], [0, 3], [0, 3])).reshape(3, -1).T
+    grid = np.array(np.meshgrid(*[range(4)] * 3)).reshape(3, -1).T.astype(float)
+    places = np.unique(np.concatenate([corners, grid[rng.permutation(64)[:count]]]), axis=0) * size / 3
+    normals, reach = np.concatenate([np.eye(3), -np.eye(3)]), np.concatenate([size, np.zeros(3)])
+    if noise_mm is None:
+        places = rng.uniform(0, 1, (count, 3)) * size
+        theirs = ConvexHull(places)
+        normals, reach = theirs.equations[:, :3], -theirs.equations[:, 3]
+    else:
+        places = rng.permutation(places + rng.normal(0, noise_mm, places.shape), axis=0)
+    hull = hull_of(places)
+    made = ErrorMap(RobotMap(places, places + 0.1, 1, hull))
+    grown_mm = GROWN * float(np.linalg.norm(np.ptp(places, axis=0)))
+    for place in rng.uniform(-0.2, 1.2, (50, 3)) * size:
+        beyond_mm = float((normals @ place - reach).max()) - grown_mm
+        if abs(beyond_mm) > 0.02 * grown_mm:
+            assert (beyond_mm < 0) == (made.at(place) is not None)
+    worse = (np.delete(hull, 0, axis=0), np.concatenate([hull[:1, ::-1], hull[1:]]), hull[:, ::-1])
+    for wrong in worse:
+        with pytest.raises(Undetermined, match="hull"):
+            ErrorMap(RobotMap(places, places + 0.1, 1, wrong))
+
+
 def test_a_point_left_out_is_foretold_as_by_a_fit_of_the_others() -> None:
     """The short way to it, and plain least squares without each point, agree."""
     rng = np.random.default_rng(5)
     expected = apply(ROBOT_FROM_RIG, spread(rng, 16))
     shown = expected + bent(expected) + rng.normal(0, 0.02, expected.shape)
-    found = ErrorMap(RobotMap(expected, shown, 1)).held_out_mm
+    found = ErrorMap(RobotMap(expected, shown, 1, hull_of(expected))).held_out_mm
     for k, error_mm in enumerate(found):
         others = np.arange(16) != k
         A = np.column_stack([np.ones(16), expected])
@@ -251,7 +282,16 @@ def load_again(text: bytes) -> StereoRig:
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"version": 2}, "robot_map.version: this edged reads 1"),
+        ({"version": 1}, "robot_map.version: this edged reads 2"),
+        ({"beside": {"calibration_id": "another", "robot_from_rig": np.eye(4).tolist()}}, "beside another"),
+        ({"beside": None}, "robot_map.beside: the map was made beside another calibration or registration"),
+        ({"hull": None}, "robot_map.hull: 0 triangles: expected 4 to 44"),
+        ({"hull": [[0, 1, 2]] * 45}, "45 triangles"),
+        ({"hull": [[0, 1, 2]] * 4}, "the triangles of the hull do not close around the places"),
+        ({"hull": [[0, 1, 24]] * 4}, "robot_map.hull: expected numbers of places"),
+        ({"hull": [[0, 1, -1]] * 4}, "robot_map.hull: expected numbers of places"),
+        ({"hull": [[0, 1, 0.5]] * 4}, "robot_map.hull: expected numbers of places"),
+        ({"hull": [[0, 0, 0]] * 4}, "the triangles of the hull do not close"),
         ({"degree": 9}, "robot_map.degree: expected a whole number"),
         ({"degree": True}, "robot_map.degree: expected a whole number"),
         ({"degree": 3}, "robot_map.expected_mm: 24 points, 40 are needed for degree 3"),

@@ -47,13 +47,16 @@ async def test_a_person_accepts_the_cell_by_the_page(tmp_path: Path) -> None:
         await page.until(f"{text}.includes('1 of 10')")
         await press(page, "Judge the cell now")
         await page.until(f"{text}.includes('got 3 values')")  # a wrong line is named
+        assert "touched.csv" in await page.value(text)
+        assert str(tmp_path) not in await page.value(text), "no path of the machine"
         await page.click("[aria-labelledby=accept-robot] > .actions:last-child button")
         await page.until(f"{text}.includes('0 of 10')")
         await press(page, "Judge the cell now")
         await page.until(f"{text}.includes('The cell has not passed')")
         said = await page.value(text)
         assert "1 poses with a good part, 30 are needed" in said
-        assert "not made: no folder length/" in said
+        assert "not made: nothing is in length/" in said
+        assert str(tmp_path) not in said, "no path of the machine"
         if shots := os.environ.get("EDGED_SHOTS"):
             (Path(shots) / "accept.png").write_bytes(await page.picture())
             await page.value("document.querySelector('#accept-last').scrollIntoView()")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
@@ -17,6 +19,9 @@ from helpers.stagecell import Newcomer, staged
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig, save_rig
+from edged.robot.errormap import ErrorMap
+from edged.setup.registration.registering import from_points
+from edged.vision.geometry.rigid import apply
 
 pytestmark = [pytest.mark.slow, needs("chromium")]
 
@@ -130,6 +135,33 @@ async def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
         await press(page, "Begin")
         await page.until(said("Point 1 of 6"))
         assert [] == page.complaints
+
+
+async def test_the_map_of_the_robots_error_is_shown(tmp_path: Path) -> None:
+    """What it is worth, and where the robot was off; EDGED_SHOTS keeps a picture."""
+    rig = small_rig()
+    rng = np.random.default_rng(4)
+    corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
+    seen = np.concatenate([corners, rng.uniform(-1, 1, (22, 3))]) * (150.0, 100.0, 40.0) + (0, 0, 200.0)
+    assert rig.robot_from_rig is not None
+    at = apply(rig.robot_from_rig, seen)
+    off = 0.2 * np.sin(at / 120.0)[:, [1, 2, 0]] + rng.normal(0, 0.02, at.shape)
+    made = from_points(rig, seen, at + off, 2.0, with_map=True).registered.rig
+    assert made.robot_map is not None
+    save_rig(tmp_path / "rig.json", made, {"board": "chessboard:11x8:4"})
+    async with staged(tmp_path, gige=False) as newcomer, browser() as page:
+        await log_in(page, newcomer.origin, USER, PASSWORD, "/setup#/robot", (1280, 1400))
+        await page.until(said("Map of the robot's error"))
+        text = await page.value("document.querySelector('.robot-map').innerText")
+        figures = ErrorMap(made.robot_map).figures
+        assert f"30, a map of degree {figures.degree}" in text
+        held, alone = (round(1e3 * mm) for mm in (figures.held_out_mm, figures.alone_mm))
+        assert f"{held} µm; without the map {alone} µm" in text
+        assert 30 == await page.value("document.querySelectorAll('.robot-map svg .point').length")
+        if shots := os.environ.get("EDGED_SHOTS"):
+            (Path(shots) / "robot-map.png").write_bytes(await page.picture())
+        assert not await page.value(TOO_WIDE)
+        await accessible(page)
 
 
 async def test_another_registration_is_begun_and_one_is_discarded(tmp_path: Path) -> None:

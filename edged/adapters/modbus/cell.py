@@ -35,6 +35,7 @@ from edged.domain.events import (
 )
 from edged.domain.marks import MarksReport
 from edged.domain.registration import Registration
+from edged.domain.robotmap import MapFigures
 from edged.errors import BeingSetUp, CommandRefused
 from edged.logs import LogLimit
 from edged.plc import handshake as hs
@@ -123,6 +124,7 @@ class CellRegisters:
         self.ladder = Ladder(self.addresses)
         self._place_basis()
         self._place(reg.REFERENCE_MARKS, reg.marks_values(MarksReport()))
+        self._place(reg.ROBOT_MAP, reg.map_values(MapFigures()))
         self._accepted_until_s = 0.0  # when the block of the acceptance test is made anew
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
         self._change: asyncio.Future[None] | None = None
@@ -423,6 +425,7 @@ class CellRegisters:
                     self._step(ev.CycleBegun(), now_s)
                 if self._cell is None or self._cell.marks != event.marks:  # else a snapshot's are newer
                     self._place(reg.REFERENCE_MARKS, reg.marks_values(event.marks))
+                self._place(reg.ROBOT_MAP, reg.map_values(event.robot_map))
                 self._cell, self._accepted_until_s = event, 0.0
                 if event.state is CellPhase.SETUP:
                     self._step(ev.Suspended(event.setup is SetupSource.ROBOT), now_s)

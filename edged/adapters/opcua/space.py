@@ -67,7 +67,7 @@ OPTIONAL = frozenset(
 """Optional parts of the specification that a cell has."""
 LASTING_BLOCKS = (
     *(reg.CONSTANTS, reg.COMMAND, reg.STATUS, reg.COUNTERS),
-    *(*reg.JOBS, reg.REFERENCE_MARKS, reg.ACCEPTANCE),
+    *(*reg.JOBS, reg.REFERENCE_MARKS, reg.ACCEPTANCE, reg.ROBOT_MAP),
 )
 """Every other block shows a result, and is hidden when it expires."""
 VARIANTS = {

@@ -27,6 +27,7 @@ from aiohttp import web
 from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints
 
 from edged.domain.arrays import Side
+from edged.errors import without_folders
 from edged.identity.visitors import Role, Visitor
 from edged.payload import Json
 
@@ -57,7 +58,7 @@ class Problem(Exception):
 
     def response(self) -> web.Response:
         """The response."""
-        document: Json = {"status": self.status, "code": self.code, "detail": str(self)}
+        document: Json = {"status": self.status, "code": self.code, "detail": without_folders(str(self))}
         if self.field is not None:
             document["field"] = self.field
         if self.params is not None:

@@ -372,13 +372,25 @@ ACCEPTANCE = make_block(
     """,
 )
 
+ROBOT_MAP = make_block(
+    "robot map",
+    1400,
+    """
+    E_DEGREE          u16 - of the map of the robot's error; 0: there is none
+    E_POINTS          u16 - places that were touched for it
+    E_ALONE           u16 0.1_µm rms of places that were left out, by the registration alone; 65535: more
+    E_HELD_OUT        u16 0.1_µm with the map
+    E_NOISE           u16 0.1_µm one sigma of what it does not tell
+    """,
+)
+
 JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
 BLOCKS = (
     *(CONSTANTS, COMMAND, STATUS),
     *(RESULT, UR, UR_GRASP, FLOAT, BITS, GRASP, REGISTRATION),
-    *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET, REFERENCE_MARKS, ACCEPTANCE),
+    *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET, REFERENCE_MARKS, ACCEPTANCE, ROBOT_MAP),
 )
 ROWS = (TABLE, JOBS)
 """Blocks that repeat, row by row."""

@@ -17,6 +17,7 @@ from edged.domain.golden import Offset
 from edged.domain.marks import MarksReport
 from edged.domain.measurement import Status, Target
 from edged.domain.registration import Registration
+from edged.domain.robotmap import MapFigures
 from edged.plc.registers.layout import AXES
 from edged.plc.registers.schema import (
     INT32_MAX,
@@ -500,6 +501,17 @@ def acceptance_values(found: Acceptance, now_ns: int) -> dict[str, Number]:
         "A_STATE": found.state(now_ns),
         "A_DAYS": found.days_left(now_ns) if found.made_ns else INT32_MIN,
         "A_DUE": min(found.due_ns // 10**9, UINT32_MAX),
+    }
+
+
+def map_values(found: MapFigures) -> dict[str, Number]:
+    """Values of the block of the map of the robot's error."""
+    return {
+        "E_DEGREE": found.degree,
+        "E_POINTS": found.points,
+        "E_ALONE": _saturated(found.alone_mm, 1e-4),
+        "E_HELD_OUT": _saturated(found.held_out_mm, 1e-4),
+        "E_NOISE": _saturated(found.noise_mm, 1e-4),
     }
 
 

@@ -110,7 +110,7 @@ def _tests(folder: Path, rig: StereoRig, job: Job, shown: StatedTruth) -> Sequen
 
 
 def _not_made(name: str, folder: Path) -> AcceptanceTest:
-    return AcceptanceTest(name, None, f"not made: no folder {folder.name}/", {})
+    return AcceptanceTest(name, None, f"not made: nothing is in {folder.name}/", {})
 
 
 def _still(folder: Path, rig: PreparedRig, job: Job) -> AcceptanceTest:

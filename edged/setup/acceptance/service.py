@@ -13,7 +13,7 @@ from edged.errors import SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
 from edged.setup.acceptance.accepting import TOUCHED_NAME
 from edged.setup.acceptance.verdicts import LEAST_LENGTHS, LEAST_POSES, LEAST_STILL, LEAST_TOUCHED
-from edged.setup.documents import Frozen, LastDocument
+from edged.setup.documents import Frozen, LastDocument, Message
 from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress, write_pictures
 
@@ -35,7 +35,7 @@ class TestedDocument(Frozen):
 
     name: TestName
     good: bool | None
-    why: str
+    why: Message
     figures: dict[str, str]
 
 

@@ -11,7 +11,7 @@ from edged.domain.arrays import FloatArray
 from edged.setup.calibration.guidance import Ghost, Guided
 from edged.setup.calibration.model import DraftState, ViewState
 from edged.setup.calibration.shown import Seen, Watched
-from edged.setup.documents import DraftHead, DraftSummary, Frozen, PicturePaths, SigmaXyz, Trouble
+from edged.setup.documents import DraftHead, DraftSummary, Frozen, Message, PicturePaths, SigmaXyz, Trouble
 from edged.vision.boards.board import NominalBoard
 from edged.vision.boards.detection import in_words
 
@@ -24,7 +24,7 @@ class ViewDocument(Frozen):
 
     name: str
     used: bool
-    why: str | None
+    why: Message | None
     why_text: str | None
     rms_px: float | None
     heldout_px: float | None

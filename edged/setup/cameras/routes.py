@@ -10,6 +10,7 @@ from edged.adapters.web.routes import Answer, Call, Leased, Problem, route
 from edged.domain.arrays import SIDES
 from edged.domain.exposure import CameraValues
 from edged.setup.cameras.service import TEST_PAIRS, CameraService
+from edged.setup.documents import Message
 
 SIDE = "{side:left|right}"
 
@@ -49,7 +50,7 @@ class FoundCamera(Answer):
     address: str
     address_by: str
     is_lost: bool
-    trouble: str | None
+    trouble: Message | None
     side: Literal["left", "right"] | None
 
 

@@ -16,7 +16,7 @@ from edged.adapters.web.gate import code_of
 from edged.cell.lease.notices import Notices
 from edged.cell.tasks import cancel_and_await
 from edged.errors import EdgedError, UserError
-from edged.setup.documents import Frozen
+from edged.setup.documents import Frozen, Message
 from edged.setup.pairs import Progress
 
 log = logging.getLogger(__name__)
@@ -31,7 +31,7 @@ class TaskProblem(Frozen):
     """Why it failed. code, params : as those of a refused request."""
 
     code: str
-    detail: str
+    detail: Message
     params: dict[str, str | float] = Field({})
 
 

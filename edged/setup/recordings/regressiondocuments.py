@@ -10,7 +10,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.numerals import known
-from edged.setup.documents import Frozen, PicturePaths
+from edged.setup.documents import Frozen, Message, PicturePaths
 from edged.setup.recordings.comparing import Compared, CycleComparison, FrameShift, TriedCycle
 
 MOST_LISTED = 200
@@ -50,8 +50,8 @@ class SkippedCycle(Frozen):
     """A recording that was not tried: "damaged", "no_pictures", "grab", "no_job"."""
 
     number: int
-    why: str
-    detail: str
+    why: Message
+    detail: Message
 
 
 class FrameMotion(Frozen):

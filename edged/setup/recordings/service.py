@@ -18,7 +18,7 @@ from edged.errors import FileFormatError
 from edged.files import recording
 from edged.files.images import load_image
 from edged.pictures.encoding import jpeg
-from edged.setup.documents import Frozen, PicturePaths
+from edged.setup.documents import Frozen, Message, PicturePaths
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.recorded import CycleFilter, CycleLine, CycleList, Damaged, Records
 from edged.setup.recordings.recordedparts import PartSight, parts_of, taught_part
@@ -73,7 +73,7 @@ class CycleDocument(CycleLine):
     """
 
     trouble: str | None = None
-    trouble_text: str = ""
+    trouble_text: Message = ""
     reference: str = ""
     folder: str | None = None
     limits: RecordedLimits | None = None

@@ -10,10 +10,11 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.numerals import known
+from edged.robot.errormap import error_map
 from edged.robot.orientations import Brand, transform_of
 from edged.robot.pendant import PENDANTS, READING_CODES, brands_of, mm_per_unit
 from edged.robot.readings import PoseReading
-from edged.setup.documents import DraftHead, DraftSummary, Frozen, PicturePaths, Trouble
+from edged.setup.documents import DraftHead, DraftSummary, Frozen, Message, PicturePaths, Trouble
 from edged.setup.inuse import RigInUse
 from edged.setup.registration.model import Place, RegistrationState, SkyDocument
 from edged.setup.registration.verdict import Judged, Row
@@ -82,7 +83,7 @@ class SampleDocument(Frozen):
     text: str | None
     used: bool
     why: str | None
-    why_text: str | None
+    why_text: Message | None
     residual_mm: float | None
     held_out_mm: float | None
     held_out_deg: float | None
@@ -156,17 +157,52 @@ class RegistrationLine(DraftSummary):
     samples: int = 0
 
 
+class RobotMapPoint(Frozen):
+    """A place that was touched, robot's frame, mm. off_mm : what the robot showed there, minus the place."""
+
+    place_mm: list[float]
+    off_mm: list[float]
+
+
+class RobotMapDocument(Frozen):
+    """The map of the robot's error that the cell runs by; figures as over Zenoh."""
+
+    degree: int
+    alone_mm: float
+    held_out_mm: float
+    noise_mm: float
+    points: list[RobotMapPoint]
+
+
 class RegistrationList(Frozen):
-    """The youngest first. brands : that a draft may be of."""
+    """The youngest first. brands : that a draft may be of. robot_map : of the rig in use."""
 
     registrations: list[RegistrationLine]
     brands: list[BrandDocument]
+    robot_map: RobotMapDocument | None = None
 
 
 class Conventions(Frozen):
     """Every way to read the poses, best first; empty before four of them."""
 
     conventions: list[ReadingDocument]
+
+
+def map_of(rig: RigInUse | None) -> RobotMapDocument | None:
+    """The map of the robot's error of a rig."""
+    made = None if rig is None else rig.stereo().robot_map
+    if made is None:
+        return None
+    found = error_map(made).figures
+    off = made.shown_mm - made.expected_mm
+    both = zip(made.expected_mm.tolist(), off.tolist(), strict=True)
+    return RobotMapDocument(
+        degree=found.degree,
+        alone_mm=found.alone_mm,
+        held_out_mm=found.held_out_mm,
+        noise_mm=found.noise_mm,
+        points=[RobotMapPoint(place_mm=place, off_mm=off_mm) for place, off_mm in both],
+    )
 
 
 def brands() -> list[BrandDocument]:

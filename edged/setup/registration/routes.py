@@ -12,7 +12,7 @@ from edged.identity.visitors import Role
 from edged.robot.orientations import Brand
 from edged.setup.documents import DraftHead
 from edged.setup.draftroutes import DraftRoutes, Revised
-from edged.setup.registration.documents import Conventions, RegistrationDocument, RegistrationList, brands
+from edged.setup.registration.documents import Conventions, RegistrationDocument, RegistrationList
 from edged.setup.registration.drafts import RobotDraft
 from edged.setup.registration.service import Given, Registrations
 from edged.setup.releases.routes import Activating, ReleaseDocument, activated, add_activation
@@ -109,9 +109,11 @@ class RegistrationRoutes:
         """Add them."""
         see, ours = Role.VIEWER, self._registrations
         routes = DraftRoutes(table, "/registrations", ours.drafts, RegistrationDocument)
-        words = {"GET all": "Drafts of registrations, the youngest first, and the brands"}
+        words = {
+            "GET all": "Drafts of registrations, the youngest first, brands, and the map of the robot's error"
+        }
         words |= {"GET": "A registration as it stands", "DELETE": "Discard a registration"}
-        routes.add_usual(RegistrationList, "registrations", words, brands=brands())
+        routes.add_usual(RegistrationList, "registrations", words, ours.about)
         routes.add_begin(self._begin, "Begin to register the rig to a robot", BeginningToRegister)
         routes.add_change("PUT", "", self._restate, "Brand, mount or limit", StatedOtherwise)
         what = "Take a pair, and look for places to touch"

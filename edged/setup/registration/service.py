@@ -30,8 +30,10 @@ from edged.setup.registration.documents import (
     ROBOT,
     Conventions,
     RegistrationDocument,
+    brands,
     document_of,
     is_active,
+    map_of,
     readings_in,
 )
 from edged.setup.registration.drafts import RobotDraft, RobotDrafts
@@ -90,6 +92,10 @@ class Registrations:
         self._worker = cell.worker
         self._folders = RobotDrafts(cell.folder / "registrations")
         self.drafts = OpenDrafts("registration", cell.notices, self._folders, self)
+
+    def about(self) -> dict[str, object]:
+        """What the list of drafts says besides."""
+        return {"brands": brands(), "robot_map": map_of(self._cell.rig())}
 
     async def close(self) -> None:
         """End what is under way; drafts are on disc."""

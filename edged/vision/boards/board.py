@@ -11,13 +11,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Side
+from edged.domain.arrays import FloatArray, IntArray, Side
 from edged.domain.numerals import decimal, is_whole
 from edged.errors import CalibrationError
-
-IntArray = npt.NDArray[np.int64]
 
 _MAX_MARKS_PER_SIDE = 100  # limit of a board's specification
 _GRAMMAR = {

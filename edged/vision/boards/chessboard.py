@@ -17,8 +17,8 @@ import math
 import cv2
 import numpy as np
 
-from edged.domain.arrays import FloatArray, Image
-from edged.vision.boards.board import Chessboard, Detection, IntArray, NotDetected
+from edged.domain.arrays import FloatArray, Image, IntArray
+from edged.vision.boards.board import Chessboard, Detection, NotDetected
 from edged.vision.boards.markmodels import fit_corners
 from edged.vision.boards.params import DETECTION
 from edged.vision.geometry.camera import CameraModel

@@ -24,8 +24,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from edged.domain.arrays import FloatArray, Image
-from edged.vision.boards.board import CircleGrid, Detection, DotBoard, IntArray, NotDetected
+from edged.domain.arrays import FloatArray, Image, IntArray
+from edged.vision.boards.board import CircleGrid, Detection, DotBoard, NotDetected
 from edged.vision.boards.markmodels import fit_dots
 from edged.vision.boards.params import DETECTION
 from edged.vision.geometry.camera import CameraModel

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray
-from edged.vision.boards.board import IntArray
+from edged.domain.arrays import FloatArray, IntArray
 from edged.vision.calibration.params import CALIBRATION
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel
 from edged.vision.geometry.projection import project_with_jacobians

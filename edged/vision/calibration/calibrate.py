@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain.arrays import SIDES, FloatArray
-from edged.vision.boards.board import IntArray, ShapedBoard, StereoView
+from edged.domain.arrays import SIDES, FloatArray, IntArray
+from edged.vision.boards.board import ShapedBoard, StereoView
 from edged.vision.boards.deformation import deviation_mm, plate_basis, shaped
 from edged.vision.boards.params import DETECTION
 from edged.vision.calibration.bundle import BundleState, Observations

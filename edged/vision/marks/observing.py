@@ -11,9 +11,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.arrays import SIDES, FloatArray, IntArray
 from edged.domain.marks import MarksTrack
-from edged.vision.boards.board import IntArray
 from edged.vision.geometry.correction import DISPLACEMENT, of_side, seen_with_slopes
 from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import TaughtMarks

@@ -20,9 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain.arrays import SIDES, FloatArray, Image, Side
+from edged.domain.arrays import SIDES, FloatArray, Image, IntArray, Side
 from edged.domain.marks import MarksReport, MarksState, MarksTrack
-from edged.vision.boards.board import IntArray
 from edged.vision.geometry.correction import (
     DISPLACEMENT,
     OF_CAMERA,

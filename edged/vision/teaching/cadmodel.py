@@ -13,14 +13,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, IntArray
 from edged.vision.geometry.rigid import unit
 from edged.vision.part.body import all_sides, neighbours
 from edged.vision.teaching.params import CAD
-
-IntArray = npt.NDArray[np.int64]
 
 PARALLEL = 1e-6  # sine: parallel to rounding
 

@@ -14,12 +14,11 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, IntArray
 from edged.vision.geometry.rigid import unit
 from edged.vision.part.body import neighbours
 from edged.vision.teaching.cadmodel import (
     CadModel,
-    IntArray,
     ModelCircle,
     ModelCurves,
     ModelEdge,

@@ -98,7 +98,7 @@ run-stage-capture = 采集
 run-stage-rectify = 校正
 run-stage-find = 搜索
 run-stage-measure = 测量
-run-stage-marks = 参考标记
+run-stage-marks = 基准标记
 
 ## Where the sigma comes from
 run-budget = σ 的来源
@@ -114,7 +114,7 @@ run-term-edges = 边缘
 run-term-calibration = 标定
 run-term-registration = 机器人标定
 run-term-doubt = 存疑
-run-term-marks = 参考标记
+run-term-marks = 基准标记
 run-smaller = 可减小的方法
 run-remedy-edges = 光照和对焦
 run-remedy-calibration = 更多标定板视图

@@ -7,6 +7,7 @@ import { NumberField, Shape, say, useKept } from "../shared/pieces.js";
 import { moment, number, t } from "../shared/texts.js";
 
 const AT_ONCE = { still: 50, pose: 1, length: 1 };
+const signs = (text) => text.replaceAll(/\bum\b/g, "µm").replaceAll(/\bchi2\b/g, "χ²");
 const verdictOf = (good) => (good === null ? "doubt" : good ? "tick" : "gap");
 
 function Taken({ name, taken, needed, isBusy, onTake, onClear, children }) {
@@ -53,9 +54,11 @@ function Last({ last, isCurrent }) {
           <${Shape} is=${verdictOf(good)} /> ${t(`accept-${name}`)}:${" "}
           ${t(`accept-is-${good === null ? "open" : good ? "good" : "bad"}`)}
         </h3>
-        ${why && html`<p translate=${false} lang="en">${why}</p>`}
+        ${why && html`<p translate=${false} lang="en">${signs(why)}</p>`}
         <dl class="figures" translate=${false} lang="en">
-          ${Object.entries(figures).map(([what, value]) => html`<dt>${what}</dt><dd>${value}</dd>`)}
+          ${Object.entries(figures).map(
+            ([what, value]) => html`<dt>${signs(what)}</dt><dd>${signs(value)}</dd>`,
+          )}
         </dl>
       </div>`,
     )}
@@ -70,7 +73,7 @@ function Length({ name, mm, onName, onMm }) {
     <label class="field">
       <span>${t("accept-what")}</span>
       <input
-        name="length" autocomplete="off" value=${name}
+        name="length" autocomplete="off" placeholder="c1-c2" value=${name}
         onInput=${({ currentTarget }) => onName(currentTarget.value.trim())}
       />
     </label>

@@ -12,12 +12,14 @@ const KINDS = { good: "tick", wrong: "gap", gone: "none" };
 // seen: in one picture, or in either.
 const kindOf = ({ excluded }, { code }, seen) => (excluded.includes(code) ? "wrong" : seen ? "good" : "gone");
 const shapeOf = ({ state, valid }) => (state === "CORRECTED" ? "tick" : valid ? "doubt" : "gap");
-const apart = (now, was) => (now ? Math.hypot(now[0] - was[0], now[1] - was[1]) : null);
+const off = (now, was) => (now ? `${number(Math.hypot(now[0] - was[0], now[1] - was[1]), 2)} px` : "–");
 
 // Where each mark was taught, dashed, and where it is; one that disagrees is crossed.
 const over = (look) => (side) => {
   if (!look) return null;
-  const r = RING_SHARE * rawSize(side).width;
+  const { width } = rawSize(side);
+  const r = RING_SHARE * width;
+  const isRight = (x) => x > 0.9 * width; // a code beyond the picture is not seen
   return html`<g class="rings">
     ${look.marks.map((mark) => {
       const [was, now] = [mark[`was_${side}`], mark[side]];
@@ -34,24 +36,30 @@ const over = (look) => (side) => {
           />`
         }
         ${now && html`<path class="line" d="M${was[0] + 0.5} ${was[1] + 0.5}L${x + 0.5} ${y + 0.5}" />`}
-        <text x=${x + 1.2 * r} y=${y - 0.8 * r} font-size=${1.4 * r}>${mark.code}</text>
+        <text
+          x=${x + (isRight(x) ? -1.2 : 1.2) * r} y=${y - 0.8 * r} font-size=${1.4 * r}
+          text-anchor=${isRight(x) ? "end" : "start"}
+        >
+          ${mark.code}
+        </text>
       </g>`;
     })}
   </g>`;
 };
 
 function Looked({ look }) {
+  const counted = look.marks.filter((mark) => kindOf(look, mark, mark.left ?? mark.right) === "good").length;
   const moved = { left: number(1e3 * look.left_mm, 0), right: number(1e3 * look.right_mm, 0) };
   return html`<p class="big figure" role="status">
       <${Shape} is=${shapeOf(look)} /> <strong>${inWords("marks-state", look.state)}</strong>
     </p>
     <p>
       ${t(look.valid ? "marks-results" : "marks-no-results")}${" "}
-      ${t("marks-seen", { seen: look.seen, taught: look.taught })}${" "}
-      ${look.seen > 0 && t("marks-moved", moved)}
+      ${t("marks-seen", { seen: counted, taught: look.taught })}${" "}
+      ${counted > 0 && t("marks-moved", moved)}
     </p>
     ${look.state !== "CORRECTED" && html`<p>${inWords("marks-remedy", look.state)}</p>`}
-    ${look.text && html`<p class="hint" translate=${false} lang="en">${look.text}</p>`}
+    ${look.state !== "COASTING" && html`<p class="hint" translate=${false} lang="en">${look.text}</p>`}
     <div class="scroll">
       <table class="marks">
         <thead>
@@ -64,8 +72,8 @@ function Looked({ look }) {
             const kind = kindOf(look, mark, mark.left ?? mark.right);
             return html`<tr key=${mark.code}>
               <td>${mark.code}</td>
-              <td>${number(apart(mark.left, mark.was_left), 2)} px</td>
-              <td>${number(apart(mark.right, mark.was_right), 2)} px</td>
+              <td>${off(mark.left, mark.was_left)}</td>
+              <td>${off(mark.right, mark.was_right)}</td>
               <td><${Shape} is=${KINDS[kind]} /> ${t(`marks-is-${kind}`)}</td>
             </tr>`;
           })}
@@ -147,6 +155,7 @@ export default function Marks() {
       <h2 id="marks-now">${t("marks-now")}</h2>
       ${
         known &&
+        !look &&
         html`<p>
           <${Shape} is=${known.in_use ? "tick" : "none"} />${" "}
           ${t(known.in_use ? "marks-in-use" : "marks-none")}

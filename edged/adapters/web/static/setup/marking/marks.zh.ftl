@@ -1,5 +1,5 @@
 # Texts of marks.js.
-marks-title = 参考标记
+marks-title = 基准标记
 marks-what = 放置区周围的八个编码圆点可被两台相机看到，每次曝光都能说明相机所在位置。结果由此修正温度变化和相机受碰撞的影响。
 marks-no-rig = 尚无标定；标记应在标定后立即示教。
 marks-now = 当前状态
@@ -16,7 +16,7 @@ marks-results = 给出结果。
 marks-no-results = 不给出结果。
 marks-seen = { $taught } 个标记中 { $seen } 个有效。
 marks-moved = 自示教以来，左相机移动了 { $left } µm，右相机移动了 { $right } µm。
-marks-remedy-coasting = 请露出标记并擦净：在此之前沿用最后的修正，标准差随时间增大。
+marks-remedy-coasting = 请露出标记并擦净：在此之前沿用最后的修正，标准差随时间增大。若标记确在画面中：是否换了标记板，或图像被镜像？
 marks-remedy-knocked = 请等待三次一致的曝光。若仍如此：标记板是否被移动？若是，请重新示教标记并检查机器人。
 marks-remedy-contradicted = 这是本单元的标记板吗，干净吗？请擦净打叉的标记。被移动的标记不会恢复：检查后请重新示教。
 marks-mark = 标记

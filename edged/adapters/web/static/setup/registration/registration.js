@@ -6,13 +6,24 @@ import { newest, told } from "../shared/live.js";
 import { t } from "../shared/texts.js";
 
 // job: the job whose part is touched, null for the board of the draft.
-export const current = { draft: signal(null), drafts: signal([]), brands: signal([]), job: signal(null) };
+// map: of the robot's error, by which the cell runs; null without.
+export const current = {
+  draft: signal(null),
+  drafts: signal([]),
+  brands: signal([]),
+  job: signal(null),
+  map: signal(null),
+};
 
 export const heard = told("registration");
 
 const KIND = "registrations";
 async function list() {
-  ({ registrations: current.drafts.value, brands: current.brands.value } = await ask("GET", KIND));
+  ({
+    registrations: current.drafts.value,
+    brands: current.brands.value,
+    robot_map: current.map.value,
+  } = await ask("GET", KIND));
 }
 export async function goOn(id) {
   current.draft.value = await newest(heard, ask("GET", `${KIND}/${id}`));

@@ -185,3 +185,15 @@ robot-note =
 robot-activate-what = Von da an gibt die Zelle alle Ergebnisse in den Koordinaten des Roboters. Es wird ein eigenes Release; zurück geht es mit einem Tippen auf der Seite System.
 robot-activated = In Gebrauch, als Release { $number }.
 robot-active = In Gebrauch.
+
+## Karte des Roboterfehlers
+robot-map = Karte des Roboterfehlers
+robot-map-what = Um diese Karte ist jeder Ort verschoben, den die Zelle dem Roboter gibt. Teile jenseits der angetasteten Orte werden abgelehnt. Die Karte gehört zu dieser Registrierung: wird neu registriert, ist sie weg.
+robot-map-points = Angetastete Orte
+robot-map-degree = { $count }, Karte vom Grad { $degree }
+robot-map-left-out = Abweichung ausgelassener Orte (rms)
+robot-map-from-to = { $held }; ohne die Karte { $alone }
+robot-map-noise = Was die Karte nicht sagt (1 σ)
+robot-map-hull = Sie reichen über
+robot-map-picture = Die Orte von oben. Jede Linie zeigt, wo der Roboter stattdessen war, { $times }-fach zu lang; die längste ist { $um } µm.
+robot-um-plain = { $um } µm

@@ -185,3 +185,15 @@ robot-note =
 robot-activate-what = The cell gives all results in the robot's coordinates from then on. It becomes a release of its own; going back is one tap on the System page.
 robot-activated = In use, as release { $number }.
 robot-active = In use.
+
+## The map of the robot's error
+robot-map = Map of the robot's error
+robot-map-what = Each place that the cell gives the robot is shifted by this map. Parts beyond the touched places are refused. The map goes with this registration: register anew, and it is gone.
+robot-map-points = Touched places
+robot-map-degree = { $count }, a map of degree { $degree }
+robot-map-left-out = A place that was left out is off by (rms)
+robot-map-from-to = { $held }; without the map { $alone }
+robot-map-noise = What the map does not tell (1 σ)
+robot-map-hull = They reach over
+robot-map-picture = The places from above. Each line shows where the robot was instead, { $times } times too long; the longest is { $um } µm.
+robot-um-plain = { $um } µm

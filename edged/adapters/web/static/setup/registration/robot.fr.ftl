@@ -185,3 +185,15 @@ robot-note =
 robot-activate-what = La cellule donne dès lors tous les résultats dans les coordonnées du robot. Cela devient une version ; on y revient d’un geste sur la page Système.
 robot-activated = En service, version { $number }.
 robot-active = En service.
+
+## La carte de l'erreur du robot
+robot-map = Carte de l'erreur du robot
+robot-map-what = Chaque point donné au robot est décalé selon cette carte. Les pièces hors des points palpés sont refusées. La carte va avec cet enregistrement : un nouvel enregistrement la supprime.
+robot-map-points = Points palpés
+robot-map-degree = { $count }, carte de degré { $degree }
+robot-map-left-out = Écart d'un point laissé de côté (rms)
+robot-map-from-to = { $held } ; sans la carte { $alone }
+robot-map-noise = Ce que la carte ne dit pas (1 σ)
+robot-map-hull = Ils couvrent
+robot-map-picture = Les points vus du dessus. Chaque trait montre où le robot se trouvait en réalité, { $times } fois trop long ; le plus long fait { $um } µm.
+robot-um-plain = { $um } µm

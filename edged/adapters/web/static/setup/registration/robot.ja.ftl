@@ -177,3 +177,15 @@ robot-note = { $brand }、サンプル { $count } 個
 robot-activate-what = 以後、セルはすべての結果をロボット座標で出力します。独立したリリースになり、「システム」のページからワンタッチで戻せます。
 robot-activated = リリース { $number } として使用中です。
 robot-active = 使用中。
+
+## The map of the robot's error
+robot-map = ロボット誤差マップ
+robot-map-what = セルがロボットに渡す位置は、すべてこのマップで補正されます。タッチした範囲の外にあるワークは拒否されます。マップはこの座標合わせと一体で、座標合わせをやり直すとなくなります。
+robot-map-points = タッチした点
+robot-map-degree = { $count } 点、{ $degree } 次のマップ
+robot-map-left-out = 除いた点の誤差（rms）
+robot-map-from-to = { $held }（マップなしでは { $alone }）
+robot-map-noise = マップで表せない分（1 σ）
+robot-map-hull = タッチした範囲
+robot-map-picture = 上から見た点。線は、ロボットが実際にあった位置までのずれを { $times } 倍に拡大したもので、最大は { $um } µm です。
+robot-um-plain = { $um } µm

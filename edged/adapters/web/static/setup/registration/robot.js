@@ -34,6 +34,7 @@ import {
   sampleName,
   throwAway,
 } from "./registration.js";
+import { RobotMap } from "./robotmap.js";
 import { Samples } from "./samples.js";
 import { Sky } from "./sky.js";
 
@@ -429,7 +430,8 @@ export default function Robot() {
     return html`${head}<p><${Shape} is="gap" /> ${t("robot-no-rig")}</p>
       <div class="actions"><a class="button primary" href="#/calibrate">${t("step-calibrate")}</a></div>`;
   const [shape, is] = registered();
-  const now = html`<p><${Shape} is=${shape} /> ${t(is)}</p>`;
+  const map = current.map.value;
+  const now = html`<p><${Shape} is=${shape} /> ${t(is)}</p>${map && html`<${RobotMap} map=${map} />`}`;
   if (!draft.value)
     return html`${head}${now}${current.brands.value.length > 0 && html`<${Begin} />`}
       <${Begun}

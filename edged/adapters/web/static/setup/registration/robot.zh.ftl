@@ -177,3 +177,15 @@ robot-note = { $brand }，{ $count } 个样本
 robot-activate-what = 此后单元以机器人坐标输出所有结果。这会成为一个单独的版本；在“系统”页面一次点击即可返回。
 robot-activated = 已使用，版本 { $number }。
 robot-active = 使用中。
+
+## The map of the robot's error
+robot-map = 机器人误差图
+robot-map-what = 单元给机器人的每个位置都按此图修正。超出触碰范围的工件会被拒绝。此图属于当前的机器人标定：重新标定后即失效。
+robot-map-points = 触碰的点
+robot-map-degree = { $count } 个点，{ $degree } 次误差图
+robot-map-left-out = 留出点的误差（rms）
+robot-map-from-to = { $held }；不用误差图时为 { $alone }
+robot-map-noise = 误差图无法描述的部分（1 σ）
+robot-map-hull = 触碰范围
+robot-map-picture = 从上方看这些点。每条线表示机器人实际所在位置的偏差，放大 { $times } 倍；最长的为 { $um } µm。
+robot-um-plain = { $um } µm
