@@ -52,10 +52,11 @@ class MarksTrack:
     """All that is carried from exposure to exposure; with a pair of pictures it decides the next.
 
     displacement (14,) of the cameras, see `edged.vision.geometry.correction`; covariance (14, 14) of it;
-    cross (14, 4 N) : covariance with the dots' taught places. maps (14,) : displacement that the rectified
-    pictures are made for. exposed_ns : of the exposure before, UTC, 0 at the beginning. knocked : a knock was
-    found, and results wait for `wait` exposures that agree (without healing for ever). searched, blank :
-    exposures until the next search of the whole picture, and how many found nothing.
+    cross (14, 8 N) : covariance with the dots' taught places, and with what pixels do to them. maps (14,) :
+    displacement that the rectified pictures are made for. exposed_ns : of the exposure before, UTC, 0 at the
+    beginning. knocked : a knock was found, and results wait for `wait` exposures that agree (without healing
+    for ever). searched, blank : exposures until the next search of the whole picture, and how many found
+    nothing.
     """
 
     displacement: FloatArray

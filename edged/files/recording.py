@@ -71,7 +71,7 @@ PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 """Lossless at any level; higher ones take three times as long for a tenth less."""
 
 
-MOST_COLUMNS = 256
+MOST_COLUMNS = 512
 """Coordinates of marks in both pictures, see `edged.files.marks.MAX_TAUGHT`."""
 
 
@@ -176,8 +176,8 @@ def _track(document: dict[str, Any], place: str) -> MarksTrack:
     reader = JsonFields(Path(place), document, "marks_before.")
     cross = document.get("cross")
     columns = len(cross[0]) if isinstance(cross, list) and cross and isinstance(cross[0], list) else 0
-    if columns > MOST_COLUMNS or columns % 4:
-        raise reader.error("cross", f"{columns} columns: expected 4 for each mark, at most {MOST_COLUMNS}")
+    if columns > MOST_COLUMNS or columns % 8:
+        raise reader.error("cross", f"{columns} columns: expected 8 for each mark, at most {MOST_COLUMNS}")
     counts = {}
     for name, most in (("exposed_ns", 2**63 - 1), ("wait", 1000), ("searched", 1000), ("blank", 1000)):
         value = document.get(name)

@@ -63,7 +63,7 @@ class RigMarks:
 
         Raises `FileFormatError` for a track of other marks.
         """
-        if track.cross.shape[1] != len(self._filter.considered):
+        if track.cross.shape[1] != 2 * len(self._filter.considered):
             raise FileFormatError(
                 "the track is of other reference marks than the setup that it was recorded with"
             )
@@ -110,10 +110,13 @@ def taught_in(folder: Path, rig: StereoRig, progress: Progress = silent) -> Taug
 
 
 def sigma_um(taught: TaughtMarks, settings: MarksSettings) -> FloatArray:
-    """(3,) sigma of X, Y, Z that the correction by one exposure leaves in the marks' middle, µm."""
+    """(3,) sigma of X, Y, Z that the correction by one exposure leaves in the marks' middle, µm.
+
+    Of dots that lie elsewhere in their pixels than at the teaching, as after some warmth.
+    """
     marks = MarksFilter(taught, settings)
     noise = taught.sigma_px * np.sqrt(taught.exposures) / taught.noise
-    track, _ = marks.updated(marks.begin(), DotsInPair(taught.pixels, noise))
+    track, _ = marks.updated(marks.begin(), DotsInPair(taught.pixels + 0.5, noise))
     correction = correction_of(track)
     slopes = shift_by_displacement(taught.rig, correction, taught.world_from_marks[None, :3, 3])[0]
     return np.asarray(1e3 * np.sqrt(np.diag(slopes @ correction.covariance @ slopes.T)))

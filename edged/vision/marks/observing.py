@@ -1,6 +1,7 @@
 """What dots in a pair say to a track of the reference marks: where they should be, and how far off they are.
 
-The taught places (2, N, 2) are considered, never updated: see `edged.vision.marks.tracking`.
+The taught places (2, N, 2), and what a dot's place in the pixels does to it, are considered, never updated:
+see `edged.vision.marks.tracking`.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ class DotsInPair:
 class ObservedDots:
     """Chosen dots against a track: innovation (M,) and its covariance, and what they are worth.
 
-    slopes (M, 14).  rows (M,) : of the considered places.  root (M, M) : the inverse of the covariance is
-    root^T root.
+    slopes (M, 14).  rows (M,) : of the taught places.  root (M, M) : the inverse of the covariance is
+    root^T root.  common (M, 8 N) : covariance of what is considered of these dots with all of it.
     """
 
     innovation: FloatArray
@@ -48,7 +49,7 @@ class ObservedDots:
     gain: FloatArray
     slopes: FloatArray
     rows: IntArray
-    considered: FloatArray
+    common: FloatArray
 
     @classmethod
     def of(
@@ -60,7 +61,11 @@ class ObservedDots:
         marks: IntArray,
         at: FloatArray | None = None,
     ) -> ObservedDots:
-        """Dots of some marks, linearised at a displacement: the track's own, or `at`."""
+        """Dots of some marks, linearised at a displacement: the track's own, or `at`.
+
+        considered (4 N, 4 N) : covariance of the taught places; the pixels' doing is `bias_share` of as many
+        biases, each with twice the variance of one: that of then, and that of now.
+        """
         here = track.displacement if at is None else at
         count = len(taught.codes)
         expected, slopes = expected_dots(taught, here)
@@ -72,11 +77,18 @@ class ObservedDots:
         innovation = difference.reshape(-1)[rows] - H @ (track.displacement - here)
         sigma = taught.noise * np.hypot(dots.sigma_px, MARKS.noise_px)
         noise = np.repeat(sigma.reshape(-1) ** 2, 2)[rows]
-        HC = H @ track.cross[:, rows]
-        S = H @ track.covariance @ H.T + HC + HC.T + considered[np.ix_(rows, rows)] + np.diag(noise)
+        places = len(considered)
+        share = bias_share(taught, dots).reshape(-1)[rows]
+        common = np.zeros((len(rows), 2 * places))
+        common[:, :places] = considered[rows]
+        common[np.arange(len(rows)), places + rows] = 2.0 * MARKS.bias_px**2 * share
+        cross = track.cross[:, rows] + share * track.cross[:, places + rows]
+        HC = H @ cross
+        considered_too = common[:, rows] + share * common[:, places + rows]
+        S = H @ track.covariance @ H.T + HC + HC.T + considered_too + np.diag(noise)
         root = np.asarray(np.linalg.inv(np.linalg.cholesky(S)))
-        gain = track.covariance @ H.T + track.cross[:, rows]
-        return cls(innovation, root, gain, H, rows, considered)
+        gain = track.covariance @ H.T + cross
+        return cls(innovation, root, gain, H, rows, common)
 
     @property
     def count(self) -> int:
@@ -90,11 +102,11 @@ class ObservedDots:
         return float(whitened @ whitened)
 
     def applied(self, track: MarksTrack) -> MarksTrack:
-        """The track with what these dots say; the considered places stay as they are."""
+        """The track with what these dots say; what is considered stays as it is."""
         whitened = self.gain @ self.root.T  # K S^(1/2)
         K = whitened @ self.root
         covariance = track.covariance - whitened @ whitened.T
-        cross = track.cross - K @ (self.slopes @ track.cross + self.considered[self.rows])
+        cross = track.cross - K @ (self.slopes @ track.cross + self.common)
         return replace(
             track,
             displacement=track.displacement + K @ self.innovation,
@@ -107,7 +119,7 @@ class ObservedDots:
 
         Leaving out rows B takes w_B' (S^-1)_BB^-1 w_B from the misfit, with w = S^-1 innovation.
         """
-        count = self.considered.shape[0] // 4
+        count = self.common.shape[1] // 8
         inverse = self.root.T @ self.root
         weighted = inverse @ self.innovation
         of_mark = self.rows // 2 % count
@@ -116,6 +128,18 @@ class ObservedDots:
             rows = np.flatnonzero(of_mark == mark)
             gains.append(weighted[rows] @ np.linalg.solve(inverse[np.ix_(rows, rows)], weighted[rows]))
         return int(np.argmax(gains))
+
+
+def bias_share(taught: TaughtMarks, dots: DotsInPair) -> FloatArray:
+    """(2, N, 2) how much of a bias is left of the difference between the teaching's and this exposure's.
+
+    A dot that lies where it was taught has the same one; over a pixel both have nothing to do with each
+    other. Of a wave over each pixel the variance is as 1 - cos(2 pi d), at first 1 - exp(-2 pi^2 d^2).
+    """
+    moved = np.sum((dots.pixels - taught.pixels) ** 2, axis=2, keepdims=True)
+    still = MARKS.bias_still**2
+    share = np.sqrt(still + (1.0 - still) * -np.expm1(-2.0 * np.pi**2 * moved))
+    return np.broadcast_to(share, dots.pixels.shape)
 
 
 def expected_dots(taught: TaughtMarks, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:

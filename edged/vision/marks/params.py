@@ -55,6 +55,8 @@ class MarksParams:
     bias_px: float = 0.01
     """Sigma of what a dot's place in the pixel grid and its light do to it, alike in all exposures: measured
     by the same bench as 0.003 to 0.008."""
+    bias_still: float = 0.3
+    """Share of it that stays where a dot lies just where it was taught: that of light."""
     rim_steps: int = 8  # of Gauss-Newton: two settle a dot that lies within 0.1 px, five one 3 px away
     settled_px: float = 0.01  # a last step of this size leaves an error of its square over the blur: 1e-4 px
     rim_px: float = 4.0  # from where a dot is expected; farther away it is searched for

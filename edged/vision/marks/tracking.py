@@ -3,9 +3,9 @@
 The state is the displacement of both cameras since the marks were taught (14, see `geometry.correction`). It
 walks at random, as fast as weather drives it; each exposure updates it with the dots that are seen. What is
 wrong with all exposures alike does not average out, and the filter knows: the taught places of the dots in
-the pictures (2, N, 2), and the plate's growth, are never updated, but their correlation with the state is
-carried along (S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in Control
-Systems 3, 1966: the consider filter).
+the pictures (2, N, 2) with the plate's growth, and what their place in the pixels does to them (as many), are
+never updated, but their correlation with the state is carried along (S. F. Schmidt, "Application of
+state-space methods to navigation problems", Advances in Control Systems 3, 1966: the consider filter).
 
 Before an update all dots together must agree with what is expected (chi² at 1e-6). If they do not, either
 some marks are wrong, and most of the others agree, or the cameras were moved, and at least six marks agree on
@@ -59,9 +59,7 @@ class MarksFilter:
 
     def __init__(self, taught: TaughtMarks, settings: MarksSettings | None = None) -> None:
         self.taught, self.settings = taught, settings or MarksSettings()
-        # the bias of a dot then, and another one now that it lies elsewhere in its pixels
-        places = np.repeat(taught.sigma_px.reshape(-1) ** 2, 2) + 2.0 * MARKS.bias_px**2
-        self.considered = np.diag(places)
+        self.considered = np.diag(np.repeat(taught.sigma_px.reshape(-1) ** 2, 2))
         grown = taught.by_growth().reshape(-1)
         # the whole range is a sigma: at the warmest hour of a day that is what the plate is off by
         growth = EXPANSION_PER_K[self.settings.material] * self.settings.range_k
@@ -72,7 +70,7 @@ class MarksFilter:
         """Before the first exposure: all that weather can have done since the teaching, and nothing else."""
         prior = np.diag(self._weather * self.settings.range_k**2)
         nothing = np.zeros(DISPLACEMENT)
-        return MarksTrack(nothing, prior, np.zeros((DISPLACEMENT, len(self.considered))), nothing)
+        return MarksTrack(nothing, prior, np.zeros((DISPLACEMENT, 2 * len(self.considered))), nothing)
 
     # --- one exposure --------------------------------------------------------------------------------------
 
