@@ -1,7 +1,7 @@
 # Texts of accept.js.
 accept-title = 受入検査
 accept-why = セルが設置場所で自らを検査し、署名用のページを作成します。年に1回、および衝撃の後に繰り返してください。
-accept-no-job = まだジョブがありません。先にワークを学習してください。
+accept-no-job = まだジョブがありません。先にワークをティーチングしてください。
 accept-hold = 検査するにはセルを取得してください。カメラが必要です。
 accept-job = 見せるワーク
 accept-still = 静止

@@ -1,10 +1,10 @@
 # Texts of marks.js.
 marks-title = Repères de référence
 marks-what = Huit points codés autour de l’endroit des pièces, vus par les deux caméras, disent à chaque prise de vue où sont les caméras. Les résultats sont alors corrigés de la chaleur et d’un choc contre une caméra.
-marks-no-rig = Il n’y a pas encore d’étalonnage ; les repères s’apprennent juste après.
+marks-no-rig = Il n’y a pas encore de calibrage ; les repères s’apprennent juste après.
 marks-now = État
-marks-in-use = Les résultats sont corrigés par des repères de l’étalonnage en service.
-marks-none = Aucun repère de cet étalonnage : les résultats ne sont pas corrigés.
+marks-in-use = Les résultats sont corrigés par des repères du calibrage en service.
+marks-none = Aucun repère de ce calibrage : les résultats ne sont pas corrigés.
 marks-last = { $count } repères appris ; une prise de vue en laisse { $x }, { $y }, { $z } µm (un sigma de X, Y, Z).
 marks-look = Regarder les repères maintenant
 marks-take = Prenez la cellule pour regarder : ses caméras sont nécessaires.
@@ -25,7 +25,7 @@ marks-is-wrong = en désaccord, écarté
 marks-is-gone = non vu
 marks-teach = Apprendre les repères
 marks-step-plate = Fixez une plaque de huit repères ou plus autour de l’endroit des pièces, ou collez-les sur de l’acier (edged board --marks les imprime). Rien ne les couvre.
-marks-step-fresh = Étalonnez d’abord, ou contrôlez que l’étalonnage tient : ce qui est faux maintenant le restera.
+marks-step-fresh = Calibrez d’abord, ou contrôlez que le calibrage tient : ce qui est faux maintenant le restera.
 marks-step-still = Videz l’endroit. Pendant { $count } images rien ne doit bouger.
 marks-teach-now = Prendre { $count } images et apprendre
 marks-teaching = Apprentissage des repères …

@@ -188,7 +188,7 @@ robot-active = En service.
 
 ## La carte de l'erreur du robot
 robot-map = Carte de l'erreur du robot
-robot-map-what = Chaque point donné au robot est décalé selon cette carte. Les pièces hors des points palpés sont refusées. La carte va avec cet enregistrement : un nouvel enregistrement la supprime.
+robot-map-what = Chaque point donné au robot est décalé selon cette carte. Les pièces hors des points palpés sont refusées. La carte va avec ce recalage : un nouveau recalage la supprime.
 robot-map-points = Points palpés
 robot-map-degree = { $count }, carte de degré { $degree }
 robot-map-left-out = Écart d'un point laissé de côté (rms)
