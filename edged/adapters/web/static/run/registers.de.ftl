@@ -181,6 +181,6 @@ register-a-days = Tage, bis die Prüfung wieder fällig ist, negativ seitdem; 32
 register-a-due = UTC seit 1970, wann sie fällig ist; 0: keine gemacht
 register-e-degree = Grad der Karte des Roboterfehlers; 0: es gibt keine
 register-e-points = Orte, die dafür angetastet wurden
-register-e-alone = rms ausgelassener Orte, nur durch das Einmessen; 65535: mehr
+register-e-alone = rms ausgelassener Orte, nur mit der Registrierung; 65535: mehr
 register-e-held-out = mit der Karte
 register-e-noise = ein Sigma dessen, was sie nicht sagt

@@ -188,7 +188,7 @@ robot-active = In Gebrauch.
 
 ## Karte des Roboterfehlers
 robot-map = Karte des Roboterfehlers
-robot-map-what = Um diese Karte ist jeder Ort verschoben, den die Zelle dem Roboter gibt. Teile jenseits der angetasteten Orte werden abgelehnt. Die Karte gehört zu diesem Einmessen: Wird neu eingemessen, ist sie weg.
+robot-map-what = Um diese Karte ist jeder Ort verschoben, den die Zelle dem Roboter gibt. Teile jenseits der angetasteten Orte werden abgelehnt. Die Karte gehört zu dieser Registrierung: Wird neu registriert, ist sie weg.
 robot-map-points = Angetastete Orte
 robot-map-degree = { $count }, Karte vom Grad { $degree }
 robot-map-left-out = Abweichung ausgelassener Orte (rms)
